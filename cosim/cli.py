@@ -546,8 +546,7 @@ def identify(
     from cosim.report.tables.identification import print_identification
     from cosim.scenario.edits import parse_value
     from cosim.scenario.identified import bounds_of
-    from cosim.scenario.identifying import identifier_record
-    from cosim.scenario.identifying import identify as identify_logs
+    from cosim.scenario.identifying import identifier_record, identify_records
 
     if irregular is not None and not 0.0 < irregular < float("inf"):
         raise UsageError(f"--irregular: found {irregular:g}, needed a positive number")
@@ -557,7 +556,7 @@ def identify(
     limits = None
     if bounds is not None:
         limits = bounds_of(parse_value(bounds), records[0].identified.parameters)
-    found = identify_logs(records, offset=offset, bounds=limits)
+    found = identify_records(records, offset=offset, bounds=limits)
     report = report_identification(found, others=others, irregular=irregular)
     if plot is not None:
         from cosim.report.plots import plot_identification

@@ -9,12 +9,7 @@ from typing import Any
 
 from cosim.report.summary import noise_text
 from cosim.scenario.assessing import plain_amplitudes
-from cosim.scenario.identifying import (
-    IdentifierRecord,
-    LogIdentification,
-    irregular_interval,
-    validate_record,
-)
+from cosim.scenario.identifying import IdentifierRecord, LogIdentification
 from cosim.scenario.irregular import IrregularPart, irregular_part
 from cosim.scenario.recorded_metadata import IdentificationRecord
 from cosim.theory.validation import Validation, ValidationVerdict
@@ -122,12 +117,12 @@ def report_identification(
     UsageError
         If one of the others is of another model, or an irregular part cannot be bounded for.
     """
-    validations = tuple((other, validate_record(found, other)) for other in others)
+    validations = tuple((other, found.validate(other)) for other in others)
     part = None if irregular is None else _irregular_part(found, irregular)
     return IdentificationReport(found=found, validations=validations, irregular=part)
 
 
 def _irregular_part(found: LogIdentification, bound: float) -> TimedPart:
     began = perf_counter()
-    part = irregular_part(bound, irregular_interval(found, bound))
+    part = irregular_part(bound, found.guaranteed_interval(bound))
     return TimedPart(part=part, seconds=perf_counter() - began)

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, fields
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from cosim.core.contracts import CompleteRecording
 from cosim.core.port import Port
 from cosim.core.ports import Ports
 from cosim.errors import UsageError, nearest
+from cosim.log import open_log
 from cosim.scenario.assessing import OUTPUT_ERROR
 from cosim.scenario.build import Experiment
 from cosim.scenario.identified import IdentifiedPlant, SampleRows
@@ -91,8 +93,74 @@ class LogIdentification:
     @cached_property
     def amplitudes(self) -> tuple[tuple[ParameterVerdict, ...], ...]:
         """What may be said about amplitudes and phases, those of each log."""
-        data = [record.data for record in self.records]
-        return amplitude_verdicts(self.assessment, data, self.identified.families)
+        return amplitude_verdicts(self.assessment, self._data, self.identified.families)
+
+    @property
+    def _data(self) -> list[DataSet]:
+        return [record.data for record in self.records]
+
+    def validate(self, other: IdentifierRecord) -> Validation:
+        """Test the fit on the data of another run, which was not used in it.
+
+        Raises
+        ------
+        UsageError
+            If the log is of another model, or was used in the fit.
+        AssumptionError
+            If it has fewer samples than unknowns.
+        """
+        _check_unused(other, self.records)
+        check_one_model(self.records[0], other)
+        return validate(
+            self.assessment,
+            self._data,
+            other.data,
+            self.identified.plant,
+            self.identified.families,
+            stated=self.identified.stated,
+            offset=self.offset,
+        )
+
+    def smoothed(self, index: int = 0) -> SmoothedSignals:
+        """Return states and disturbance of log number ``index`` by the fit, with their bands.
+
+        Raises
+        ------
+        AssumptionError
+            If the plant is unstable.
+        """
+        return smoothed_signals(
+            self.assessment.fit,
+            index,
+            self._data,
+            self.identified.plant,
+            self.identified.families,
+            noise=self.assessment.noise,
+        )
+
+    def guaranteed_interval(self, bound: float) -> GuaranteedInterval:
+        """Return which theta a log allows if an irregular part of delta is within a bound.
+
+        Parameters
+        ----------
+        bound : float
+            Of the irregular part, ``|delta_0| <= bound``.
+
+        Raises
+        ------
+        UsageError
+            If there are several logs.
+        AssumptionError
+            If not every theta was estimated, samples are missing or at unequal distances, or the
+            plant is unstable.
+        """
+        if len(self.records) > 1:
+            raise UsageError(
+                f"found {len(self.records)} logs; needed one to bound theta for an irregular part "
+                "of the disturbance"
+            )
+        (data,) = self._data
+        return interval_of(self.assessment, data, self.identified, bound, programs=Programs.ALWAYS)
 
 
 def identifier_record(log: CompleteRecording, identifier: str | None = None) -> IdentifierRecord:
@@ -163,12 +231,50 @@ def _at_times(log: CompleteRecording, port: Port, t_ns: Nanoseconds) -> Matrix:
 
 
 def identify(
+    logs: str | Path | CompleteRecording | Sequence[str | Path | CompleteRecording],
+    *,
+    identifier: str | None = None,
+    offset: bool = False,
+    bounds: Mapping[int, tuple[float, float]] | None = None,
+) -> LogIdentification:
+    """Estimate theta from logs by output error, whatever method their runs used.
+
+    Parameters
+    ----------
+    logs : path, what a run returned, or a sequence of these
+        Of one plant under one theta; amplitudes, phases and x(0) of each are its own.
+    identifier : str, optional
+        The component that has the model, where a log has several.
+    offset, bounds
+        As for :func:`identify_records`.
+
+    Raises
+    ------
+    LogError
+        If a log is damaged, or has no scenario.
+    UsageError
+        If a log has no such identifier, the logs are of different models, or two have the same
+        rows.
+    AssumptionError
+        If there are fewer samples than unknowns, or a bound excludes every value.
+    """
+    listed = list(logs) if isinstance(logs, Sequence) and not isinstance(logs, str) else [logs]
+    if not listed:
+        raise UsageError("logs: found none; needed one or more")
+    records = []
+    for log in listed:
+        opened = open_log(log) if isinstance(log, str | Path) else log
+        records.append(identifier_record(opened, identifier))
+    return identify_records(records, offset=offset, bounds=bounds)
+
+
+def identify_records(
     records: Sequence[IdentifierRecord],
     *,
     offset: bool = False,
     bounds: Mapping[int, tuple[float, float]] | None = None,
 ) -> LogIdentification:
-    """Estimate theta from logs by output error, and say what they say about every parameter.
+    """Estimate theta from records of logs by output error, with a verdict on every parameter.
 
     Parameters
     ----------
@@ -279,74 +385,3 @@ def _chosen(log: CompleteRecording, identified: Mapping[str, Any], identifier: s
     if len(identified) > 1:
         raise UsageError(f"{log.label}: found the identifiers {', '.join(identified)}; name one")
     return next(iter(identified))
-
-
-def validate_record(found: LogIdentification, record: IdentifierRecord) -> Validation:
-    """Hold a fit against the log of another run, which was not used in it.
-
-    Raises
-    ------
-    UsageError
-        If the log is of another model, or was used in the fit.
-    AssumptionError
-        If it has fewer samples than unknowns.
-    """
-    first = found.records[0]
-    _check_unused(record, found.records)
-    check_one_model(first, record)
-    return validate(
-        found.assessment,
-        [used.data for used in found.records],
-        record.data,
-        first.identified.plant,
-        first.identified.families,
-        stated=first.identified.stated,
-        offset=found.offset,
-    )
-
-
-def smoothed_record(found: LogIdentification, index: int) -> SmoothedSignals:
-    """Return states and disturbance of log number ``index`` by what was found, with bands.
-
-    Raises
-    ------
-    AssumptionError
-        If the plant is unstable.
-    """
-    identified = found.identified
-    assessment = found.assessment
-    return smoothed_signals(
-        assessment.fit,
-        index,
-        [record.data for record in found.records],
-        identified.plant,
-        identified.families,
-        noise=assessment.noise,
-    )
-
-
-def irregular_interval(found: LogIdentification, bound: float) -> GuaranteedInterval:
-    """Return which theta a log allows if an irregular part of delta is within a bound.
-
-    Parameters
-    ----------
-    found : LogIdentification
-        Of one log.
-    bound : float
-        Of the irregular part, ``|delta_0| <= bound``.
-
-    Raises
-    ------
-    UsageError
-        If there are several logs.
-    AssumptionError
-        If not every theta was estimated, samples are missing or at unequal distances, or the plant
-        is unstable.
-    """
-    if len(found.records) > 1:
-        raise UsageError(
-            f"found {len(found.records)} logs; needed one to bound theta for an irregular part of "
-            "the disturbance"
-        )
-    data = found.records[0].data
-    return interval_of(found.assessment, data, found.identified, bound, programs=Programs.ALWAYS)

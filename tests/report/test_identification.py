@@ -14,7 +14,7 @@ from cosim.report.identification import report_identification
 from cosim.report.plots.intervals import band_curves
 from cosim.report.plots.picture import PictureOptions
 from cosim.scenario.assessing import IDENTIFICATION
-from cosim.scenario.identifying import identifier_record, identify
+from cosim.scenario.identifying import identifier_record, identify_records
 
 FAST = {"scenario.step": 0.02, "observer.filter_rate": 50.0}
 
@@ -166,7 +166,7 @@ def test_options_reach_the_fit(logs, call):
 
 def test_an_irregular_part_has_guaranteed_intervals(logs):
     """They contain the truth; the cost is said, and where the first order does not hold."""
-    found = identify([identifier_record(logs["first"])])
+    found = identify_records([identifier_record(logs["first"])])
     timed = report_identification(found, irregular=2e-3).irregular
     part = timed.part
     for effect, true in zip(part.effects, (-0.1, -0.3), strict=True):

@@ -11,7 +11,7 @@ import cosim
 from cosim.errors import ScenarioError, UsageError
 from cosim.log import open_log
 from cosim.scenario.assessing import IDENTIFICATION
-from cosim.scenario.identifying import identifier_record, identify
+from cosim.scenario.identifying import identifier_record, identify_records
 from cosim.scenario.recorded_metadata import recorded_warnings
 from cosim.theory.descriptor import reduce
 from cosim.theory.disturbance import Exponential
@@ -345,7 +345,7 @@ def test_the_verdict_and_the_log_rest_on_the_samples(experiment, tmp_path):
     verdicts = [parameter["verdict"] for parameter in recorded["parameters"]]
     assert verdicts == ["IDENTIFIABLE", "IDENTIFIABLE"]
     record = identifier_record(log)
-    of_the_log = identify([record]).assessment.to_dict()
+    of_the_log = identify_records([record]).assessment.to_dict()
     assert of_the_log == {key: recorded[key] for key in of_the_log}
     np.testing.assert_array_equal(record.data.t[record.data.measured[:, 0]], experiment.t)
 

@@ -8,7 +8,7 @@ import pytest
 import cosim
 from cosim.errors import UsageError
 from cosim.scenario.assessing import IDENTIFICATION, plain_amplitudes
-from cosim.scenario.identifying import identifier_record, identify
+from cosim.scenario.identifying import identifier_record, identify_records
 
 FAST = {"scenario.step": 0.01, "observer.filter_rate": 100.0}
 
@@ -30,7 +30,7 @@ def logs(tmp_path_factory):
 
 def test_a_log_says_what_the_run_said(logs):
     """Parameters, amplitudes, tests and noise are those recorded at its end."""
-    found = identify([identifier_record(logs[0])])
+    found = identify_records([identifier_record(logs[0])])
     recorded = dict(logs[0].results[IDENTIFICATION]["identifier"])
     recorded.pop("estimate")
     assert recorded.pop("amplitudes") == plain_amplitudes(found.amplitudes)
@@ -50,8 +50,8 @@ def test_the_data_are_what_the_observer_took_in(logs):
 
 def test_several_logs_are_one_fit(logs):
     """Two of equal information halve the variance; amplitudes and x(0) are their own."""
-    one = identify([identifier_record(logs[0])])
-    both = identify([identifier_record(log) for log in logs[:2]])
+    one = identify_records([identifier_record(logs[0])])
+    both = identify_records([identifier_record(log) for log in logs[:2]])
     ratio = both.assessment.fit.standard_error / one.assessment.fit.standard_error
     np.testing.assert_allclose(ratio, np.sqrt(0.5), rtol=0.05)
     x0 = np.array(both.assessment.fit.x0)
@@ -68,17 +68,17 @@ def test_the_log_of_another_method_is_identified_by_output_error(logs):
     assert "biased" in recorded["estimate"][0]["reason"]
     record = identifier_record(logs[2])
     assert record.estimate is None
-    theta = identify([record]).assessment.fit.theta
+    theta = identify_records([record]).assessment.fit.theta
     np.testing.assert_allclose(theta, [-0.1, -0.3], atol=1e-3)
 
 
 def test_options_are_those_of_the_fit(logs):
     """An offset is one more unknown; equal bounds fix a theta."""
     record = identifier_record(logs[0])
-    plain = identify([record])
-    offset = identify([record], offset=True)
+    plain = identify_records([record])
+    offset = identify_records([record], offset=True)
     assert offset.assessment.fit.freedom == plain.assessment.fit.freedom - 1
-    fixed = identify([record], bounds={0: (-0.1, -0.1)})
+    fixed = identify_records([record], bounds={0: (-0.1, -0.1)})
     assert fixed.assessment.fit.theta[0] == -0.1
     assert fixed.assessment.fit.freedom == plain.assessment.fit.freedom + 1
 
@@ -96,7 +96,7 @@ def test_logs_of_other_models_are_refused(logs, tmp_path):
     )
     records = [identifier_record(logs[0]), identifier_record(changed)]
     with pytest.raises(UsageError, match=r"a\.mcap: the design models differ in A; needed one"):
-        identify(records)
+        identify_records(records)
 
 
 def test_a_log_without_identifier_is_refused(tmp_path):
@@ -123,7 +123,22 @@ def test_a_run_in_memory_is_identified_like_its_log(tmp_path):
     memory = identifier_record(cosim.run("academic-noisy", set=settings))
     path = tmp_path / "log.mcap"
     log = identifier_record(cosim.run("academic-noisy", set=settings, out=path))
-    assert identify([memory]).assessment.to_dict() == identify([log]).assessment.to_dict()
+    assert (
+        identify_records([memory]).assessment.to_dict()
+        == identify_records([log]).assessment.to_dict()
+    )
     for other in (memory, log):
         with pytest.raises(UsageError, match="has the rows of the run"):
-            identify([memory, other])
+            identify_records([memory, other])
+
+
+def test_logs_are_identified_by_path_or_opened(logs):
+    """One or several, as their records; no log at all is refused."""
+    expected = identify_records([identifier_record(log) for log in logs[:2]]).assessment.fit.theta
+    for given in (logs[:2], [str(log.path) for log in logs[:2]]):
+        np.testing.assert_array_equal(cosim.identify(given).assessment.fit.theta, expected)
+    found = cosim.identify(logs[0].path)
+    assert [record.log.label for record in found.records] == [logs[0].label]
+    assert len(found.smoothed().t) == len(found.records[0].data.t)
+    with pytest.raises(UsageError, match="found none; needed one or more"):
+        cosim.identify([])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.scenario.identifying import identifier_record, identify
+from cosim.scenario.identifying import identifier_record, identify_records
 from cosim.scenario.recorded_metadata import recorded_identification
 from tests.scenario.test_several_outputs import SCENARIO as TWO
 
@@ -161,5 +161,5 @@ def test_each_sensor_counts_at_its_own_times(tmp_path, second, samples):
     assert (np.abs(log["identifier.theta"][-1] - offline) < 0.2 * errors(log)).all()
     record = identifier_record(log)
     np.testing.assert_array_equal(record.data.measured.sum(axis=0), [201, samples])
-    later = identify([record]).assessment
+    later = identify_records([record]).assessment
     np.testing.assert_array_equal(later.fit.theta, offline)

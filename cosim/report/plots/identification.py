@@ -21,7 +21,7 @@ from cosim.report.plots.estimates import (
 from cosim.report.plots.intervals import band_curves, draw_bands, edges
 from cosim.report.plots.picture import Picture, PictureOptions, need_plot
 from cosim.report.recorded_rows import has_signal, signal_of, stacked_rows_of
-from cosim.scenario.identifying import IdentifierRecord, LogIdentification, smoothed_record
+from cosim.scenario.identifying import IdentifierRecord, LogIdentification
 from cosim.scenario.recorded_metadata import truth_of
 from cosim.scenario.schema import truth_ports
 from cosim.theory.disturbance import generators
@@ -142,7 +142,7 @@ def _draw_disturbance(
     estimate = f"{found.identified.observer}.delta"
     unit = signal_of(record.log, estimate).measure
     try:
-        smoothed = smoothed_record(found, index)
+        smoothed = found.smoothed(index)
     except AssumptionError as error:  # of an unstable plant
         left.text(0.5, 0.5, str(error), transform=left.transAxes, ha="center", wrap=True)
         return
