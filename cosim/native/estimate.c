@@ -2,7 +2,6 @@
 
 #include <float.h>
 #include <math.h>
-#include <string.h>
 
 /* pivot over the largest one: below it R'R, the information, is singular to rounding */
 #define RANK_TOLERANCE 0x1p-26

@@ -1,7 +1,5 @@
 #include "cosim.h"
 
-#include <string.h>
-
 /* The parts of the memory. */
 static double *steps_taken(const cosim_window *s) { return s->memory + 2 * s->linear.n; }
 static double *newest(const cosim_window *s) { return steps_taken(s) + 1; }
