@@ -146,16 +146,15 @@ def fit_output_error(
             plant, matrices, one, noise=noise, offset=offset, forgetting=forgetting
         )
         records.append(sampled.record(one))
-    problem = _Problem(data, families, noise)
     lower, upper = bound_vectors(bounds, matrices.parameters)
     result = minimize(
         records,
         np.clip(theta, lower, upper),
         lower=lower,
         upper=upper,
-        scale=problem.box.step,
+        scale=_longest_steps(data, families),
         threshold=presence_threshold(matrices.size, len(data)),
-        accuracy=problem.rounding,
+        accuracy=_rounding_of(data, noise),
     )
     if result.status == NO_INFORMATION:
         measured = sum(int(one.measured.sum()) for one in data)
@@ -210,23 +209,21 @@ def presence_threshold(sizes: Sequence[int], records: int) -> Vector:
     return np.array(thresholds)
 
 
-class _Problem:
-    """The scales of a fit."""
+def _longest_steps(data: Sequence[DataSet], families: Sequence[Family]) -> Vector:
+    """Return the longest steps of an iteration, shape (P,).
 
-    def __init__(
-        self,
-        data: Sequence[DataSet],
-        families: Sequence[Family],
-        noise: NoiseModel,
-    ) -> None:
-        span = max(float(one.t[-1] - one.t[0]) for one in data)
-        count = max(len(one.t) for one in data)
-        # a step beyond a tenth of this makes the response overflow, or passes between two samples
-        shortest = 4.0 * span / max(count - 1, 4)
-        self.box = search_box(families, span=span, shortest=shortest)
-        largest = np.max([np.nanmax(np.abs(one.y), axis=0) for one in data], axis=0)
-        whitened = np.abs(noise.whitening) @ np.maximum(largest, np.finfo(np.float64).tiny)
-        self.rounding = ROUNDING * float(whitened.max())
+    Longer ones make the response overflow, or pass between two samples.
+    """
+    span = max(float(one.t[-1] - one.t[0]) for one in data)
+    count = max(len(one.t) for one in data)
+    return search_box(families, span=span, shortest=4.0 * span / max(count - 1, 4)).step
+
+
+def _rounding_of(data: Sequence[DataSet], noise: NoiseModel) -> float:
+    """Return the error by rounding of a simulated output, made white; of the largest one."""
+    largest = np.max([np.nanmax(np.abs(one.y), axis=0) for one in data], axis=0)
+    white = np.abs(noise.whitening) @ np.maximum(largest, np.finfo(np.float64).tiny)
+    return ROUNDING * float(white.max())
 
 
 def _fit(
