@@ -23,8 +23,9 @@ from cosim.theory.disturbance import SearchBox
 from cosim.theory.disturbed_plant import DisturbedPlant, NoiseModel, discretize, white_noise
 from cosim.theory.estimators.output_error import presence_threshold
 from cosim.theory.estimators.projection import reconstruction_model
+from cosim.theory.predictor import stationary_predictor
 
-OF_Y: Final = ("Ad", "B0", "B1", "K", "C", "D", "W")
+OF_Y: Final = ("Ad", "B0", "B1", "K", "L", "C", "D", "W")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -138,11 +139,15 @@ def design_of_y(
         y is predicted from the sample before, as the plant is unstable.
     """
     generators = problem.rayleigh.generators
+    plant = problem.plant
+    predictor = None
+    if predicts:
+        predictor = stationary_predictor(plant.A, plant.C, h, problem.noise.covariance)
     on_y, known = discretize(
-        problem.plant,
+        plant,
         generators,
         step=np.array([h]),
-        predicting=np.full((1, len(problem.plant.C)), predicts),
+        predictor=predictor,
         noise=problem.noise,
         held=problem.held_inputs(held),
     )
@@ -179,10 +184,7 @@ def design_of_delta(problem: IdentificationProblem, h: float) -> dict[str, Matri
     """Discretize the modes of the observer, whose transients are in delta."""
     generators = problem.rayleigh.generators
     model = reconstruction_model(problem.modes, problem.row, len(generators.size))
-    never = np.zeros((1, 1), np.bool_)
-    on_delta, _ = discretize(
-        model, generators, step=np.array([h]), predicting=never, noise=white_noise(1)
-    )
+    on_delta, _ = discretize(model, generators, step=np.array([h]), noise=white_noise(1))
     return {"delta_Ad": on_delta.Ad, "delta_C": on_delta.C}
 
 
@@ -201,6 +203,7 @@ def model_of_delta(
         B0=no_input,
         B1=no_input,
         K=np.zeros((1, m, 1)),
+        L=np.ones((1, 1, 1)),
         C=design["delta_C"],
         D=np.ones((components, 1)),
         W=np.eye(1),

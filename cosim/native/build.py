@@ -36,6 +36,7 @@ SOURCES = (
     "kalman.c",
     "extended_kalman.c",
     "output_error.c",
+    "predictor.c",
     "rayleigh.c",
     "start_grid.c",
     "noise.c",

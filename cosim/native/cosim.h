@@ -333,6 +333,8 @@ typedef struct {
     const double *Ad;      /* (intervals, states, states) */
     const double *B0, *B1; /* (intervals, sources, states) for both ends of the interval */
     const double *K;       /* (intervals, states, outputs) gain of the predictor, in Ad, B0 */
+    const double *L;       /* (intervals, outputs, outputs) lower triangle: L e has the covariance of
+                            * the noise, where e is what is predicted wrong at the interval's end */
     const double *C;       /* (outputs, states) */
     const double *D;       /* (sources, outputs) */
     const double *W;       /* (outputs, outputs) makes the noise of the outputs white */
@@ -437,10 +439,31 @@ int32_t cosim_output_error_update(cosim_fit *self);
 
 /* --- weights.c --- */
 
+/* C = L L', row by row, into the lower triangle of L; returns whether there is one. */
+int32_t cosim_factorize(int32_t n, const double *C, double *L);
+
 /* W with W C W' = I for the covariance C of noise, (n, n); `deviations` are those of C. None is taken
  * for smaller than `least`, nor for as good as equal to others. C is changed, L is scratch. */
 void cosim_noise_weights(int32_t n, double *covariance, const double *least, double *deviations,
                          double *L, double *W);
+
+/* --- predictor.c --- */
+
+/* The Kalman filter without process noise of x' = T x, y = C x + noise of covariance R, for instants at
+ * any distances and with outputs that are missing at some. */
+typedef struct {
+    int32_t states, outputs;
+    const double *T; /* (intervals, states, states) */
+    const double *C; /* (outputs, states) */
+    const double *R; /* (outputs, outputs) */
+} cosim_predictor;
+/* For each of `count` samples its gain K (states, outputs), by which y there corrects x at the next one,
+ * and L (outputs, outputs) as in cosim_output_error. `interval` ends at the sample, P (states, states)
+ * is the covariance of x at the first one; `there` has outputs numbers of scratch, `work` outputs
+ * (3 outputs + states) + states^2. COSIM_NO_VALUE: a covariance that is none. */
+int32_t cosim_predictor_gains(const cosim_predictor *self, int64_t count, const int32_t *interval,
+                              const uint8_t *measured, double *P, double *K, double *L,
+                              int32_t *there, double *work);
 
 /* --- rayleigh.c --- */
 

@@ -111,6 +111,21 @@ static void correct(int32_t n, int32_t outputs, const double *K, const double *y
     }
 }
 
+/* rows = L rows, in place: of the covariance of the noise, not of that of predictions. */
+static void restore_noise(int32_t outputs, int32_t width, const double *L, double *rows)
+{
+    for (int32_t o = outputs - 1; o >= 0; --o) {
+        double *row = rows + o * width;
+        const double *of = L + o * outputs;
+        if (of[o] != 1.0)
+            for (int32_t c = 0; c < width; ++c)
+                row[c] *= of[o];
+        for (int32_t q = 0; q < o; ++q)
+            for (int32_t c = 0; c < width && of[q] != 0.0; ++c)
+                row[c] += of[q] * rows[q * width + c];
+    }
+}
+
 void cosim_output_error_residual(const cosim_output_error *s, const cosim_known_input *known,
                                  int64_t begin, int64_t end, const double *u, const double *y,
                                  const int32_t *interval, double *x, double *residual)
@@ -132,6 +147,7 @@ void cosim_output_error_residual(const cosim_output_error *s, const cosim_known_
         cosim_multiply_add(outputs, m, known->D, u + k * m, r);
         for (int32_t o = 0; o < outputs; ++o)
             r[o] = y[k * outputs + o] - r[o];
+        restore_noise(outputs, 1, s->L + (interval ? interval[k] : 0) * outputs * outputs, r);
     }
 }
 
@@ -310,10 +326,16 @@ static void make_row(const cosim_output_error *s, layout l, const parts *p, outp
     }
 }
 
-/* The rows of one sample, one an output. `between`: where they are in the record, if it is no sample
- * of the grid. */
+static const double *weight_at(const cosim_output_error *s, const cosim_record *record, int64_t k)
+{
+    const int64_t interval = record->interval ? record->interval[k] : 0;
+    return s->L + interval * s->outputs * s->outputs;
+}
+
+/* The rows of one sample, one an output, of the covariance of the noise. `between`: where they are in the
+ * record, if it is no sample of the grid; else L is of the interval that ends there. */
 static void make_rows(const cosim_output_error *s, layout l, const parts *p, const double *between,
-                      const double *residual, double *rows)
+                      const double *L, const double *residual, double *rows)
 {
     const int32_t n = s->states, M = l.columns;
     for (int32_t o = 0; o < s->outputs; ++o) {
@@ -326,8 +348,11 @@ static void make_rows(const cosim_output_error *s, layout l, const parts *p, con
         make_row(s, l, p, from, plain);
         if (s->offset)
             plain[l.linear - s->outputs + o] += 1.0; /* C x has what the predictor knows of it */
-        plain[M - 1] = residual[o];
     }
+    if (L)
+        restore_noise(s->outputs, M, L, rows);
+    for (int32_t o = 0; o < s->outputs; ++o)
+        rows[o * M + M - 1] = residual[o];
 }
 
 /* Of the rows of a sample one whose residual is NaN is not there: its output was not measured. */
@@ -444,7 +469,7 @@ static int32_t advance_inputs(const cosim_output_error *s, layout l, const parts
         return -1;
     }
     const int32_t interval = record->interval ? record->interval[k] : 0;
-    if (interval != (int32_t)*p->interval)
+    if (s->step[interval] != s->step[(int32_t)*p->interval])
         set_interval(s, theta, interval, p);
     memcpy(p->input0, p->input1, (size_t)l.columns * sizeof *p->input0);
     advance_basis(s, l, p);
@@ -530,7 +555,7 @@ static void append_rows(const cosim_output_error *s, layout l, const parts *p, d
 }
 
 static void take_rows(const cosim_output_error *s, layout l, const parts *p, const double *between,
-                      const double *residual, waiting *w)
+                      const double *L, const double *residual, waiting *w)
 {
     double *rows = p->scratch;
     int32_t measured = 0;
@@ -538,7 +563,7 @@ static void take_rows(const cosim_output_error *s, layout l, const parts *p, con
         measured += !isnan(residual[o]);
     if (!measured)
         return;
-    make_rows(s, l, p, between, residual, rows);
+    make_rows(s, l, p, between, L, residual, rows);
     if (w->unknowns) {
         add_products(s, l, p, rows, w);
         return;
@@ -601,11 +626,11 @@ static void take_samples(const cosim_output_error *s, const parts *p, const doub
         }
         for (; between && b < between->count && between->place[b] == (double)k; ++b)
             if (interval >= 0)
-                take_rows(s, l, p, between->rows + b * width,
+                take_rows(s, l, p, between->rows + b * width, NULL,
                           between->residual + b * s->outputs, w);
         if (interval >= 0)
             advance_responses(s, l, p, interval);
-        take_rows(s, l, p, NULL, record->residual + k * s->outputs, w);
+        take_rows(s, l, p, NULL, weight_at(s, record, k), record->residual + k * s->outputs, w);
         if (s->average > 1 && !w->unknowns)
             take_means(s, l, p, w);
     }
@@ -646,7 +671,7 @@ void cosim_output_error_rows(const cosim_output_error *s, const double *theta,
         const int32_t interval = advance_inputs(s, l, &p, theta, record, k);
         if (interval >= 0)
             advance_responses(s, l, &p, interval);
-        make_rows(s, l, &p, NULL, record->residual + k * s->outputs,
+        make_rows(s, l, &p, NULL, weight_at(s, record, k), record->residual + k * s->outputs,
                   rows + (k - record->first) * width);
     }
 }

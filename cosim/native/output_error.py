@@ -41,7 +41,8 @@ class OutputErrorStruct(ctypes.Structure):
         *((name, c_int32) for name in ("states", "outputs", "components", "sources")),
         *((name, c_int32) for name in ("offset", "ar", "average")),
         *((name, c_void_p) for name in ("size", "count", "source", "c", "G0", "G1")),
-        *((name, c_void_p) for name in ("step", "Ad", "B0", "B1", "K", "C", "D", "W", "a")),
+        *((name, c_void_p) for name in ("step", "Ad", "B0", "B1", "K", "L")),
+        *((name, c_void_p) for name in ("C", "D", "W", "a")),
         ("forgetting", c_double),
     )
 
@@ -185,6 +186,8 @@ class OutputErrorConstants:
         The effect of the disturbance at both ends of the interval.
     K : shape (n_intervals, n, n_y)
         Gain of the predictor, which Ad and B0 contain.
+    L : shape (n_intervals, n_y, n_y)
+        Lower triangles, which turn what is predicted wrong into the covariance of the noise.
     C : Matrix, shape (n_y, n)
     D : Matrix, shape (sources, n_y)
     W : Matrix, shape (n_y, n_y)
@@ -208,6 +211,7 @@ class OutputErrorConstants:
     B0: NDArray[np.float64]
     B1: NDArray[np.float64]
     K: NDArray[np.float64]
+    L: NDArray[np.float64]
     C: Matrix
     D: Matrix
     W: Matrix
@@ -255,6 +259,7 @@ class OutputErrorModel:
             constants.B0,
             constants.B1,
             constants.K,
+            constants.L,
             constants.C,
             constants.D,
             constants.W,

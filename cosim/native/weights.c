@@ -5,8 +5,7 @@
 
 #define LARGEST_CORRELATION (1.0 - 0x1p-20)
 
-/* C = L L', row by row, into the lower triangle of L; returns whether there is one. */
-static int factorize(int32_t n, const double *C, double *L)
+int32_t cosim_factorize(int32_t n, const double *C, double *L)
 {
     memset(L, 0, (size_t)(n * n) * sizeof *L);
     for (int32_t i = 0; i < n; ++i)
@@ -44,9 +43,9 @@ void cosim_noise_weights(int32_t n, double *covariance, const double *least, dou
             *variance = 1.0;
         deviations[i] = sqrt(*variance);
     }
-    if (!factorize(n, covariance, L)) {
+    if (!cosim_factorize(n, covariance, L)) {
         leave_out_correlations(n, covariance);
-        factorize(n, covariance, L);
+        cosim_factorize(n, covariance, L);
     }
     memset(W, 0, (size_t)(n * n) * sizeof *W);
     for (int32_t j = 0; j < n; ++j)

@@ -13,9 +13,8 @@ simulated but the predicted output,
 
     x' = (Ad - K C) x + (B0 - K D) u0 + B1 u1 + K y0,
 
-with the K that moves every unstable mode ``z`` of Ad to ``1/z`` and leaves the others. It is the
-stationary Kalman gain without process noise: the innovations of white measurement noise are white,
-so nothing is lost (B. Anderson and J. Moore, Optimal Filtering, 1979, section 4.4).
+with the gain K of the Kalman filter without process noise for the unstable modes
+(:mod:`cosim.theory.predictor`).
 """
 
 from __future__ import annotations
@@ -39,6 +38,7 @@ from cosim.native.output_error import (
 )
 from cosim.native.step import first_order_holds
 from cosim.theory.descriptor import ReducedSystem
+from cosim.theory.predictor import Predictor, stationary_predictor, time_varying_predictor
 from cosim.theory.sampling import distinct_steps
 
 # growth of a mode over the record from which on the output is predicted, not simulated
@@ -367,13 +367,12 @@ def sample_plant(
         If shapes do not fit, or there are more unknowns than the kernels hold.
     """
     _check_sizes(plant, generators, data)
-    step, measured, interval = sample_intervals(data)
-    span = float(data.t[-1] - data.t[0])
+    step, interval, predictor = sample_intervals(plant.A, plant.C, data, noise.covariance)
     constants, known = discretize(
         plant,
         generators,
         step=step,
-        predicting=measured & needs_predictor(plant.A, span),
+        predictor=predictor,
         noise=noise,
         offset=offset,
         forgetting=forgetting,
@@ -387,8 +386,8 @@ def discretize(
     generators: Generators,
     *,
     step: Vector,
-    predicting: NDArray[np.bool_],
     noise: NoiseModel,
+    predictor: Predictor | None = None,
     offset: bool = False,
     forgetting: float = 1.0,
     held: NDArray[np.bool_] | None = None,
@@ -399,14 +398,8 @@ def discretize(
     ----------
     step : Vector, shape (m,)
         Lengths of the intervals [s].
-    predicting : shape (m, n_y)
-        Which outputs at its beginning are there to predict those at its end; none: these are
-        simulated.
-
-    Raises
-    ------
-    AssumptionError
-        If an unstable mode is not seen by the outputs, all of them measured.
+    predictor : Predictor, optional
+        Of the outputs; by default they are simulated.
     """
     n, n_u = plant.B.shape
     n_y, components = plant.Dd.shape
@@ -417,16 +410,11 @@ def discretize(
         mask[:n_u] = held
     Ad, start, end = first_order_holds(plant.A, inputs, step, mask)
     K = np.zeros((m, n, n_y))
-    for i in np.flatnonzero(predicting.any(axis=1)):
-        seen = predicting[i]
-        gain = predictor_gain(Ad[i], plant.C[seen], noise.covariance[np.ix_(seen, seen)])
-        if gain is not None:
-            K[i][:, seen] = gain
-        elif seen.all():
-            raise AssumptionError(
-                "the outputs do not see an unstable mode of the plant, so nothing can predict it"
-            )
-    Ad -= K @ plant.C
+    L = np.tile(np.eye(n_y), (m, 1, 1))
+    if predictor is not None:
+        K = predictor.K
+        L = predictor.L
+    Ad = Ad - K @ plant.C
     B0 = start[:, :, n_u:] - K @ plant.Dd
     Bu0 = start[:, :, :n_u] - K @ plant.D
     constants = OutputErrorConstants(
@@ -436,6 +424,7 @@ def discretize(
         B0=B0.transpose(0, 2, 1),
         B1=end[:, :, n_u:].transpose(0, 2, 1),
         K=K,
+        L=L,
         C=plant.C,
         D=plant.Dd.T,
         W=noise.whitening,
@@ -443,7 +432,7 @@ def discretize(
         offset=offset,
         forgetting=forgetting,
     )
-    predicts = np.asarray(predicting.any(axis=1), np.bool_)
+    predicts = np.asarray(K.any(axis=(1, 2)), np.bool_)
     return constants, KnownInput(Bu0, end[:, :, :n_u], plant.D, predicts)
 
 
@@ -453,33 +442,6 @@ def needs_predictor(A: Matrix, span: float) -> bool:
         return False
     fastest = float(np.linalg.eigvals(A).real.max())
     return bool(fastest * span > np.log(LARGEST_GROWTH))
-
-
-def predictor_gain(Ad: Matrix, C: Matrix, covariance: Matrix) -> Matrix | None:
-    """Compute the gain that moves every unstable mode z of Ad to 1/z, shape (n, n_y).
-
-    None where an unstable mode is not seen by the outputs.
-
-    In coordinates of the unstable modes, x = V w, it is the stationary Kalman gain without process
-    noise. The inverse Y of its covariance solves ``Y = F'(Y + C' R^-1 C) F`` with F the inverse of
-    the unstable block.
-    """
-    from scipy.linalg import schur, solve_discrete_lyapunov  # takes long to import
-
-    T, Z, count = schur(Ad, output="real", sort="ouc")
-    unstable = T[:count, :count]
-    V = Z[:, :count]
-    seen = C @ V
-    F = np.linalg.inv(unstable)
-    inverse_noise = np.linalg.inv(covariance)
-    information = F.T @ seen.T @ inverse_noise @ seen @ F
-    Y = solve_discrete_lyapunov(F.T, information)
-    if np.linalg.cond(Y) > 1e14:
-        return None
-    P = np.linalg.inv(Y)
-    gain = unstable @ P @ seen.T @ np.linalg.inv(seen @ P @ seen.T + covariance)
-    result: Matrix = V @ gain
-    return result
 
 
 def _check_sizes(plant: DisturbedPlant, generators: Generators, data: DataSet) -> None:
@@ -496,25 +458,40 @@ def _check_sizes(plant: DisturbedPlant, generators: Generators, data: DataSet) -
 
 
 def sample_intervals(
-    data: DataSet,
-) -> tuple[Vector, NDArray[np.bool_], NDArray[np.integer] | None]:
-    """Return the distinct intervals, which outputs are measured at their beginnings, and where.
+    A: Matrix, C: Matrix, data: DataSet, covariance: Matrix
+) -> tuple[Vector, NDArray[np.integer] | None, Predictor | None]:
+    """Return the lengths of intervals, which of them ends at each sample, and the predictor.
 
-    Intervals that differ by rounding of the times are one.
+    Intervals that differ by rounding of the times are one, unless their gains differ.
+
+    Parameters
+    ----------
+    A : Matrix, shape (n, n)
+    C : Matrix, shape (n_y, n)
+    data : DataSet
+    covariance : Matrix, shape (n_y, n_y)
+        Of the noise of the outputs.
 
     Returns
     -------
     Vector, shape (m,)
         Lengths [s].
-    array, shape (m, n_y)
     array of int, shape (N,), or None
-        Which of them ends at each sample; None: all are the first.
+        None: all are the first.
+    Predictor or None
+        None: the outputs are simulated.
+
+    Raises
+    ------
+    AssumptionError
+        If an unstable mode is not seen by the outputs.
     """
     steps, index = distinct_steps(data.t)
-    measured = data.measured[:-1]
-    if len(steps) == 1 and measured.all():
-        return steps, np.ones((1, data.y.shape[1]), np.bool_), None
-    kinds = np.column_stack([index[1:], measured])
-    found, which = np.unique(kinds, axis=0, return_inverse=True)
-    interval = np.concatenate([[0], which.ravel()]).astype(np.int32)
-    return steps[found[:, 0]], found[:, 1:] != 0, interval
+    is_regular = len(steps) == 1
+    if not needs_predictor(A, float(data.t[-1] - data.t[0])):
+        return steps, None if is_regular else index, None
+    if is_regular and data.measured.all():
+        return steps, None, stationary_predictor(A, C, float(steps[0]), covariance)
+    each = np.arange(len(data.t), dtype=np.int32)
+    predictor = time_varying_predictor(A, C, steps, index, data.measured, covariance)
+    return steps[index], each, predictor

@@ -22,10 +22,10 @@ from cosim.theory.disturbed_plant import (
     DataSet,
     DisturbedPlant,
     discretize,
-    needs_predictor,
     sample_intervals,
     white_noise,
 )
+from cosim.theory.predictor import Predictor
 from cosim.theory.sampling import distinct_steps
 
 _NO_COMPONENTS: Final = Generators((), (), np.zeros(0), np.zeros(0), np.zeros(0))
@@ -52,11 +52,9 @@ class ForcedOutputs:
 
 def forced_outputs(plant: DisturbedPlant, data: DataSet) -> ForcedOutputs:
     """Discretize a plant for signals at its states."""
-    step, measured, interval = sample_intervals(data)
-    span = float(data.t[-1] - data.t[0])
-    model, known = _discretized(
-        plant.A, plant.C, step, predicting=measured & needs_predictor(plant.A, span)
-    )
+    covariance = np.eye(len(plant.C))
+    step, interval, predictor = sample_intervals(plant.A, plant.C, data, covariance)
+    model, known = _discretized(plant.A, plant.C, step, predictor)
     return ForcedOutputs(model, known, interval)
 
 
@@ -83,7 +81,7 @@ def simulate(A: Matrix, B: Matrix, t: Vector, u: Matrix, x0: Vector, held: Mask)
     if n == 0 or len(t) < 2:
         return np.tile(x0, (len(t), 1))
     step, interval = distinct_steps(t)
-    model, known = _discretized(A, np.eye(n), step, predicting=np.zeros((len(step), n), np.bool_))
+    model, known = _discretized(A, np.eye(n), step)
     # x - x0 starts from rest under the constant A x0 beside u
     lines = u[:, ~held] @ B[:, ~held].T
     levels = u[:, held] @ B[:, held].T + A @ x0
@@ -93,7 +91,7 @@ def simulate(A: Matrix, B: Matrix, t: Vector, u: Matrix, x0: Vector, held: Mask)
 
 
 def _discretized(
-    A: Matrix, C: Matrix, step: Vector, *, predicting: NDArray[np.bool_]
+    A: Matrix, C: Matrix, step: Vector, predictor: Predictor | None = None
 ) -> tuple[OutputErrorModel, KnownInput]:
     """Discretize for n signals that are straight lines and n that are held, at the states."""
     n_y, n = C.shape
@@ -107,6 +105,6 @@ def _discretized(
     )
     held = np.arange(2 * n) >= n
     constants, known = discretize(
-        plant, _NO_COMPONENTS, step=step, predicting=predicting, noise=white_noise(n_y), held=held
+        plant, _NO_COMPONENTS, step=step, predictor=predictor, noise=white_noise(n_y), held=held
     )
     return OutputErrorModel(constants), known

@@ -170,8 +170,9 @@ def test_what_is_lacking_in_an_unstable_plant_shows_in_its_predicted_outputs():
     outputs = forced_outputs(plant, data)
     lines = np.ones((len(GRID), 1))
     found = outputs.respond(lines, np.zeros_like(lines))
-    # exp(h) - 1 over a step, and the pole of the prediction is exp(-h): a geometric series
-    series = np.expm1(1e-2) * np.expm1(-GRID) / np.expm1(-1e-2)
+    # exp(h) - 1 over a step, and the pole of the prediction is exp(-h): a geometric series; what is
+    # predicted wrong is exp(h) times the noise, and is divided by that
+    series = np.exp(-1e-2) * np.expm1(1e-2) * np.expm1(-GRID) / np.expm1(-1e-2)
     np.testing.assert_allclose(found[:, 0], series, rtol=1e-9, atol=1e-12)
 
 

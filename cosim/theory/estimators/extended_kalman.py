@@ -98,7 +98,6 @@ def extended_kalman(
         plant,
         generators(families),
         step=np.array([h]),
-        predicting=np.zeros((1, len(plant.C)), np.bool_),
         noise=white_noise(len(plant.C)),
     )
     constants = ExtendedKalmanConstants(
