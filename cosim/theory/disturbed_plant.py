@@ -364,9 +364,11 @@ def sample_plant(
     Raises
     ------
     AssumptionError
-        If shapes do not fit, or there are more unknowns than the kernels hold.
+        If shapes do not fit, there are more unknowns than the kernels hold, or a single sample.
     """
     _check_sizes(plant, generators, data)
+    if len(data.t) < 2:
+        raise AssumptionError(f"found a single sample, at {data.t[0]:g} s; needed a record")
     step, interval, predictor = sample_intervals(plant.A, plant.C, data, noise.covariance)
     constants, known = discretize(
         plant,

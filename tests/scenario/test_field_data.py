@@ -12,7 +12,7 @@ from cosim.errors import ScenarioError, UsageError
 from cosim.log import open_log
 from cosim.scenario.assessing import IDENTIFICATION
 from cosim.scenario.identifying import identifier_record, identify_records
-from cosim.scenario.recorded_metadata import recorded_warnings
+from cosim.scenario.recorded_metadata import recorded_identification, recorded_warnings
 from cosim.theory.descriptor import reduce
 from cosim.theory.disturbance import Exponential
 from cosim.theory.disturbed_plant import DataSet, disturbed_plant
@@ -258,6 +258,22 @@ def test_what_is_not_true_of_the_data_is_said(experiment, tmp_path):
     ):
         assert text in warnings
     assert "samples causality" not in warnings
+
+
+def test_times_in_another_unit_are_suspected(experiment, tmp_path):
+    """In ms without a unit two samples are left of 4000: no error, and a number neither."""
+    path = experiment.written(tmp_path, experiment.y)
+    rows = [line.split(",") for line in path.read_text(encoding="utf-8").splitlines()]
+    lines = [f"{1e3 * float(t)!r},{y}" for t, y in rows[1:]]
+    path.write_text("\n".join(["t,y", *lines]) + "\n", encoding="utf-8")
+    changes = {"scenario.stop": 15.0, "identifier.period": 1.0}
+    log = experiment.run(path, changes, out=tmp_path / "run.mcap")
+    warnings = "\n".join(text for _, text in recorded_warnings(log))
+    assert "2 of 3" in warnings
+    assert "samples are within the run, 0 s to 15 s, as their median distance is 10" in warnings
+    assert "are the times in another unit than s?" in warnings
+    found = recorded_identification(log)["identifier"]
+    assert "needed more" in found.problem
 
 
 @pytest.mark.parametrize(

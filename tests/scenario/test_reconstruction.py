@@ -369,6 +369,32 @@ def test_what_cannot_be_reconstructed_is_refused(changes, message, academic):
         cosim.run(academic, set=SHORT | named)
 
 
+@pytest.mark.parametrize(
+    ("noise", "message"),
+    [
+        (-1.0, r"noise: found \[-1.0\]; needed deviations of 0"),
+        ([0.1, 0.1], r"noise: found 2 numbers, needed 1"),
+        (0.1, r"give both, or a regressor of exponentials alone whose alphas vary"),
+    ],
+)
+def test_a_constant_alpha_has_no_bandwidth_and_hides_no_other_fault(noise, message):
+    """There is a regressor, of an exponential: what it lacks is said, and a wrong noise first."""
+    terms = [{"alpha": "1.0", "family": "exponential"}]
+    changes = {"observer.filter": "auto", "observer.noise": noise, "regressor.terms": terms}
+    changes |= {"regressor.delays": [0.5, 1.0], "identifier.method": "output-error"}
+    with pytest.raises(ScenarioError, match=message):
+        cosim.run("academic", set=changes)
+
+
+def test_an_estimate_without_a_value_in_the_run_is_called_so(call):
+    """The run is shorter than the window of the observer: no number, and why."""
+    changes = {**SHORT, **WINDOW, "scenario.stop": 0.05, "observer.half_width": 0.1}
+    settings = [f"--set={key}={json.dumps(value)}" for key, value in changes.items()]
+    _, out, _ = call("run", "academic", *settings)
+    (row,) = [line for line in out.splitlines() if line.startswith("observer.delta\t")]
+    assert row.split("\t")[3].startswith("no value for t >= 0 s, as it lags by 0.1 s")
+
+
 def test_an_identifier_waits_for_the_window():
     """Its start comes after the longest delay and the window; a computed one by itself."""
     changes = {"scenario.stop": 9.0, "identifier.start": 8.0, "observer.half_width": 2.6}

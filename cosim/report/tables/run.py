@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -111,7 +112,12 @@ def _error_table(title: str, summary: Summary) -> Table:
         window = f"largest for t >= {signal.since:g} s; at the end {signal.last:.3g}"
         if signal.lag:
             window += f"; compared with {signal.lag:g} s before, its lag"
-        table.add_row(signal.estimate, "", signal.truth, f"{signal.largest:.3g}  ({window})")
+        error = f"{signal.largest:.3g}  ({window})"
+        if math.isnan(signal.largest):
+            error = f"no value for t >= {signal.since:g} s"
+            if signal.lag:
+                error += f", as it lags by {signal.lag:g} s"
+        table.add_row(signal.estimate, "", signal.truth, error)
     for outcome in summary.values:
         value = "no value" if outcome.value is None else f"{outcome.value:+.6f}"
         error = "" if outcome.error is None else f"{outcome.error:.3g}"

@@ -30,6 +30,7 @@ from cosim.scenario.kinds.plants import PlantKind
 from cosim.scenario.schema import Number, UnitName
 
 MOST_SAMPLES: Final = 1000  # in one communication step
+FEWEST_SAMPLES: Final = 3  # in a run: fewer are a straight line
 
 
 class FieldDataKind(PlantKind):
@@ -121,8 +122,22 @@ class FieldDataKind(PlantKind):
                 f"and {LARGEST_MEMORY} places: a smaller step, or a file without the burst"
             )
         in_run = data.measured & (data.t >= points[0]) & (data.t <= points[-1])
-        context.add_metadata(name, {"samples": int(in_run.sum()), "samples_in_a_step": most})
+        samples = int(in_run.sum())
+        if samples < FEWEST_SAMPLES:
+            context.warn(name, self._too_few(data, samples, points))
+        context.add_metadata(name, {"samples": samples, "samples_in_a_step": most})
         return FieldRecording(data, most=most)
+
+    def _too_few(self, data: FieldData, samples: int, points: Vector) -> str:
+        """Return what may be wrong where a run has hardly a sample."""
+        distance = float(np.median(np.diff(data.t)))
+        text = (
+            f"{data.source}: {samples} of {len(data.t)} samples are within the run, {points[0]:g} "
+            f"s to {points[-1]:g} s, as their median distance is {distance:g} s"
+        )
+        if self.time_unit is None:
+            text += '; are the times in another unit than s? Then time_unit says so, as "ms"'
+        return text
 
     def most_in_a_step(self, name: str, context: BuildContext) -> int:
         """Return for how many samples in a communication step there is a place."""

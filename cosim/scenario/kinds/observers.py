@@ -269,8 +269,10 @@ class UnknownInputObserverKind(ExportableKind):
                 "filter = 'auto' chooses by the noise of y: needed either noise, its deviation, "
                 "or noise_from, a log of this observer"
             )
-        spectrum = self._spectrum(name, context)
         model = self._design_model(name, context)
+        n_y = len(model.reduced.C3)
+        self._check_noise(n_y)
+        spectrum = self._spectrum(name, context)
         step = context.step_ns / NANOSECONDS
         request = {
             "noise": self.noise,
@@ -283,7 +285,7 @@ class UnknownInputObserverKind(ExportableKind):
         }
 
         def choose() -> dict[str, Any]:
-            noise = self._noise(name, context, len(model.reduced.C3))
+            noise = self._noise(name, context, n_y)
             return choice(model.reduced, noise, self._known(spectrum), step)
 
         plain_request = json.loads(json.dumps(request))
@@ -308,8 +310,8 @@ class UnknownInputObserverKind(ExportableKind):
         known = context.spectra(name)
         if not known:
             raise UsageError(
-                "filter = 'auto' needs the amplitude and the bandwidth of delta, and there is no "
-                "regressor whose alpha, of an exponential, has them; give both"
+                "filter = 'auto' needs the amplitude and the bandwidth of delta; give both, or a "
+                "regressor of exponentials alone whose alphas vary, as they have them"
             )
         return max(known, key=lambda spectrum: spectrum.bandwidth)
 
@@ -330,13 +332,21 @@ class UnknownInputObserverKind(ExportableKind):
         """Return the deviation of the noise of each element of y."""
         if self.noise_from is not None:
             return recorded_noise(context.recording(self.noise_from), name, n_y)
-        given = self.noise if isinstance(self.noise, tuple) else (self.noise,) * n_y
-        if len(given) != n_y:
-            raise UsageError(f"noise: found {len(given)} numbers, needed {n_y}, one an output")
-        noise = np.array(given, np.float64)
+        return self._given_noise(n_y)
+
+    def _check_noise(self, n_y: int) -> None:
+        """Check the deviations that are given, before anything is made of them."""
+        if self.noise is None:
+            return
+        noise = self._given_noise(n_y)
+        if len(noise) != n_y:
+            raise UsageError(f"noise: found {len(noise)} numbers, needed {n_y}, one an output")
         if (noise < 0.0).any():
             raise UsageError(f"noise: found {noise.tolist()}; needed deviations of 0 or more")
-        return noise
+
+    def _given_noise(self, n_y: int) -> Vector:
+        given = self.noise if isinstance(self.noise, tuple) else (self.noise,) * n_y
+        return np.array(given, np.float64)
 
     def _record(
         self,
