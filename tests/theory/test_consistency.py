@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-import itertools
 import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
 
-from cosim.errors import AssumptionError
 from cosim.theory.accuracy import step_error
 from cosim.theory.disturbance import generators
-from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel
+from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.estimators.output_error import fit_output_error
 from cosim.theory.fitted_response import fitted_response
-from cosim.theory.forced_response import forced_outputs, simulate
+from cosim.theory.forced_response import forced_outputs
 from cosim.theory.model_errors import model_errors
-from cosim.theory.smoothing import smoothed_signals
 from cosim.theory.verdicts import Verdict, assess
 from tests.theory.experiments import FAMILIES, design, exact, times
 from tests.theory.experiments import record as example_record
@@ -83,16 +79,16 @@ def test_a_failed_test_is_never_beside_a_good_verdict():
     assert found.parameters[0].verdict is Verdict.INCONSISTENT
 
 
-@pytest.mark.parametrize("sigma", [0.0, 1e-6, 1e-3])
+@pytest.mark.parametrize("sigma", [0.0, 1e-3])
 def test_the_order_of_records_changes_nothing(sigma):
-    """Of a record with the disturbance, one without it and a short one, in all orders."""
+    """Of a record with the disturbance, one without it and one of a third of it."""
     u = np.sin(GRID)
     records = []
     for seed, amplitude in enumerate((1.0, 0.0, 0.3)):
         y = states(GRID, u, amplitude=amplitude)[:, np.newaxis]
         records.append(record(GRID, u, y, sigma=sigma, seed=seed))
     found = []
-    for order in itertools.permutations(records):
+    for order in (records, records[::-1]):
         found.append(assess(order, lag(), FAMILY, START).parameters[0])
     assert {parameter.verdict for parameter in found} == {Verdict.IDENTIFIABLE}
     values = [parameter.value for parameter in found]
@@ -187,115 +183,6 @@ def test_the_error_of_long_steps_among_short_ones_is_computed():
     true = states(dense, dense**2, amplitude=0.0)[:: len(fine)]
     chord = states(t, u, amplitude=0.0)
     np.testing.assert_allclose(found[:, 0], true - chord, rtol=2e-2, atol=1e-3 * np.ptp(found))
-
-
-SENSORS = (1.0, 2.0)
-
-
-def missing(pattern, seed, *, correlation=0.0):
-    """Return a record of two sensors of which some values are missing, and its covariance."""
-    u = np.sin(GRID)
-    x = states(GRID, u)
-    covariance = 1e-6 * np.array([[1.0, 2.0 * correlation], [2.0 * correlation, 4.0]])
-    noise = np.random.default_rng(seed).standard_normal((len(GRID), 2))
-    y = np.outer(x, SENSORS) + noise @ np.linalg.cholesky(covariance).T
-    y[~pattern] = np.nan
-    return record(GRID, u, y), covariance
-
-
-def alternating():
-    """Return which values are measured if two sensors take turns."""
-    even = np.arange(len(GRID)) % 2 == 0
-    return np.column_stack([even, ~even])
-
-
-def scattered():
-    """Return which values are measured if each is lost with a probability of 0.3."""
-    return np.random.default_rng(17).random((len(GRID), 2)) > 0.3
-
-
-def two_sensors():
-    return lag(sensors=SENSORS)
-
-
-@pytest.mark.parametrize("correlation", [0.0, 0.8])
-@pytest.mark.parametrize("pattern", [alternating, scattered])
-def test_an_output_counts_where_it_is_measured(pattern, correlation):
-    """The fit is that of generalized least squares on the values that are there."""
-    data, covariance = missing(pattern(), 1, correlation=correlation)
-    noise = NoiseModel(covariance=covariance, a=np.zeros((2, 0)))
-    fit = fit_output_error([data], two_sensors(), FAMILY, START, noise=noise)
-    response = fitted_response(fit, 0, data, two_sensors(), generators(FAMILY))
-    columns = np.concatenate([response.slopes, response.linear], axis=2)
-    information = np.zeros((columns.shape[2], columns.shape[2]))
-    gradient = np.zeros(columns.shape[2])
-    for rows, residual, there in zip(columns, response.residual, data.measured, strict=True):
-        inverse = (
-            np.linalg.inv(covariance[np.ix_(there, there)]) if there.any() else np.zeros((0, 0))
-        )
-        information += rows[there].T @ inverse @ rows[there]
-        gradient += rows[there].T @ inverse @ residual[there]
-    expected = np.linalg.inv(information)
-    np.testing.assert_allclose(fit.covariance[0, 0] / fit.deviation**2, expected[0, 0], rtol=1e-4)
-    # the last step of the iteration is a small part of a standard error, and its effect the square
-    assert np.abs(expected @ gradient)[0] < 1e-2 * np.sqrt(expected[0, 0])
-    assert fit.deviation == pytest.approx(1.0, abs=4.0 / np.sqrt(2.0 * data.measured.sum()))
-    assert fit.freedom == data.measured.sum() - columns.shape[2]
-
-
-@pytest.mark.parametrize("pattern", [alternating, scattered])
-def test_sensors_that_are_not_measured_together_identify(pattern):
-    """With the noise estimated too; a wrong gain of one of them is found."""
-    data, covariance = missing(pattern(), 2)
-    found = assess([data], two_sensors(), FAMILY)
-    parameter = found.parameters[0]
-    assert parameter.verdict is Verdict.IDENTIFIABLE
-    assert parameter.lower <= RATE <= parameter.upper
-    deviations = np.sqrt(np.diag(covariance))
-    np.testing.assert_allclose(found.deviations, deviations, rtol=0.1)
-    wrong = assess([data], lag(sensors=(1.0, 2.02)), FAMILY, START)
-    assert wrong.parameters[0].verdict is Verdict.INCONSISTENT
-    smoothed = smoothed_signals(found.fit, 0, [data], two_sensors(), FAMILY, noise=found.noise)
-    errors = np.abs(smoothed.states[:, 0] - states(GRID, np.sin(GRID)))
-    assert (errors < 2.5 * smoothed.states_half_width[:, 0]).all()
-
-
-def test_colored_noise_of_sensors_that_take_turns_is_whitened():
-    """Each by a model along its own samples."""
-    u = np.sin(GRID)
-    white = np.random.default_rng(6).standard_normal((len(GRID), 2))
-    noise = 1e-3 * lfilter([1.0], [1.0, -0.8], white, axis=0)
-    y = np.outer(states(GRID, u), SENSORS) + noise
-    y[~alternating()] = np.nan
-    found = assess([record(GRID, u, y)], two_sensors(), FAMILY, START)
-    assert found.parameters[0].verdict is Verdict.IDENTIFIABLE
-    np.testing.assert_allclose(found.noise.a[:, 0], 0.64, atol=0.08)
-
-
-def test_an_unstable_plant_is_predicted_by_the_sensors_that_are_there():
-    """Two that take turns: the fit finds theta as well as with both at half as many times."""
-    plant = DisturbedPlant(
-        A=[[0.5]], B=[[1.0]], Bd=[[1.0]], C=[[1.0], [2.0]], D=np.zeros((2, 1)), Dd=np.zeros((2, 1))
-    )
-    delta = alpha(GRID) * np.exp(RATE * GRID)
-    u = -delta + np.sin(GRID)
-    forcing = np.sin(GRID)[:, np.newaxis]
-    x = simulate(plant.A, plant.B, GRID, forcing, np.zeros(1), np.zeros(1, np.bool_))
-    noise = np.random.default_rng(4).standard_normal((len(GRID), 2)) * [1e-3, 2e-3]
-    y = x * SENSORS + noise
-    y[~alternating()] = np.nan
-    found = assess([record(GRID, u, y)], plant, FAMILY, START)
-    parameter = found.parameters[0]
-    assert parameter.verdict is Verdict.IDENTIFIABLE
-    assert parameter.value == pytest.approx(RATE, abs=1e-3)
-
-
-def test_an_output_that_is_never_measured_is_refused():
-    """It is named."""
-    pattern = np.ones((len(GRID), 2), np.bool_)
-    pattern[:, 1] = False
-    with pytest.raises(AssumptionError, match=r"y\[1\] is never measured"):
-        missing(pattern, 1)
 
 
 @pytest.mark.parametrize("feedthrough", [0.0, 0.5])
