@@ -22,8 +22,8 @@ communication point.
 
 Who must not take kept or interpolated values for measured ones finds the samples themselves beside
 y: ``y_samples`` and ``sample_times`` have them where one was taken, and no value (NaN) elsewhere
-and for what was lost. Their time is that at which they are reported: delay and jitter are not
-known.
+and for what was lost. Their time is that at which they are reported, of a sensor with time stamps
+the instant at which they were taken, in whole nanoseconds; there are none of before the start.
 
 Each random effect has a stream of its own, PCG64 of the seed sequence of ``seed`` with the spawn
 key 0 (noise), 1 (jitter) or 2 (dropouts). Every sample takes the same count of its words, so that
@@ -45,8 +45,10 @@ from cosim.blocks.measurement import (
     SensorParameters,
     StreamState,
 )
+from cosim.core.clock import NANOSECONDS
 from cosim.core.contracts import Design
 from cosim.core.signals import Interface, Signal
+from cosim.errors import UsageError
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,11 +78,14 @@ class SensorState:
 
 @dataclass(frozen=True, slots=True)
 class _Reported:
-    """What is reported, one row a communication point; in ``is_new`` whether it is a new sample."""
+    """What is reported, one row a communication point.
+
+    ``offset`` is the sampling instant minus t in communication steps; NaN: there is no new sample.
+    """
 
     y: Matrix
     valid: Mask
-    is_new: Mask
+    offset: Vector
 
 
 class Sensor:
@@ -98,11 +103,14 @@ class Sensor:
         The unit of u and y.
     samples : bool
         The samples are there beside y.
+    stamped : bool
+        Their times are the sampling instants.
 
     Raises
     ------
     UsageError
-        If a parameter is not possible.
+        If a parameter is not possible, or time stamps are not one for all elements, or after the
+        time at which the sample is reported.
     """
 
     def __init__(
@@ -112,9 +120,15 @@ class Sensor:
         size: int = 1,
         unit: str | None = None,
         samples: bool = False,
+        stamped: bool = False,
     ) -> None:
+        if stamped:
+            _check_stamps(parameters, size)
         self._size = size
         self._samples = samples
+        self._stamped = stamped
+        self._step = 0.0
+        self._begin = 0.0
         self._period = parameters.period
         self._drops = parameters.dropout is not None
         self._instants = SamplingInstants(parameters, size)
@@ -150,11 +164,13 @@ class Sensor:
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Note which inputs hold within a step; there is nothing to record."""
         self._held = held.copy()
+        self._step = h
         return recorded
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Begin all random sequences, with ``u`` as the input before ``t``."""
         self._streams.begin()
+        self._begin = t
         self._past = np.tile(u, (self._instants.depth, 1))
         self._y = np.zeros(self._size)
         self._valid = np.ones(self._size, np.bool_)
@@ -204,9 +220,11 @@ class Sensor:
         if self._period > 1:
             until_row = self._since + np.arange(len(u))
             latest = np.concatenate(([0], until_row // self._period))
-            is_new = np.append(False, until_row % self._period == 0)
-            return _Reported(y[latest], valid[latest], is_new)
-        return _Reported(y, valid, np.append(False, np.ones(len(u), np.bool_)))
+            offset = np.concatenate(([NAN], samples.position[:, 0]))[latest]
+            offset[np.append(True, until_row % self._period > 0)] = NAN
+            return _Reported(y[latest], valid[latest], offset)
+        offset = np.concatenate(([NAN], samples.position[:, 0]))
+        return _Reported(y, valid, offset)
 
     def _outputs(self, t: Vector, reported: _Reported, first: int) -> Matrix:
         """Return the outputs at ``t``, which are those of the rows from ``first`` on."""
@@ -216,9 +234,14 @@ class Sensor:
         if self._drops:
             columns.append(valid.astype(np.float64))
         if self._samples:
-            is_new = reported.is_new[first:, np.newaxis]
+            offset = reported.offset[first:, np.newaxis]
+            instants = t[:, np.newaxis]
+            if self._stamped:
+                ns = np.rint((instants + offset * self._step) * NANOSECONDS)
+                instants = ns / NANOSECONDS
+            is_new = np.isfinite(offset) & (instants >= self._begin)
             columns.append(np.where(is_new & valid, y, NAN))
-            columns.append(np.where(is_new, t[:, np.newaxis], NAN))
+            columns.append(np.where(is_new, instants, NAN))
         return np.concatenate(columns, axis=1)
 
     def save(self) -> SensorState:
@@ -233,6 +256,20 @@ class Sensor:
         self._valid = state.valid
         self._since = state.since
         self._streams.restore(state.streams)
+
+
+def _check_stamps(parameters: SensorParameters, size: int) -> None:
+    if parameters.jitter and size > 1:
+        raise UsageError(
+            f"time_stamps: found jitter and size {size}; needed one sampling instant for all "
+            "elements: no jitter, or a sensor for each element"
+        )
+    if parameters.latest > 0.0:
+        raise UsageError(
+            f"time_stamps: found a jitter of {parameters.jitter:g} communication steps and a delay "
+            f"of {parameters.delay:g}; needed a delay of at least the jitter, so that no sample is "
+            "taken after it is reported"
+        )
 
 
 def _kept(y: Matrix, valid: Mask) -> Matrix:

@@ -187,6 +187,9 @@ COMPONENTS = {
     "delay of one step": lambda: Delay(1),
     "delay from a given start": lambda: Delay(4, initial=7.0),
     "sensor without effects": lambda: Sensor(SensorParameters(), size=2),
+    "sensor with time stamps": lambda: Sensor(
+        SensorParameters(jitter=0.4, delay=1.7, seed=1), samples=True, stamped=True
+    ),
     "sensor with its samples": lambda: Sensor(
         SensorParameters(noise=0.1, dropout=0.3, period=3, seed=1), size=2, samples=True
     ),

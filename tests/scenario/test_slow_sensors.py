@@ -4,6 +4,9 @@ import numpy as np
 import pytest
 
 import cosim
+from cosim.errors import CosimError
+from cosim.scenario.document import find
+from cosim.scenario.exporting import export_component
 from cosim.scenario.identifying import identifier_record, identify_records
 from cosim.scenario.recorded_metadata import recorded_identification
 from tests.scenario.test_several_outputs import SCENARIO as TWO
@@ -110,6 +113,77 @@ def test_a_delay_that_no_sensor_tells_is_inconsistent():
     """A fiftieth of the period is enough: all samples are of an earlier time than they say."""
     found = verdicts(run(period=PERIOD, delay=PERIOD / 50.0))
     assert [one.verdict for one in found.parameters] == 2 * ["INCONSISTENT"]
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"period": PERIOD, "delay": 0.05},
+        {"period": PERIOD, "delay": 0.163, "dropout": 0.1},
+        {"delay": 0.025, "jitter": 0.005},
+        {"period": PERIOD, "delay": 0.025, "jitter": 0.02},
+    ],
+    ids=["delay", "parts of steps, lost ones", "jitter", "slow with jitter"],
+)
+def test_samples_with_time_stamps_count_at_their_instants(changes):
+    """Delay and jitter cost nothing: the deviation is that of the noise, the interval holds.
+
+    Online as in the verdict, which has the last samples too: those of the delay.
+    """
+    log = run(time_stamps=True, **changes)
+    found = verdicts(log)
+    assert [one.verdict for one in found.parameters] == 2 * ["IDENTIFIABLE"]
+    assert found.deviation[0] == pytest.approx(1e-3, rel=0.15)
+    for one, true in zip(found.parameters, [-0.1, -0.3], strict=True):
+        assert abs(one.value - true) < 4.0 * one.standard_error
+    offline = np.array([one.value for one in found.parameters])
+    assert (np.abs(log["identifier.theta"][-1] - offline) < 0.2 * errors(log)).all()
+
+
+def test_a_log_of_time_stamps_is_fitted_as_its_run(tmp_path):
+    """The same samples, and a replay with the same bits."""
+    settings = {"sensor.period": PERIOD, "sensor.delay": 0.05, "sensor.time_stamps": True}
+    log = cosim.run("academic-noisy", set={**SETTINGS, **settings}, out=tmp_path / "late.mcap")
+    record = identifier_record(log)
+    assert int(record.data.measured.sum()) == 400  # that of t = 0 is of before the start
+    assert len(record.data.t) == 4001
+    found = identify_records([record]).assessment.parameters
+    assert [one.value for one in found] == [one.value for one in verdicts(log).parameters]
+    assert cosim.diff(log, cosim.replay(log.path)).equal
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"jitter": 0.005}, "time_stamps: found a jitter of 0.5 communication steps and a delay"),
+        ({"jitter": 0.005, "delay": 0.01, "size": 2}, "time_stamps: found jitter and size 2"),
+    ],
+)
+def test_time_stamps_that_no_sensor_has_are_refused(changes, text):
+    """Of samples that are taken after they are reported, or at several instants."""
+    with pytest.raises(CosimError, match=text):
+        run(time_stamps=True, **changes)
+
+
+@pytest.mark.parametrize("stamps", [False, True])
+def test_an_exported_identifier_takes_samples(stamps, tmp_path):
+    """With the same bits; not those that come after their instants, which is said."""
+    text = find("academic-noisy").text.replace("step = 1e-3 ", "step = 1e-2 ")
+    text = text.replace("filter_rate = 1e3", "filter_rate = 1e2")
+    keys = "seed = 1\nperiod = 0.1" + "\ntime_stamps = true" * stamps
+    path = tmp_path / "slow.toml"
+    path.write_text(text.replace("seed = 1", keys), encoding="utf-8")
+    fmu = tmp_path / "identifier.fmu"
+    if stamps:
+        with pytest.raises(CosimError, match="needed a sensor without time_stamps"):
+            export_component(str(path), "identifier", fmu)
+        return
+    export_component(str(path), "identifier", fmu)
+    expected = cosim.run(path)["identifier.theta"]
+    settings = {"identifier.interface_type": "cs"}
+    swapped = cosim.run(path, swap={"identifier": fmu}, set=settings)
+    assert np.isfinite(expected[-1]).all()
+    assert np.array_equal(swapped["identifier.theta"][::10], expected, equal_nan=True)
 
 
 def test_other_methods_get_no_verdict_on_held_samples():

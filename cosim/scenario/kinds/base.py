@@ -271,6 +271,10 @@ class Kind(TomlTable):
         """Return for how many samples in a communication step there is a place; 0: none."""
         return 0
 
+    def late_steps(self, context: BuildContext) -> int:
+        """Return how many communication steps after its instant a sample may come."""
+        return 0
+
     @property
     def models(self) -> tuple[str, ...]:
         """The models that a component is made of which is not computable."""

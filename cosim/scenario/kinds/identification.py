@@ -17,6 +17,7 @@ from cosim.blocks.estimator import Estimator
 from cosim.blocks.identification_problem import IdentificationProblem, IdentificationSchedule
 from cosim.blocks.identifier import LeastSquaresIdentifier
 from cosim.blocks.kalman_identifier import AugmentedKalmanIdentifier, ExtendedKalmanIdentifier
+from cosim.blocks.late_samples import LateSamples
 from cosim.blocks.output_error_identifier import OutputErrorIdentifier
 from cosim.blocks.projection_identifier import ProjectionIdentifier, RayleighIdentifier
 from cosim.blocks.sampled import Decimated
@@ -271,7 +272,9 @@ class IdentifierKind(PeriodicKind, ExportableKind):
                 upper=upper,
                 most=source.most_samples(),
             )
-            return Estimator(identifier)
+            late = source.late_steps()
+            estimator = Estimator(identifier)
+            return LateSamples(estimator, steps=late) if late else estimator
         if self.method == "projection":
             within = problem.within(lower, upper)
             return Estimator(ProjectionIdentifier(within, schedule, lower, upper))
@@ -348,6 +351,11 @@ class IdentifierKind(PeriodicKind, ExportableKind):
 
     def exportable(self, name: str, context: BuildContext, wiring: Wiring) -> Exportable:
         component, units = self._built(name, context)
+        if isinstance(component, LateSamples):
+            raise UsageError(
+                f"{name!r}: samples with time stamps come after their instants, which an exported "
+                "identifier cannot wait for yet; needed a sensor without time_stamps"
+            )
         method = component.method if isinstance(component, Estimator) else component
         every = self.period_steps(name, context.step_ns)
         if isinstance(method, LeastSquaresIdentifier):

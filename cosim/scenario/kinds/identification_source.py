@@ -116,6 +116,11 @@ class IdentifierSource:
             )
         return 0
 
+    def late_steps(self) -> int:
+        """Return how many communication steps after its instant a sample of y may come."""
+        drivers = self._context.drivers(Port(self.identifier, "samples"))
+        return max((kind.late_steps(self._context) for kind in drivers.values()), default=0)
+
 
 class ObserverSource:
     """The observer that drives a regressor alone.

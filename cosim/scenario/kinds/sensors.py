@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from typing import ClassVar, Literal
 
 from pydantic import Field
 
 from cosim.blocks.field_data import samples_of
+from cosim.blocks.late_samples import MOST_IN_A_STEP
 from cosim.blocks.measurement import SensorParameters
 from cosim.blocks.sensor import Sensor
 from cosim.core.clock import nanoseconds
 from cosim.core.contracts import Component
 from cosim.errors import UsageError
 from cosim.scenario.kinds.base import BuildContext, PeriodicKind, PortUnits, unit_of
-from cosim.scenario.schema import Number, NumberRow, Size, Whole
+from cosim.scenario.schema import Flag, Number, NumberRow, Size, Whole
 
 EACH = ", one number or one for each element"
 
@@ -64,8 +66,13 @@ class SensorKind(PeriodicKind):
     period: Number | None = Field(
         None,
         description="sample period [s], whole communication steps, over which y holds; y_samples "
-        "and sample_times, there with period or dropout, have the samples alone; default: one "
-        "communication step, with y interpolated linearly where u is",
+        "and sample_times, there with period, dropout or time_stamps, have the samples alone; "
+        "default: one communication step, with y interpolated linearly where u is",
+    )
+    time_stamps: Flag = Field(
+        False,
+        description="sample_times are the instants t - delay + jitter of the samples, not the "
+        "times at which they are reported",
     )
     size: Size = Field(1, description="number of elements, whose errors are independent")
     unit: PortUnits = Field(None, description=unit_of("u and y"))
@@ -76,13 +83,26 @@ class SensorKind(PeriodicKind):
     @property
     def _offers_samples(self) -> bool:
         """Whether y has values that are no new samples."""
-        return self.period is not None or self.dropout is not None
+        return self.period is not None or self.dropout is not None or self.time_stamps
 
     def samples_of(self, output: str) -> str | None:
         return samples_of(output) if output == "y" and self._offers_samples else None
 
+    @property
+    def samples_at_points(self) -> bool:
+        return not self.time_stamps
+
     def most_in_a_step(self, name: str, context: BuildContext) -> int:
+        if self.time_stamps:
+            return MOST_IN_A_STEP
         return 1 if self._offers_samples else 0
+
+    def late_steps(self, context: BuildContext) -> int:
+        if not self.time_stamps:
+            return 0
+        latest = _steps("delay", self.delay, context.step_ns)
+        latest += _steps("jitter", self.jitter, context.step_ns)
+        return math.floor(latest) + 1
 
     def build(self, name: str, context: BuildContext) -> Sensor:
         parameters = SensorParameters(
@@ -98,7 +118,13 @@ class SensorKind(PeriodicKind):
             seed=self.seed,
             period=self.period_steps(name, context.step_ns),
         )
-        return Sensor(parameters, size=self.size, unit=self.unit_name, samples=self._offers_samples)
+        return Sensor(
+            parameters,
+            size=self.size,
+            unit=self.unit_name,
+            samples=self._offers_samples,
+            stamped=self.time_stamps,
+        )
 
 
 def _steps(key: str, time: float, step_ns: int) -> float:

@@ -1,0 +1,172 @@
+"""Samples that arrive some steps after their instants, for a component that takes them at once.
+
+All inputs are held back by as many steps as the last sample may need. By then every sample stands
+in the row of the communication point that ends the step of its instant.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.arrays import NAN, Mask, Matrix, Vector
+from cosim.blocks.field_data import SAMPLE_TIMES
+from cosim.core.contracts import Component, Design, Rollback, Stopped, prepare
+from cosim.core.signals import Interface, Signal
+
+# of instants as far apart as communication points, moved by no more than half their distance
+MOST_IN_A_STEP: Final = 3
+SAMPLES: Final = "samples"
+
+
+class Repeatable(Component, Rollback[Any], Protocol):
+    """A component that can go back."""
+
+
+@dataclass(frozen=True, slots=True)
+class LateState:
+    """The state of the component, and the rows that are held back, behind the time ``passed``."""
+
+    component: Any
+    passed: float
+    t: Vector
+    u: Matrix
+    y: Vector
+
+
+class LateSamples:
+    """Holds the inputs of a component back until all samples of a step have arrived.
+
+    Its inputs ``samples`` and ``sample_times`` have one sample of each output in a row, at an
+    instant of its own; those of the component have ``MOST_IN_A_STEP``. Its outputs are those of the
+    component ``steps`` before.
+
+    Parameters
+    ----------
+    component : Repeatable
+        It takes its inputs at the beginning of a step.
+    steps : int
+        Communication steps from an instant to the row with its sample, at most.
+
+    Raises
+    ------
+    Stopped
+        From ``advance``, where a sample is older.
+    """
+
+    def __init__(self, component: Repeatable, *, steps: int) -> None:
+        columns = component.interface.input_columns()
+        self._component = component
+        self._steps = steps
+        self._samples = columns[SAMPLES]
+        self._times = columns[SAMPLE_TIMES]
+        inputs = tuple(_one_in_a_row(signal) for signal in component.interface.inputs)
+        self.interface: Interface = replace(component.interface, inputs=inputs, prepares=True)
+        self._own = self.interface.input_columns()
+
+    def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
+        """Prepare the component, to whose inputs samples add more of their own."""
+        of_component = []
+        for signal in self._component.interface.inputs:
+            first = self._own[signal.name].start
+            of_component.append(np.full(signal.size, held[first]))
+        return prepare(self._component, h, np.concatenate(of_component), recorded)
+
+    def initialize(self, t: float, u: Vector) -> Vector:
+        """Forget all rows."""
+        row = self._without_samples(u[np.newaxis])
+        self._passed = float(np.nextafter(t, -np.inf))
+        self._t = np.zeros(0)
+        self._u = row[:0]
+        self._y = self._component.initialize(t, row[0]).copy()
+        return self._y.copy()
+
+    def outputs(self, t: float, u: Vector) -> Vector:
+        """Return the last outputs."""
+        return self._y.copy()
+
+    def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
+        """Take K rows, and pass on those that have all their samples."""
+        count = len(t) - 1
+        times = np.concatenate([self._t, t[:count]])
+        rows = np.concatenate([self._u, self._without_samples(u[:count])])
+        late = self._place(times, rows, u[:count])
+        if late is not None:
+            y = np.empty((0, len(self._y)))
+            if late:
+                y = self.advance(t[: late + 1], h, u[: late + 1])
+            raise Stopped(
+                y,
+                f"a sample at {t[late]} s is said to be of an instant more than {self._steps} "
+                "communication steps before; needed those of the sensor's delay and jitter",
+            )
+        whole = max(len(times) - self._steps, 0)
+        y = np.tile(self._y, (count, 1))
+        if whole:
+            self._passed = float(times[whole - 1])
+            first = count - whole
+            try:
+                y[first:] = self._component.advance(times[: whole + 1], h, rows[: whole + 1])
+            except Stopped as stop:
+                completed = first + stop.steps
+                y[first:completed] = stop.outputs
+                raise Stopped(y[:completed], str(stop), failed=stop.failed) from stop
+            self._y = y[-1].copy()
+        self._t = times[whole:].copy()
+        self._u = rows[whole:].copy()
+        return y
+
+    def _place(self, times: Vector, rows: Matrix, u: Matrix) -> int | None:
+        """Write samples into the rows that end their steps; return the row of one without any."""
+        before = len(times) - len(u)
+        instants = u[:, self._own[SAMPLE_TIMES].start]
+        samples = u[:, self._own[SAMPLES]]
+        for i in np.flatnonzero(np.isfinite(instants)):
+            place = int(np.searchsorted(times, instants[i], side="left"))
+            last = before + i - self._steps - 1  # row that was passed on before this one came
+            passed = times[last] if last >= 0 else self._passed
+            is_in_time = passed < instants[i] <= times[before + i]
+            if not is_in_time or not self._write(rows[place], instants[i], samples[i]):
+                return int(i)
+        return None
+
+    def _write(self, row: Vector, instant: float, values: Vector) -> bool:
+        """Write a sample into a row; return whether there is a place for it."""
+        free = np.flatnonzero(np.isnan(row[self._times]))
+        if not free.size:
+            return False
+        row[self._times.start + free[0]] = instant
+        places: NDArray[np.intp] = self._samples.start + np.arange(len(values)) * MOST_IN_A_STEP
+        row[places + free[0]] = values
+        return True
+
+    def _without_samples(self, u: Matrix) -> Matrix:
+        """Return rows of the component's inputs, with places for samples."""
+        parts = []
+        for signal in self._component.interface.inputs:
+            if signal.name in (SAMPLES, SAMPLE_TIMES):
+                parts.append(np.full((len(u), signal.size), NAN))
+            else:
+                parts.append(u[:, self._own[signal.name]])
+        return np.hstack(parts)
+
+    def save(self) -> LateState:
+        """Copy the state."""
+        return LateState(self._component.save(), self._passed, self._t, self._u, self._y)
+
+    def restore(self, state: LateState) -> None:
+        """Go back to a saved state."""
+        self._component.restore(state.component)
+        self._passed = state.passed
+        self._t = state.t
+        self._u = state.u
+        self._y = state.y
+
+
+def _one_in_a_row(signal: Signal) -> Signal:
+    if signal.name in (SAMPLES, SAMPLE_TIMES):
+        return replace(signal, size=signal.size // MOST_IN_A_STEP)
+    return signal
