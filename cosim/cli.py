@@ -543,6 +543,7 @@ def identify(
     """
     from cosim.log import open_log
     from cosim.report.identification import report_identification
+    from cosim.report.tables.console import print_line
     from cosim.report.tables.identification import print_identification
     from cosim.scenario.edits import parse_value
     from cosim.scenario.identified import bounds_of
@@ -557,6 +558,11 @@ def identify(
     if bounds is not None:
         limits = bounds_of(parse_value(bounds), records[0].identified.parameters)
     found = identify_records(records, offset=offset, bounds=limits)
+    if irregular is not None and not as_json:
+        print_line(
+            "note: the guaranteed interval rests on linear programs, which take seconds to minutes",
+            error=True,
+        )
     report = report_identification(found, others=others, irregular=irregular)
     if plot is not None:
         from cosim.report.plots import plot_identification

@@ -61,6 +61,10 @@ class Family(Protocol):
         Constants that have none, such as the phase of a sine that is zero, are NaN.
         """
 
+    @property
+    def is_even(self) -> bool:
+        """Whether theta and -theta are the same signals."""
+
     def search(self, span: float, shortest: float) -> tuple[tuple[float, float], ...]:
         """Return for each parameter the range in which a start is searched.
 
@@ -86,6 +90,7 @@ class Exponential:
 
     name: ClassVar[str] = "exponential"
     parameters: ClassVar[tuple[str, ...]] = ("theta",)
+    is_even: ClassVar[bool] = False
     constants: ClassVar[tuple[str, ...]] = ("amplitude",)
     formula: ClassVar[str] = "{amplitude} exp({theta} t)"
     v: ClassVar[int] = 1
@@ -124,6 +129,7 @@ class Sine:
 
     name: ClassVar[str] = "sine"
     parameters: ClassVar[tuple[str, ...]] = ("rate",)
+    is_even: ClassVar[bool] = True
     constants: ClassVar[tuple[str, ...]] = ("amplitude", "phase")
     formula: ClassVar[str] = "{amplitude} sin({rate} t + {phase})"
     v: ClassVar[int] = 2

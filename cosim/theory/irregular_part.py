@@ -61,7 +61,8 @@ class GuaranteedInterval:
     ----------
     lower, upper : Vector
         What both intervals below have in common, shape ``(n_theta,)``; infinite where neither has
-        an end, NaN where they contradict each other or no theta explains the data.
+        an end, NaN where they contradict each other or no theta explains the data. Of a sine the
+        rate keeps its sign, as the other one says the same.
     half_width : Vector
         Largest error of the estimate by the irregular part, to first order, shape ``(n_theta,)``.
     around_estimate : Matrix
@@ -223,6 +224,7 @@ def guaranteed_interval(
         lower = np.maximum(feasible.lower, lower)
         upper = np.minimum(feasible.upper, upper)
     contradictory = lower > upper
+    lower, upper = _magnitudes(lower, upper, fit.theta, families)
     return GuaranteedInterval(
         lower=np.where(contradictory, NAN, lower),
         upper=np.where(contradictory, NAN, upper),
@@ -232,6 +234,25 @@ def guaranteed_interval(
         feasible=feasible,
         confidence=confidence if noisy else 1.0,
     )
+
+
+def _magnitudes(
+    lower: Vector, upper: Vector, theta: Vector, families: Sequence[Family]
+) -> tuple[Vector, Vector]:
+    """Return intervals with the sign of theta where it has no meaning: of a rate [-2, 3] is [0, 3].
+
+    What they have on the other side of 0 is the same signals.
+    """
+    even = []
+    for family in families:
+        even += [family.is_even] * len(family.parameters)
+    crosses = np.array(even, np.bool_) & (lower < 0.0) & (upper > 0.0)
+    largest = np.maximum(-lower, upper)
+    positive = crosses & (theta >= 0.0)
+    negative = crosses & (theta < 0.0)
+    low = np.where(positive, 0.0, np.where(negative, -largest, lower))
+    high = np.where(negative, 0.0, np.where(positive, largest, upper))
+    return low, high
 
 
 def _reach_equal(interval: Matrix, theta: Vector) -> Mask:

@@ -181,3 +181,23 @@ def test_what_is_not_covered_is_refused():
     unstable = DisturbedPlant(A=-one.A, B=one.B, Bd=one.Bd, C=one.C, D=one.D, Dd=one.Dd)
     with pytest.raises(AssumptionError, match="needs a stable plant: over 40 s a mode"):
         bounded_problem(data, unstable, FAMILIES, bound=0.1)
+
+
+def test_the_rate_of_a_sine_has_no_negative_end():
+    """A rate and its negative are the same signals: [-a, b] says that it is at most max(a, b)."""
+    lag = DisturbedPlant(
+        A=np.array([[-1.0]]),
+        B=np.zeros((1, 0)),
+        Bd=np.ones((1, 1)),
+        C=np.array([[1.0]]),
+        D=np.zeros((1, 0)),
+        Dd=np.zeros((1, 1)),
+    )
+    t = np.arange(41) * 0.25
+    y = lsim(([[-1.0]], [[1.0]], [[1.0]], [[0.0]]), np.sin(0.3 * t + 0.4), t, X0=[1.0])[1]
+    data = DataSet(t, y[:, np.newaxis], np.zeros((len(t), 0)), np.ones((len(t), 1)))
+    fit = fit_output_error([data], lag, [Sine()], np.array([0.3]))
+    found = guaranteed_interval(data, lag, [Sine()], fit, bound=0.5, sigma=np.zeros(1))
+    assert found.feasible.lower[0] < 0.0
+    assert found.lower[0] == 0.0
+    assert found.upper[0] >= 0.3
