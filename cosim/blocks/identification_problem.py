@@ -104,7 +104,7 @@ class IdentificationSchedule:
     window : int
         Samples of a moving window; 0: all.
     forgetting : float
-        Weight of a sample over that of the next one; 1: all weigh the same.
+        Weight of the square of a sample over that of the next one; 1: all weigh the same.
     start : float
         First instant of which mu counts, the identification start time T_id (36) [s].
     settled : float

@@ -339,7 +339,7 @@ typedef struct {
     const double *D;       /* (sources, outputs) */
     const double *W;       /* (outputs, outputs) makes the noise of the outputs white */
     const double *a;       /* (outputs, ar) W e is white, e(k) = v(k) - a_1 v(k-1) - ..., v = y - fit */
-    double forgetting;     /* weight of a row over that of the next sample; 1: they weigh the same */
+    double forgetting;     /* weight of the square of a row over that of the next sample; 1: the same */
 } cosim_output_error;
 
 /* Samples between those of the grid, in the order of time. The row of an output is (C, D0, D1): it

@@ -50,14 +50,22 @@ typedef struct {
     double *ring;                  /* (ar, outputs, columns) rows before the filter */
     double *pairs;                 /* (outputs, outputs) samples behind a product of residuals */
     double *steps, *summed, *sums; /* of means: steps, (outputs) rows, (outputs, columns) sums */
-    double *block;                 /* (BLOCK + outputs, columns) */
+    double *R_squared;             /* (columns, columns) of rows with the squares of their weights */
+    double *block, *block_squared; /* (BLOCK + outputs, columns) */
     double *scratch;
     int64_t state, size; /* doubles up to the block, and all */
 } parts;
 
+/* Whether rows weigh differently, so that the errors of theta need R_squared too. */
+static int forgets(const cosim_output_error *s, layout l)
+{
+    return s->forgetting < 1.0 && l.parameters > 0;
+}
+
 static parts parts_of(const cosim_output_error *s, layout l, double *work)
 {
     const int64_t M = l.columns, N = 2 * l.largest;
+    const int64_t squared = forgets(s, l) ? M : 0;
     const int64_t exponential = 4 * N * N, rows = s->outputs * (2 * M + s->outputs);
     parts p;
     int64_t next = 0;
@@ -78,8 +86,10 @@ static parts parts_of(const cosim_output_error *s, layout l, double *work)
     p.summed = cosim_place(work, &next, s->outputs);
     p.sums = cosim_place(work, &next, s->outputs * M);
     p.pairs = cosim_place(work, &next, s->outputs * s->outputs);
+    p.R_squared = cosim_place(work, &next, squared * M);
     p.state = next;
     p.block = cosim_place(work, &next, (BLOCK + s->outputs) * M);
+    p.block_squared = cosim_place(work, &next, (BLOCK + s->outputs) * squared);
     p.scratch = cosim_place(work, &next, exponential > rows ? exponential : rows);
     p.size = next;
     return p;
@@ -485,13 +495,22 @@ typedef struct {
     double *products;       /* (outputs, outputs) of residuals at these unknowns */
 } waiting;
 
-static void rotate(layout l, const parts *p, waiting *w)
+static void rotate_into(int32_t M, double *R, int32_t count, double *block, double weight,
+                        double *work)
+{
+    cosim_householder(M, R, count, block, work);
+    if (weight != 1.0)
+        for (int32_t i = 0; i < M * M; ++i)
+            R[i] /= weight;
+}
+
+static void rotate(const cosim_output_error *s, layout l, const parts *p, waiting *w)
 {
     const int32_t M = l.columns;
-    cosim_householder(M, p->R, w->count, p->block, p->scratch);
-    if (w->weight != 1.0)
-        for (int32_t i = 0; i < M * M; ++i)
-            p->R[i] /= w->weight;
+    rotate_into(M, p->R, w->count, p->block, w->weight, p->scratch);
+    if (forgets(s, l))
+        rotate_into(M, p->R_squared, w->count, p->block_squared, w->weight * w->weight,
+                    p->scratch);
     w->count = 0, w->weight = 1.0;
 }
 
@@ -547,11 +566,14 @@ static void append_rows(const cosim_output_error *s, layout l, const parts *p, d
     filter_rows(s, l, p, rows);
     if (!rows_there(s, l, rows))
         return;
-    const int32_t made = weigh_rows(s, l, rows, w->weight, W, p->block + w->count * l.columns);
+    const int32_t before = w->count * l.columns;
+    const int32_t made = weigh_rows(s, l, rows, w->weight, W, p->block + before);
+    for (int32_t i = 0; forgets(s, l) && i < made * l.columns; ++i)
+        p->block_squared[before + i] = w->weight * p->block[before + i];
     *p->rows += made;
     w->count += made;
     if (w->count + s->outputs > BLOCK)
-        rotate(l, p, w);
+        rotate(s, l, p, w);
 }
 
 static void take_rows(const cosim_output_error *s, layout l, const parts *p, const double *between,
@@ -615,14 +637,15 @@ static void take_samples(const cosim_output_error *s, const parts *p, const doub
     const layout l = layout_of(s);
     const cosim_between_record *between = record->between;
     const int64_t width = s->outputs * (s->states + 2 * s->sources);
+    const double of_row = sqrt(s->forgetting);
     int64_t b = first_between(between, begin);
     for (int64_t k = begin; k < end; ++k) {
         const int32_t interval = advance_inputs(s, l, p, theta, record, k);
-        w->weight /= s->forgetting;
-        *p->rows *= s->forgetting * s->forgetting;
+        w->weight /= of_row;
+        *p->rows *= s->forgetting;
         for (int32_t i = 0; w->products && i < s->outputs * s->outputs; ++i) {
-            w->products[i] *= s->forgetting * s->forgetting;
-            p->pairs[i] *= s->forgetting * s->forgetting;
+            w->products[i] *= s->forgetting;
+            p->pairs[i] *= s->forgetting;
         }
         for (; between && b < between->count && between->place[b] == (double)k; ++b)
             if (interval >= 0)
@@ -644,7 +667,7 @@ void cosim_output_error_take(const cosim_output_error *s, const double *theta,
     waiting w = {0, 1.0, NULL, NULL};
     take_samples(s, &p, theta, record, begin, end, &w);
     if (w.count > 0 || w.weight != 1.0)
-        rotate(l, &p, &w);
+        rotate(s, l, &p, &w);
 }
 
 void cosim_output_error_products(const cosim_output_error *s, const double *theta,
@@ -1075,6 +1098,58 @@ static int solve(const cosim_fit *fit, gauss_newton *g, double *freedom)
     return rows - unknowns - P > 0.0;
 }
 
+/* G += B'B with the derivatives B by theta of the rows with squared weights, less what the linear
+ * unknowns make up for. */
+static void add_squared(const cosim_experiment *x, double *G)
+{
+    const cosim_output_error *s = x->model;
+    const layout l = layout_of(s);
+    const int32_t M = l.columns, P = l.parameters;
+    const double *R_squared = parts_of(s, l, x->work).R_squared;
+    double amplitudes[COSIM_MOST_COLUMNS], slope[COSIM_MOST_PARAMETERS];
+    double by_theta[COSIM_MOST_PARAMETERS * COSIM_MOST_COLUMNS];
+    regression r;
+    make_regression(s, x->work, amplitudes, &r);
+    for (int32_t j = 0; j < P; ++j)
+        cosim_solve_upper(r.n, r.width, r.T, r.T + r.n + j, r.width, by_theta + j * r.n);
+    for (int32_t i = 0; i < M; ++i) {
+        const double *row = R_squared + i * M;
+        make_slopes(s, row + l.linear, amplitudes, slope);
+        for (int32_t j = 0; j < P; ++j)
+            for (int32_t k = 0; k < r.n; ++k)
+                slope[j] -= row[r.kept[k]] * by_theta[j * r.n + k];
+        for (int32_t j = 0; j < P; ++j)
+            for (int32_t k = 0; k < P; ++k)
+                G[j * P + k] += slope[j] * slope[k];
+    }
+}
+
+/* The covariance of theta for noise of variance 1: H, or H G H where rows weigh differently. */
+static void make_covariance(const cosim_fit *fit, const gauss_newton *g, double *covariance)
+{
+    const int32_t P = fit->parameters;
+    const double *H = g->variances;
+    double G[COSIM_MOST_PARAMETERS * COSIM_MOST_PARAMETERS] = {0.0};
+    double HG[COSIM_MOST_PARAMETERS * COSIM_MOST_PARAMETERS] = {0.0};
+    const cosim_experiment *first = fit->experiment;
+    memcpy(covariance, H, (size_t)(P * P) * sizeof *covariance);
+    if (!forgets(first->model, layout_of(first->model)))
+        return;
+    for (int32_t e = 0; e < fit->experiments; ++e)
+        add_squared(&fit->experiment[e], G);
+    for (int32_t a = 0; a < P; ++a)
+        for (int32_t b = 0; b < P; ++b)
+            for (int32_t c = 0; c < P; ++c)
+                HG[a * P + b] += H[a * P + c] * G[c * P + b];
+    for (int32_t a = 0; a < P; ++a)
+        for (int32_t b = 0; b < P; ++b) {
+            double sum = 0.0;
+            for (int32_t c = 0; c < P; ++c)
+                sum += HG[a * P + c] * H[c * P + b];
+            covariance[a * P + b] = sum;
+        }
+}
+
 static void finish(cosim_fit *fit, const gauss_newton *g, double freedom)
 {
     const int32_t P = fit->parameters;
@@ -1084,8 +1159,9 @@ static void finish(cosim_fit *fit, const gauss_newton *g, double freedom)
     const double variance = variance_of(fit, g->predicted, rows, g->unknowns);
     fit->variance = variance;
     fit->freedom = freedom;
+    make_covariance(fit, g, fit->covariance);
     for (int32_t j = 0; j < P * P; ++j)
-        fit->covariance[j] = variance * g->variances[j];
+        fit->covariance[j] *= variance;
 }
 
 /* The linear unknowns go with theta to the estimate. */

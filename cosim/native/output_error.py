@@ -197,7 +197,7 @@ class OutputErrorConstants:
     offset : bool
         A constant on every output is unknown.
     forgetting : float
-        Weight of a sample over that of the next one.
+        Weight of the square of a sample over that of the next one.
     average : int
         Steps, the mean of whose samples is one row of the regression; more than 1 only without
         ``a``.

@@ -359,7 +359,7 @@ def sample_plant(
     offset : bool
         An unknown constant is on every output.
     forgetting : float
-        Weight of a sample over that of the next one; 1: all weigh the same.
+        Weight of the square of a sample over that of the next one; 1: all weigh the same.
 
     Raises
     ------

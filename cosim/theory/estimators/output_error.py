@@ -125,7 +125,7 @@ def fit_output_error(
     offset : bool
         An unknown constant is on every output.
     forgetting : float
-        Weight of a sample over that of the next one.
+        Weight of the square of a sample over that of the next one.
     bounds : mapping of index to (lower, upper)
         Of entries of theta; equal bounds fix one.
 
