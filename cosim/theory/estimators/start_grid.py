@@ -45,6 +45,8 @@ MOST_POINTS_OF_RECORDS: Final = 256  # on an axis, where one search is all that 
 ROWS: Final = 1024  # of the regression: means of successive samples
 # of the grid, for each time scale that a record has room for: half periods of a sine
 POINTS_A_SCALE: Final = 1.2
+# searched where the grid has no point for each, as with three parameters: several starts make up
+LEAST_SCALES: Final = 20.0
 
 
 def grid_points(parameters: int) -> int:
@@ -206,7 +208,7 @@ def box_of_search(
         If there is no such parameter, or an upper bound is below the lower one.
     """
     parameters = sum(len(family.parameters) for family in families)
-    time_scales = _points_of_records(parameters) / POINTS_A_SCALE
+    time_scales = max(_points_of_records(parameters) / POINTS_A_SCALE, LEAST_SCALES)
     box = search_box(families, span=span, shortest=span / time_scales)
     lower, upper = bound_vectors(bounds, parameters)
     width = box.upper - box.lower
