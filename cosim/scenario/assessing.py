@@ -20,6 +20,7 @@ from cosim.core.signals import Channel
 from cosim.errors import AssumptionError, RunError
 from cosim.scenario.identified import IdentifiedPlant, SampleRows
 from cosim.scenario.irregular import interval_of, irregular_part
+from cosim.theory.advice import advised
 from cosim.theory.amplitude_verdicts import amplitude_verdicts
 from cosim.theory.disturbed_plant import DataSet
 from cosim.theory.irregular_part import Programs
@@ -125,6 +126,14 @@ class _IdentifierData:
             stated=identified.stated,
             offset=identified.offset,
             bounds=identified.bounds,
+        )
+        assessment = advised(
+            assessment,
+            data,
+            identified.plant,
+            identified.families,
+            alpha=identified.alpha,
+            offset=identified.offset,
         )
         error = None if self._error is None else self._last[self._error]
         result = assessment.to_dict()

@@ -84,6 +84,10 @@ class IdentifiedPlant:
             upper[j] = high
         return lower, upper
 
+    def alpha(self, t: Vector) -> Matrix:
+        """Return the known factors at instants ``(N,)`` [s], shape ``(N, components)``."""
+        return evaluate_at(self.alphas, t)
+
     def data_set(
         self, t: Vector, y: Matrix, u: Matrix, held: Mask, samples: SampleRows | None = None
     ) -> DataSet:

@@ -29,6 +29,7 @@ from cosim.scenario.identified import IdentifiedPlant, SampleRows
 from cosim.scenario.irregular import interval_of
 from cosim.scenario.recorded_metadata import component_record
 from cosim.scenario.replaying import rebuilt
+from cosim.theory.advice import advised
 from cosim.theory.agreement import contradictions, each_alone
 from cosim.theory.amplitude_verdicts import amplitude_verdicts
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
@@ -317,6 +318,14 @@ def identify_records(
         stated=identified.stated,
         offset=has_offset,
         bounds=limits,
+    )
+    assessment = advised(
+        assessment,
+        data,
+        identified.plant,
+        identified.families,
+        alpha=identified.alpha,
+        offset=has_offset,
     )
     return LogIdentification(
         records=tuple(records),

@@ -57,6 +57,7 @@ LINEAR_PRESENCE: Final = 1e4
 # Growth of the sum of squares at the ends of an interval over that of a linear problem; the root of
 # it is how far such an end is from where it should be: up to 20 %.
 LEAST_PROFILE: Final = 0.7
+LEAST_RATIO: Final = 1e-12  # of squares that do not grow, so that it has a logarithm
 LARGEST_PROFILE: Final = 1.4
 
 
@@ -414,6 +415,16 @@ def _judge_other(
     )
 
 
+def growth_of_squares(squares: Sequence[float], base: float, expected: float) -> float:
+    """Return the growth of sums of squares over that expected; of several the one farthest off."""
+    worst = 1.0
+    for one in squares:
+        ratio = max((one - base) / expected, LEAST_RATIO)
+        if abs(np.log(ratio)) > abs(np.log(worst)):
+            worst = ratio
+    return worst
+
+
 class _Judge:
     """Makes the verdicts of a fit."""
 
@@ -503,8 +514,7 @@ class _Judge:
         if not LEAST_PROFILE <= ratio <= LARGEST_PROFILE:
             return Verdict.WEAK, (
                 f"its effect is not linear over its interval (the sum of squares grows "
-                f"{ratio:.2g} times as much as it should); {self._weak_direction()}: a longer "
-                "record, a larger disturbance or less noise would supply it"
+                f"{ratio:.2g} times as much as it should); {self._weak_direction()}"
             )
         return Verdict.IDENTIFIABLE, (
             "no test contradicts the model; the 95 % interval holds if it is right"
@@ -541,14 +551,9 @@ class _Judge:
             return 1.0  # what rounding leaves of the sums of squares would say nothing
         direction = fit.covariance[:, j] / variance
         expected = half_width**2 / variance
-        base = self._squares(fit.theta)
-        worst = 1.0
-        for sign in (1.0, -1.0):
-            squares = self._squares(fit.theta + sign * half_width * direction)
-            ratio = (squares - base) / (fit.deviation**2 * expected)
-            if abs(np.log(max(ratio, 1e-12))) > abs(np.log(worst)):
-                worst = max(ratio, 1e-12)
-        return worst
+        ends = [fit.theta + side * half_width * direction for side in (1.0, -1.0)]
+        squares = [self._squares(end) for end in ends]
+        return growth_of_squares(squares, self._squares(fit.theta), fit.deviation**2 * expected)
 
     def _squares(self, theta: Vector) -> float:
         """Return the sum of squares at theta, the linear unknowns at their best."""

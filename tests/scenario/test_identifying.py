@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -142,3 +144,14 @@ def test_logs_are_identified_by_path_or_opened(logs):
     assert len(found.smoothed().t) == len(found.records[0].data.t)
     with pytest.raises(UsageError, match="found none; needed one or more"):
         cosim.identify([])
+
+
+def test_a_weak_parameter_has_its_advice_in_the_run_and_from_the_log(tmp_path):
+    """What would supply the missing direction stands in both."""
+    settings = {"scenario.step": 0.02, "observer.filter_rate": 50.0, "sensor.noise": 0.15}
+    log = cosim.run("academic-noisy", set=settings, out=tmp_path / "log.mcap")
+    reason = log.results[IDENTIFICATION]["identifier"]["parameters"][1]["reason"]
+    assert re.search(r"a disturbance \d times larger over the noise \[", reason)
+    assert "data of any length [" in reason.partition("would supply it, ")[2]
+    found = identify_records([identifier_record(log)])
+    assert found.assessment.parameters[1].reason == reason
