@@ -1,10 +1,14 @@
 """README and its pages are true: their commands run and print what is shown, their Python runs."""
 
+import json
+import math
 import re
 import shlex
 from pathlib import Path
 
+import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from cosim.cli import main
 from cosim.report.tables import console
@@ -118,6 +122,36 @@ def test_the_python_of_an_identification_runs(tmp_path, monkeypatch, capsys):
         assert verdict == "IDENTIFIABLE"
     delta, half_width = map(float, smoothed)
     assert abs(delta - (1.35 + 1.3)) <= 1.5 * half_width
+
+
+def test_the_scenario_of_recorded_data_finds_theta(tmp_path, monkeypatch, capsys):
+    """With samples of the plant that it is about, by a solver of its own, at uneven times."""
+
+    def rate(t, x):
+        forced = 2.0 * math.exp(-0.4 * t)
+        return [-0.5 * x[0] + 0.25 * x[1] + forced, 0.4 * x[0] - x[1] + float(t >= 2.0)]
+
+    rng = np.random.default_rng(1)
+    times = 0.02 * np.arange(501) + rng.uniform(-0.004, 0.004, 501)
+    times[0] = 0.0
+    options = {"method": "DOP853", "rtol": 1e-10, "atol": 1e-12}
+    before = times < 2.0
+    first = solve_ivp(rate, (0.0, 2.0 - 1e-9), [1.0, 0.5], t_eval=times[before], **options)
+    start = solve_ivp(rate, (0.0, 2.0 - 1e-9), [1.0, 0.5], **options).y[:, -1]
+    later = times[~before]
+    second = solve_ivp(rate, (2.0, times[-1]), start, t_eval=later, **options)
+    level = np.append(first.y[0], second.y[0]) + 1e-3 * rng.standard_normal(501)
+    lines = [f"{1e3 * t:.6f};{y:.9f}" for t, y in zip(times, level, strict=True)]
+    text = "\n".join(["time [ms];level", *lines])
+    (tmp_path / "field.csv").write_text(text + "\n", encoding="utf-8")
+    (scenario,) = blocks("identification", "toml")
+    (tmp_path / "field.toml").write_text(scenario, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    code, output = run_command("cosim run field.toml --json", capsys)
+    assert code == 0
+    (parameter,) = json.loads(output)["identifications"][0]["parameters"]
+    assert parameter["verdict"] == "IDENTIFIABLE"
+    assert abs(parameter["value"] + 0.4) <= 1.5 * parameter["half_width"]
 
 
 def test_a_component_of_ones_own_is_short():

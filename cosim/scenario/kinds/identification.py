@@ -76,7 +76,13 @@ class IdentifierKind(PeriodicKind, ExportableKind):
     start: Number | StartTable | None = Field(
         None,
         description="T_id [s], or { epsilon_observer, epsilon_filter } for (36)-(38); "
-        "default: 1e-3 each",
+        "default: 1e-3 each; for output-error mu gives starts from then on, its estimates rest on "
+        "y from the first sample on and may come before",
+    )
+    period: Number | None = Field(
+        None,
+        description="how often theta is estimated anew [s], whole communication steps; samples "
+        "between count all the same; default: every communication step",
     )
     offset: Flag = Field(
         False, description="of output-error: an unknown constant is on every output"
