@@ -174,6 +174,7 @@ def model_of_y(
         offset=offset,
         forgetting=forgetting,
         average=1,
+        every=None,
         source=None,
     )
     predicts = np.array([bool(design["K"].any())])

@@ -339,6 +339,7 @@ typedef struct {
     const double *D;       /* (sources, outputs) */
     const double *W;       /* (outputs, outputs) makes the noise of the outputs white */
     const double *a;       /* (outputs, ar) W e is white, e(k) = v(k) - a_1 v(k-1) - ..., v = y - fit */
+    const int32_t *every;  /* (outputs) samples from one value to the next that `a` is for */
     double forgetting;     /* weight of the square of a row over that of the next sample; 1: the same */
 } cosim_output_error;
 

@@ -42,7 +42,7 @@ static layout layout_of(const cosim_output_error *s)
 typedef struct {
     double *R;                     /* (columns, columns), first: others read it */
     double *rows, *interval;       /* rows in R; interval of E */
-    double *lag;                   /* (outputs) samples in the ring, ever */
+    double *lag, *passed;          /* (outputs) values in the ring; samples since the last of them */
     double *X, *next;              /* (states, columns) responses */
     double *input0, *input1;       /* (columns) disturbances of the columns at both ends */
     double *basis, *advanced;      /* (basis + derivatives) c' expm(G t) and its derivatives */
@@ -73,6 +73,7 @@ static parts parts_of(const cosim_output_error *s, layout l, double *work)
     p.rows = cosim_place(work, &next, 1);
     p.interval = cosim_place(work, &next, 1);
     p.lag = cosim_place(work, &next, s->outputs);
+    p.passed = cosim_place(work, &next, s->outputs);
     p.X = cosim_place(work, &next, s->states * M);
     p.next = cosim_place(work, &next, s->states * M);
     p.input0 = cosim_place(work, &next, M);
@@ -385,14 +386,18 @@ static void leave_out(layout l, double *rows, int32_t o)
 }
 
 /* Filter the rows of a sample by the autoregressive model of each output; those that have too few
- * before them are left out. */
+ * at its distance before them are left out. */
 static void filter_rows(const cosim_output_error *s, layout l, const parts *p, double *rows)
 {
     const int32_t M = l.columns, width = s->outputs * M;
     double *filtered = rows + width;
     for (int32_t o = 0; o < s->outputs && s->ar; ++o) {
+        p->passed[o] += 1.0;
         if (!is_there(l, rows, o))
             continue;
+        if (p->passed[o] != s->every[o])
+            p->lag[o] = 0.0;
+        p->passed[o] = 0.0;
         const double *a = s->a + o * s->ar;
         const int64_t before = (int64_t)p->lag[o];
         double *row = rows + o * M, *ring = p->ring + o * M;
@@ -576,6 +581,12 @@ static void append_rows(const cosim_output_error *s, layout l, const parts *p, d
         rotate(s, l, p, w);
 }
 
+static void pass_sample(const cosim_output_error *s, const parts *p)
+{
+    for (int32_t o = 0; o < s->outputs; ++o)
+        p->passed[o] += 1.0;
+}
+
 static void take_rows(const cosim_output_error *s, layout l, const parts *p, const double *between,
                       const double *L, const double *residual, waiting *w)
 {
@@ -583,8 +594,10 @@ static void take_rows(const cosim_output_error *s, layout l, const parts *p, con
     int32_t measured = 0;
     for (int32_t o = 0; o < s->outputs; ++o)
         measured += !isnan(residual[o]);
-    if (!measured)
+    if (!measured) {
+        pass_sample(s, p);
         return;
+    }
     make_rows(s, l, p, between, L, residual, rows);
     if (w->unknowns) {
         add_products(s, l, p, rows, w);

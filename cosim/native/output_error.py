@@ -42,7 +42,7 @@ class OutputErrorStruct(ctypes.Structure):
         *((name, c_int32) for name in ("offset", "ar", "average")),
         *((name, c_void_p) for name in ("size", "count", "source", "c", "G0", "G1")),
         *((name, c_void_p) for name in ("step", "Ad", "B0", "B1", "K", "L")),
-        *((name, c_void_p) for name in ("C", "D", "W", "a")),
+        *((name, c_void_p) for name in ("C", "D", "W", "a", "every")),
         ("forgetting", c_double),
     )
 
@@ -201,6 +201,8 @@ class OutputErrorConstants:
     average : int
         Steps, the mean of whose samples is one row of the regression; more than 1 only without
         ``a``.
+    every : tuple of int, optional
+        Samples from one value of an output to the next that ``a`` is for; by default 1.
     source : tuple of int, optional
         Which alpha, B and D each component has; by default each its own.
     """
@@ -219,6 +221,7 @@ class OutputErrorConstants:
     offset: bool = False
     forgetting: float = 1.0
     average: int = 1
+    every: tuple[int, ...] | None = None
     source: tuple[int, ...] | None = None
 
 
@@ -267,6 +270,7 @@ class OutputErrorModel:
         ):
             arrays.append(np.ascontiguousarray(values, np.float64))
         n_y, n = constants.C.shape
+        arrays.append(int32(constants.every or (1,) * n_y))
         self.outputs = n_y
         self.linear = generators.order + n + (n_y if constants.offset else 0)
         self.arrays = arrays

@@ -13,9 +13,8 @@ stated by what errors that are no noise add, and by half as much again.
 
 Errors that are no noise (:mod:`cosim.theory.accuracy`) are allowed for, each in every direction and
 at every lag by its own amount. Noise that is colored but has no structure is whitened by an
-autoregressive model, which is estimated from what is left besides the directions: a wrong model
-must not pass for colored noise. Noise that is correlated over a good part of the record cannot be
-told from a wrong model, and is none here.
+autoregressive model (:mod:`cosim.theory.noise_color`). How well that is known counts in the tests:
+instead of a chi-square each has the distribution of a ratio of two (R. Fisher and G. Snedecor).
 """
 
 from __future__ import annotations
@@ -46,17 +45,15 @@ from cosim.theory.linearized_fit import (
     whitened_rows,
 )
 from cosim.theory.model_errors import Directions, model_errors
-from cosim.theory.quantiles import chi_square_above
+from cosim.theory.quantiles import chi_square_above, ratio_above
 
 FALSE_ALARM: Final = 3e-4  # probability, for white noise, of each of the three tests
+WHITENESS: Final = "whiteness"
 LAGS: Final = 24
 # Errors of step and quantization are computed, not bounded: they are allowed half as much again.
 MARGIN: Final = 1.5
 # of a residual over errors that are no noise: up to here it is nothing else
 NOTHING_ELSE: Final = 1.1
-LONGEST_AR: Final = 12
-# samples over which noise may be correlated, as a part of the record
-LONGEST_CORRELATION: Final = 0.01
 # samples of which directions are computed; of longer records every few, which costs power alone
 MOST_SAMPLES: Final = 50_000
 # of a direction: what of it may be left beside the fit, so that rounding does not count
@@ -114,6 +111,8 @@ class Consistency:
         What they may have moved the amplitudes of each data set by.
     presence_bias : Vector, shape (components,)
         What they may have moved the root of ``OutputErrorFit.presence`` by.
+    remark : str
+        What else than a wrong model may be the cause where a test fails.
     """
 
     tests_by_data: tuple[tuple[ResidualTest, ...], ...]
@@ -123,6 +122,7 @@ class Consistency:
     bias: Vector
     amplitude_bias: Matrix
     presence_bias: Vector
+    remark: str = ""
 
     @property
     def tests(self) -> tuple[ResidualTest, ...]:
@@ -138,6 +138,11 @@ class Consistency:
     def passed(self) -> bool:
         """Whether the residual is what noise leaves."""
         return not self.step_too_long and all(test.passed for test in self.tests)
+
+    @property
+    def failed(self) -> tuple[str, ...]:
+        """The names of the tests that did not pass."""
+        return tuple(test.name for test in self.tests if not test.passed)
 
 
 def examine(
@@ -189,79 +194,6 @@ def examine(
     )
 
 
-def noise_color(
-    fit: OutputErrorFit,
-    data: Sequence[DataSet],
-    plant: DisturbedPlant,
-    families: Sequence[Family],
-    noise: NoiseModel,
-) -> Matrix:
-    """Return an autoregressive model of each output's noise, estimated beside all directions.
-
-    Returns
-    -------
-    Matrix
-        Shape ``(n_y, order)``; zero where there is none, or where the noise would be correlated
-        over a good part of the record.
-    """
-    residuals = []
-    counted = []
-    matrices = generators(families)
-    for problem in _tested_fits(fit, data, plant, matrices, noise, whole=True):
-        residuals.append(noise.colored(problem.unexplained, problem.fit.counted))
-        counted.append(problem.fit.counted)
-    models = []
-    for o in range(len(plant.C)):
-        of_output = []
-        for rest, values in zip(residuals, counted, strict=True):
-            of_output.append(rest[values[:, o]][:, [o]])
-        shortest = min(map(len, of_output))
-        a = autoregression(of_output, min(LONGEST_AR, shortest // 20))
-        models.append(a if _is_short(a, shortest) else np.zeros(0))
-    order = max(len(a) for a in models)
-    return np.array([np.pad(a, (0, order - len(a))) for a in models])
-
-
-def _is_short(a: Vector, samples: int) -> bool:
-    """Return whether noise is correlated over a small part of a record only."""
-    if not len(a):
-        return True
-    poles = np.roots(np.concatenate([[1.0], -a]))
-    slowest = float(np.abs(poles).max())
-    return slowest < 1.0 and -1.0 / np.log(slowest) <= LONGEST_CORRELATION * samples
-
-
-def autoregression(residuals: Sequence[Matrix], longest: int) -> Vector:
-    """Fit autoregressive models to residuals, each (N, n_y); return the best one's coefficients.
-
-    By the recursion of N. Levinson (1947); the best is that of G. Schwarz's criterion (1978), none
-    of which may be.
-    """
-    count = sum(rest.size for rest in residuals)
-    covariances = []
-    for lag in range(longest + 1):
-        total = sum(float(np.sum(rest[lag:] * rest[: len(rest) - lag])) for rest in residuals)
-        covariances.append(total / count)
-    best = np.zeros(0)
-    a = np.zeros(0)
-    variance = covariances[0]
-    if not variance > 0.0:
-        return best
-    criterion = count * np.log(variance)
-    for order in range(1, longest + 1):
-        known = np.array(covariances[order - 1 : 0 : -1])
-        reflection = (covariances[order] - float(a @ known)) / variance
-        a = np.concatenate([a - reflection * a[::-1], [reflection]])
-        variance *= 1.0 - reflection**2
-        if not variance > 0.0:
-            break
-        value = count * np.log(variance) + order * np.log(count)
-        if value < criterion:
-            criterion = value
-            best = a
-    return best
-
-
 class _TestedFit:
     """The fit of one data set near its minimum, and the directions of a wrong model beside it.
 
@@ -282,6 +214,7 @@ class _TestedFit:
         self.accuracy = accuracy
         self.fit = linearize_fit(data, response, accuracy, noise)
         self._unknowns = np.hstack([self.fit.slopes[:, estimated], self.fit.linear])
+        self._noise = noise
         weights = np.abs(noise.whitening)
         self.allowed = weights @ accuracy.deviations
         self.rounding = float((weights @ accuracy.rounding).max())
@@ -312,13 +245,6 @@ class _TestedFit:
         kept = remainders > LEAST_REMAINDER
         self._names = tuple(np.array(directions.names, object)[kept])
         self._directions = free[:, kept] / remainders[kept]
-
-    @property
-    def unexplained(self) -> Matrix:
-        """What is left of the residual beside all directions, shape (N, n_y)."""
-        basis = _orthonormal(self._directions)
-        residual = self.fit.residual
-        return self.fit.by_sample(residual - basis @ (basis.T @ residual))
 
     @property
     def squares(self) -> Vector:
@@ -365,7 +291,7 @@ class _TestedFit:
         place = int(excess.argmax()) if len(excess) else 0
         statistic = float(excess[place] ** 2) if len(excess) else 0.0
         largest = self._names[place] if self._names else ""
-        threshold = _threshold(1, among=max(len(excess), 1))
+        threshold = self._threshold(1, among=max(len(excess), 1))
         return ResidualTest("largest trace of a model error", statistic, threshold, 1, largest)
 
     def _all_directions(self, deviation: float) -> ResidualTest:
@@ -373,7 +299,12 @@ class _TestedFit:
         excess = self._excess(basis, deviation)
         degrees = max(len(excess), 1)
         statistic = float(excess @ excess)
-        return ResidualTest("traces of model errors", statistic, _threshold(degrees), degrees, "")
+        return ResidualTest(
+            "traces of model errors", statistic, self._threshold(degrees), degrees, ""
+        )
+
+    def _threshold(self, degrees: int, among: int = 1) -> float:
+        return ratio_above(FALSE_ALARM / among, degrees, self._noise.freedom)
 
     def _whiteness(self, deviation: float) -> ResidualTest:
         residual = self.fit.by_sample(self.fit.residual)
@@ -381,20 +312,26 @@ class _TestedFit:
         squares = []
         places = []
         for o, values in enumerate(self.fit.counted.T):
-            excess = _correlation(residual[values, o], errors[values, o], deviation)
+            excess = _correlation(
+                residual[values, o], errors[values, o], deviation, self._noise.order
+            )
             squares += list(excess**2)
             of_output = f" of y[{o}]" if len(self.fit.counted.T) > 1 else ""
             places += [f"lag {lag}{of_output}" for lag in range(1, len(excess) + 1)]
-        degrees = len(squares)
+        # each coefficient of a model of the noise takes a degree of freedom
+        degrees = len(squares) - self._noise.a.size
         largest = places[int(np.argmax(squares))]
         statistic = float(np.sum(squares))
-        return ResidualTest("whiteness", statistic, _threshold(degrees), degrees, largest)
+        return ResidualTest(WHITENESS, statistic, _threshold(degrees), degrees, largest)
 
 
-def _correlation(residual: Vector, errors: Matrix, deviation: float) -> Vector:
-    """Return the correlations of the first lags beyond what errors allow, of deviation 1 each."""
+def _correlation(residual: Vector, errors: Matrix, deviation: float, order: int) -> Vector:
+    """Return the correlations of the first lags beyond what errors allow, of deviation 1 each.
+
+    There are more of them than the ``order`` of a model of the noise.
+    """
     N = len(residual)
-    lags = max(min(LAGS, N // 4), 1)
+    lags = max(min(LAGS + order, N // 4), order + 1)
     excess = np.zeros(lags)
     for k in range(1, lags + 1):
         found = abs(float(residual[k:] @ residual[: N - k]))
@@ -410,13 +347,11 @@ def _tested_fits(
     plant: DisturbedPlant,
     matrices: Generators,
     noise: NoiseModel,
-    *,
-    whole: bool = False,
 ) -> list[_TestedFit]:
-    """Return the problem of each data set; ``whole``: with the directions of all samples."""
+    """Return the problem of each data set."""
     problems = []
     for index, one in enumerate(data):
-        longest = len(one.t) if whole or noise.order else MOST_SAMPLES
+        longest = len(one.t) if noise.order else MOST_SAMPLES
         every = max(1, len(one.t) // longest)
         response = fitted_response(fit, index, one, plant, matrices)
         accuracy = accuracy_of(plant, one, response.disturbance)
@@ -445,8 +380,8 @@ def _is_exact(fit: OutputErrorFit, problems: Sequence[_TestedFit]) -> bool:
     return bool((deviations <= NOTHING_ELSE * allowed).all())
 
 
-def _threshold(degrees: int, among: int = 1) -> float:
-    return chi_square_above(FALSE_ALARM / among, degrees)
+def _threshold(degrees: int) -> float:
+    return chi_square_above(FALSE_ALARM, degrees)
 
 
 def _presence_bias(

@@ -212,10 +212,13 @@ class NoiseModel:
     a : Matrix, shape (n_y, order)
         Autoregressive model of each output, `e(k) = v(k) - a_1 v(k-1) - ...` is white; no columns:
         v is white.
+    freedom : float
+        Degrees of freedom of the variance of v at low frequencies, as far as ``a`` is known.
     """
 
     covariance: Matrix
     a: Matrix
+    freedom: float = np.inf
 
     @property
     def order(self) -> int:
@@ -254,22 +257,32 @@ class NoiseModel:
             result[part] = np.einsum("ab,nbk->nak", W, filtered[part])
         return result
 
-    def colored(self, white: Matrix, measured: NDArray[np.bool_]) -> Matrix:
-        """Return e for what :meth:`whitened` makes of it, shape (N, n_y)."""
-        result = np.zeros_like(white)
-        for there, samples in _by_outputs(counted_values(measured, self.order)):
-            part = np.ix_(samples, there)
-            result[part] = white[part] @ self._factor(there).T
-        return result
-
     def _factor(self, outputs: NDArray[np.bool_]) -> Matrix:
         part = self.covariance[np.ix_(outputs, outputs)]
         return np.asarray(np.linalg.cholesky(part), np.float64)
 
 
+def usual_distances(measured: NDArray[np.bool_]) -> NDArray[np.integer]:
+    """Return how many samples usually are from one value of an output to its next, shape (n_y,)."""
+    distances = np.ones(measured.shape[1], np.int32)
+    for o, own in enumerate(measured.T):
+        found = np.diff(np.flatnonzero(own))
+        if len(found):
+            distances[o] = np.bincount(found).argmax()
+    return distances
+
+
 def counted_values(measured: NDArray[np.bool_], order: int) -> NDArray[np.bool_]:
-    """Return which values count, shape (N, n_y): those behind ``order`` others of their output."""
-    return measured & (np.cumsum(measured, axis=0) > order)
+    """Return which values count, shape (N, n_y).
+
+    Those that have ``order`` others of their output before them, each at its usual distance.
+    """
+    counted = measured.copy()
+    for o, every in enumerate(usual_distances(measured)):
+        for k in range(every, order * every + 1, every):
+            counted[k:, o] &= measured[:-k, o]
+        counted[: order * every, o] = False
+    return counted
 
 
 def white_noise(outputs: int) -> NoiseModel:
@@ -280,7 +293,7 @@ def white_noise(outputs: int) -> NoiseModel:
 def autoregressive_filter(
     rows: NDArray[np.float64], a: Matrix, measured: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
-    """Compute ``v(k) - a_1 v(k-1) - ...`` of each output along its measured samples.
+    """Compute ``v(k) - a_1 v(k-1) - ...`` of each output, anew behind what was not measured.
 
     Parameters
     ----------
@@ -291,18 +304,15 @@ def autoregressive_filter(
     Returns
     -------
     array, shape (N, n_y, k)
-        0 where not measured, and for the first samples of each output.
+        0 for values that do not count.
     """
-    order = a.shape[1]
-    result = np.zeros_like(rows)
-    for o, coefficients in enumerate(a):
-        places = np.flatnonzero(measured[:, o])
-        own = rows[places, o]
-        filtered = own[order:].copy()
-        for k, coefficient in enumerate(coefficients, start=1):
-            filtered -= coefficient * own[order - k : len(own) - k]
-        result[places[order:], o] = filtered
-    return result
+    filtered = np.where(measured[:, :, np.newaxis], rows, 0.0)
+    plain = filtered.copy()
+    for o, every in enumerate(usual_distances(measured)):
+        for k, coefficient in enumerate(a[o], start=1):
+            filtered[k * every :, o] -= coefficient * plain[: -k * every, o]
+    filtered[~counted_values(measured, a.shape[1])] = 0.0
+    return filtered
 
 
 def _by_outputs(
@@ -376,6 +386,7 @@ def sample_plant(
         step=step,
         predictor=predictor,
         noise=noise,
+        every=usual_distances(data.measured),
         offset=offset,
         forgetting=forgetting,
         held=data.held,
@@ -390,6 +401,7 @@ def discretize(
     step: Vector,
     noise: NoiseModel,
     predictor: Predictor | None = None,
+    every: NDArray[np.integer] | None = None,
     offset: bool = False,
     forgetting: float = 1.0,
     held: NDArray[np.bool_] | None = None,
@@ -402,6 +414,8 @@ def discretize(
         Lengths of the intervals [s].
     predictor : Predictor, optional
         Of the outputs; by default they are simulated.
+    every : shape (n_y,), optional
+        Samples from one value of an output to the next that the model of its noise is for.
     """
     n, n_u = plant.B.shape
     n_y, components = plant.Dd.shape
@@ -431,6 +445,7 @@ def discretize(
         D=plant.Dd.T,
         W=noise.whitening,
         a=noise.a,
+        every=None if every is None else tuple(every.tolist()),
         offset=offset,
         forgetting=forgetting,
     )

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Final
 
+import numpy as np
+
 from cosim.arrays import Vector
 
 CONFIDENCE: Final = 0.95  # of the intervals and bands that are shown
@@ -15,6 +17,25 @@ def chi_square_above(probability: float, degrees: float) -> float:
     from scipy.special import gammainccinv
 
     return 2.0 * float(gammainccinv(0.5 * degrees, probability))
+
+
+def ratio_above(probability: float, degrees: float, freedom: float) -> float:
+    """Return what a chi-square over the estimate of its scale exceeds with a probability.
+
+    Parameters
+    ----------
+    probability : float
+    degrees : float
+        Degrees of freedom of the chi-square.
+    freedom : float
+        Those of the estimate, whose expectation is 1; infinite: it is known.
+    """
+    from scipy.special import betaincinv
+
+    if np.isinf(freedom):
+        return chi_square_above(probability, degrees)
+    part = float(betaincinv(0.5 * freedom, 0.5 * degrees, probability))
+    return freedom * (1.0 - part) / part
 
 
 def chi_square_limits(confidence: float, degrees: Vector) -> tuple[Vector, Vector]:

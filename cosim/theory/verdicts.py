@@ -6,7 +6,8 @@ WEAK                    the parameter has an effect, but so little that the inte
 NOT_IDENTIFIABLE        nothing in the data depends on it, or another parameter has the same effect:
                         there is no number
 INCONSISTENT            the residual is not what noise leaves: the model is wrong, a bound, or the
-                        step long; no interval holds
+                        step long, or the noise so colored that it cannot be told from that; no
+                        interval holds
 NO_ESTIMATE             the method found no value: that says nothing of the data
 ======================  ==========================================================================
 
@@ -32,10 +33,10 @@ from cosim.native.output_error import ParameterState
 from cosim.theory.accuracy import LARGEST_STEP_ERROR, enough_shorter
 from cosim.theory.consistency import (
     MARGIN,
+    WHITENESS,
     Consistency,
     ResidualTest,
     examine,
-    noise_color,
 )
 from cosim.theory.disturbance import Family, generators
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel
@@ -47,6 +48,7 @@ from cosim.theory.estimators.output_error import (
 )
 from cosim.theory.estimators.start_grid import search_start
 from cosim.theory.missing_terms import Terms, hidden_terms, silent_terms
+from cosim.theory.noise_color import UNKNOWN_COLOR, Criterion, noise_color
 from cosim.theory.noise_covariance import fit_with_noise, size_covariance
 from cosim.theory.quantiles import CONFIDENCE, normal_two_sided, student_two_sided
 from cosim.theory.standing_outputs import StandingOutput, standing_outputs
@@ -59,6 +61,7 @@ LINEAR_PRESENCE: Final = 1e4
 LEAST_PROFILE: Final = 0.7
 LEAST_RATIO: Final = 1e-12  # of squares that do not grow, so that it has a logarithm
 LARGEST_PROFILE: Final = 1.4
+COLOR_FITS: Final = 2  # the color of the noise is known from the first, and hardly moves with theta
 
 
 class Verdict(StrEnum):
@@ -204,6 +207,9 @@ def assess(
     return _Assessing(data, plant, families, stated, offset, bounds).assessment(start)
 
 
+_Found = tuple[OutputErrorFit, NoiseModel, Consistency]
+
+
 class _Assessing:
     """Fits and examines a model of the noise after another."""
 
@@ -237,12 +243,7 @@ class _Assessing:
         found = self._fitted(start, noise, is_known=self._stated is not None)
         fit, noise, consistency = found
         if not consistency.passed and not consistency.step_too_long:
-            a = noise_color(fit, self._data, self._plant, self._families, noise)
-            if a.shape[1]:
-                # what is stated is of the noise itself, not of the white one that makes it
-                colored = self._fitted(fit.theta, replace(noise, a=a), is_known=False)
-                if colored[2].passed:
-                    fit, noise, consistency = colored
+            fit, noise, consistency = self._colored(found)
         missing = self._missing(fit, noise, consistency)
         standing = standing_outputs(self._data)
         judge = _Judge(fit, consistency, noise, self._families, self._bounds, missing, standing)
@@ -272,6 +273,34 @@ class _Assessing:
                 "leave one out"
             )
         return reasons
+
+    def _colored(self, white: _Found) -> _Found:
+        """Return the fit for colored noise where that explains the residual, else the white one."""
+        remark = ""
+        for criterion in Criterion:
+            found, slow = self._with_color(white, criterion)
+            failed = found[2].failed
+            if found[2].passed:
+                return found
+            if set(failed) == {WHITENESS}:
+                remark = UNKNOWN_COLOR
+            remark = remark or slow
+            if slow or WHITENESS not in failed:
+                break
+        fit, noise, consistency = white
+        return fit, noise, replace(consistency, remark=remark)
+
+    def _with_color(self, found: _Found, criterion: Criterion) -> tuple[_Found, str]:
+        """Fit and estimate the color of the noise by turns; with a remark where it is not known."""
+        for _ in range(COLOR_FITS):
+            fit, noise, _ = found
+            color = noise_color(fit, self._data, self._plant, self._families, criterion)
+            if color.remark or not color.order:
+                return found, color.remark
+            # what is stated is of the noise itself, not of the white one that makes it
+            colored = replace(noise, a=color.a, freedom=color.freedom)
+            found = self._fitted(fit.theta, colored, is_known=False)
+        return found, ""
 
     def _first_noise(self) -> NoiseModel:
         outputs = len(self._plant.C)
@@ -462,7 +491,8 @@ class _Judge:
 
     def _half_widths(self) -> Vector:
         fit = self._fit
-        quantile = student_two_sided(CONFIDENCE, max(fit.freedom, 1.0))
+        freedom = 1.0 / (1.0 / max(fit.freedom, 1.0) + 1.0 / self._noise.freedom)
+        quantile = student_two_sided(CONFIDENCE, freedom)
         half_width = quantile * fit.standard_error + MARGIN * self._consistency.bias
         half_width[~fit.estimated] = np.nan
         return half_width
@@ -596,7 +626,8 @@ class _Judge:
                     "noise leaves"
                 )
         found = "; ".join(_failures(consistency.tests, len(self._fit.records)))
-        return f"the residual is not what noise leaves: {found}"
+        remark = f"; {consistency.remark}" if consistency.remark else ""
+        return f"the residual is not what noise leaves: {found}{remark}"
 
 
 def _failures(tests: Sequence[ResidualTest], data_sets: int) -> Iterator[str]:
