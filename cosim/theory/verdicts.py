@@ -547,7 +547,7 @@ class _Judge:
                 f"{ratio:.2g} times as much as it should); {self._weak_direction()}"
             )
         return Verdict.IDENTIFIABLE, (
-            "no test contradicts the model; the 95 % interval holds if it is right"
+            "no test contradicts the model; if it is right, the 95 % interval holds"
         )
 
     def _not_converged(self) -> str:

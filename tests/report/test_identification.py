@@ -59,7 +59,7 @@ def test_the_table_shows_what_was_recorded(logs, call):
         assert high == pytest.approx(parameter["upper"], rel=1e-5)
         assert (
             text
-            == "IDENTIFIABLE: no test contradicts the model; the 95 % interval holds if it is right"
+            == "IDENTIFIABLE: no test contradicts the model; if it is right, the 95 % interval holds"
         )
     assert float(shown["correlation"][0]) == pytest.approx(recorded["correlation"][0][1], abs=1e-3)
     assert float(shown["noise"][0]) == pytest.approx(1e-3, rel=0.1)
