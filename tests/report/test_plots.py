@@ -204,3 +204,19 @@ def test_a_legend_of_many_curves_fits_its_panel(tmp_path, recwarn):
     assert "the first 24 of 60" in shown
     assert ("c23.y" in shown, "c24.y" in shown) == (True, False)
     assert not recwarn.list
+
+
+def test_a_method_far_beyond_most_does_not_hide_the_others():
+    """It leaves the panel; curves of one size, one alone and one without a value all stay."""
+    from cosim.report.plots.comparison import near_most
+    from cosim.report.plots.curves import Curve
+    from cosim.units import Unit
+
+    t = np.linspace(0.0, 1.0, 50)
+    curves = []
+    for size in (1.0, 2.0, 0.5, 1e3, np.nan):
+        curves.append(Curve("theta", Unit(None), t, size * np.sin(9.0 * t)))
+    shown = near_most(curves[:4])
+    assert [id(curve) for curve in shown] == [id(curve) for curve in curves[:3]]
+    assert len(near_most(curves[3:4])) == 1
+    assert len(near_most(curves[4:])) == 1

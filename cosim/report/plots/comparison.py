@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from cosim.report.estimator_comparison import EstimatorComparison
 
 _STANDARD = PictureOptions()
+FAR_BEYOND: Final = 10.0  # times how far most curves of a panel reach: it is not for these
 _ELEMENT_COLOR = "0.3"
 
 
@@ -98,12 +99,27 @@ def _draw_differences(
             curves = _difference_curves(first, recording, estimate, options)
             _draw_elements(panel, curves, styles[run])
             drawn += curves
-    limit_to_settled(panel, drawn)
+    limit_to_settled(panel, near_most(drawn))
     names = list(dict.fromkeys(curve.name for curve in drawn))
     if len(names) > 1:
         for name, dashes in zip(names, _dashes(len(names)), strict=True):
             panel.plot([], [], color=_ELEMENT_COLOR, linestyle=dashes, label=name)
         show_legend(panel)
+
+
+def near_most(curves: Sequence[Curve]) -> list[Curve]:
+    """Return the curves without those whose second half is far beyond that of most others.
+
+    A method that fails would hide all the others; it leaves the panel, and the left one shows it.
+    """
+    reaches = []
+    for curve in curves:
+        half = curve.values[len(curve.values) // 2 :]
+        finite = half[np.isfinite(half)]
+        reaches.append(float(np.abs(finite).max(initial=0.0)))
+    shown = [reach for reach in reaches if reach > 0.0]
+    farthest = FAR_BEYOND * float(np.median(shown)) if shown else 0.0
+    return [curve for curve, reach in zip(curves, reaches, strict=True) if reach <= farthest]
 
 
 def _difference_curves(
