@@ -122,7 +122,7 @@ class _IdentifierData:
             data,
             identified.plant,
             identified.families,
-            theta if np.isfinite(theta).all() else None,
+            theta,
             stated=identified.stated,
             offset=identified.offset,
             bounds=identified.bounds,

@@ -59,12 +59,12 @@ class IdentifierRecord:
 
     @property
     def estimate(self) -> Vector | None:
-        """The last theta of output error in the run; None where there is none."""
+        """The last theta of output error in the run, NaN without value; None by other methods."""
         if component_record(self.log, self.identifier).method != OUTPUT_ERROR:
             return None
         rows = as_columns(self.log[f"{self.identifier}.theta"])
-        theta = rows[-1]
-        return theta if np.isfinite(theta).all() else None
+        theta: Vector = rows[-1]
+        return theta
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

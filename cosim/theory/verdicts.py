@@ -52,6 +52,7 @@ from cosim.theory.noise_color import UNKNOWN_COLOR, Criterion, noise_color
 from cosim.theory.noise_covariance import fit_with_noise, size_covariance
 from cosim.theory.quantiles import CONFIDENCE, normal_two_sided, student_two_sided
 from cosim.theory.standing_outputs import StandingOutput, standing_outputs
+from cosim.theory.term_order import ordered_like
 
 # Of a component that is 100 of its deviations from absent: its effect is linear over an interval to
 # 2 % of it.
@@ -245,9 +246,52 @@ class _Assessing:
         if not consistency.passed and not consistency.step_too_long:
             fit, noise, consistency = self._colored(found)
         missing = self._missing(fit, noise, consistency)
+        left_out = self._absent(fit, consistency)
+        if left_out:
+            smaller = self._without(left_out, fit, noise)
+            if smaller[2].passed:
+                fit, noise, consistency = smaller
+            else:
+                left_out = ()
         standing = standing_outputs(self._data)
-        judge = _Judge(fit, consistency, noise, self._families, self._bounds, missing, standing)
+        judge = _Judge(
+            fit,
+            consistency,
+            noise,
+            self._families,
+            self._bounds,
+            missing=missing,
+            standing=standing,
+            left_out=left_out,
+        )
         return judge.assessment()
+
+    def _absent(self, fit: OutputErrorFit, consistency: Consistency) -> tuple[int, ...]:
+        """Return the terms with an effect that are no larger than noise, if others are there."""
+        present = is_present(fit, consistency, self._families)
+        if not consistency.passed or not present.any():
+            return ()
+        present[list(silent_terms(fit, self._data, self._families))] = True
+        return tuple(np.flatnonzero(~present).tolist())
+
+    def _without(self, left_out: Sequence[int], fit: OutputErrorFit, noise: NoiseModel) -> _Found:
+        """Fit again with alpha 0 for some terms, whose amplitudes would take from others."""
+        data = []
+        for one in self._data:
+            alpha = one.alpha.copy()
+            alpha[:, left_out] = 0.0
+            data.append(replace(one, alpha=alpha))
+        is_known = self._stated is not None and not noise.order
+        return self._fitted(fit.theta, noise, is_known=is_known, data=data)
+
+    def searched_like(self, theta: Vector) -> Assessment:
+        """Assess from a search, with interchangeable terms in the order of another theta."""
+        searched = self.assessment(None)
+        found = searched.fit.theta
+        ordered = ordered_like(found, theta, self._data, self._plant, self._families, self._bounds)
+        if not searched.fit.converged or np.array_equal(ordered, found):
+            return searched
+        return self.assessment(ordered)
 
     def _missing(
         self, fit: OutputErrorFit, noise: NoiseModel, consistency: Consistency
@@ -310,9 +354,14 @@ class _Assessing:
         return NoiseModel(covariance=covariance, a=np.zeros((outputs, 0)))
 
     def _fitted(
-        self, theta: Vector, noise: NoiseModel, *, is_known: bool
-    ) -> tuple[OutputErrorFit, NoiseModel, Consistency]:
-        given = (self._data, self._plant, self._families)
+        self,
+        theta: Vector,
+        noise: NoiseModel,
+        *,
+        is_known: bool,
+        data: Sequence[DataSet] | None = None,
+    ) -> _Found:
+        given = (data or self._data, self._plant, self._families)
         fit, noise = fit_with_noise(
             *given,
             theta,
@@ -341,7 +390,7 @@ def assess_from(
     data, plant, families, stated, offset, bounds
         As for :func:`assess`.
     theta : Vector, shape (P,), or None
-        None: from a search alone.
+        None: from a search alone; NaN: no value. Interchangeable terms are in its order.
 
     Returns
     -------
@@ -356,17 +405,19 @@ def assess_from(
     assessing = _Assessing(data, plant, families, stated, offset, bounds)
     if theta is None:
         return assessing.assessment(None)
+    if not np.isfinite(theta).all():
+        return assessing.searched_like(theta)
     try:
         near = assessing.assessment(theta)
     except StartError:
-        return assessing.assessment(None)
+        return assessing.searched_like(theta)
     if (
         near.fit.converged
         and near.consistency.passed
         and ParameterState.ABSENT not in near.fit.states
     ):
         return near
-    searched = assessing.assessment(None)
+    searched = assessing.searched_like(theta)
     if not searched.fit.converged:
         return near
     if near.fit.converged and near.residual_size <= searched.residual_size:
@@ -464,8 +515,10 @@ class _Judge:
         noise: NoiseModel,
         families: Sequence[Family],
         bounds: Mapping[int, tuple[float, float]],
+        *,
         missing: Mapping[int, str],
         standing: Sequence[StandingOutput],
+        left_out: Sequence[int],
     ) -> None:
         self._fit = fit
         self._consistency = consistency
@@ -476,6 +529,7 @@ class _Judge:
         self._bounds = bounds
         self._missing = missing
         self._standing = standing
+        self._left_out = left_out
 
     def assessment(self) -> Assessment:
         """Return the fit with its intervals and verdicts."""
@@ -546,8 +600,10 @@ class _Judge:
                 f"its effect is not linear over its interval (the sum of squares grows "
                 f"{ratio:.2g} times as much as it should); {self._weak_direction()}"
             )
+        names = " and ".join(f"terms[{i}]" for i in self._left_out)
+        model = f"the model without {names}" if names else "the model"
         return Verdict.IDENTIFIABLE, (
-            "no test contradicts the model; if it is right, the 95 % interval holds"
+            f"no test contradicts {model}; if it is right, the 95 % interval holds"
         )
 
     def _not_converged(self) -> str:
