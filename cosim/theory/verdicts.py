@@ -62,6 +62,10 @@ LINEAR_PRESENCE: Final = 1e4
 LEAST_PROFILE: Final = 0.7
 LEAST_RATIO: Final = 1e-12  # of squares that do not grow, so that it has a logarithm
 LARGEST_PROFILE: Final = 1.4
+HIDDEN_BY_ERRORS: Final = (
+    "its component is not larger than what straight lines between samples, or the quantization of "
+    "y, may have made it: shorter steps, or finer outputs, would show it"
+)
 COLOR_FITS: Final = 2  # the color of the noise is known from the first, and hardly moves with theta
 
 
@@ -300,7 +304,11 @@ class _Assessing:
         reasons = silent_terms(fit, self._data, self._families)
         absent = ~is_present(fit, consistency, self._families)
         absent[list(reasons)] = False
-        if len(absent) < 2 or not absent.any() or not consistency.passed:
+        if not absent.any() or not consistency.passed:
+            return reasons
+        hidden_by_errors = absent & are_hidden_by_errors(fit, consistency, self._families)
+        reasons.update(dict.fromkeys(np.flatnonzero(hidden_by_errors).tolist(), HIDDEN_BY_ERRORS))
+        if len(absent) < 2:
             return reasons
         terms = Terms(
             data=self._data,
@@ -429,11 +437,23 @@ def is_present(
     fit: OutputErrorFit, consistency: Consistency, families: Sequence[Family]
 ) -> NDArray[np.bool_]:
     """Return which components are larger than noise and the errors of the step make them."""
-    sizes = [family.v for family in families]
-    threshold = presence_threshold(sizes, len(fit.records))
     size = np.sqrt(fit.presence) - MARGIN * consistency.presence_bias
-    present: NDArray[np.bool_] = size > np.sqrt(threshold)
+    present: NDArray[np.bool_] = size > _least_size(fit, families)
     return present
+
+
+def are_hidden_by_errors(
+    fit: OutputErrorFit, consistency: Consistency, families: Sequence[Family]
+) -> NDArray[np.bool_]:
+    """Return for which components step and quantization leave more than noise does."""
+    hidden: NDArray[np.bool_] = MARGIN * consistency.presence_bias > _least_size(fit, families)
+    return hidden
+
+
+def _least_size(fit: OutputErrorFit, families: Sequence[Family]) -> Vector:
+    """Return the root of the presence that noise alone rarely exceeds, shape (components,)."""
+    sizes = [family.v for family in families]
+    return np.sqrt(presence_threshold(sizes, len(fit.records)))
 
 
 def judge(

@@ -74,3 +74,28 @@ def test_one_order_of_terms_that_are_interchangeable():
         place = int(np.flatnonzero(np.isfinite(given))[0])
         assert found[place].value == pytest.approx(-0.1, abs=0.01)
         assert found[1 - place].value == pytest.approx(-0.6, abs=0.1)
+
+
+def coarse(h):
+    """Return samples of smooth signals every h seconds, simulated every millisecond."""
+    fine = 1e-3 * np.arange(10_000)
+    every = round(h / 1e-3)
+    alpha = 1.2 + 0.5 * np.sin(2.0 * fine)
+    delta = alpha * (np.exp(-3.8 * fine) - 0.78 * np.exp(-2.0 * fine))
+    u = np.sin(2.5 * fine)
+    y = lsim((A, B, C, D), u + delta, fine, X0=np.array([1.0, -0.5]), interp=True)[1][::every]
+    y = y + 1e-6 * np.random.default_rng(0).standard_normal(len(y))
+    both = np.stack([alpha, alpha], axis=1)[::every]
+    return DataSet(fine[::every], y[:, np.newaxis], u[::every, np.newaxis], both)
+
+
+def test_a_term_that_errors_of_the_step_hide_is_said_to_be_so():
+    """Noise is none of the reasons: a third of the step shows both terms, as the reason says."""
+    start = np.array([-2.0, -3.8])
+    found = assess([coarse(0.06)], plant(2), (Exponential(),) * 2, start).parameters
+    assert {one.verdict for one in found} == {Verdict.NOT_IDENTIFIABLE}
+    for one in found:
+        assert "straight lines between samples" in one.reason
+        assert "less noise" not in one.reason
+    shorter = assess([coarse(0.02)], plant(2), (Exponential(),) * 2, start).parameters
+    assert {one.verdict for one in shorter} == {Verdict.IDENTIFIABLE}
