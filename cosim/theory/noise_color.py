@@ -34,6 +34,9 @@ LONGEST_AR: Final = 24
 SAMPLES_A_COEFFICIENT: Final = 3 * SLOW_DIRECTIONS
 # samples over which noise may be correlated, as a part of the record
 LONGEST_CORRELATION: Final = 0.01
+MOST_SAMPLES: Final = 6_000  # from the middle of a longer record: they tell the color
+# times that at which a first model is given up: what is left of a wrong model, not noise
+FAR_TOO_LONG: Final = 3.0
 FIRST_STEPS: Final = 4  # of expectation and maximization, before the order is chosen
 MOST_STEPS: Final = 20
 SMALL_SLOPE: Final = 1e-2  # of the deviance, where a coefficient moves by one standard error
@@ -135,8 +138,11 @@ def _record(response: FittedResponse, columns: NDArray[np.float64], output: int)
     every = usual_distances(np.isfinite(response.residual))[output]
     first = int(np.argmax(np.isfinite(residual)))
     residual = residual[first::every]
+    excess = max(len(residual) - MOST_SAMPLES, 0)
+    middle = slice(excess // 2, excess // 2 + MOST_SAMPLES)
+    residual = residual[middle]
     measured = np.isfinite(residual)
-    own = columns[first::every, output]
+    own = columns[first::every, output][middle]
     return ColoredRecord(np.where(measured, residual, 0.0), own, measured)
 
 
@@ -223,7 +229,11 @@ def autoregression(records: Sequence[ColoredRecord], criterion: Criterion) -> Au
     order = _best_order(products, criterion)
     if not order:
         return AutoregressiveModel(np.zeros(0), np.inf)
-    a = _most_likely(records, products.coefficients(order))
+    start = products.coefficients(order)
+    shortest = min(len(record.residual) for record in records)
+    if correlation_length(start) > FAR_TOO_LONG * LONGEST_CORRELATION * shortest:
+        return AutoregressiveModel(start, np.inf)
+    a = _most_likely(records, start)
     return AutoregressiveModel(a, _freedom(records, a))
 
 
