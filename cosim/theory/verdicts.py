@@ -50,7 +50,7 @@ from cosim.theory.estimators.start_grid import search_start
 from cosim.theory.missing_terms import Terms, hidden_terms, silent_terms
 from cosim.theory.noise_color import UNKNOWN_COLOR, Criterion, noise_color
 from cosim.theory.noise_covariance import fit_with_noise, size_covariance
-from cosim.theory.quantiles import CONFIDENCE, normal_two_sided, student_two_sided
+from cosim.theory.quantiles import CONFIDENCE, chi_square_above, normal_two_sided, student_two_sided
 from cosim.theory.standing_outputs import StandingOutput, standing_outputs
 from cosim.theory.term_order import ordered_like
 
@@ -60,6 +60,9 @@ LINEAR_PRESENCE: Final = 1e4
 # Growth of the sum of squares at the ends of an interval over that of a linear problem; the root of
 # it is how far such an end is from where it should be: up to 20 %.
 LEAST_PROFILE: Final = 0.7
+# probability of a larger difference of two optima by noise alone
+FALSE_CHOICE: Final = 0.01
+SAME_OPTIMUM: Final = 1e-3  # difference of two sums of squares, in variances, that rounding makes
 LEAST_RATIO: Final = 1e-12  # of squares that do not grow, so that it has a logarithm
 LARGEST_PROFILE: Final = 1.4
 HIDDEN_BY_ERRORS: Final = (
@@ -133,6 +136,8 @@ class Assessment:
     half_width : Vector, shape (P,)
         Of the 95 % intervals; NaN where there is none.
     parameters : tuple of ParameterVerdict
+    other_optimum : Vector, shape (P,), or None
+        Another theta that explains the data as well, as far as noise lets it be seen.
     """
 
     fit: OutputErrorFit
@@ -140,6 +145,19 @@ class Assessment:
     noise: NoiseModel
     half_width: Vector
     parameters: tuple[ParameterVerdict, ...]
+    other_optimum: Vector | None = None
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether the fit converged, every component there, and left what noise leaves."""
+        if ParameterState.ABSENT in self.fit.states:
+            return False
+        return self.fit.converged and self.consistency.passed
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether every component is so far above the noise that a wrong optimum would show."""
+        return bool((self.fit.presence > LINEAR_PRESENCE).all())
 
     @property
     def correlation(self) -> Matrix:
@@ -391,7 +409,9 @@ def assess_from(
     offset: bool = False,
     bounds: Mapping[int, tuple[float, float]] = NO_BOUNDS,
 ) -> Assessment:
-    """Assess from a theta that may be none of these data; where it does not fit, from a search too.
+    """Assess from a theta that may be none of these data, where need be from a search too.
+
+    That is where it does not fit, or where noise could hide that it is not the best optimum.
 
     Parameters
     ----------
@@ -419,18 +439,46 @@ def assess_from(
         near = assessing.assessment(theta)
     except StartError:
         return assessing.searched_like(theta)
-    if (
-        near.fit.converged
-        and near.consistency.passed
-        and ParameterState.ABSENT not in near.fit.states
-    ):
+    if near.is_settled and near.is_clear:
         return near
     searched = assessing.searched_like(theta)
     if not searched.fit.converged:
         return near
     if near.fit.converged and near.residual_size <= searched.residual_size:
-        return near
-    return searched
+        return _beside(near, searched)
+    return _beside(searched, near)
+
+
+def _beside(best: Assessment, other: Assessment) -> Assessment:
+    """Return the better of two fits; its parameters are WEAK where noise may have chosen it.
+
+    Under noise two optima far apart may both leave what noise leaves. Which of them is the deeper
+    one is then chance, unless the difference of their sums of squares is more than noise makes.
+    """
+    if not (best.is_settled and other.is_settled):
+        return best
+    excess = best.fit.freedom * ((other.residual_size / best.residual_size) ** 2 - 1.0)
+    threshold = chi_square_above(FALSE_CHOICE, len(best.fit.theta))
+    if not SAME_OPTIMUM < excess <= threshold:
+        return best
+    theta = ", ".join(f"{value:.4g}" for value in other.fit.theta)
+    parameters = []
+    is_apart = False
+    for j, parameter in enumerate(best.parameters):
+        distance = abs(float(other.fit.theta[j] - best.fit.theta[j]))
+        reach = float(best.half_width[j] + other.half_width[j])
+        if parameter.verdict.has_interval and distance > reach:
+            is_apart = True
+            parameter = replace(
+                parameter,
+                verdict=Verdict.WEAK,
+                reason=f"theta = {theta} explains the data too: the sum of squares is larger by "
+                f"{excess:.2g} variances, and noise makes up to {threshold:.2g} of difference",
+            )
+        parameters.append(parameter)
+    if not is_apart:
+        return best
+    return replace(best, parameters=tuple(parameters), other_optimum=other.fit.theta)
 
 
 def is_present(

@@ -9,6 +9,8 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.signal import lfilter
 
+import cosim.theory.verdicts
+from cosim.theory.advice import advised
 from cosim.theory.descriptor import reduce
 from cosim.theory.disturbed_plant import DataSet
 from cosim.theory.estimators.output_error import fit_output_error
@@ -198,6 +200,56 @@ def test_noise_makes_a_parameter_weak_before_it_is_lost():
         found |= set(pair)
     assert Verdict.WEAK in found
     assert Verdict.INCONSISTENT not in found
+
+
+OTHER_OPTIMUM = np.array([-0.17, -0.06])  # of the example under noise, a local one
+
+
+@pytest.mark.parametrize("seed", [0, 2, 3])
+def test_a_local_optimum_that_noise_hides_is_left(seed):
+    """Its residual passes every test, but another theta leaves less than noise accounts for."""
+    data = [noisy("good", 0.1, seed, h=2e-2)]
+    local = assess(data, design(), FAMILIES, OTHER_OPTIMUM)
+    assert local.consistency.passed
+    np.testing.assert_allclose(local.fit.theta, OTHER_OPTIMUM, atol=0.03)
+    found = assess_from(data, design(), FAMILIES, OTHER_OPTIMUM)
+    errors = np.abs(found.fit.theta - THETA)
+    assert (errors < 4.0 * found.fit.standard_error).all()
+    assert found.parameters[0].verdict is Verdict.IDENTIFIABLE
+    assert found.other_optimum is None
+
+
+@pytest.mark.parametrize(("sigma", "seed"), [(0.1, 1), (0.15, 1)])
+def test_of_two_optima_that_noise_cannot_tell_apart_none_is_identifiable(sigma, seed):
+    """In the first case the deeper one is near the truth, in the second it is not."""
+    data = [noisy("good", sigma, seed, h=2e-2)]
+    found = assess_from(data, design(), FAMILIES, OTHER_OPTIMUM if sigma == 0.1 else THETA)
+    assert [parameter.verdict for parameter in found.parameters] == [Verdict.WEAK] * 2
+    assert "explains the data too" in found.parameters[0].reason
+    both = np.array([found.fit.theta, found.other_optimum])
+    assert np.abs(both - THETA).max(axis=1).min() < 0.05
+    advice = advised(found, data, design(), FAMILIES, alpha=alpha, offset=False)
+    assert advice is found
+
+
+def test_two_optima_within_one_interval_are_one_estimate():
+    """A bound at the truth stays fixed, and nothing is said of another theta."""
+    data = [noisy("good", 0.15, 1, h=2e-2)]
+    found = assess_from(data, design(), FAMILIES, THETA, bounds={0: (-0.1, -0.1)})
+    assert found.parameters[0].verdict is Verdict.IDENTIFIABLE
+    assert found.other_optimum is None
+
+
+def test_data_far_above_the_noise_are_not_searched(monkeypatch):
+    """A wrong optimum would show in their residual, so nothing is paid for."""
+
+    def forbidden(*arguments, **options):
+        raise AssertionError("a start was searched")
+
+    monkeypatch.setattr(cosim.theory.verdicts, "search_start", forbidden)
+    data = [noisy("good", 1e-3, seed=7, h=COARSE)]
+    found = assess_from(data, design(), FAMILIES, START)
+    assert [parameter.verdict for parameter in found.parameters] == GOOD
 
 
 def test_other_estimates_are_held_against_output_error():
