@@ -18,13 +18,13 @@ if TYPE_CHECKING:
     from cosim.report.estimator_comparison import compare_estimators
     from cosim.scenario.execution import load, replay, run
     from cosim.scenario.field_file import read_field_data
-    from cosim.scenario.identifying import identify
+    from cosim.scenario.identification.from_logs import identify
 
 _HOMES = {
     "compare": "cosim.report.comparing",
     "compare_estimators": "cosim.report.estimator_comparison",
     "diff": "cosim.log.diff",
-    "identify": "cosim.scenario.identifying",
+    "identify": "cosim.scenario.identification.from_logs",
     "linearize": "cosim.fmi.linearizing.linearize",
     "load": "cosim.scenario.execution",
     "open_log": "cosim.log.reader",

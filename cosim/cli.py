@@ -546,8 +546,8 @@ def identify(
     from cosim.report.tables.console import print_line
     from cosim.report.tables.identification import print_identification
     from cosim.scenario.edits import parse_value
-    from cosim.scenario.identified import bounds_of
-    from cosim.scenario.identifying import identifier_record, identify_records
+    from cosim.scenario.identification.from_logs import identifier_record, identify_records
+    from cosim.scenario.identification.model import bounds_of
 
     if irregular is not None and not 0.0 < irregular < float("inf"):
         raise UsageError(f"--irregular: found {irregular:g}, needed a positive number")

@@ -8,11 +8,11 @@ from time import perf_counter
 from typing import Any
 
 from cosim.report.summary import noise_text
-from cosim.scenario.assessing import plain_amplitudes
-from cosim.scenario.identifying import IdentifierRecord, LogIdentification
-from cosim.scenario.irregular import IrregularPart, irregular_part
+from cosim.scenario.identification.from_logs import IdentifierRecord, LogIdentification
+from cosim.scenario.identification.irregular import IrregularPart, irregular_part
+from cosim.scenario.identification.run_verdicts import plain_amplitudes
 from cosim.scenario.recorded_metadata import IdentificationRecord
-from cosim.theory.validation import Validation, ValidationVerdict
+from cosim.theory.assessment.validation import Validation, ValidationVerdict
 
 
 @dataclass(frozen=True, kw_only=True)

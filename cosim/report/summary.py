@@ -15,7 +15,7 @@ from cosim.arrays import Matrix, Vector, as_columns
 from cosim.core.contracts import Recording
 from cosim.errors import LogError
 from cosim.report.recorded_rows import beside_truth, element_names, lag_of, rows_of
-from cosim.scenario.assessing import OUTPUT_ERROR
+from cosim.scenario.identification.run_verdicts import OUTPUT_ERROR
 from cosim.scenario.recorded_metadata import (
     ComponentRecord,
     IdentificationRecord,

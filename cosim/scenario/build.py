@@ -30,7 +30,7 @@ from cosim.scenario.context import (
     clock_of,
 )
 from cosim.scenario.document import Document
-from cosim.scenario.identified import IdentifiedPlant
+from cosim.scenario.identification.model import IdentifiedPlant
 from cosim.scenario.kinds import BuildContext, Kind
 from cosim.scenario.parsing import Scenario, read
 from cosim.scenario.problems import Key, Problem

@@ -16,7 +16,7 @@ from cosim.core.port import Port
 from cosim.core.recorded import find_channel
 from cosim.core.signals import Interface
 from cosim.errors import CosimError, LogError, UsageError, nearest, option, quoted
-from cosim.scenario.identified import IdentifiedPlant
+from cosim.scenario.identification.model import IdentifiedPlant
 from cosim.scenario.kinds import Kind
 from cosim.scenario.kinds.base import Spectrum
 from cosim.scenario.parsing import Scenario

@@ -16,8 +16,8 @@ from cosim.core.recorders import end_of_run
 from cosim.errors import Interrupted, RunError
 from cosim.interrupts import uninterrupted
 from cosim.log import Attachment
-from cosim.scenario.assessing import IDENTIFICATION, Assessor
 from cosim.scenario.build import Experiment, fingerprint
+from cosim.scenario.identification.run_verdicts import IDENTIFICATION, Assessor
 from cosim.units import Conversion
 
 if TYPE_CHECKING:

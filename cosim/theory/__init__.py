@@ -10,6 +10,10 @@ from typing import TYPE_CHECKING
 from cosim.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from cosim.theory.assessment.smoothing import smoothed_signals
+    from cosim.theory.assessment.validation import validate
+    from cosim.theory.assessment.verdicts import Assessment, Verdict, assess
+    from cosim.theory.bounded.irregular_part import guaranteed_interval
     from cosim.theory.descriptor import (
         DescriptorSystem,
         ReducedSystem,
@@ -36,7 +40,6 @@ if TYPE_CHECKING:
     )
     from cosim.theory.estimators.output_error import OutputErrorFit, fit_output_error
     from cosim.theory.excitation import describe_excitation, information
-    from cosim.theory.irregular_part import guaranteed_interval
     from cosim.theory.observer import (
         IdentificationStartTime,
         ObserverDesign,
@@ -46,14 +49,11 @@ if TYPE_CHECKING:
         realize,
     )
     from cosim.theory.regression import Term, chi, eta, expand, mu
-    from cosim.theory.smoothing import smoothed_signals
-    from cosim.theory.validation import validate
-    from cosim.theory.verdicts import Assessment, Verdict, assess
 
 _HOMES = {
     "AlphaGroup": "cosim.theory.disturbance",
-    "assess": "cosim.theory.verdicts",
-    "Assessment": "cosim.theory.verdicts",
+    "assess": "cosim.theory.assessment.verdicts",
+    "Assessment": "cosim.theory.assessment.verdicts",
     "chi": "cosim.theory.regression",
     "coefficients": "cosim.theory.disturbance",
     "DataSet": "cosim.theory.disturbed_plant",
@@ -68,7 +68,7 @@ _HOMES = {
     "Family": "cosim.theory.disturbance",
     "fit_output_error": "cosim.theory.estimators.output_error",
     "group_by_alpha": "cosim.theory.disturbance",
-    "guaranteed_interval": "cosim.theory.irregular_part",
+    "guaranteed_interval": "cosim.theory.bounded.irregular_part",
     "identification_start_time": "cosim.theory.observer",
     "IdentificationStartTime": "cosim.theory.observer",
     "information": "cosim.theory.excitation",
@@ -85,12 +85,12 @@ _HOMES = {
     "reduce": "cosim.theory.descriptor",
     "ReducedSystem": "cosim.theory.descriptor",
     "Sine": "cosim.theory.disturbance",
-    "smoothed_signals": "cosim.theory.smoothing",
+    "smoothed_signals": "cosim.theory.assessment.smoothing",
     "StateSpace": "cosim.theory.observer",
     "Term": "cosim.theory.regression",
     "trapezoid_weights": "cosim.theory.estimators.least_squares",
-    "validate": "cosim.theory.validation",
-    "Verdict": "cosim.theory.verdicts",
+    "validate": "cosim.theory.assessment.validation",
+    "Verdict": "cosim.theory.assessment.verdicts",
 }
 
 __all__ = [

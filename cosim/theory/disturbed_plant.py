@@ -6,7 +6,8 @@
     y  = C x + D u + sum_i Dd_i alpha_i f_i + offset
 
 Between samples u and ``alpha_i f_i`` are straight lines, which is exact for what a run of this
-package makes, and else has an error of second order in the step (:mod:`cosim.theory.accuracy`).
+package makes, and else has an error of second order in the step:
+:mod:`cosim.theory.assessment.accuracy`.
 
 **Predictor.** The response of an unstable plant overflows its digits, so what is fitted is not the
 simulated but the predicted output,

@@ -10,7 +10,8 @@ filters on y and u give (19)::
 
     q' = filter_rate (w - q),    w' is taken as filter_rate (w - q)
 
-``cosim.theory.reconstruction`` has two other ways to w', which the realizations below have too.
+``cosim.theory.reconstruction.filters`` has two other ways to w', which the realizations below have
+too.
 
 The modes of (M, C3) that C3 does not see are the invariant zeros of (A_a, B_2a, C3); no L moves
 them. In coordinates `[W, V]`, V the unobservable subspace and W its complement, `M - L C3` is block

@@ -36,7 +36,7 @@ from cosim.theory.descriptor import reduce
 from cosim.theory.disturbance import Exponential, group_by_alpha
 from cosim.theory.estimators.least_squares import plan
 from cosim.theory.observer import design
-from cosim.theory.reconstruction import SavitzkyGolay
+from cosim.theory.reconstruction.filters import SavitzkyGolay
 from cosim.theory.regression import expand
 from tests.theory.academic import academic, ordinary
 

@@ -10,8 +10,8 @@ from scipy.stats import chi2
 import cosim
 from cosim.errors import ScenarioError, UsageError
 from cosim.log import open_log
-from cosim.scenario.assessing import IDENTIFICATION
-from cosim.scenario.identifying import identifier_record, identify_records
+from cosim.scenario.identification.from_logs import identifier_record, identify_records
+from cosim.scenario.identification.run_verdicts import IDENTIFICATION
 from cosim.scenario.recorded_metadata import recorded_identification, recorded_warnings
 from cosim.theory.descriptor import reduce
 from cosim.theory.disturbance import Exponential

@@ -5,9 +5,9 @@ import pytest
 
 import cosim
 from cosim.errors import ScenarioError
-from cosim.scenario.assessing import IDENTIFICATION
-from cosim.theory import irregular_part
-from cosim.theory.set_membership import FeasibleInterval
+from cosim.scenario.identification.run_verdicts import IDENTIFICATION
+from cosim.theory.bounded import irregular_part
+from cosim.theory.bounded.set_membership import FeasibleInterval
 
 FAST = {"scenario.step": 0.02, "observer.filter_rate": 50.0}
 # a disturbance that the class does not contain: 0.003 sin(0.9 t) beside its two components

@@ -13,7 +13,7 @@ from scipy.linalg import expm
 from scipy.signal import lfilter
 
 from cosim.arrays import Matrix, Vector
-from cosim.theory.worst_case import (
+from cosim.theory.bounded.worst_case import (
     BoundedDisturbance,
     IrregularResponse,
     Prediction,

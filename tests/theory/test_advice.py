@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from cosim.native.step import first_order_hold, linear_step
-from cosim.theory.advice import advised
+from cosim.theory.assessment.advice import advised
+from cosim.theory.assessment.verdicts import Verdict, assess_from
 from cosim.theory.disturbance import Exponential, Sine
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
-from cosim.theory.verdicts import Verdict, assess_from
 from tests.theory.experiments import FAMILIES, THETA, design
 from tests.theory.experiments import alpha as alpha_of_example
 from tests.theory.experiments import noisy as noisy_example

@@ -7,9 +7,9 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.signal import lsim
 
+from cosim.theory.assessment.verdicts import Verdict, assess, assess_from
 from cosim.theory.disturbance import Exponential
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
-from cosim.theory.verdicts import Verdict, assess, assess_from
 
 T = 0.02 * np.arange(1001)
 U = np.sin(1.1 * T) + 0.5 * np.sin(2.9 * T + 1.0)

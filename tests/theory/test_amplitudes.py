@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from cosim.theory.amplitude_verdicts import amplitude_verdicts
+from cosim.theory.assessment.amplitude_verdicts import amplitude_verdicts
+from cosim.theory.assessment.verdicts import Verdict, assess
 from cosim.theory.disturbance import Exponential, Sine
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
-from cosim.theory.verdicts import Verdict, assess
 
 H = 0.02
 SINE = Sine()

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from cosim.theory.assessment.verdicts import Verdict, assess_from
 from cosim.theory.disturbance import Exponential, Sine
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.forced_response import simulate
-from cosim.theory.verdicts import Verdict, assess_from
 
 STOP = 30.0  # s
 THETA = (-0.15, 1.3)

@@ -7,6 +7,7 @@ import pytest
 
 import cosim
 from cosim.theory import observer
+from cosim.theory.assessment.verdicts import Verdict, assess
 from cosim.theory.descriptor import reduce
 from cosim.theory.disturbance import Exponential, group_by_alpha
 from cosim.theory.disturbed_plant import DataSet, disturbed_plant
@@ -21,7 +22,6 @@ from cosim.theory.estimators.rayleigh import (
 from cosim.theory.estimators.start_grid import search_start
 from cosim.theory.observer import design
 from cosim.theory.regression import alpha_products, expand
-from cosim.theory.verdicts import Verdict, assess
 from tests.scenario.online import COARSE, noisy
 from tests.theory.academic import DELAYS, THETA, academic, alpha, delayed
 

@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cosim.theory.accuracy import step_error
+from cosim.theory.assessment.accuracy import step_error
+from cosim.theory.assessment.model_errors import model_errors
+from cosim.theory.assessment.verdicts import Verdict, assess
 from cosim.theory.disturbance import generators
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.estimators.output_error import fit_output_error
 from cosim.theory.fitted_response import fitted_response
 from cosim.theory.forced_response import forced_outputs
-from cosim.theory.model_errors import model_errors
-from cosim.theory.verdicts import Verdict, assess
 from tests.theory.experiments import FAMILIES, design, exact, times
 from tests.theory.experiments import record as example_record
 from tests.theory.lag import FAMILY, RATE, alpha, lag, record, staircase, states

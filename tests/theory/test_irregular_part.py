@@ -7,11 +7,11 @@ import pytest
 from scipy.signal import lsim
 
 from cosim.errors import AssumptionError
+from cosim.theory.bounded.irregular_part import bounded_problem, guaranteed_interval
 from cosim.theory.descriptor import reduce
 from cosim.theory.disturbance import Exponential, Sine
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, disturbed_plant
 from cosim.theory.estimators.output_error import fit_output_error
-from cosim.theory.irregular_part import bounded_problem, guaranteed_interval
 from tests.theory.academic import THETA, academic, alpha
 from tests.theory.exponential_plant import TRUTH, example
 
@@ -121,7 +121,7 @@ def test_no_end_is_of_another_branch_where_the_first_order_says_little(seed):
 @pytest.mark.parametrize("sigma", [0.0, 1e-3])
 def test_a_recording_gives_an_interval_that_contains_the_truth(sigma, monkeypatch):
     """Where the irregular part moves the estimate, with noise and without; in 50 cells."""
-    monkeypatch.setattr("cosim.theory.feasible_program.CELLS", 50)
+    monkeypatch.setattr("cosim.theory.bounded.feasible_program.CELLS", 50)
     t = np.arange(4001) * H
     delta_0 = 0.02 * np.sign(np.sin(0.4 * t))[:, np.newaxis]
     exact = recording(delta_0)
@@ -143,7 +143,7 @@ def test_a_recording_gives_an_interval_that_contains_the_truth(sigma, monkeypatc
 
 def test_much_noise_leaves_the_interval_around_the_estimate(monkeypatch):
     """Noise of 1e-3 beside 0.0002: the data bound theta less than the estimate's own errors do."""
-    monkeypatch.setattr("cosim.theory.feasible_program.CELLS", 50)
+    monkeypatch.setattr("cosim.theory.bounded.feasible_program.CELLS", 50)
     rng = np.random.default_rng(2)
     exact = recording(rng.uniform(-2e-4, 2e-4, (4001, 1)))
     data = DataSet(

@@ -7,13 +7,13 @@ import pytest
 from scipy.signal import lfilter
 
 from cosim.errors import AssumptionError
+from cosim.theory.assessment.smoothing import smoothed_signals
+from cosim.theory.assessment.verdicts import Verdict, assess
 from cosim.theory.disturbance import generators
 from cosim.theory.disturbed_plant import DisturbedPlant, NoiseModel
 from cosim.theory.estimators.output_error import fit_output_error
 from cosim.theory.fitted_response import fitted_response
 from cosim.theory.forced_response import simulate
-from cosim.theory.smoothing import smoothed_signals
-from cosim.theory.verdicts import Verdict, assess
 from tests.theory.lag import FAMILY, RATE, alpha, lag, record, states
 
 START = np.array([-0.12])

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter, lsim
 
-from cosim.theory.disturbance import Exponential
-from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, counted_values
-from cosim.theory.noise_color import (
+from cosim.theory.assessment.noise_color import (
     ColoredRecord,
     Criterion,
     autoregression,
     correlation_length,
 )
+from cosim.theory.assessment.verdicts import Verdict, assess
+from cosim.theory.disturbance import Exponential
+from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, counted_values
 from cosim.theory.quantiles import chi_square_above, ratio_above
-from cosim.theory.verdicts import Verdict, assess
 
 RATE = -0.3
 SIGMA = 1e-3

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from cosim.errors import AssumptionError
-from cosim.theory.amplitude_verdicts import amplitude_verdicts
+from cosim.theory.assessment.amplitude_verdicts import amplitude_verdicts
+from cosim.theory.assessment.verdicts import Verdict, assess, assess_from, judge
 from cosim.theory.disturbance import Exponential, Sine
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
-from cosim.theory.verdicts import Verdict, assess, assess_from, judge
 
 TRUE = -0.4
 T = np.arange(501) * 0.02

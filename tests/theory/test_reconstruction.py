@@ -16,20 +16,20 @@ from cosim.blocks.observer import averaged_observer, consistent_observer
 from cosim.errors import AssumptionError
 from cosim.native.step import DiscretizedDynamics, first_order_hold
 from cosim.theory.descriptor import reduce
-from cosim.theory.filter_choice import Conditions, choose
-from cosim.theory.noise_gain import noise_gain, windowed_noise_gain
-from cosim.theory.noise_level import noise_level
 from cosim.theory.observer import (
     design,
     identification_start_time,
     realize,
     realize_averages,
 )
-from cosim.theory.reconstruction import (
+from cosim.theory.reconstruction.filter_choice import Conditions, choose
+from cosim.theory.reconstruction.filters import (
     ConsistentFilter,
     FirstOrderFilter,
     SavitzkyGolay,
 )
+from cosim.theory.reconstruction.noise_gain import noise_gain, windowed_noise_gain
+from cosim.theory.reconstruction.noise_level import noise_level
 from tests.theory.academic import academic, ordinary
 
 H = 1e-3

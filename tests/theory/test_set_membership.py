@@ -9,14 +9,14 @@ import pytest
 from scipy.optimize import OptimizeResult, linprog
 
 from cosim.errors import AssumptionError
-from cosim.theory.feasible_program import (
+from cosim.theory.bounded.feasible_program import (
     Cells,
     RecordedOutputs,
     cells_of,
     gaussian_noise_bound,
 )
-from cosim.theory.set_membership import feasible_interval, least_bound, starts_around
-from cosim.theory.worst_case import (
+from cosim.theory.bounded.set_membership import feasible_interval, least_bound, starts_around
+from cosim.theory.bounded.worst_case import (
     BoundedDisturbance,
     Prediction,
     first_order,

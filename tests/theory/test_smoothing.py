@@ -11,10 +11,10 @@ from scipy.linalg import expm
 from scipy.stats import binom
 
 from cosim.errors import AssumptionError
+from cosim.theory.assessment.smoothing import smoothed_signals
 from cosim.theory.descriptor import reduce
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel
 from cosim.theory.estimators.output_error import fit_output_error
-from cosim.theory.smoothing import smoothed_signals
 from tests.theory.academic import THETA, academic, alpha
 from tests.theory.academic import delta as true_delta
 from tests.theory.experiments import FAMILIES, delta, design, noisy, record, simulate, times

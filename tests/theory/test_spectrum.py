@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import periodogram
 
 from cosim.errors import AssumptionError
-from cosim.theory.spectrum import whiteness_spectrum
+from cosim.theory.assessment.spectrum import whiteness_spectrum
 
 
 def test_it_is_the_mean_of_a_periodogram():

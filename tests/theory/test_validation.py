@@ -8,9 +8,9 @@ from functools import cache
 import numpy as np
 import pytest
 
+from cosim.theory.assessment.validation import ValidationVerdict, validate
+from cosim.theory.assessment.verdicts import assess
 from cosim.theory.estimators.output_error import fit_output_error
-from cosim.theory.validation import ValidationVerdict, validate
-from cosim.theory.verdicts import assess
 from tests.theory.academic import THETA, alpha
 from tests.theory.experiments import (
     FAMILIES,

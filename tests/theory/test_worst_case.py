@@ -10,7 +10,7 @@ from scipy.optimize import least_squares, root
 from scipy.signal import lsim
 
 from cosim.errors import AssumptionError
-from cosim.theory.worst_case import (
+from cosim.theory.bounded.worst_case import (
     BoundedDisturbance,
     Prediction,
     departure,
@@ -223,7 +223,7 @@ def test_a_refit_that_does_not_converge_is_refused(monkeypatch):
     """It names where it began."""
     model = direct(samples=201, h=0.1)
     y = model(ONE_EXPONENTIAL).output
-    monkeypatch.setattr("cosim.theory.worst_case.MOST_STEPS", 2)
+    monkeypatch.setattr("cosim.theory.bounded.worst_case.MOST_STEPS", 2)
     with pytest.raises(AssumptionError, match=r"p = \[0.3, 0.01\] did not converge in 2 steps"):
         refit(model.problem(0.1), y, np.array([0.3, 0.01]))
 

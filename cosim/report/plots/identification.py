@@ -21,13 +21,13 @@ from cosim.report.plots.estimates import (
 from cosim.report.plots.intervals import band_curves, draw_bands, edges
 from cosim.report.plots.picture import Picture, PictureOptions, need_plot
 from cosim.report.recorded_rows import has_signal, signal_of, stacked_rows_of
-from cosim.scenario.identifying import IdentifierRecord, LogIdentification
+from cosim.scenario.identification.from_logs import IdentifierRecord, LogIdentification
 from cosim.scenario.recorded_metadata import truth_of
 from cosim.scenario.schema import truth_ports
+from cosim.theory.assessment.spectrum import whiteness_spectrum
 from cosim.theory.disturbance import generators
 from cosim.theory.disturbed_plant import counted_values
 from cosim.theory.fitted_response import FittedResponse, fitted_response
-from cosim.theory.spectrum import whiteness_spectrum
 
 _STANDARD = PictureOptions()
 _THIN: Final = 0.5  # width of a line of noise [points]

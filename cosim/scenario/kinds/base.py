@@ -20,7 +20,7 @@ from cosim.core.linear import Linear, LinearModel
 from cosim.core.port import Port
 from cosim.core.signals import Interface
 from cosim.fmi.exporting.specifications import Exportable
-from cosim.scenario.identified import IdentifiedPlant
+from cosim.scenario.identification.model import IdentifiedPlant
 from cosim.scenario.schema import Number, TomlTable, UnitName
 from cosim.theory.descriptor import DescriptorSystem
 

@@ -30,7 +30,7 @@ from cosim.fmi.exporting import kernels
 from cosim.fmi.exporting.identifier import output_error
 from cosim.fmi.exporting.kernels import DiscreteModel
 from cosim.fmi.exporting.specifications import Exportable
-from cosim.scenario.identified import IdentifiedPlant, bounds_of
+from cosim.scenario.identification.model import IdentifiedPlant, bounds_of
 from cosim.scenario.kinds.base import (
     BuildContext,
     ExportableKind,

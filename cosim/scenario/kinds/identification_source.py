@@ -15,7 +15,7 @@ from cosim.scenario.kinds.base import BuildContext, ImpliedConnection, Kind
 from cosim.scenario.kinds.field_data import FieldDataKind
 from cosim.scenario.kinds.observers import DesignedObserver, UnknownInputObserverKind
 from cosim.scenario.kinds.regressor import RegressorDesign, RegressorKind
-from cosim.theory.accuracy import check_step
+from cosim.theory.assessment.accuracy import check_step
 from cosim.theory.disturbed_plant import DisturbedPlant, disturbed_plant
 from cosim.theory.observer import StateSpace
 

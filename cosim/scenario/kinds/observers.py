@@ -44,7 +44,7 @@ from cosim.scenario.linearizing import DesignModel, design_model
 from cosim.scenario.schema import Number, NumberRow, NumberRows, TomlTable, Whole, matrix
 from cosim.theory import observer
 from cosim.theory.descriptor import reduce
-from cosim.theory.reconstruction import (
+from cosim.theory.reconstruction.filters import (
     HIGHEST_ORDER,
     ConsistentFilter,
     FirstOrderFilter,

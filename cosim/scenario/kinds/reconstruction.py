@@ -20,14 +20,14 @@ from cosim.native.step import DiscretizedDynamics, first_order_hold
 from cosim.theory import observer
 from cosim.theory.conditions import decoupling_matrix
 from cosim.theory.descriptor import ReducedSystem
-from cosim.theory.filter_choice import Conditions, choose
-from cosim.theory.noise_gain import noise_gain, windowed_noise_gain
-from cosim.theory.noise_level import noise_level
-from cosim.theory.reconstruction import (
+from cosim.theory.reconstruction.filter_choice import Conditions, choose
+from cosim.theory.reconstruction.filters import (
     ConsistentFilter,
     FirstOrderFilter,
     SavitzkyGolay,
 )
+from cosim.theory.reconstruction.noise_gain import noise_gain, windowed_noise_gain
+from cosim.theory.reconstruction.noise_level import noise_level
 
 AnyReconstruction: TypeAlias = FirstOrderFilter | ConsistentFilter | SavitzkyGolay
 

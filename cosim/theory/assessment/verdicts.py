@@ -30,14 +30,19 @@ from numpy.typing import NDArray
 from cosim.arrays import Matrix, Vector
 from cosim.errors import StartError
 from cosim.native.output_error import ParameterState
-from cosim.theory.accuracy import LARGEST_STEP_ERROR, enough_shorter
-from cosim.theory.consistency import (
+from cosim.theory.assessment.accuracy import LARGEST_STEP_ERROR, enough_shorter
+from cosim.theory.assessment.consistency import (
     MARGIN,
     WHITENESS,
     Consistency,
     ResidualTest,
     examine,
 )
+from cosim.theory.assessment.missing_terms import Terms, hidden_terms, silent_terms
+from cosim.theory.assessment.noise_color import UNKNOWN_COLOR, Criterion, noise_color
+from cosim.theory.assessment.noise_covariance import fit_with_noise, size_covariance
+from cosim.theory.assessment.standing_outputs import StandingOutput, standing_outputs
+from cosim.theory.assessment.term_order import ordered_like
 from cosim.theory.disturbance import Family, generators
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel
 from cosim.theory.estimators.output_error import (
@@ -47,12 +52,7 @@ from cosim.theory.estimators.output_error import (
     presence_threshold,
 )
 from cosim.theory.estimators.start_grid import search_start
-from cosim.theory.missing_terms import Terms, hidden_terms, silent_terms
-from cosim.theory.noise_color import UNKNOWN_COLOR, Criterion, noise_color
-from cosim.theory.noise_covariance import fit_with_noise, size_covariance
 from cosim.theory.quantiles import CONFIDENCE, chi_square_above, normal_two_sided, student_two_sided
-from cosim.theory.standing_outputs import StandingOutput, standing_outputs
-from cosim.theory.term_order import ordered_like
 
 # Of a component that is 100 of its deviations from absent: its effect is linear over an interval to
 # 2 % of it.

@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from cosim.arrays import Matrix
+from cosim.theory.assessment.verdicts import Assessment, assess_from
 from cosim.theory.disturbance import Family
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.estimators.output_error import NO_BOUNDS
-from cosim.theory.verdicts import Assessment, assess_from
 
 
 def each_alone(
@@ -30,7 +30,7 @@ def each_alone(
     assessment : Assessment
         Of all of them.
     data, plant, families, stated, offset, bounds
-        As for :func:`cosim.theory.verdicts.assess`.
+        As for :func:`cosim.theory.assessment.verdicts.assess`.
 
     Raises
     ------

@@ -3,7 +3,7 @@
 The variance of the residual tests nothing where the deviation of the noise comes from the residual.
 What a wrong model leaves is *structure*, so the residual is tested
 
-* along the **directions** of a wrong model (:mod:`cosim.theory.model_errors`), made orthogonal to
+* along the **directions** of a wrong model (``model_errors``), made orthogonal to
   what was fitted: for white noise the square along each is a chi-square of one degree of freedom,
   the sum along K of them, orthogonal among themselves, of K (the score test; C. Rao, 1948);
 * for **whiteness**: the autocorrelations of each output's first lags (G. Ljung and G. Box, 1978).
@@ -11,9 +11,9 @@ What a wrong model leaves is *structure*, so the residual is tested
 Where the deviation of the noise is stated, the variance is tested too: it may differ from what is
 stated by what errors that are no noise add, and by half as much again.
 
-Errors that are no noise (:mod:`cosim.theory.accuracy`) are allowed for, each in every direction and
+Errors that are no noise (``accuracy``) are allowed for, each in every direction and
 at every lag by its own amount. Noise that is colored but has no structure is whitened by an
-autoregressive model (:mod:`cosim.theory.noise_color`). How well that is known counts in the tests:
+autoregressive model (``noise_color``). How well that is known counts in the tests:
 instead of a chi-square each has the distribution of a ratio of two (R. Fisher and G. Snedecor).
 """
 
@@ -28,23 +28,23 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.native.output_error import Generators
-from cosim.theory.accuracy import (
+from cosim.theory.assessment.accuracy import (
     LARGEST_STEP_ERROR,
     Accuracy,
     accuracy_of,
 )
-from cosim.theory.disturbance import Family, generators
-from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel
-from cosim.theory.estimators.output_error import OutputErrorFit
-from cosim.theory.fitted_response import FittedResponse, fitted_response
-from cosim.theory.linearized_fit import (
+from cosim.theory.assessment.linearized_fit import (
     ErrorBias,
     LinearizedFit,
     error_bias,
     linearize_fit,
     whitened_rows,
 )
-from cosim.theory.model_errors import Directions, model_errors
+from cosim.theory.assessment.model_errors import Directions, model_errors
+from cosim.theory.disturbance import Family, generators
+from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel
+from cosim.theory.estimators.output_error import OutputErrorFit
+from cosim.theory.fitted_response import FittedResponse, fitted_response
 from cosim.theory.quantiles import chi_square_above, ratio_above
 
 FALSE_ALARM: Final = 3e-4  # probability, for white noise, of each of the three tests

@@ -38,7 +38,7 @@ from none: delta_0 = 0 is admissible, so the estimate is one of these p. It cont
 where the first order, evaluated at the estimate instead of at the truth, misses it by a little;
 noise moves it by its effect on the estimate. With d = 0.02 it has no end in the example from an
 unlucky estimate: then the estimate says too little, and only all the data bound theta
-(`cosim.theory.set_membership`).
+(`cosim.theory.bounded.set_membership`).
 
 Reference: M. Milanese, A. Vicino, "Optimal estimation theory for dynamic systems with set
 membership uncertainty: an overview", Automatica 27 (1991).

@@ -7,7 +7,7 @@ not touch. Given a model, the expected lagged products of the noise are those of
 least squares leave, and the variance of what they took (A. Dempster, N. Laird and D. Rubin, 1977):
 a linear regression on them is a better model, and its misfit the slope of the likelihood.
 
-Beside the columns of the fit those of a wrong model (:mod:`cosim.theory.model_errors`) are fitted:
+Beside the columns of the fit those of a wrong model (``model_errors``) are fitted:
 a wrong model must not pass for colored noise. The noise must be correlated over a small part of
 the record only, for the rest cannot be told from such a model.
 """
@@ -23,11 +23,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Vector
+from cosim.theory.assessment.model_errors import SLOW_DIRECTIONS, model_errors
 from cosim.theory.disturbance import Family, generators
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, counted_values, usual_distances
 from cosim.theory.estimators.output_error import OutputErrorFit
 from cosim.theory.fitted_response import FittedResponse, fitted_response
-from cosim.theory.model_errors import SLOW_DIRECTIONS, model_errors
 
 LONGEST_AR: Final = 24
 # Where slow directions take all power, a model says something as long as it resolves no less.

@@ -18,13 +18,13 @@ from cosim.core.contracts import Block
 from cosim.core.graph import Graph
 from cosim.core.signals import Channel
 from cosim.errors import AssumptionError, RunError
-from cosim.scenario.identified import IdentifiedPlant, SampleRows
-from cosim.scenario.irregular import interval_of, irregular_part
-from cosim.theory.advice import advised
-from cosim.theory.amplitude_verdicts import amplitude_verdicts
+from cosim.scenario.identification.irregular import interval_of, irregular_part
+from cosim.scenario.identification.model import IdentifiedPlant, SampleRows
+from cosim.theory.assessment.advice import advised
+from cosim.theory.assessment.amplitude_verdicts import amplitude_verdicts
+from cosim.theory.assessment.verdicts import Assessment, ParameterVerdict, assess_from, judge
+from cosim.theory.bounded.irregular_part import Programs
 from cosim.theory.disturbed_plant import DataSet
-from cosim.theory.irregular_part import Programs
-from cosim.theory.verdicts import Assessment, ParameterVerdict, assess_from, judge
 
 IDENTIFICATION: Final = "identification"  # the key of the results
 OUTPUT_ERROR: Final = "output-error"

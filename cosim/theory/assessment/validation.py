@@ -18,13 +18,19 @@ import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.native.output_error import ParameterState
-from cosim.theory.consistency import FALSE_ALARM, MARGIN, Consistency, ResidualTest, examine
+from cosim.theory.assessment.consistency import (
+    FALSE_ALARM,
+    MARGIN,
+    Consistency,
+    ResidualTest,
+    examine,
+)
+from cosim.theory.assessment.verdicts import Assessment, assess_from
 from cosim.theory.disturbance import Family, generators
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel, white_noise
 from cosim.theory.estimators.output_error import OutputErrorFit, fit_output_error
 from cosim.theory.fitted_response import fitted_response
 from cosim.theory.quantiles import chi_square_above
-from cosim.theory.verdicts import Assessment, assess_from
 
 
 class ValidationVerdict(StrEnum):

@@ -29,7 +29,7 @@ Both filters respond to one sample by `s, -s (1 - a), -s (1 - a) a, ...` with `s
 `s = rate` where (19) reads held samples; the sum of squares is `2 s^2 / (1 + a)`. For the fit it is
 the sum of `d_k^2`.
 
-``cosim.theory.filter_choice`` takes the one of the least predicted error.
+``cosim.theory.reconstruction.filter_choice`` takes the one of the least predicted error.
 """
 
 from __future__ import annotations

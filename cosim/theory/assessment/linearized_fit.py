@@ -1,7 +1,7 @@
 """A fit by output error as a linear regression near its minimum.
 
 Its rows are the measured values, made white among outputs and in time. By it errors of the outputs
-that are no noise (:mod:`cosim.theory.accuracy`) move theta and the linear unknowns.
+that are no noise (:mod:`cosim.theory.assessment.accuracy`) move theta and the linear unknowns.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Vector
-from cosim.theory.accuracy import Accuracy, quantization_error
+from cosim.theory.assessment.accuracy import Accuracy, quantization_error
 from cosim.theory.disturbed_plant import DataSet, NoiseModel, counted_values
 from cosim.theory.fitted_response import FittedResponse
 

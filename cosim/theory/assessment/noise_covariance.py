@@ -7,7 +7,7 @@ Econometrica, 1974). The first weights are the sizes of the outputs, so that the
 count.
 
 No output is taken for more exact than errors that are no noise leave it
-(:mod:`cosim.theory.accuracy`): weights beyond that would only amplify them.
+(:mod:`cosim.theory.assessment.accuracy`): weights beyond that would only amplify them.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 
 from cosim.arrays import Matrix, Vector
-from cosim.theory.accuracy import accuracy_of
+from cosim.theory.assessment.accuracy import accuracy_of
 from cosim.theory.disturbance import Family, generators
 from cosim.theory.disturbed_plant import (
     DataSet,

@@ -2,7 +2,7 @@ r"""The interval of every theta that recorded data allow: set-membership estimat
 
 The *feasible set* holds every theta for which some nuisance parameters, some irregular part with
 `|delta_0| <= d` and some noise within its bound give the recorded outputs exactly (see
-`cosim.theory.worst_case` for the model). The truth is one of its points if the bounds are true, so
+``worst_case`` for the model). The truth is one of its points if the bounds are true, so
 the smallest and the largest theta_i of the set enclose it: no statistics, no first order.
 
 Why no interval around the estimate
@@ -41,8 +41,8 @@ import numpy as np
 
 from cosim.arrays import NAN, Mask, Matrix, Vector
 from cosim.errors import AssumptionError
-from cosim.theory.feasible_program import FeasibleProgram, ProgramSolution, RecordedOutputs
-from cosim.theory.worst_case import (
+from cosim.theory.bounded.feasible_program import FeasibleProgram, ProgramSolution, RecordedOutputs
+from cosim.theory.bounded.worst_case import (
     REACH,
     BoundedDisturbance,
     first_order,

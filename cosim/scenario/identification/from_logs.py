@@ -23,20 +23,20 @@ from cosim.core.port import Port
 from cosim.core.ports import Ports
 from cosim.errors import UsageError, nearest
 from cosim.log import open_log
-from cosim.scenario.assessing import OUTPUT_ERROR
 from cosim.scenario.build import Experiment
-from cosim.scenario.identified import IdentifiedPlant, SampleRows
-from cosim.scenario.irregular import interval_of
+from cosim.scenario.identification.irregular import interval_of
+from cosim.scenario.identification.model import IdentifiedPlant, SampleRows
+from cosim.scenario.identification.run_verdicts import OUTPUT_ERROR
 from cosim.scenario.recorded_metadata import component_record
 from cosim.scenario.replaying import rebuilt
-from cosim.theory.advice import advised
-from cosim.theory.agreement import contradictions, each_alone
-from cosim.theory.amplitude_verdicts import amplitude_verdicts
+from cosim.theory.assessment.advice import advised
+from cosim.theory.assessment.agreement import contradictions, each_alone
+from cosim.theory.assessment.amplitude_verdicts import amplitude_verdicts
+from cosim.theory.assessment.smoothing import SmoothedSignals, smoothed_signals
+from cosim.theory.assessment.validation import Validation, validate
+from cosim.theory.assessment.verdicts import Assessment, ParameterVerdict, assess_from
+from cosim.theory.bounded.irregular_part import GuaranteedInterval, Programs
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
-from cosim.theory.irregular_part import GuaranteedInterval, Programs
-from cosim.theory.smoothing import SmoothedSignals, smoothed_signals
-from cosim.theory.validation import Validation, validate
-from cosim.theory.verdicts import Assessment, ParameterVerdict, assess_from
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,8 +26,8 @@ import numpy as np
 
 from cosim.arrays import Matrix, Vector
 from cosim.errors import AssumptionError
+from cosim.theory.bounded.worst_case import BoundedDisturbance, IrregularResponse, Prediction
 from cosim.theory.quantiles import GUARANTEED_CONFIDENCE, normal_two_sided
-from cosim.theory.worst_case import BoundedDisturbance, IrregularResponse, Prediction
 
 SparseMatrix: TypeAlias = Any  # of scipy, which is loaded late
 

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from cosim.arrays import NAN, Matrix, Vector
+from cosim.theory.assessment.record_information import DEPENDENT, record_information
 from cosim.theory.disturbance import Family
 from cosim.theory.estimators.output_error import OutputErrorFit, presence_threshold
-from cosim.theory.record_information import DEPENDENT, record_information
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -18,18 +18,18 @@ import numpy as np
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.errors import AssumptionError
 from cosim.native.output_error import ParameterState, ResponseRecord
-from cosim.theory.consistency import MARGIN
-from cosim.theory.disturbance import Family, generators
-from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, sample_plant
-from cosim.theory.estimators.output_error import least_squares_at
-from cosim.theory.quantiles import CONFIDENCE, student_two_sided
-from cosim.theory.record_information import information_of
-from cosim.theory.verdicts import (
+from cosim.theory.assessment.consistency import MARGIN
+from cosim.theory.assessment.record_information import information_of
+from cosim.theory.assessment.verdicts import (
     LARGEST_PROFILE,
     Assessment,
     Verdict,
     growth_of_squares,
 )
+from cosim.theory.disturbance import Family, generators
+from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, sample_plant
+from cosim.theory.estimators.output_error import least_squares_at
+from cosim.theory.quantiles import CONFIDENCE, student_two_sided
 
 LONGEST: Final = 32  # times as long as the data
 MOST_SAMPLES: Final = 400_000  # of a record that is predicted, unless the data are half of that

@@ -1,7 +1,7 @@
 """Guaranteed intervals of theta from a recording, for a bounded irregular part of the disturbance.
 
-Here the recording and the plant of output error become the problem of `cosim.theory.worst_case` and
-`cosim.theory.set_membership`. The irregular part enters where the components do: one channel, with
+Here the recording and the plant of output error become the problem of ``worst_case`` and
+``set_membership``. The irregular part enters where the components do: one channel, with
 its bound, for every different column of (Bd, Dd).
 """
 
@@ -18,6 +18,15 @@ from numpy.typing import NDArray
 from cosim.arrays import NAN, Mask, Matrix, Vector
 from cosim.errors import AssumptionError
 from cosim.native.output_error import ResponseRecord
+from cosim.theory.bounded.feasible_program import RecordedOutputs, cells_of, gaussian_noise_bound
+from cosim.theory.bounded.set_membership import FeasibleInterval, feasible_interval, starts_around
+from cosim.theory.bounded.worst_case import (
+    BoundedDisturbance,
+    Prediction,
+    first_order,
+    interval_around,
+    irregular_response,
+)
 from cosim.theory.disturbance import Family, generators
 from cosim.theory.disturbed_plant import (
     DataSet,
@@ -28,18 +37,9 @@ from cosim.theory.disturbed_plant import (
     white_noise,
 )
 from cosim.theory.estimators.output_error import OutputErrorFit
-from cosim.theory.feasible_program import RecordedOutputs, cells_of, gaussian_noise_bound
 from cosim.theory.fitted_response import slopes_of
 from cosim.theory.quantiles import GUARANTEED_CONFIDENCE, normal_two_sided
 from cosim.theory.sampling import equal_step
-from cosim.theory.set_membership import FeasibleInterval, feasible_interval, starts_around
-from cosim.theory.worst_case import (
-    BoundedDisturbance,
-    Prediction,
-    first_order,
-    interval_around,
-    irregular_response,
-)
 
 # relative difference of both sides of an interval around an estimate up to which the first order,
 # which has two equal ones, is said to hold

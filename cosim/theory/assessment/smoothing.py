@@ -15,8 +15,11 @@ import numpy as np
 
 from cosim.arrays import Matrix, Vector
 from cosim.errors import AssumptionError
-from cosim.theory.accuracy import accuracy_of, step_error
-from cosim.theory.consistency import MARGIN
+from cosim.theory.assessment.accuracy import accuracy_of, step_error
+from cosim.theory.assessment.consistency import MARGIN
+from cosim.theory.assessment.linearized_fit import LinearizedFit, error_bias, linearize_fit
+from cosim.theory.assessment.record_information import joint_covariance
+from cosim.theory.bounded.irregular_part import ResponseModel
 from cosim.theory.disturbance import Family, generators
 from cosim.theory.disturbed_plant import (
     DataSet,
@@ -28,10 +31,7 @@ from cosim.theory.disturbed_plant import (
 )
 from cosim.theory.estimators.output_error import OutputErrorFit
 from cosim.theory.fitted_response import disturbance_of, fitted_response
-from cosim.theory.irregular_part import ResponseModel
-from cosim.theory.linearized_fit import LinearizedFit, error_bias, linearize_fit
 from cosim.theory.quantiles import CONFIDENCE, student_two_sided
-from cosim.theory.record_information import joint_covariance
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -7,12 +7,12 @@ from typing import Final
 
 import numpy as np
 
-from cosim.theory.amplitudes import ComponentConstants, component_constants
-from cosim.theory.consistency import MARGIN
+from cosim.theory.assessment.amplitudes import ComponentConstants, component_constants
+from cosim.theory.assessment.consistency import MARGIN
+from cosim.theory.assessment.verdicts import Assessment, ParameterVerdict, Verdict
 from cosim.theory.disturbance import Family
 from cosim.theory.disturbed_plant import DataSet
 from cosim.theory.quantiles import CONFIDENCE, student_two_sided
-from cosim.theory.verdicts import Assessment, ParameterVerdict, Verdict
 
 # from the best verdict to the worst, for what rests on several
 _ORDER: Final = {verdict: place for place, verdict in enumerate(Verdict)}

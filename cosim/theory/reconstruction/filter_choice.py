@@ -2,7 +2,7 @@
 
 The error is the root of the squares of noise and bias, the bias that of one sine at the highest
 rate of delta. The noise that reaches delta through the drift is not counted: a window averages it.
-``cosim.theory.noise_gain`` counts all of it.
+``cosim.theory.reconstruction.noise_gain`` counts all of it.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from cosim.errors import AssumptionError
-from cosim.theory.reconstruction import MOST_SAMPLES, DisturbanceFilter, SavitzkyGolay
+from cosim.theory.reconstruction.filters import MOST_SAMPLES, DisturbanceFilter, SavitzkyGolay
 
 # half width times rate up to which the error of a window grows with it, at every order
 WIDEST: Final = 4.4

@@ -9,10 +9,10 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.errors import AssumptionError
-from cosim.scenario.identified import IdentifiedPlant
+from cosim.scenario.identification.model import IdentifiedPlant
+from cosim.theory.assessment.verdicts import Assessment
+from cosim.theory.bounded.irregular_part import GuaranteedInterval, Programs, guaranteed_interval
 from cosim.theory.disturbed_plant import DataSet, NoiseModel
-from cosim.theory.irregular_part import GuaranteedInterval, Programs, guaranteed_interval
-from cosim.theory.verdicts import Assessment
 
 FREQUENCIES: Final = 1025  # of a spectrum, from 0 to half the sampling frequency
 

@@ -1,0 +1,1 @@
+"""Intervals that hold for every irregular part of the disturbance within a bound."""
