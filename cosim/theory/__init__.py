@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 from cosim.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from cosim.theory.assessment.assessing import assess
     from cosim.theory.assessment.smoothing import smoothed_signals
     from cosim.theory.assessment.validation import validate
-    from cosim.theory.assessment.verdicts import Assessment, Verdict, assess
+    from cosim.theory.assessment.verdicts import Assessment, Verdict
     from cosim.theory.bounded.irregular_part import guaranteed_interval
     from cosim.theory.descriptor import (
         DescriptorSystem,
@@ -52,7 +53,7 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "AlphaGroup": "cosim.theory.disturbance",
-    "assess": "cosim.theory.assessment.verdicts",
+    "assess": "cosim.theory.assessment.assessing",
     "Assessment": "cosim.theory.assessment.verdicts",
     "chi": "cosim.theory.regression",
     "coefficients": "cosim.theory.disturbance",

@@ -7,7 +7,8 @@ import pytest
 
 from cosim.native.step import first_order_hold, linear_step
 from cosim.theory.assessment.advice import advised
-from cosim.theory.assessment.verdicts import Verdict, assess_from
+from cosim.theory.assessment.assessing import assess_from
+from cosim.theory.assessment.verdicts import Verdict
 from cosim.theory.disturbance import Exponential, Sine
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from tests.theory.experiments import FAMILIES, THETA, design

@@ -7,7 +7,8 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.signal import lsim
 
-from cosim.theory.assessment.verdicts import Verdict, assess, assess_from
+from cosim.theory.assessment.assessing import assess, assess_from
+from cosim.theory.assessment.verdicts import Verdict
 from cosim.theory.disturbance import Exponential
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from cosim.theory.assessment.amplitude_verdicts import amplitude_verdicts
-from cosim.theory.assessment.verdicts import Verdict, assess
+from cosim.theory.assessment.assessing import assess
+from cosim.theory.assessment.verdicts import Verdict
 from cosim.theory.disturbance import Exponential, Sine
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from cosim.theory.assessment.verdicts import Verdict, assess_from
+from cosim.theory.assessment.assessing import assess_from
+from cosim.theory.assessment.verdicts import Verdict
 from cosim.theory.disturbance import Exponential, Sine
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.forced_response import simulate

@@ -7,7 +7,8 @@ import pytest
 
 import cosim
 from cosim.theory import observer
-from cosim.theory.assessment.verdicts import Verdict, assess
+from cosim.theory.assessment.assessing import assess
+from cosim.theory.assessment.verdicts import Verdict
 from cosim.theory.descriptor import reduce
 from cosim.theory.disturbance import Exponential, group_by_alpha
 from cosim.theory.disturbed_plant import DataSet, disturbed_plant

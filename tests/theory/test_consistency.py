@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from cosim.theory.assessment.accuracy import step_error
+from cosim.theory.assessment.assessing import assess
 from cosim.theory.assessment.model_errors import model_errors
-from cosim.theory.assessment.verdicts import Verdict, assess
+from cosim.theory.assessment.verdicts import Verdict
 from cosim.theory.disturbance import generators
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.estimators.output_error import fit_output_error

@@ -7,8 +7,9 @@ import pytest
 from scipy.signal import lfilter
 
 from cosim.errors import AssumptionError
+from cosim.theory.assessment.assessing import assess
 from cosim.theory.assessment.smoothing import smoothed_signals
-from cosim.theory.assessment.verdicts import Verdict, assess
+from cosim.theory.assessment.verdicts import Verdict
 from cosim.theory.disturbance import generators
 from cosim.theory.disturbed_plant import DisturbedPlant, NoiseModel
 from cosim.theory.estimators.output_error import fit_output_error

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter, lsim
 
+from cosim.theory.assessment.assessing import assess
 from cosim.theory.assessment.noise_color import (
     ColoredRecord,
     Criterion,
     autoregression,
     correlation_length,
 )
-from cosim.theory.assessment.verdicts import Verdict, assess
+from cosim.theory.assessment.verdicts import Verdict
 from cosim.theory.disturbance import Exponential
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, counted_values
 from cosim.theory.quantiles import chi_square_above, ratio_above

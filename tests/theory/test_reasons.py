@@ -9,7 +9,8 @@ import pytest
 
 from cosim.errors import AssumptionError
 from cosim.theory.assessment.amplitude_verdicts import amplitude_verdicts
-from cosim.theory.assessment.verdicts import Verdict, assess, assess_from, judge
+from cosim.theory.assessment.assessing import assess, assess_from
+from cosim.theory.assessment.verdicts import Verdict, judge
 from cosim.theory.disturbance import Exponential, Sine
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 

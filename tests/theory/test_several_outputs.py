@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter, lsim
 
+from cosim.theory.assessment.assessing import assess
 from cosim.theory.assessment.noise_covariance import fit_with_noise
-from cosim.theory.assessment.verdicts import Verdict, assess
+from cosim.theory.assessment.verdicts import Verdict
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel
 from tests.theory.academic import THETA, alpha
 from tests.theory.experiments import FAMILIES, design, times

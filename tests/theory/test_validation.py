@@ -8,8 +8,8 @@ from functools import cache
 import numpy as np
 import pytest
 
+from cosim.theory.assessment.assessing import assess
 from cosim.theory.assessment.validation import ValidationVerdict, validate
-from cosim.theory.assessment.verdicts import assess
 from cosim.theory.estimators.output_error import fit_output_error
 from tests.theory.academic import THETA, alpha
 from tests.theory.experiments import (

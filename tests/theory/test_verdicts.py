@@ -9,9 +9,10 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.signal import lfilter
 
-import cosim.theory.assessment.verdicts
+import cosim.theory.assessment.assessing
 from cosim.theory.assessment.advice import advised
-from cosim.theory.assessment.verdicts import Verdict, assess, assess_from, judge
+from cosim.theory.assessment.assessing import assess, assess_from
+from cosim.theory.assessment.verdicts import Verdict, judge
 from cosim.theory.descriptor import reduce
 from cosim.theory.disturbed_plant import DataSet
 from cosim.theory.estimators.output_error import fit_output_error
@@ -246,7 +247,7 @@ def test_data_far_above_the_noise_are_not_searched(monkeypatch):
     def forbidden(*arguments, **options):
         raise AssertionError("a start was searched")
 
-    monkeypatch.setattr(cosim.theory.assessment.verdicts, "search_start", forbidden)
+    monkeypatch.setattr(cosim.theory.assessment.assessing, "search_start", forbidden)
     data = [noisy("good", 1e-3, seed=7, h=COARSE)]
     found = assess_from(data, design(), FAMILIES, START)
     assert [parameter.verdict for parameter in found.parameters] == GOOD

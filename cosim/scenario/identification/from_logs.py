@@ -32,9 +32,10 @@ from cosim.scenario.replaying import rebuilt
 from cosim.theory.assessment.advice import advised
 from cosim.theory.assessment.agreement import contradictions, each_alone
 from cosim.theory.assessment.amplitude_verdicts import amplitude_verdicts
+from cosim.theory.assessment.assessing import assess_from
 from cosim.theory.assessment.smoothing import SmoothedSignals, smoothed_signals
 from cosim.theory.assessment.validation import Validation, validate
-from cosim.theory.assessment.verdicts import Assessment, ParameterVerdict, assess_from
+from cosim.theory.assessment.verdicts import Assessment, ParameterVerdict
 from cosim.theory.bounded.irregular_part import GuaranteedInterval, Programs
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 

@@ -22,7 +22,8 @@ from cosim.scenario.identification.irregular import interval_of, irregular_part
 from cosim.scenario.identification.model import IdentifiedPlant, SampleRows
 from cosim.theory.assessment.advice import advised
 from cosim.theory.assessment.amplitude_verdicts import amplitude_verdicts
-from cosim.theory.assessment.verdicts import Assessment, ParameterVerdict, assess_from, judge
+from cosim.theory.assessment.assessing import assess_from
+from cosim.theory.assessment.verdicts import Assessment, ParameterVerdict, judge
 from cosim.theory.bounded.irregular_part import Programs
 from cosim.theory.disturbed_plant import DataSet
 

@@ -20,12 +20,7 @@ from cosim.errors import AssumptionError
 from cosim.native.output_error import ParameterState, ResponseRecord
 from cosim.theory.assessment.consistency import MARGIN
 from cosim.theory.assessment.record_information import information_of
-from cosim.theory.assessment.verdicts import (
-    LARGEST_PROFILE,
-    Assessment,
-    Verdict,
-    growth_of_squares,
-)
+from cosim.theory.assessment.verdicts import LARGEST_PROFILE, Assessment, Verdict, growth_of_squares
 from cosim.theory.disturbance import Family, generators
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, sample_plant
 from cosim.theory.estimators.output_error import least_squares_at

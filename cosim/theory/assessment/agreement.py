@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from cosim.arrays import Matrix
-from cosim.theory.assessment.verdicts import Assessment, assess_from
+from cosim.theory.assessment.assessing import assess_from
+from cosim.theory.assessment.verdicts import Assessment
 from cosim.theory.disturbance import Family
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.estimators.output_error import NO_BOUNDS
@@ -30,7 +31,7 @@ def each_alone(
     assessment : Assessment
         Of all of them.
     data, plant, families, stated, offset, bounds
-        As for :func:`cosim.theory.assessment.verdicts.assess`.
+        As for :func:`cosim.theory.assessment.assessing.assess`.
 
     Raises
     ------

@@ -18,6 +18,7 @@ import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.native.output_error import ParameterState
+from cosim.theory.assessment.assessing import assess_from
 from cosim.theory.assessment.consistency import (
     FALSE_ALARM,
     MARGIN,
@@ -25,7 +26,7 @@ from cosim.theory.assessment.consistency import (
     ResidualTest,
     examine,
 )
-from cosim.theory.assessment.verdicts import Assessment, assess_from
+from cosim.theory.assessment.verdicts import Assessment
 from cosim.theory.disturbance import Family, generators
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel, white_noise
 from cosim.theory.estimators.output_error import OutputErrorFit, fit_output_error
