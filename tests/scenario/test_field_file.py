@@ -212,7 +212,7 @@ def test_samples_of_a_file_are_a_data_set(tmp_path):
     path = written(tmp_path, "t,y\n0,1\n0.001,2\n0.0021,\n0.0029,4\n")
     data = cosim.read_field_data(path)
     record = DataSet(data.t, data["y"], np.sin(t)[:, np.newaxis], alpha(t))
-    assert record.measured.tolist() == [True, True, False, True]
+    assert record.measured[:, 0].tolist() == [True, True, False, True]
     assert disturbed_plant(reduce(academic()), 2).C.shape == (1, 2)
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Final
+from functools import lru_cache
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -24,13 +25,25 @@ def check_finite(text: str, clock: Clock) -> None:
         If it is not; names the first.
     """
     points = min(clock.steps + 1, MOST_POINTS)
-    times_ns = clock.start_ns + clock.step_ns * np.arange(points, dtype=np.int64)
-    times = seconds(times_ns)
-    values = evaluate_at([compile_expression(text)], times)[:, 0]
-    is_finite = np.isfinite(values)
-    if not is_finite.all():
-        first = int(is_finite.argmin())
+    problem = _first_not_finite(text, clock.start_ns, clock.step_ns, points)
+    if problem is not None:
         raise UsageError(
-            f"alpha {text!r} is {values[first]:g} at t = {times[first]:g} s; needed a finite "
+            f"alpha {text!r} is {problem.value:g} at t = {problem.time:g} s; needed a finite "
             "number at every communication point of the run"
         )
+
+
+class _Problem(NamedTuple):
+    time: float
+    value: float
+
+
+@lru_cache(maxsize=64)  # source and regressor of a scenario share their alphas
+def _first_not_finite(text: str, start_ns: int, step_ns: int, points: int) -> _Problem | None:
+    times = seconds(start_ns + step_ns * np.arange(points, dtype=np.int64))
+    values = evaluate_at([compile_expression(text)], times)[:, 0]
+    is_finite = np.isfinite(values)
+    if is_finite.all():
+        return None
+    first = int(is_finite.argmin())
+    return _Problem(float(times[first]), float(values[first]))

@@ -79,7 +79,7 @@ def component_constants(
                 family=family,
                 values=np.where(known, values, NAN),
                 standard_error=np.where(known, np.sqrt(np.maximum(variance, 0.0)), NAN),
-                bias=np.abs(slopes) @ moved[own],
+                bias=np.abs(np.where(known[:, np.newaxis], slopes, 0.0)) @ moved[own],
                 is_present=_is_present(beta, by_noise[np.ix_(of_beta, of_beta)]),
             )
         )
