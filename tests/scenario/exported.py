@@ -25,14 +25,16 @@ SAMPLED = {"controller.period": 0.01}
 ACADEMIC = [("academic", name) for name in ("plant", "observer", "regressor", "identifier")]
 LOOP = [("closed-loop", name) for name in ("feedback", "error", "controller")]
 # the same kinds with other signals
-AGAIN = [("closed-loop", name) for name in ("plant", "observer", "regressor", "identifier")]
+AGAIN = [
+    *[("closed-loop", name) for name in ("plant", "observer", "regressor", "identifier")],
+    ("held-online", "identifier"),
+]
 SAMPLED_COMPONENTS = [
     ("sampled", "controller"),
     ("step", "controller"),
     ("slow", "identifier"),
     ("held", "identifier"),
     ("online", "identifier"),
-    ("held-online", "identifier"),
 ]
 COMPONENTS = [
     *ACADEMIC,

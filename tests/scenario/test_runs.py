@@ -155,7 +155,7 @@ def can_run(instructions):
         pytest.param(
             "SkylakeX", marks=pytest.mark.skipif(not can_run("avx512f"), reason="no AVX-512 here")
         ),
-        "Nehalem",
+        pytest.param("Nehalem", marks=pytest.mark.campaign),
     ],
 )
 def test_replay_is_bit_exact_with_another_blas(logged, core):
