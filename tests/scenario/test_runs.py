@@ -153,7 +153,11 @@ def can_run(instructions):
             "Haswell", marks=pytest.mark.skipif(not can_run("avx2"), reason="no AVX2 here")
         ),
         pytest.param(
-            "SkylakeX", marks=pytest.mark.skipif(not can_run("avx512f"), reason="no AVX-512 here")
+            "SkylakeX",
+            marks=[
+                pytest.mark.skipif(not can_run("avx512f"), reason="no AVX-512 here"),
+                pytest.mark.campaign,
+            ],
         ),
         pytest.param("Nehalem", marks=pytest.mark.campaign),
     ],

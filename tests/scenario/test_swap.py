@@ -93,7 +93,10 @@ def test_a_model_exchange_fmu_that_others_made_takes_the_plants_place(foreign3):
 
 @pytest.mark.parametrize(
     ("make", "changes"),
-    [("foreign2", FOREIGN2), ("foreign3", {"plant.interface_type": "cs"})],
+    [
+        pytest.param("foreign2", FOREIGN2, marks=pytest.mark.campaign),
+        ("foreign3", {"plant.interface_type": "cs"}),
+    ],
     ids=["pythonfmu CS 2", "pythonfmu3 CS 3"],
 )
 def test_a_co_simulation_fmu_that_others_made_takes_the_plants_place(make, changes, request):

@@ -95,7 +95,14 @@ def test_a_fixed_theta_is_held_against_other_data():
         assert validated(assessment, data, other(1e-3, 14)).verdict is verdict
 
 
-@pytest.mark.parametrize("case", ["constant delta", "sensor gain", "A11"])
+@pytest.mark.parametrize(
+    "case",
+    [
+        "constant delta",
+        pytest.param("sensor gain", marks=pytest.mark.campaign),
+        pytest.param("A11", marks=pytest.mark.campaign),
+    ],
+)
 def test_another_plant_fails(case):
     """With no theta is its residual what noise leaves."""
     assessment, data = fitted(1e-3)
