@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from cosim.arrays import Mask
+from cosim.blocks.identifier import regression_interface
 from cosim.core.contracts import Design
-from cosim.core.signals import Interface, Signal
+from cosim.core.signals import Interface
 from cosim.errors import UsageError
 from cosim.native.adaptive import AdaptiveLaw, AdaptiveStep
 from cosim.theory.estimators.adaptive import adaptive_constants
@@ -52,11 +53,7 @@ class AdaptiveIdentifier:
     @property
     def interface(self) -> Interface:
         """Input regressor, outputs theta and eta."""
-        recovery = self.recovery
-        regressor = Signal("regressor", recovery.n_eta + 1, optional=True, role="input")
-        theta = Signal("theta", recovery.n_theta, optional=True, role="estimate")
-        eta = Signal("eta", recovery.n_eta, optional=True, role="estimate")
-        return Interface((regressor,), (theta, eta), prepares=True, rollback=True)
+        return regression_interface(self.recovery)
 
     def design(self, h: float, held: Mask) -> Design:
         """Return the start time: it depends on eigenvalues, so it is recorded."""

@@ -7,12 +7,12 @@ from typing import Final, Generic, Protocol
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Design, State, Stopped, check_design
-from cosim.core.signals import Interface
+from cosim.core.signals import Interface, Signal
 from cosim.native.step import FULL, NO_VALUE, OUTSIDE, NativeStep
 
+_NO_VALUE: Final = "an input has no value at {time} s, where it counts; start after the delays"
 _PROBLEMS: Final = MappingProxyType(
     {
-        NO_VALUE: "an input has no value at {time} s, where it counts; start after the delays",
         FULL: "no room for more samples at {time} s",
         OUTSIDE: "a sample at {time} s is said to be of an instant that is not since the "
         "communication point before; needed the samples of that step",
@@ -66,6 +66,8 @@ class Estimator(Generic[State]):
     Parameters
     ----------
     method : SteppableEstimator
+    no_value : str
+        What is said where an input that counts has no value.
 
     Raises
     ------
@@ -74,9 +76,10 @@ class Estimator(Generic[State]):
         instant outside its step, or there is no room for more samples.
     """
 
-    def __init__(self, method: SteppableEstimator[State]) -> None:
+    def __init__(self, method: SteppableEstimator[State], *, no_value: str = _NO_VALUE) -> None:
         self.method = method
         self.interface = method.interface
+        self._problems = {**_PROBLEMS, NO_VALUE: no_value}
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Compute the design, or take the recorded one."""
@@ -101,8 +104,8 @@ class Estimator(Generic[State]):
         y = step.advance(t, h, u)
         if len(y):
             self._last = y[-1].copy()
-        if step.status in _PROBLEMS:
-            problem = _PROBLEMS[step.status]
+        if step.status in self._problems:
+            problem = self._problems[step.status]
             raise Stopped(y, problem.format(time=float(t[len(y)])))
         return y
 
@@ -115,3 +118,13 @@ class Estimator(Generic[State]):
         memory, last = state
         self._kernel.restore(memory)
         self._last = last.copy()
+
+
+def optional_input(name: str, size: int) -> Signal:
+    """Return an input that may have no value yet."""
+    return Signal(name, size, optional=True, role="input")
+
+
+def estimate(name: str, size: int) -> Signal:
+    """Return an output that has no value until the data determine it."""
+    return Signal(name, size, optional=True, role="estimate")

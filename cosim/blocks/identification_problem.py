@@ -1,7 +1,8 @@
 """What is identified, when, and the models of it that methods share.
 
 A method discretizes once, for the design that is recorded (``design_of_...``), and makes the
-numbers of its kernel of what was recorded (``model_of_...``).
+numbers of its kernel of what was recorded (``model_of_...``). Its inputs and outputs are some of
+the signals of the problem.
 """
 
 from __future__ import annotations
@@ -13,9 +14,11 @@ from typing import Final
 import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector
+from cosim.blocks.estimator import estimate, optional_input
 from cosim.core.contracts import Design
-from cosim.core.signals import Signal
+from cosim.core.signals import Interface, Signal
 from cosim.native.expression import Program
+from cosim.native.identifier import IdentifierConstants
 from cosim.native.output_error import KnownInput, OutputErrorConstants
 from cosim.native.rayleigh import RayleighConstants
 from cosim.native.step import RegressorConstants
@@ -26,6 +29,40 @@ from cosim.theory.estimators.projection import reconstruction_model
 from cosim.theory.predictor import stationary_predictor
 
 OF_Y: Final = ("Ad", "B0", "B1", "K", "L", "C", "D", "W")
+
+
+@dataclass(frozen=True, kw_only=True)
+class IdentificationSchedule:
+    """When samples count, and how many.
+
+    Parameters
+    ----------
+    period : int
+        Communication steps between two estimates.
+    steps : int
+        Communication steps of the longest run.
+    average : int
+        Samples of mu that make one row of the regression.
+    window : int
+        Samples of a moving window; 0: all.
+    forgetting : float
+        Weight of the square of a sample over that of the next one; 1: all weigh the same.
+    start : float
+        First instant of which mu counts, the identification start time T_id (36) [s].
+    settled : float
+        First instant of which delta counts [s].
+    lag : float
+        Of delta [s].
+    """
+
+    period: int
+    steps: int
+    average: int
+    window: int
+    forgetting: float
+    start: float
+    settled: float
+    lag: float
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -70,15 +107,6 @@ class IdentificationProblem:
         n_u = self.plant.D.shape[1]
         return held[len(held) - n_u :]
 
-    def regressor_signal(self) -> Signal:
-        """Return the input mu."""
-        return Signal("regressor", len(self.rayleigh.parts), optional=True, role="input")
-
-    def theta_signal(self) -> Signal:
-        """Return the output theta."""
-        parameters = self.rayleigh.generators.parameters
-        return Signal("theta", parameters, optional=True, role="estimate")
-
     def within(self, lower: Vector, upper: Vector) -> IdentificationProblem:
         """Return the problem with its search within bounds, shape (P,)."""
         searched = replace(
@@ -88,125 +116,159 @@ class IdentificationProblem:
         )
         return replace(self, rayleigh=searched)
 
+    # --- signals ---
 
-@dataclass(frozen=True, kw_only=True)
-class IdentificationSchedule:
-    """When samples count, and how many.
+    def regressor_signal(self) -> Signal:
+        """Return the input mu."""
+        return optional_input("regressor", len(self.rayleigh.parts))
 
-    Parameters
-    ----------
-    period : int
-        Communication steps between two estimates.
-    steps : int
-        Communication steps of the longest run.
-    average : int
-        Samples of mu that make one row of the regression.
-    window : int
-        Samples of a moving window; 0: all.
-    forgetting : float
-        Weight of the square of a sample over that of the next one; 1: all weigh the same.
-    start : float
-        First instant of which mu counts, the identification start time T_id (36) [s].
-    settled : float
-        First instant of which delta counts [s].
-    lag : float
-        Of delta [s].
-    """
+    def delta_signal(self) -> Signal:
+        """Return the input delta."""
+        return optional_input("delta", 1)
 
-    period: int
-    steps: int
-    average: int
-    window: int
-    forgetting: float
-    start: float
-    settled: float
-    lag: float
+    def y_signal(self) -> Signal:
+        """Return the input y."""
+        return Signal("y", len(self.plant.D), role="input")
+
+    def u_signals(self) -> tuple[Signal, ...]:
+        """Return the input u, where the plant has one; it stands last of all inputs."""
+        n_u = self.plant.D.shape[1]
+        return (Signal("u", n_u, role="input"),) if n_u else ()
+
+    def theta_signal(self) -> Signal:
+        """Return the output theta."""
+        return estimate("theta", self.rayleigh.generators.parameters)
+
+    def standard_error_signal(self) -> Signal:
+        """Return the output with the standard errors of theta."""
+        return estimate("standard_error", self.rayleigh.generators.parameters)
+
+    def amplitude_signal(self) -> Signal:
+        """Return the output with the amplitudes at the beginning of the window."""
+        return estimate("amplitude", self.rayleigh.generators.order)
+
+    # --- the model of y ---
+
+    def design_of_y(self, h: float, held: Mask, *, predicts: bool) -> dict[str, Matrix]:
+        """Discretize the plant.
+
+        Parameters
+        ----------
+        h : float
+            Communication step [s].
+        held : Mask
+            Inputs of the identifier with a zero-order hold.
+        predicts : bool
+            y is predicted from the sample before, as the plant is unstable.
+        """
+        generators = self.rayleigh.generators
+        plant = self.plant
+        noise = self.noise
+        predictor = None
+        if predicts:
+            predictor = stationary_predictor(plant.A, plant.C, h, noise.covariance)
+        on_y, known = discretize(
+            plant,
+            generators,
+            step=np.array([h]),
+            predictor=predictor,
+            noise=noise,
+            held=self.held_inputs(held),
+        )
+        design = {name: np.asarray(getattr(on_y, name)) for name in OF_Y}
+        design |= {"Bu0": known.B0, "Bu1": known.B1, "Du": known.D}
+        design["threshold"] = presence_threshold(generators.size, 1)
+        return design
+
+    def model_of_y(
+        self, h: float, design: Design, *, offset: bool = False, forgetting: float = 1.0
+    ) -> tuple[OutputErrorConstants, KnownInput]:
+        """Return the numbers of a fit to y, and of what is known of y."""
+        model = OutputErrorConstants(
+            generators=self.rayleigh.generators,
+            step=np.array([h]),
+            **{name: design[name] for name in OF_Y},
+            a=np.zeros((len(design["W"]), 0)),
+            offset=offset,
+            forgetting=forgetting,
+            average=1,
+            every=None,
+            source=None,
+        )
+        predicts = np.array([bool(design["K"].any())])
+        return model, KnownInput(design["Bu0"], design["Bu1"], design["Du"], predicts)
+
+    # --- the model of delta ---
+
+    def design_of_delta(self, h: float) -> dict[str, Matrix]:
+        """Discretize the modes of the observer, whose transients are in delta."""
+        generators = self.rayleigh.generators
+        model = reconstruction_model(self.modes, self.row, len(generators.size))
+        on_delta, _ = discretize(model, generators, step=np.array([h]), noise=white_noise(1))
+        return {"delta_Ad": on_delta.Ad, "delta_C": on_delta.C}
+
+    def model_of_delta(self, h: float, design: Design) -> OutputErrorConstants:
+        """Return the numbers of a fit to delta."""
+        generators = self.rayleigh.generators
+        components = len(generators.size)
+        m = len(self.modes)
+        no_input = np.zeros((1, components, m))
+        return OutputErrorConstants(
+            generators=generators,
+            step=np.array([h]),
+            Ad=design["delta_Ad"],
+            B0=no_input,
+            B1=no_input,
+            K=np.zeros((1, m, 1)),
+            L=np.ones((1, 1, 1)),
+            C=design["delta_C"],
+            D=np.ones((components, 1)),
+            W=np.eye(1),
+            a=np.zeros((1, 0)),
+        )
+
+    # --- the identifier without a model of y ---
+
+    def stage_constants(
+        self,
+        schedule: IdentificationSchedule,
+        on_delta: OutputErrorConstants | None,
+        lower: Vector,
+        upper: Vector,
+    ) -> IdentifierConstants:
+        """Return the numbers of an identifier that does not go on to y.
+
+        Parameters
+        ----------
+        schedule : IdentificationSchedule
+        on_delta : OutputErrorConstants, optional
+            The model of delta; without it theta is that of the Rayleigh quotient.
+        lower, upper : Vector, shape (P,)
+            Bounds of theta; where they are equal it is known.
+        """
+        components = len(self.rayleigh.generators.size)
+        return IdentifierConstants(
+            period=schedule.period,
+            average=schedule.average,
+            window=schedule.window,
+            capacity=schedule.steps,
+            start=schedule.start,
+            settled=schedule.settled,
+            lag=schedule.lag,
+            products=self.products,
+            alphas=self.alphas,
+            rayleigh=self.rayleigh,
+            on_delta=on_delta,
+            on_y=None,
+            known=None,
+            lower=lower,
+            upper=upper,
+            scale=self.box.step,
+            threshold=np.zeros(components),  # the noise of delta is not white
+        )
 
 
-def design_of_y(
-    problem: IdentificationProblem, h: float, held: Mask, *, predicts: bool
-) -> dict[str, Matrix]:
-    """Discretize the plant.
-
-    Parameters
-    ----------
-    problem : IdentificationProblem
-    h : float
-        Communication step [s].
-    held : Mask
-        Inputs of the identifier with a zero-order hold.
-    predicts : bool
-        y is predicted from the sample before, as the plant is unstable.
-    """
-    generators = problem.rayleigh.generators
-    plant = problem.plant
-    predictor = None
-    if predicts:
-        predictor = stationary_predictor(plant.A, plant.C, h, problem.noise.covariance)
-    on_y, known = discretize(
-        plant,
-        generators,
-        step=np.array([h]),
-        predictor=predictor,
-        noise=problem.noise,
-        held=problem.held_inputs(held),
-    )
-    design = {name: np.asarray(getattr(on_y, name)) for name in OF_Y}
-    design |= {"Bu0": known.B0, "Bu1": known.B1, "Du": known.D}
-    design["threshold"] = presence_threshold(generators.size, 1)
-    return design
-
-
-def model_of_y(
-    problem: IdentificationProblem,
-    h: float,
-    design: Design,
-    *,
-    offset: bool = False,
-    forgetting: float = 1.0,
-) -> tuple[OutputErrorConstants, KnownInput]:
-    """Return the numbers of a fit to y, and of what is known of y."""
-    model = OutputErrorConstants(
-        generators=problem.rayleigh.generators,
-        step=np.array([h]),
-        **{name: design[name] for name in OF_Y},
-        a=np.zeros((len(design["W"]), 0)),
-        offset=offset,
-        forgetting=forgetting,
-        average=1,
-        every=None,
-        source=None,
-    )
-    predicts = np.array([bool(design["K"].any())])
-    return model, KnownInput(design["Bu0"], design["Bu1"], design["Du"], predicts)
-
-
-def design_of_delta(problem: IdentificationProblem, h: float) -> dict[str, Matrix]:
-    """Discretize the modes of the observer, whose transients are in delta."""
-    generators = problem.rayleigh.generators
-    model = reconstruction_model(problem.modes, problem.row, len(generators.size))
-    on_delta, _ = discretize(model, generators, step=np.array([h]), noise=white_noise(1))
-    return {"delta_Ad": on_delta.Ad, "delta_C": on_delta.C}
-
-
-def model_of_delta(
-    problem: IdentificationProblem, h: float, design: Design
-) -> OutputErrorConstants:
-    """Return the numbers of a fit to delta."""
-    generators = problem.rayleigh.generators
-    components = len(generators.size)
-    m = len(problem.modes)
-    no_input = np.zeros((1, components, m))
-    return OutputErrorConstants(
-        generators=generators,
-        step=np.array([h]),
-        Ad=design["delta_Ad"],
-        B0=no_input,
-        B1=no_input,
-        K=np.zeros((1, m, 1)),
-        L=np.ones((1, 1, 1)),
-        C=design["delta_C"],
-        D=np.ones((components, 1)),
-        W=np.eye(1),
-        a=np.zeros((1, 0)),
-    )
+def sampling_interface(inputs: Sequence[Signal], outputs: Sequence[Signal]) -> Interface:
+    """Return the interface of an identifier that takes samples at the beginning of a step."""
+    names = tuple(signal.name for signal in inputs)
+    return Interface(tuple(inputs), tuple(outputs), delayed=names, prepares=True, rollback=True)

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from cosim.arrays import Mask, Matrix, Vector
-from cosim.core.contracts import Design, Stopped, check_design
-from cosim.core.signals import Interface, Signal
+from cosim.arrays import Mask, Vector
+from cosim.blocks.estimator import Estimator, estimate, optional_input
+from cosim.core.contracts import Design
+from cosim.core.signals import Interface
 from cosim.errors import UsageError
-from cosim.native.step import NO_VALUE, LeastSquares, LeastSquaresConstants
+from cosim.native.step import LeastSquares, LeastSquaresConstants
 from cosim.theory.estimators.least_squares import Recovery, recovery_constants
 
 
-class LeastSquaresIdentifier:
+class LeastSquaresIdentifier(Estimator[Vector]):
     """Least squares in information form: input regressor (mu), outputs theta and eta.
 
     The outputs have no value (NaN) until the data determine them.
@@ -35,74 +38,68 @@ class LeastSquaresIdentifier:
     """
 
     def __init__(self, recovery: Recovery, *, start_time: float, P0: float | None = None) -> None:
-        if P0 is not None and not 0.0 < P0 < np.inf:
+        method = LeastSquaresMethod(recovery=recovery, start_time=start_time, P0=P0)
+        super().__init__(
+            method,
+            no_value=f"the regressor has no value at the start time {start_time} s; "
+            "start after the longest delay",
+        )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LeastSquaresMethod:
+    """The method of :class:`LeastSquaresIdentifier`, which describes it."""
+
+    recovery: Recovery
+    start_time: float
+    P0: float | None
+
+    def __post_init__(self) -> None:
+        if self.P0 is not None and not 0.0 < self.P0 < np.inf:
             raise UsageError(
-                f"P0: found {P0}, needed a positive finite number; leave it out for no prior"
+                f"P0: found {self.P0}, needed a positive finite number; leave it out for no prior"
             )
-        self.recovery = recovery
-        self.start_time = start_time
-        self.P0 = P0
-        regressor = Signal("regressor", recovery.n_eta + 1, optional=True, role="input")
-        theta = Signal("theta", recovery.n_theta, optional=True, role="estimate")
-        eta = Signal("eta", recovery.n_eta, optional=True, role="estimate")
-        self.interface = Interface((regressor,), (theta, eta), prepares=True, rollback=True)
 
-    def constants(self, start_time: float, *, held: bool) -> LeastSquaresConstants:
-        """Return the numbers of the kernel that counts from ``start_time`` [s].
+    @property
+    def interface(self) -> Interface:
+        """Input regressor, outputs theta and eta."""
+        return regression_interface(self.recovery)
 
-        ``held``: the rows have a zero-order hold.
-        """
-        recovery = self.recovery
-        formulas = recovery_constants(recovery)
-        information = 0.0 if self.P0 is None else 1.0 / self.P0
-        return LeastSquaresConstants(recovery.n_eta, start_time, information, formulas, held)
-
-    def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
+    def design(self, h: float, held: Mask) -> Design:
         """Return the start time: it depends on eigenvalues, so it is recorded."""
-        design = dict(recorded) or {"start": np.array([self.start_time])}
-        check_design(design, {"start": (1,)})
-        (start_time,) = design["start"]
-        self._counts_from = float(start_time)
-        zero_order = bool(held.any())
-        constants = self.constants(self._counts_from, held=zero_order)
-        self._kernel = LeastSquares(constants)
-        return design
+        return {"start": np.array([self.start_time])}
 
-    def initialize(self, t: float, u: Vector) -> Vector:
-        """Forget all data; there is no estimate yet."""
-        self._last = self._kernel.initialize()
-        return self._last.copy()
+    def kernel(self, h: float, held: Mask, design: Design) -> LeastSquaresKernel:
+        """Return the kernel without samples."""
+        return LeastSquaresKernel(self.constants(held, design))
 
-    def outputs(self, t: float, u: Vector) -> Vector:
-        """Return the last estimate; the row at this instant does not change it."""
-        return self._last.copy()
+    def constants(self, held: Mask, design: Design) -> LeastSquaresConstants:
+        """Return the numbers of its kernel."""
+        recovery = self.recovery
+        (start,) = design["start"]
+        return LeastSquaresConstants(
+            unknowns=recovery.n_eta,
+            start_time=float(start),
+            information=0.0 if self.P0 is None else 1.0 / self.P0,
+            recovery=recovery_constants(recovery),
+            held=bool(held.any()),
+        )
 
-    def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
-        """Accumulate K rows.
 
-        Raises
-        ------
-        Stopped
-            If the regressor has no value at the start time.
-        """
-        step = self._kernel.step
-        y = step.advance(t, h, u)
-        if len(y):
-            self._last = y[-1].copy()
-        if step.status == NO_VALUE:
-            raise Stopped(
-                y,
-                f"the regressor has no value at the start time {self._counts_from} s; "
-                "start after the longest delay",
-            )
-        return y
+class LeastSquaresKernel:
+    """Least squares bound to its memory, which can go back."""
 
-    def save(self) -> tuple[Vector, Vector]:
-        """Copy the information and the estimate."""
-        return self._kernel.step.save(), self._last.copy()
+    def __init__(self, constants: LeastSquaresConstants) -> None:
+        kernel = LeastSquares(constants)
+        self.step = kernel.step
+        self.initialize = kernel.initialize
+        self.save = kernel.step.save
+        self.restore = kernel.step.restore
 
-    def restore(self, state: tuple[Vector, Vector]) -> None:
-        """Return to saved information."""
-        memory, last = state
-        self._kernel.step.restore(memory)
-        self._last = last.copy()
+
+def regression_interface(recovery: Recovery) -> Interface:
+    """Return the interface of a method on the regression: from mu to theta and eta."""
+    regressor = optional_input("regressor", recovery.n_eta + 1)
+    theta = estimate("theta", recovery.n_theta)
+    eta = estimate("eta", recovery.n_eta)
+    return Interface((regressor,), (theta, eta), prepares=True, rollback=True)

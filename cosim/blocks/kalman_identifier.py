@@ -10,14 +10,10 @@ from cosim.arrays import Mask
 from cosim.blocks.identification_problem import (
     IdentificationProblem,
     IdentificationSchedule,
-    design_of_delta,
-    design_of_y,
-    model_of_delta,
-    model_of_y,
+    sampling_interface,
 )
-from cosim.blocks.projection_identifier import stage_constants
 from cosim.core.contracts import Design
-from cosim.core.signals import Interface, Signal
+from cosim.core.signals import Interface
 from cosim.errors import UsageError
 from cosim.native.kalman import (
     AugmentedKalmanConstants,
@@ -59,25 +55,21 @@ class ExtendedKalmanIdentifier:
     @property
     def interface(self) -> Interface:
         """Inputs regressor, y and u, outputs theta and standard_error."""
-        P = self.problem.rayleigh.generators.parameters
-        outputs = (
-            self.problem.theta_signal(),
-            Signal("standard_error", P, optional=True, role="estimate"),
-        )
-        inputs = _inputs(self.problem)
-        names = tuple(signal.name for signal in inputs)
-        return Interface(inputs, outputs, delayed=names, prepares=True, rollback=True)
+        problem = self.problem
+        inputs = [problem.regressor_signal(), problem.y_signal(), *problem.u_signals()]
+        outputs = [problem.theta_signal(), problem.standard_error_signal()]
+        return sampling_interface(inputs, outputs)
 
     def design(self, h: float, held: Mask) -> Design:
         """Discretize the plant."""
         box = self.problem.box
-        model = design_of_y(self.problem, h, held, predicts=False)
+        model = self.problem.design_of_y(h, held, predicts=False)
         return {**model, "theta": first_theta(box), "spread": box.step}
 
     def kernel(self, h: float, held: Mask, design: Design) -> ExtendedKalmanStep:
         """Return the filter without samples."""
         problem = self.problem
-        model, known = model_of_y(problem, h, design)
+        model, known = problem.model_of_y(h, design)
         constants = ExtendedKalmanConstants(
             terms=len(problem.rayleigh.parts),
             model=model,
@@ -125,10 +117,9 @@ class AugmentedKalmanIdentifier:
     @property
     def interface(self) -> Interface:
         """Inputs regressor, y and u, output theta."""
-        inputs = _inputs(self.problem)
-        outputs = (self.problem.theta_signal(),)
-        names = tuple(signal.name for signal in inputs)
-        return Interface(inputs, outputs, delayed=names, prepares=True, rollback=True)
+        problem = self.problem
+        inputs = [problem.regressor_signal(), problem.y_signal(), *problem.u_signals()]
+        return sampling_interface(inputs, [problem.theta_signal()])
 
     def design(self, h: float, held: Mask) -> Design:
         """Discretize the plant with delta and its derivative as states."""
@@ -140,20 +131,20 @@ class AugmentedKalmanIdentifier:
             held=self.problem.held_inputs(held),
         )
         start = np.array([self.schedule.start])
-        return {**model, **design_of_delta(self.problem, h), "start": start}
+        return {**model, **self.problem.design_of_delta(h), "start": start}
 
     def kernel(self, h: float, held: Mask, design: Design) -> AugmentedKalmanStep:
         """Return the filter without samples."""
         (start,) = design["start"]
         schedule = replace(self.schedule, start=float(start), lag=0.0, window=0)
         infinite = np.full(self.problem.rayleigh.generators.parameters, np.inf)
-        on_delta = model_of_delta(self.problem, h, design)
+        on_delta = self.problem.model_of_delta(h, design)
         constants = AugmentedKalmanConstants(
             **{name: design[name] for name in _AUGMENTED},
             first_spread=first_spread(len(self.problem.plant.A), self.size),
             deviation=self.deviation,
             capacity=self.schedule.steps,
-            projection=stage_constants(self.problem, schedule, on_delta, -infinite, infinite),
+            projection=self.problem.stage_constants(schedule, on_delta, -infinite, infinite),
         )
         return AugmentedKalmanStep(constants)
 
@@ -169,14 +160,3 @@ def check_positive(**numbers: float) -> None:
     for name, value in numbers.items():
         if not 0.0 < value < np.inf:
             raise UsageError(f"{name}: found {value}, needed a positive finite number")
-
-
-def _inputs(problem: IdentificationProblem) -> tuple[Signal, ...]:
-    n_y, n_u = problem.plant.D.shape
-    inputs = [
-        problem.regressor_signal(),
-        Signal("y", n_y, role="input"),
-    ]
-    if n_u:
-        inputs.append(Signal("u", n_u, role="input"))
-    return tuple(inputs)

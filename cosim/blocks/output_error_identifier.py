@@ -7,16 +7,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cosim.arrays import Mask, Vector
+from cosim.blocks.estimator import estimate, optional_input
 from cosim.blocks.identification_problem import (
     IdentificationProblem,
     IdentificationSchedule,
-    design_of_delta,
-    design_of_y,
-    model_of_delta,
-    model_of_y,
+    sampling_interface,
 )
 from cosim.core.contracts import Design
-from cosim.core.signals import Interface, Signal
+from cosim.core.signals import Interface
 from cosim.errors import AssumptionError
 from cosim.native.between import BetweenConstants
 from cosim.native.identifier import IdentifierConstants, IdentifierStep
@@ -70,26 +68,20 @@ class OutputErrorIdentifier:
     def interface(self) -> Interface:
         """Inputs regressor, delta, y, the samples and u; outputs theta and what belongs to it."""
         problem = self.problem
-        n_y, n_u = problem.plant.D.shape
-        inputs = [
-            problem.regressor_signal(),
-            Signal("delta", 1, optional=True, role="input"),
-            Signal("y", n_y, role="input"),
-        ]
+        y = problem.y_signal()
+        inputs = [problem.regressor_signal(), problem.delta_signal(), y]
         if self.most:
-            inputs.append(Signal("samples", n_y * self.most, optional=True, role="input"))
-            inputs.append(Signal("sample_times", self.most, unit="s", optional=True, role="input"))
-        if n_u:
-            inputs.append(Signal("u", n_u, role="input"))
-        generators = problem.rayleigh.generators
-        outputs = (
+            times = optional_input("sample_times", self.most)
+            inputs.append(optional_input("samples", y.size * self.most))
+            inputs.append(replace(times, unit="s"))
+        inputs.extend(problem.u_signals())
+        outputs = [
             problem.theta_signal(),
-            Signal("standard_error", generators.parameters, optional=True, role="estimate"),
-            Signal("deviation", n_y, optional=True, role="estimate"),
-            Signal("amplitude", generators.order, optional=True, role="estimate"),
-        )
-        names = tuple(signal.name for signal in inputs)
-        return Interface(tuple(inputs), outputs, delayed=names, prepares=True, rollback=True)
+            problem.standard_error_signal(),
+            estimate("deviation", y.size),
+            problem.amplitude_signal(),
+        ]
+        return sampling_interface(inputs, outputs)
 
     def design(self, h: float, held: Mask) -> Design:
         """Discretize the models of y and of delta."""
@@ -106,8 +98,8 @@ class OutputErrorIdentifier:
                 "the plant is unstable, so that its outputs have to be predicted by what is known "
                 "of their noise; needed its deviation, one number an output, or its covariance"
             )
-        design = design_of_y(problem, h, held, predicts=predicts)
-        design |= design_of_delta(problem, h)
+        design = problem.design_of_y(h, held, predicts=predicts)
+        design |= problem.design_of_delta(h)
         if self.most:
             design["A"] = problem.plant.A
             design["B"] = np.hstack([problem.plant.B, problem.plant.Bd])
@@ -125,29 +117,20 @@ class OutputErrorIdentifier:
     def constants(self, h: float, held: Mask, design: Design) -> IdentifierConstants:
         """Return the numbers of its kernel."""
         problem = self.problem
-        schedule = self.schedule
+        start, settled = design["times"]
+        schedule = replace(self.schedule, start=float(start), settled=float(settled))
+        on_delta = problem.model_of_delta(h, design)
+        stages = problem.stage_constants(schedule, on_delta, self.lower, self.upper)
         (forgetting,) = design["forgetting"]
-        on_y, known = model_of_y(
-            problem, h, design, offset=self.offset, forgetting=float(forgetting)
+        on_y, known = problem.model_of_y(
+            h, design, offset=self.offset, forgetting=float(forgetting)
         )
         lower, upper, scale = design["box"]
-        start, settled = design["times"]
-        return IdentifierConstants(
-            period=schedule.period,
-            average=schedule.average,
-            window=schedule.window,
-            capacity=schedule.steps,
-            start=float(start),
-            settled=float(settled),
-            lag=schedule.lag,
-            products=problem.products,
-            alphas=problem.alphas,
+        return replace(
+            stages,
             rayleigh=replace(problem.rayleigh, lower=lower, upper=upper),
-            on_delta=model_of_delta(problem, h, design),
             on_y=on_y,
             known=known,
-            lower=self.lower,
-            upper=self.upper,
             scale=scale,
             threshold=design["threshold"],
             deviations=None if problem.stated is None else problem.noise.deviations,

@@ -15,7 +15,7 @@ from cosim.blocks.adaptive_identifier import AdaptiveIdentifier
 from cosim.blocks.declared import with_units
 from cosim.blocks.estimator import Estimator
 from cosim.blocks.identification_problem import IdentificationProblem, IdentificationSchedule
-from cosim.blocks.identifier import LeastSquaresIdentifier
+from cosim.blocks.identifier import LeastSquaresIdentifier, LeastSquaresMethod
 from cosim.blocks.kalman_identifier import AugmentedKalmanIdentifier, ExtendedKalmanIdentifier
 from cosim.blocks.late_samples import LateSamples
 from cosim.blocks.output_error_identifier import OutputErrorIdentifier
@@ -362,13 +362,14 @@ class IdentifierKind(PeriodicKind, ExportableKind):
                 f"{name!r}: samples with time stamps come after their instants, which an exported "
                 "identifier cannot wait for yet; needed a sensor without time_stamps"
             )
-        method = component.method if isinstance(component, Estimator) else component
+        assert isinstance(component, Estimator)
+        method = component.method
         every = self.period_steps(name, context.step_ns)
-        if isinstance(method, LeastSquaresIdentifier):
-            held = bool(wiring.held.any())
-            kernel = kernels.least_squares(method.constants(method.start_time, held=held))
+        h = context.step_ns / 1e9
+        if isinstance(method, LeastSquaresMethod):
+            design = method.design(h, wiring.held)
+            kernel = kernels.least_squares(method.constants(wiring.held, design))
         elif isinstance(method, OutputErrorIdentifier):
-            h = context.step_ns / 1e9
             design = method.design(h, wiring.held)
             kernel = output_error(method.constants(h, wiring.held, design))
         else:
