@@ -20,7 +20,8 @@ from cosim.log import Log
 from cosim.report.recorded_rows import has_signal, rows_of, stacked_rows_of
 from cosim.scenario.execution import load, replay, run
 from cosim.scenario.kinds.identification import IdentifierKind
-from cosim.scenario.kinds.methods import METHODS, OPTIONS, IdentificationMethod, all_options
+from cosim.scenario.kinds.methods import METHODS, IdentificationMethod
+from cosim.scenario.kinds.variants import foreign_keys
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.recorded_metadata import (
     ParameterRecord,
@@ -209,7 +210,9 @@ def _methods(estimators: str | Sequence[str]) -> list[IdentificationMethod]:
             raise UsageError(f"{option('estimators')}: {name} is given twice; needed once")
         methods.append(known[name])
     if not methods:
-        raise UsageError(f"{option('estimators')}: found none; needed {ALL}, or some of: {METHODS}")
+        raise UsageError(
+            f"{option('estimators')}: found none; needed {ALL}, or some of: {tuple(METHODS)}"
+        )
     return methods
 
 
@@ -240,8 +243,8 @@ def _estimate(
 ) -> EstimatorResult:
     """Replay a run with another method."""
     component = source.component
-    others = {key for key in all_options() if key not in OPTIONS[method]}
-    own = {key: value for key, value in source.table.items() if key not in others}
+    foreign = foreign_keys(METHODS, method)
+    own = {key: value for key, value in source.table.items() if key not in foreign}
     changes = {component: {**own, "method": method}}
     times: dict[str, float] = {}
     try:

@@ -46,9 +46,10 @@ from cosim.scenario.kinds.identification_source import (
     sample_connections,
 )
 from cosim.scenario.kinds.identification_start import StartTable, start_time
-from cosim.scenario.kinds.methods import INPUTS, OPTIONS, IdentificationMethod, all_options
+from cosim.scenario.kinds.methods import METHODS, IdentificationMethod
 from cosim.scenario.kinds.regressor import RegressorDesign
 from cosim.scenario.kinds.stated_noise import stated_covariance
+from cosim.scenario.kinds.variants import foreign_keys
 from cosim.scenario.schema import Flag, Limit, Number, NumberRow, NumberRows
 from cosim.theory.estimators import augmented_kalman, drem, extended_kalman, gradient, least_squares
 from cosim.theory.estimators.rayleigh import rayleigh_box, rayleigh_constants
@@ -166,7 +167,7 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         observer = _driver(connections, origins["delta"])
         if observer is not None:
             origins |= {"y": Port(observer, "y"), "u": Port(observer, "u")}
-        inputs = INPUTS[self.method]
+        inputs = METHODS[self.method].inputs
         return {signal: origin for signal, origin in origins.items() if signal in inputs}
 
     def build(self, name: str, context: BuildContext) -> Component:
@@ -334,14 +335,14 @@ class IdentifierKind(PeriodicKind, ExportableKind):
     def _number(self, key: str) -> float:
         """Return a number of the method: the one given, or its default."""
         given = getattr(self, key)
-        value = OPTIONS[self.method][key] if given is None else given
+        value = METHODS[self.method].own[key] if given is None else given
         return float(value)
 
     def _check_options(self) -> None:
-        own = OPTIONS[self.method]
-        for key in all_options():
-            if key in self.model_fields_set and key not in own:
-                listed = f"; its own: {', '.join(own)}" if own else ""
+        for key in foreign_keys(METHODS, self.method):
+            if key in self.model_fields_set:
+                own = ", ".join(METHODS[self.method].own)
+                listed = f"; its own: {own}" if own else ""
                 raise UsageError(f"{key}: not of method {self.method!r}; leave it out{listed}")
         if self.window is not None and self.forgetting is not None:
             raise UsageError("found both window and forgetting; needed one of them, or none")

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Literal, TypeAlias, get_args
+from typing import Literal, TypeAlias
 
-from cosim.arrays import NAN
+from cosim.scenario.kinds.variants import Variant, without_default
 from cosim.theory.estimators import augmented_kalman, drem, extended_kalman, gradient
 
 IdentificationMethod: TypeAlias = Literal[
@@ -19,51 +19,40 @@ IdentificationMethod: TypeAlias = Literal[
     "drem",
     "gradient",
 ]
-METHODS: tuple[IdentificationMethod, ...] = get_args(IdentificationMethod)
 
-# What a method takes beside the regressor, from what drives the observer.
-INPUTS: Mapping[IdentificationMethod, frozenset[str]] = MappingProxyType(
+# The inputs are those beside the regressor, from what drives the observer.
+METHODS: Mapping[IdentificationMethod, Variant] = MappingProxyType(
     {
-        "output-error": frozenset({"delta", "y", "u"}),
-        "least-squares": frozenset(),
-        "projection": frozenset({"delta"}),
-        "rayleigh": frozenset(),
-        "augmented-kalman": frozenset({"y", "u"}),
-        "extended-kalman": frozenset({"y", "u"}),
-        "drem": frozenset(),
-        "gradient": frozenset(),
-    }
-)
-
-# The keys of each method, beside those that all have, with their defaults; NaN: without it.
-OPTIONS: Mapping[IdentificationMethod, Mapping[str, float]] = MappingProxyType(
-    {
-        "output-error": dict.fromkeys(
-            ("offset", "window", "forgetting", "bounds", "deviation", "covariance"), NAN
+        "output-error": Variant(
+            inputs=frozenset({"delta", "y", "u"}),
+            own=without_default(
+                "offset", "window", "forgetting", "bounds", "deviation", "covariance"
+            ),
         ),
-        "least-squares": {"P0": NAN},
-        "projection": dict.fromkeys(("window", "bounds"), NAN),
-        "rayleigh": {},
-        "augmented-kalman": {
-            "deviation": augmented_kalman.DEVIATION,
-            "covariance": NAN,
-            "size": augmented_kalman.SIZE,
-            "intensity": augmented_kalman.INTENSITY,
-        },
-        "extended-kalman": {
-            "deviation": extended_kalman.DEVIATION,
-            "covariance": NAN,
-            "size": extended_kalman.SIZE,
-        },
-        "drem": {"gain": drem.GAIN, "forgetting": drem.FORGETTING},
-        "gradient": {"gain": gradient.GAIN},
+        "least-squares": Variant(own=without_default("P0")),
+        "projection": Variant(
+            inputs=frozenset({"delta"}),
+            own=without_default("window", "bounds"),
+        ),
+        "rayleigh": Variant(),
+        "augmented-kalman": Variant(
+            inputs=frozenset({"y", "u"}),
+            own={
+                "deviation": augmented_kalman.DEVIATION,
+                **without_default("covariance"),
+                "size": augmented_kalman.SIZE,
+                "intensity": augmented_kalman.INTENSITY,
+            },
+        ),
+        "extended-kalman": Variant(
+            inputs=frozenset({"y", "u"}),
+            own={
+                "deviation": extended_kalman.DEVIATION,
+                **without_default("covariance"),
+                "size": extended_kalman.SIZE,
+            },
+        ),
+        "drem": Variant(own={"gain": drem.GAIN, "forgetting": drem.FORGETTING}),
+        "gradient": Variant(own={"gain": gradient.GAIN}),
     }
 )
-
-
-def all_options() -> list[str]:
-    """Return the keys that some methods have and others have not."""
-    keys: dict[str, None] = {}
-    for options in OPTIONS.values():
-        keys |= dict.fromkeys(options)
-    return list(keys)

@@ -30,7 +30,10 @@ from cosim.scenario.kinds.base import (
 )
 from cosim.scenario.kinds.plants import StartField
 from cosim.scenario.kinds.reconstruction import (
+    DEFAULT_ORDER,
+    FILTERS,
     AnyReconstruction,
+    FilterName,
     averaging_kernel,
     averaging_observer,
     choice,
@@ -40,6 +43,7 @@ from cosim.scenario.kinds.reconstruction import (
     plain_reconstruction,
     recorded_noise,
 )
+from cosim.scenario.kinds.variants import foreign_keys, variants_with
 from cosim.scenario.linearizing import DesignModel, design_model
 from cosim.scenario.schema import Number, NumberRow, NumberRows, TomlTable, Whole, matrix
 from cosim.theory import observer
@@ -85,23 +89,6 @@ class DesignedObserver(NamedTuple):
 
     model: DesignModel
     design: observer.ObserverDesign
-
-
-FilterName = Literal["first-order", "consistent", "savitzky-golay", "auto"]
-# the keys that a filter needs, and those that no other has
-_NEEDS: dict[str, tuple[str, ...]] = {
-    "first-order": ("filter_rate",),
-    "consistent": ("filter_rate",),
-    "savitzky-golay": ("half_width",),
-    "auto": (),
-}
-_HAS: dict[str, tuple[str, ...]] = {
-    "first-order": (),
-    "consistent": (),
-    "savitzky-golay": ("half_width", "order"),
-    "auto": ("noise", "noise_from", "amplitude", "bandwidth"),
-}
-DEFAULT_ORDER = 4
 
 
 class UnknownInputObserverKind(ExportableKind):
@@ -250,16 +237,15 @@ class UnknownInputObserverKind(ExportableKind):
         return delta_transient(model.reduced, design, reconstruction)
 
     def _check_keys(self) -> None:
-        for key in _NEEDS[self.filter]:
+        for key in FILTERS[self.filter].needed:
             if getattr(self, key) is None:
                 raise UsageError(f"{key} is missing; needed with filter = {self.filter!r}")
-        every = {key for keys in _HAS.values() for key in keys}
-        for key in sorted(every.difference(_HAS[self.filter])):
+        for key in sorted(foreign_keys(FILTERS, self.filter)):
             if getattr(self, key) is not None:
-                filters = [name for name, keys in _HAS.items() if key in keys]
+                filters = " or ".join(map(repr, variants_with(FILTERS, key)))
                 raise UsageError(
                     f"{key}: found it with filter = {self.filter!r}, which has none; needed "
-                    f"filter = {' or '.join(map(repr, filters))}, or no {key}"
+                    f"filter = {filters}, or no {key}"
                 )
 
     def _chosen(self, name: str, context: BuildContext) -> SavitzkyGolay:

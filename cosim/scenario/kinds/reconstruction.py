@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict
-from typing import Any, TypeAlias
+from types import MappingProxyType
+from typing import Any, Final, Literal, TypeAlias
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from cosim.errors import AssumptionError, UsageError
 from cosim.fmi.exporting import kernels
 from cosim.fmi.exporting.kernels import Kernel
 from cosim.native.step import DiscretizedDynamics, first_order_hold
+from cosim.scenario.kinds.variants import Variant, without_default
 from cosim.theory import observer
 from cosim.theory.conditions import decoupling_matrix
 from cosim.theory.descriptor import ReducedSystem
@@ -30,6 +32,20 @@ from cosim.theory.reconstruction.noise_gain import noise_gain, windowed_noise_ga
 from cosim.theory.reconstruction.noise_level import noise_level
 
 AnyReconstruction: TypeAlias = FirstOrderFilter | ConsistentFilter | SavitzkyGolay
+FilterName: TypeAlias = Literal["first-order", "consistent", "savitzky-golay", "auto"]
+DEFAULT_ORDER: Final = 4  # of the polynomial of a window
+
+FILTERS: Mapping[FilterName, Variant] = MappingProxyType(
+    {
+        "first-order": Variant(needed=("filter_rate",)),
+        "consistent": Variant(needed=("filter_rate",)),
+        "savitzky-golay": Variant(
+            needed=("half_width",),
+            own={**without_default("half_width"), "order": DEFAULT_ORDER},
+        ),
+        "auto": Variant(own=without_default("noise", "noise_from", "amplitude", "bandwidth")),
+    }
+)
 
 
 def plain_reconstruction(reconstruction: AnyReconstruction) -> dict[str, Any]:
