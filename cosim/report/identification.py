@@ -65,7 +65,7 @@ class IdentificationReport:
         """Return plain values for JSON."""
         content: dict[str, Any] = {
             "identifier": self.found.records[0].identifier,
-            "offset": self.found.offset,
+            "offset": self.found.assessment.problem.offset,
             **self.found.assessment.to_dict(),
             "logs": self._logs(),
             "contradictions": list(self.found.contradictions),

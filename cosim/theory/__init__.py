@@ -11,6 +11,8 @@ from cosim.lazy import lazy_names
 
 if TYPE_CHECKING:
     from cosim.theory.assessment.assessing import assess
+    from cosim.theory.assessment.fitted_model import FittedModel
+    from cosim.theory.assessment.problem import OutputErrorProblem
     from cosim.theory.assessment.smoothing import smoothed_signals
     from cosim.theory.assessment.validation import validate
     from cosim.theory.assessment.verdicts import Assessment, Verdict
@@ -68,6 +70,7 @@ _HOMES = {
     "Exponential": "cosim.theory.disturbance",
     "Family": "cosim.theory.disturbance",
     "fit_output_error": "cosim.theory.estimators.output_error",
+    "FittedModel": "cosim.theory.assessment.fitted_model",
     "group_by_alpha": "cosim.theory.disturbance",
     "guaranteed_interval": "cosim.theory.bounded.irregular_part",
     "identification_start_time": "cosim.theory.observer",
@@ -78,6 +81,7 @@ _HOMES = {
     "mu": "cosim.theory.regression",
     "ObserverDesign": "cosim.theory.observer",
     "OutputErrorFit": "cosim.theory.estimators.output_error",
+    "OutputErrorProblem": "cosim.theory.assessment.problem",
     "pencil_index": "cosim.theory.descriptor",
     "plan": "cosim.theory.estimators.least_squares",
     "realize": "cosim.theory.observer",
@@ -102,9 +106,11 @@ __all__ = [
     "DisturbedPlant",
     "Exponential",
     "Family",
+    "FittedModel",
     "IdentificationStartTime",
     "ObserverDesign",
     "OutputErrorFit",
+    "OutputErrorProblem",
     "Recovery",
     "ReducedSystem",
     "Sine",

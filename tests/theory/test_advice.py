@@ -8,6 +8,7 @@ import pytest
 from cosim.native.step import first_order_hold, linear_step
 from cosim.theory.assessment.advice import advised
 from cosim.theory.assessment.assessing import assess_from
+from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.verdicts import Verdict
 from cosim.theory.disturbance import Exponential, Sine
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
@@ -55,9 +56,8 @@ def experiment(families, theta, disturbance, *, length, sigma, seed=0, alpha=Non
     y = simulate(disturbance(t)) + constant + noise
     data = [DataSet(t, y[:, np.newaxis], np.zeros((len(t), 0)), alpha(t))]
     plant = lag(len(families))
-    assessment = assess_from(data, plant, families, np.array(theta), **options)
-    offset = options.get("offset", False)
-    return advised(assessment, data, plant, families, alpha=alpha, offset=offset).parameters
+    assessment = assess_from(OutputErrorProblem(data, plant, families, **options), np.array(theta))
+    return advised(assessment, alpha).parameters
 
 
 def sine(**options):
@@ -177,9 +177,8 @@ def test_another_input_does_not_help():
         y = data.y + response_to(u - data.u, data.t)
         other = DataSet(data.t, y, u, data.alpha)
         plant = design()
-        assessment = assess_from([other], plant, FAMILIES, np.array(THETA))
-        options = {"alpha": alpha_of_example, "offset": False}
-        found[name] = advised(assessment, [other], plant, FAMILIES, **options).parameters[1]
+        assessment = assess_from(OutputErrorProblem([other], plant, FAMILIES), np.array(THETA))
+        found[name] = advised(assessment, alpha_of_example).parameters[1]
     assert said(found["same"])[1]["another u"] is None
     same, other = (found[name].standard_error for name in ("same", "other"))
     assert other == pytest.approx(same, rel=1e-6)

@@ -15,6 +15,7 @@ from cosim.theory.assessment.noise_color import (
     autoregression,
     correlation_length,
 )
+from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.verdicts import Verdict
 from cosim.theory.disturbance import Exponential
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, counted_values
@@ -72,7 +73,7 @@ def record(N, disturbing, matrix=A):
 def assessed(N, disturbing, **options):
     """Assess the response with noise."""
     data = record(N, disturbing, **options)
-    return assess([data], PLANT, (Exponential(),), np.array([RATE]))
+    return assess(OutputErrorProblem([data], PLANT, (Exponential(),)), np.array([RATE]))
 
 
 @pytest.mark.parametrize(("a", "N"), [(0.5, 1001), (0.8, 1001), (0.95, 5001)])
@@ -171,7 +172,9 @@ def test_gaps_do_not_make_colored_noise_a_wrong_model(a):
     data = record(2001, noise(2001, a, 4))
     y = data.y.copy()
     y[np.random.default_rng(9).random(2001) < 0.1] = np.nan
-    assessment = assess([replace(data, y=y)], PLANT, (Exponential(),), np.array([RATE]))
+    assessment = assess(
+        OutputErrorProblem([replace(data, y=y)], PLANT, (Exponential(),)), np.array([RATE])
+    )
     parameter = assessment.parameters[0]
     assert parameter.verdict is Verdict.IDENTIFIABLE
     assert parameter.lower <= RATE <= parameter.upper

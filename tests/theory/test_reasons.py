@@ -10,6 +10,7 @@ import pytest
 from cosim.errors import AssumptionError
 from cosim.theory.assessment.amplitude_verdicts import amplitude_verdicts
 from cosim.theory.assessment.assessing import assess, assess_from
+from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.verdicts import Verdict, judge
 from cosim.theory.disturbance import Exponential, Sine
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
@@ -42,7 +43,7 @@ def measured(*alphas: float, t=T, amplitude: float = 2.0, sigma: float = 1e-3) -
 @pytest.mark.parametrize("start", [64.2, -1e6, 1e300])
 def test_a_start_whose_response_is_not_finite_is_replaced(start):
     """By a searched one: it says nothing of the data."""
-    found = assess_from([measured(1.0)], plant(1), ONE, np.array([start]))
+    found = assess_from(OutputErrorProblem([measured(1.0)], plant(1), ONE), np.array([start]))
     assert found.parameters[0].verdict is Verdict.IDENTIFIABLE
     assert found.parameters[0].lower <= TRUE <= found.parameters[0].upper
 
@@ -50,9 +51,9 @@ def test_a_start_whose_response_is_not_finite_is_replaced(start):
 def test_an_infinite_response_is_no_lack_of_samples():
     """One error for each: the number of samples, and the start."""
     with pytest.raises(AssumptionError, match=r"at theta = \[64.2\] is not finite"):
-        assess([measured(1.0)], plant(1), ONE, np.array([64.2]))
+        assess(OutputErrorProblem([measured(1.0)], plant(1), ONE), np.array([64.2]))
     with pytest.raises(AssumptionError, match="2 measured values for 3 unknowns; needed more"):
-        assess([measured(1.0, t=T[:2])], plant(1), ONE, np.array([-0.3]))
+        assess(OutputErrorProblem([measured(1.0, t=T[:2])], plant(1), ONE), np.array([-0.3]))
 
 
 @pytest.mark.parametrize("shown", ["absent", "other", "both"])
@@ -60,7 +61,7 @@ def test_a_term_whose_alpha_is_zero_has_no_theta(shown):
     """However large a residual it leaves: no residual makes it a number."""
     alphas = {"absent": (0.0,), "other": (0.0, 1.0), "both": (0.0, 0.0)}[shown]
     families = ONE * len(alphas)
-    found = assess([measured(*alphas)], plant(len(alphas)), families)
+    found = assess(OutputErrorProblem([measured(*alphas)], plant(len(alphas)), families))
     verdicts = [parameter.verdict for parameter in found.parameters]
     for parameter, alpha in zip(found.parameters, alphas, strict=True):
         if alpha == 0.0:
@@ -82,7 +83,7 @@ def test_terms_that_do_not_reach_the_output_have_no_theta():
         D=np.zeros((1, 0)),
         Dd=np.zeros((1, 2)),
     )
-    first, second = assess([measured(1.0, 1.0)], blind, ONE * 2).parameters
+    first, second = assess(OutputErrorProblem([measured(1.0, 1.0)], blind, ONE * 2)).parameters
     assert first.verdict is Verdict.IDENTIFIABLE
     assert second.verdict is Verdict.NOT_IDENTIFIABLE
     assert "does not reach y" in second.reason
@@ -91,7 +92,7 @@ def test_terms_that_do_not_reach_the_output_have_no_theta():
 @pytest.mark.parametrize("alphas", [(1.0, 1.0), (1.0, -2.5)])
 def test_terms_of_which_one_explains_the_data_are_named(alphas):
     """More data or less noise would not help: two equal terms share one amplitude anyhow."""
-    found = assess([measured(*alphas)], plant(2), ONE * 2)
+    found = assess(OutputErrorProblem([measured(*alphas)], plant(2), ONE * 2))
     assert Verdict.NOT_IDENTIFIABLE in [parameter.verdict for parameter in found.parameters]
     for parameter, other in zip(found.parameters, (1, 0), strict=True):
         if parameter.verdict is Verdict.IDENTIFIABLE:
@@ -104,7 +105,9 @@ def test_terms_of_which_one_explains_the_data_are_named(alphas):
 @pytest.mark.parametrize("terms", [1, 2])
 def test_a_term_that_is_lost_in_noise_is_called_so(terms):
     """The other cause of the same verdict."""
-    found = assess([measured(*[1.0] * terms, amplitude=0.0)], plant(terms), ONE * terms)
+    found = assess(
+        OutputErrorProblem([measured(*[1.0] * terms, amplitude=0.0)], plant(terms), ONE * terms)
+    )
     for parameter in found.parameters:
         assert parameter.verdict is Verdict.NOT_IDENTIFIABLE
         assert "less noise would show it" in parameter.reason
@@ -114,7 +117,9 @@ def test_a_term_that_is_absent_beside_one_that_is_there_is_called_so():
     """The alphas differ: the second explains nothing of the first."""
     data = measured(1.0, 1.0)
     alpha = np.stack([np.ones(len(T)), 1.0 + np.sin(3.0 * T)], axis=1)
-    first, second = assess([DataSet(T, data.y, data.u, alpha)], plant(2), ONE * 2).parameters
+    first, second = assess(
+        OutputErrorProblem([DataSet(T, data.y, data.u, alpha)], plant(2), ONE * 2)
+    ).parameters
     assert first.verdict is Verdict.IDENTIFIABLE
     assert second.verdict is Verdict.NOT_IDENTIFIABLE
     assert "less noise would show it" in second.reason
@@ -122,7 +127,7 @@ def test_a_term_that_is_absent_beside_one_that_is_there_is_called_so():
 
 def test_a_wrong_family_says_what_to_do():
     """The iteration runs towards a sine of rate 0: the family has no exponential."""
-    (parameter,) = assess([measured(1.0)], plant(1), (Sine(),)).parameters
+    (parameter,) = assess(OutputErrorProblem([measured(1.0)], plant(1), (Sine(),))).parameters
     assert parameter.verdict in (Verdict.NO_ESTIMATE, Verdict.INCONSISTENT)
     assert parameter.lower is None
     if parameter.verdict is Verdict.NO_ESTIMATE:
@@ -136,7 +141,7 @@ def test_a_wrong_family_says_what_to_do():
 def test_an_estimate_at_a_bound_names_it(bounds, side, bound, sigma):
     """Whether its residual is that of noise or not."""
     data = measured(1.0, sigma=sigma, amplitude=2.0 if sigma < 0.1 else 40.0)
-    (parameter,) = assess([data], plant(1), ONE, bounds={0: bounds}).parameters
+    (parameter,) = assess(OutputErrorProblem([data], plant(1), ONE, bounds={0: bounds})).parameters
     assert parameter.value == float(bound)
     assert f"theta[0] stands at its {side} bound {bound}" in parameter.reason
     assert "widen" in parameter.reason
@@ -148,15 +153,17 @@ def test_what_is_inconsistent_has_no_interval():
     """There is none that holds."""
     data = measured(1.0)
     wrong = DataSet(data.t, data.y + 0.1 * np.sin(data.t)[:, np.newaxis], data.u, data.alpha)
-    found = assess([wrong], plant(1), ONE)
+    found = assess(OutputErrorProblem([wrong], plant(1), ONE))
     (parameter,) = found.parameters
     assert parameter.verdict is Verdict.INCONSISTENT
     assert parameter.value is not None
     assert (parameter.standard_error, parameter.lower, parameter.upper) == (None, None, None)
-    ((amplitude,),) = amplitude_verdicts(found, [wrong], ONE)
+    ((amplitude,),) = amplitude_verdicts(found)
     assert amplitude.value is not None
     assert (amplitude.standard_error, amplitude.lower, amplitude.upper) == (None, None, None)
-    (biased,) = judge(assess([data], plant(1), ONE), np.array([-50.9]), np.array([1e-9]))
+    (biased,) = judge(
+        assess(OutputErrorProblem([data], plant(1), ONE)), np.array([-50.9]), np.array([1e-9])
+    )
     assert biased.verdict is Verdict.INCONSISTENT
     assert biased.value == -50.9
     assert (biased.standard_error, biased.lower, biased.upper) == (None, None, None)
@@ -169,7 +176,7 @@ def test_an_output_that_does_not_change_is_named(value):
     forced = replace(plant(1), B=np.ones((1, 1)), D=np.zeros((1, 1)))
     u = np.where(T >= 2.0, 1.0, 0.0)[:, np.newaxis]
     data = DataSet(T, np.full((len(T), 1), value), u, np.ones((len(T), 1)))
-    (parameter,) = assess([data], forced, ONE).parameters
+    (parameter,) = assess(OutputErrorProblem([data], forced, ONE)).parameters
     assert parameter.lower is None
     assert f"y[0] is {value:g} at every sample" in parameter.reason
     assert "far apart" not in parameter.reason
@@ -179,7 +186,7 @@ def test_an_output_that_stands_at_a_limit_is_named():
     """A sensor at the lower limit of its range from ln(...) on."""
     data = measured(1.0)
     cut = DataSet(T, np.maximum(data.y, 1.0), data.u, data.alpha)
-    (parameter,) = assess([cut], plant(1), ONE).parameters
+    (parameter,) = assess(OutputErrorProblem([cut], plant(1), ONE)).parameters
     since = T[np.flatnonzero(data.y[:, 0] > 1.0)[-1] + 1]
     assert parameter.verdict is Verdict.INCONSISTENT
     assert f"y[0] stands at 1 from {since:g} s to 10 s" in parameter.reason
@@ -192,7 +199,7 @@ def test_samples_too_far_apart_are_called_so():
     u = 3.0 * np.sin(3.0 * t)[:, np.newaxis]
     forced = replace(plant(1), B=np.ones((1, 1)), D=np.zeros((1, 1)))
     data = DataSet(t, y[:, np.newaxis], u, np.ones((len(t), 1)))
-    (parameter,) = assess([data], forced, ONE).parameters
+    (parameter,) = assess(OutputErrorProblem([data], forced, ONE)).parameters
     assert "the samples are too far apart" in parameter.reason
     assert "stands" not in parameter.reason
 
@@ -201,7 +208,9 @@ def test_a_failed_test_of_several_data_sets_names_that_of_it():
     """The second is of another plant; numbers begin with 1."""
     good = measured(1.0)
     bad = DataSet(T, good.y + 0.1 * np.sin(T)[:, np.newaxis], good.u, good.alpha)
-    (parameter,) = assess([good, bad], plant(1), ONE, np.array([TRUE])).parameters
+    (parameter,) = assess(
+        OutputErrorProblem([good, bad], plant(1), ONE), np.array([TRUE])
+    ).parameters
     assert parameter.verdict is Verdict.INCONSISTENT
     assert "data set 2, whiteness" in parameter.reason
 
@@ -209,4 +218,4 @@ def test_a_failed_test_of_several_data_sets_names_that_of_it():
 def test_a_single_sample_is_no_record():
     """Refused by name, before a time scale is divided by its length."""
     with pytest.raises(AssumptionError, match="found a single sample, at 0 s"):
-        assess([measured(1.0, t=T[:1])], plant(1), ONE)
+        assess(OutputErrorProblem([measured(1.0, t=T[:1])], plant(1), ONE))

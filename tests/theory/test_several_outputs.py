@@ -10,6 +10,7 @@ from scipy.signal import lfilter, lsim
 
 from cosim.theory.assessment.assessing import assess
 from cosim.theory.assessment.noise_covariance import fit_with_noise
+from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.verdicts import Verdict
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel
 from tests.theory.academic import THETA, alpha
@@ -76,7 +77,7 @@ def campaign(covariance, seeds: range):
     verdicts = []
     for seed in seeds:
         noise = np.random.default_rng(seed).standard_normal(y.shape) @ factor.T
-        found = assess([record(y + noise)], plant, FAMILIES, START)
+        found = assess(OutputErrorProblem([record(y + noise)], plant, FAMILIES), START)
         error = found.fit.theta - THETA
         errors.append(error)
         misses.append(np.abs(error) > found.half_width)
@@ -96,10 +97,10 @@ def test_a_bad_output_costs_nothing_where_nothing_is_stated():
     errors = []
     for seed in range(8):
         data = [record(noisy(seed=seed))]
-        fit, noise = fit_with_noise(data, plant, FAMILIES, START, noise=white)
-        errors.append(fit.theta - THETA)
-        np.testing.assert_allclose(noise.deviations, SIGMA, rtol=0.05)
-        np.testing.assert_allclose(fit.standard_error, expected, rtol=0.05)
+        fitted = fit_with_noise(OutputErrorProblem(data, plant, FAMILIES), START, white)
+        errors.append(fitted.fit.theta - THETA)
+        np.testing.assert_allclose(fitted.noise.deviations, SIGMA, rtol=0.05)
+        np.testing.assert_allclose(fitted.fit.standard_error, expected, rtol=0.05)
     ratio = np.sqrt(np.mean((np.array(errors) / expected) ** 2))
     assert 1.0 - 4.0 / np.sqrt(32.0) < ratio < 1.0 + 4.0 / np.sqrt(32.0)
 
@@ -134,7 +135,9 @@ def test_units_of_the_outputs_do_not_count():
     """
     found = []
     for scale in (1.0, 1e6):
-        assessment = assess([record(noisy(scale=scale))], two_outputs(scale), FAMILIES)
+        assessment = assess(
+            OutputErrorProblem([record(noisy(scale=scale))], two_outputs(scale), FAMILIES)
+        )
         found.append(assessment)
     one, other = found
     error = one.fit.standard_error
@@ -150,7 +153,7 @@ def test_correlated_noise_is_estimated_with_its_correlation():
     factor = np.linalg.cholesky(covariance)
     y = response(two_outputs())
     noise = np.random.default_rng(4).standard_normal(y.shape) @ factor.T
-    assessment = assess([record(y + noise)], two_outputs(), FAMILIES, START)
+    assessment = assess(OutputErrorProblem([record(y + noise)], two_outputs(), FAMILIES), START)
     found = assessment.noise.covariance
     assert found[0, 1] / np.sqrt(found[0, 0] * found[1, 1]) == pytest.approx(0.9, abs=0.02)
     np.testing.assert_allclose(
@@ -164,7 +167,7 @@ def test_an_output_without_noise_gets_no_infinite_weight(level):
     y = noisy(np.array([1e-1, 0.0]))
     if level:
         y[:, 1] = level * np.round(y[:, 1] / level)
-    assessment = assess([record(y)], two_outputs(), FAMILIES, START)
+    assessment = assess(OutputErrorProblem([record(y)], two_outputs(), FAMILIES), START)
     assert [one.verdict for one in assessment.parameters] == GOOD
     for one, true in zip(assessment.parameters, THETA, strict=True):
         assert one.lower <= true <= one.upper
@@ -179,7 +182,7 @@ def test_noise_of_one_output_alone_may_be_colored():
     y = response(two_outputs())
     white = SIGMA * np.random.default_rng(5).standard_normal(y.shape)
     white[:, 1] = lfilter([1.0], [1.0, -0.8], white[:, 1])
-    assessment = assess([record(y + white)], two_outputs(), FAMILIES, START)
+    assessment = assess(OutputErrorProblem([record(y + white)], two_outputs(), FAMILIES), START)
     assert [one.verdict for one in assessment.parameters] == GOOD
     a = assessment.noise.a
     assert a[1, 0] == pytest.approx(0.8, abs=0.05)
@@ -190,8 +193,10 @@ def test_noise_of_one_output_alone_may_be_colored():
 def test_a_stated_covariance_weighs_the_outputs():
     """Stated right it holds; theta is that of the estimated one but for a part of its error."""
     data = [record(noisy())]
-    stated = assess(data, two_outputs(), FAMILIES, START, stated=np.diag(SIGMA**2))
-    estimated = assess(data, two_outputs(), FAMILIES, START)
+    stated = assess(
+        OutputErrorProblem(data, two_outputs(), FAMILIES, stated=np.diag(SIGMA**2)), START
+    )
+    estimated = assess(OutputErrorProblem(data, two_outputs(), FAMILIES), START)
     assert [one.verdict for one in stated.parameters] == GOOD
     apart = np.abs(stated.fit.theta - estimated.fit.theta)
     assert (apart < 0.1 * stated.fit.standard_error).all()
@@ -209,7 +214,9 @@ def test_a_stated_covariance_weighs_the_outputs():
 def test_a_residual_of_another_size_than_stated_is_said(stated, text):
     """Much larger or much smaller: the statement and the data exclude each other."""
     covariance = np.diag(np.square(stated))
-    assessment = assess([record(noisy())], two_outputs(), FAMILIES, START, stated=covariance)
+    assessment = assess(
+        OutputErrorProblem([record(noisy())], two_outputs(), FAMILIES, stated=covariance), START
+    )
     for one in assessment.parameters:
         assert one.verdict is Verdict.INCONSISTENT
         assert re.search(text, one.reason)
@@ -219,5 +226,5 @@ def test_a_wrong_model_of_one_output_is_seen_beside_a_good_one():
     """5 % in the gain of the exact sensor, while the other one is as good as nothing."""
     y = noisy()
     y[:, 1] *= 1.05
-    assessment = assess([record(y)], two_outputs(), FAMILIES, START)
+    assessment = assess(OutputErrorProblem([record(y)], two_outputs(), FAMILIES), START)
     assert [one.verdict for one in assessment.parameters] == 2 * [Verdict.INCONSISTENT]

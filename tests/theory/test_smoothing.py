@@ -11,9 +11,11 @@ from scipy.linalg import expm
 from scipy.stats import binom
 
 from cosim.errors import AssumptionError
+from cosim.theory.assessment.fitted_model import FittedModel
+from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.smoothing import smoothed_signals
 from cosim.theory.descriptor import reduce
-from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel
+from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel, white_noise
 from cosim.theory.estimators.output_error import fit_output_error
 from tests.theory.academic import THETA, academic, alpha
 from tests.theory.academic import delta as true_delta
@@ -27,7 +29,12 @@ FEW = 40  # seeds
 
 def smoothed(data, fit=None):
     fit = fit or fit_output_error([data], design(), FAMILIES, START)
-    return smoothed_signals(fit, 0, [data], design(), FAMILIES)
+    return smoothed_signals(fitted([data], fit))
+
+
+def fitted(data, fit, noise=None):
+    noise = noise or white_noise(1)
+    return FittedModel(OutputErrorProblem(data, design(), FAMILIES), fit, noise)
 
 
 def true_states(t):
@@ -144,10 +151,10 @@ def test_a_second_record_narrows_the_bands_of_the_first():
     strong = record(y + 1e-3 * np.random.default_rng(2).standard_normal(y.shape), COARSE)
     alone = smoothed(data)
     fit = fit_output_error([data, strong], design(), FAMILIES, START)
-    both = smoothed_signals(fit, 0, [data, strong], design(), FAMILIES)
+    both = smoothed_signals(fitted([data, strong], fit))
     end = slice(2000, None)
     assert (both.disturbance_half_width[end] < 0.7 * alone.disturbance_half_width[end]).all()
-    other = smoothed_signals(fit, 1, [data, strong], design(), FAMILIES)
+    other = smoothed_signals(fitted([data, strong], fit), 1)
     true = delta(t) @ np.array([2.0, 5.0])
     assert (np.abs(other.disturbance - true) < 2.0 * other.disturbance_half_width).all()
 
@@ -178,7 +185,7 @@ def test_colored_noise_makes_wider_bands():
     data = DataSet(t, y, np.sin(t)[:, np.newaxis], alpha(t))
     noise = NoiseModel(covariance=np.eye(1), a=np.array([[0.8]]))
     fit = fit_output_error([data], design(), FAMILIES, START, noise=noise)
-    found = smoothed_signals(fit, 0, [data], design(), FAMILIES, noise=noise)
+    found = smoothed_signals(fitted([data], fit, noise))
     plain = smoothed(noisy("good", 1e-3, 4, COARSE))
     wider = found.disturbance_half_width[2000] / plain.disturbance_half_width[2000]
     # the spectrum of the noise at low frequencies: (0.6 / (1 - 0.8)) = 3 times the deviation
@@ -191,5 +198,6 @@ def test_an_unstable_plant_is_refused():
     fit = fit_output_error([data], design(), FAMILIES, START)
     one = design()
     unstable = DisturbedPlant(A=-one.A, B=one.B, Bd=one.Bd, C=one.C, D=one.D, Dd=one.Dd)
+    problem = OutputErrorProblem([data], unstable, FAMILIES)
     with pytest.raises(AssumptionError, match="smoothing needs a stable plant"):
-        smoothed_signals(fit, 0, [data], unstable, FAMILIES)
+        smoothed_signals(FittedModel(problem, fit, white_noise(1)))

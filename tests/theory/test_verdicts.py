@@ -9,9 +9,10 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.signal import lfilter
 
-import cosim.theory.assessment.assessing
+import cosim.theory.assessment.problem
 from cosim.theory.assessment.advice import advised
 from cosim.theory.assessment.assessing import assess, assess_from
+from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.verdicts import Verdict, judge
 from cosim.theory.descriptor import reduce
 from cosim.theory.disturbed_plant import DataSet
@@ -36,7 +37,7 @@ GOOD = [Verdict.IDENTIFIABLE, Verdict.IDENTIFIABLE]
 
 def verdicts(data, **options):
     """Assess one data set."""
-    assessment = assess([data], design(), FAMILIES, START, **options)
+    assessment = assess(OutputErrorProblem([data], design(), FAMILIES, **options), START)
     return assessment, [parameter.verdict for parameter in assessment.parameters]
 
 
@@ -186,7 +187,7 @@ def test_few_samples_among_many_inputs_count_as_few():
     t = times(COARSE)
     y = noisy("good", 1e-4, seed=5, h=COARSE).y.copy()
     y[np.arange(len(t)) % 40 > 0] = np.nan
-    assessment = assess([record(y, COARSE)], design(), FAMILIES)
+    assessment = assess(OutputErrorProblem([record(y, COARSE)], design(), FAMILIES))
     assert [parameter.verdict for parameter in assessment.parameters] == GOOD
     assert misses(assessment) == [False, False]
     expected = 1e-4 * BOUND * np.sqrt(40001 / 101)
@@ -210,10 +211,10 @@ OTHER_OPTIMUM = np.array([-0.17, -0.06])  # of the example under noise, a local 
 def test_a_local_optimum_that_noise_hides_is_left(seed):
     """Its residual passes every test, but another theta leaves less than noise accounts for."""
     data = [noisy("good", 0.1, seed, h=2e-2)]
-    local = assess(data, design(), FAMILIES, OTHER_OPTIMUM)
+    local = assess(OutputErrorProblem(data, design(), FAMILIES), OTHER_OPTIMUM)
     assert local.consistency.passed
     np.testing.assert_allclose(local.fit.theta, OTHER_OPTIMUM, atol=0.03)
-    found = assess_from(data, design(), FAMILIES, OTHER_OPTIMUM)
+    found = assess_from(OutputErrorProblem(data, design(), FAMILIES), OTHER_OPTIMUM)
     errors = np.abs(found.fit.theta - THETA)
     assert (errors < 4.0 * found.fit.standard_error).all()
     assert found.parameters[0].verdict is Verdict.IDENTIFIABLE
@@ -224,19 +225,23 @@ def test_a_local_optimum_that_noise_hides_is_left(seed):
 def test_of_two_optima_that_noise_cannot_tell_apart_none_is_identifiable(sigma, seed):
     """In the first case the deeper one is near the truth, in the second it is not."""
     data = [noisy("good", sigma, seed, h=2e-2)]
-    found = assess_from(data, design(), FAMILIES, OTHER_OPTIMUM if sigma == 0.1 else THETA)
+    found = assess_from(
+        OutputErrorProblem(data, design(), FAMILIES), OTHER_OPTIMUM if sigma == 0.1 else THETA
+    )
     assert [parameter.verdict for parameter in found.parameters] == [Verdict.WEAK] * 2
     assert "explains the data too" in found.parameters[0].reason
     both = np.array([found.fit.theta, found.other_optimum])
     assert np.abs(both - THETA).max(axis=1).min() < 0.05
-    advice = advised(found, data, design(), FAMILIES, alpha=alpha, offset=False)
+    advice = advised(found, alpha)
     assert advice is found
 
 
 def test_two_optima_within_one_interval_are_one_estimate():
     """A bound at the truth stays fixed, and nothing is said of another theta."""
     data = [noisy("good", 0.15, 1, h=2e-2)]
-    found = assess_from(data, design(), FAMILIES, THETA, bounds={0: (-0.1, -0.1)})
+    found = assess_from(
+        OutputErrorProblem(data, design(), FAMILIES, bounds={0: (-0.1, -0.1)}), THETA
+    )
     assert found.parameters[0].verdict is Verdict.IDENTIFIABLE
     assert found.other_optimum is None
 
@@ -247,9 +252,9 @@ def test_data_far_above_the_noise_are_not_searched(monkeypatch):
     def forbidden(*arguments, **options):
         raise AssertionError("a start was searched")
 
-    monkeypatch.setattr(cosim.theory.assessment.assessing, "search_start", forbidden)
+    monkeypatch.setattr(cosim.theory.assessment.problem, "search_start", forbidden)
     data = [noisy("good", 1e-3, seed=7, h=COARSE)]
-    found = assess_from(data, design(), FAMILIES, START)
+    found = assess_from(OutputErrorProblem(data, design(), FAMILIES), START)
     assert [parameter.verdict for parameter in found.parameters] == GOOD
 
 
@@ -365,6 +370,6 @@ def test_what_the_class_contains_stays_identifiable_over_200_seeds(case, offset)
 def test_a_start_that_does_not_fit_is_replaced(start):
     """By one that is searched: whatever was recorded, good data are identifiable."""
     data = noisy("good", 1e-3, seed=3, h=COARSE)
-    assessment = assess_from([data], design(), FAMILIES, np.array(start))
+    assessment = assess_from(OutputErrorProblem([data], design(), FAMILIES), np.array(start))
     assert [parameter.verdict for parameter in assessment.parameters] == GOOD
     assert misses(assessment) == [False, False]

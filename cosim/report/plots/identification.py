@@ -25,9 +25,8 @@ from cosim.scenario.identification.from_logs import IdentifierRecord, LogIdentif
 from cosim.scenario.recorded_metadata import truth_of
 from cosim.scenario.schema import truth_ports
 from cosim.theory.assessment.spectrum import whiteness_spectrum
-from cosim.theory.disturbance import generators
 from cosim.theory.disturbed_plant import counted_values
-from cosim.theory.fitted_response import FittedResponse, fitted_response
+from cosim.theory.fitted_response import FittedResponse
 
 _STANDARD = PictureOptions()
 _THIN: Final = 0.5  # width of a line of noise [points]
@@ -88,12 +87,9 @@ def _draw_residual(
 ) -> None:
     over_time, spectrum = panels
     record = found.records[index]
-    assessment = found.assessment
     identified = found.identified
     data = record.data
-    response = fitted_response(
-        assessment.fit, index, data, identified.plant, generators(identified.families)
-    )
+    response = found.assessment.fitted.responses[index]
     unit = signal_of(record.log, f"{identified.observer}.y").measure
     names = ["residual of y"]
     if data.y.shape[1] > 1:

@@ -25,7 +25,8 @@ def print_identification(report: IdentificationReport, *, as_json: bool) -> None
     assessment = found.assessment
     identifier = found.records[0].identifier
     columns = ("", "estimate", "standard error", "95 % interval", "")
-    table = new_table(f"{identifier}: output error{' with offset' * found.offset}", columns)
+    has_offset = assessment.problem.offset
+    table = new_table(f"{identifier}: output error{' with offset' * has_offset}", columns)
     for parameter in assessment.parameters:
         _add_parameter(table, parameter)
     for i, j in itertools.combinations(range(len(assessment.parameters)), 2):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -75,15 +75,12 @@ class LogIdentification:
     Parameters
     ----------
     records : tuple of IdentifierRecord
-    offset : bool
-        An unknown constant was on every output.
     assessment : Assessment
     contradictions : tuple of str
         Where the logs are not explained together: which of them fail alone, and whose theta differ.
     """
 
     records: tuple[IdentifierRecord, ...]
-    offset: bool
     assessment: Assessment
     contradictions: tuple[str, ...] = ()
 
@@ -95,11 +92,7 @@ class LogIdentification:
     @cached_property
     def amplitudes(self) -> tuple[tuple[ParameterVerdict, ...], ...]:
         """What may be said about amplitudes and phases, those of each log."""
-        return amplitude_verdicts(self.assessment, self._data, self.identified.families)
-
-    @property
-    def _data(self) -> list[DataSet]:
-        return [record.data for record in self.records]
+        return amplitude_verdicts(self.assessment)
 
     def validate(self, other: IdentifierRecord) -> Validation:
         """Test the fit on the data of another run, which was not used in it.
@@ -113,15 +106,7 @@ class LogIdentification:
         """
         _check_unused(other, self.records)
         check_one_model(self.records[0], other)
-        return validate(
-            self.assessment,
-            self._data,
-            other.data,
-            self.identified.plant,
-            self.identified.families,
-            stated=self.identified.stated,
-            offset=self.offset,
-        )
+        return validate(self.assessment, other.data)
 
     def smoothed(self, index: int = 0) -> SmoothedSignals:
         """Return states and disturbance of log number ``index`` by the fit, with their bands.
@@ -131,14 +116,7 @@ class LogIdentification:
         AssumptionError
             If the plant is unstable.
         """
-        return smoothed_signals(
-            self.assessment.fit,
-            index,
-            self._data,
-            self.identified.plant,
-            self.identified.families,
-            noise=self.assessment.noise,
-        )
+        return smoothed_signals(self.assessment.fitted, index)
 
     def guaranteed_interval(self, bound: float) -> GuaranteedInterval:
         """Return which theta a log allows if an irregular part of delta is within a bound.
@@ -161,8 +139,7 @@ class LogIdentification:
                 f"found {len(self.records)} logs; needed one to bound theta for an irregular part "
                 "of the disturbance"
             )
-        (data,) = self._data
-        return interval_of(self.assessment, data, self.identified, bound, programs=Programs.ALWAYS)
+        return interval_of(self.assessment, bound, Programs.ALWAYS)
 
 
 def identifier_record(log: CompleteRecording, identifier: str | None = None) -> IdentifierRecord:
@@ -299,40 +276,18 @@ def identify_records(
         _check_unused(record, records[:number])
         check_one_model(first, record)
     identified = first.identified
-    has_offset = offset or identified.offset
-    limits = identified.bounds if bounds is None else bounds
-    data = [record.data for record in records]
-    assessment = assess_from(
-        data,
-        identified.plant,
-        identified.families,
-        first.estimate,
-        stated=identified.stated,
-        offset=has_offset,
-        bounds=limits,
+    problem = identified.problem_of([record.data for record in records])
+    problem = replace(
+        problem,
+        offset=offset or identified.offset,
+        bounds=identified.bounds if bounds is None else bounds,
     )
-    alone = each_alone(
-        assessment,
-        data,
-        identified.plant,
-        identified.families,
-        stated=identified.stated,
-        offset=has_offset,
-        bounds=limits,
-    )
-    assessment = advised(
-        assessment,
-        data,
-        identified.plant,
-        identified.families,
-        alpha=identified.alpha,
-        offset=has_offset,
-    )
+    assessment = assess_from(problem, first.estimate)
+    names = [record.log.label for record in records]
     return LogIdentification(
         records=tuple(records),
-        offset=has_offset,
-        assessment=assessment,
-        contradictions=tuple(contradictions(alone, [record.log.label for record in records])),
+        assessment=advised(assessment, identified.alpha),
+        contradictions=tuple(contradictions(each_alone(assessment), names)),
     )
 
 

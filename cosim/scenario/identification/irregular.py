@@ -9,10 +9,9 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.errors import AssumptionError
-from cosim.scenario.identification.model import IdentifiedPlant
 from cosim.theory.assessment.verdicts import Assessment
 from cosim.theory.bounded.irregular_part import GuaranteedInterval, Programs, guaranteed_interval
-from cosim.theory.disturbed_plant import DataSet, NoiseModel
+from cosim.theory.disturbed_plant import NoiseModel
 
 FREQUENCIES: Final = 1025  # of a spectrum, from 0 to half the sampling frequency
 
@@ -90,14 +89,7 @@ def irregular_part(bound: float, interval: GuaranteedInterval) -> IrregularPart:
     )
 
 
-def interval_of(
-    assessment: Assessment,
-    data: DataSet,
-    identified: IdentifiedPlant,
-    bound: float,
-    *,
-    programs: Programs,
-) -> GuaranteedInterval:
+def interval_of(assessment: Assessment, bound: float, programs: Programs) -> GuaranteedInterval:
     """Return which theta data allow if an irregular part of delta is within a bound.
 
     Where the noise of y is not stated it is as large as the residual, which holds the irregular
@@ -106,9 +98,7 @@ def interval_of(
     Parameters
     ----------
     assessment : Assessment
-        Of these data alone.
-    data : DataSet
-    identified : IdentifiedPlant
+        Of one data set.
     bound : float
         Of the irregular part, ``|delta_0| <= bound``.
     programs : Programs
@@ -120,6 +110,7 @@ def interval_of(
         If not every theta was estimated, samples are missing or at unequal distances, or the plant
         is unstable.
     """
+    problem = assessment.problem
     estimated = assessment.fit.estimated
     if not estimated.all():
         missing = ", ".join(f"theta[{j}]" for j in np.flatnonzero(~estimated))
@@ -131,12 +122,12 @@ def interval_of(
     sampling_error = float(np.abs(accuracy.step).max()) + 0.5 * float(accuracy.spacing.max())
     outputs = accuracy.step.shape[1]
     sigma = _largest_deviations(assessment)
-    if identified.stated is not None:
-        sigma = np.sqrt(np.diag(identified.stated))
+    if problem.stated is not None:
+        sigma = np.sqrt(np.diag(problem.stated))
     return guaranteed_interval(
-        data,
-        identified.plant,
-        identified.families,
+        problem.data[0],
+        problem.plant,
+        problem.families,
         assessment.fit,
         bound=bound,
         sigma=sigma,

@@ -13,6 +13,7 @@ from cosim.arrays import Mask, Matrix, Vector
 from cosim.errors import UsageError
 from cosim.native.expression import Program
 from cosim.native.step import evaluate_at
+from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.disturbance import Family
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 
@@ -87,6 +88,12 @@ class IdentifiedPlant:
     def alpha(self, t: Vector) -> Matrix:
         """Return the known factors at instants ``(N,)`` [s], shape ``(N, components)``."""
         return evaluate_at(self.alphas, t)
+
+    def problem_of(self, data: Sequence[DataSet]) -> OutputErrorProblem:
+        """Return what output error is to explain."""
+        return OutputErrorProblem(
+            data, self.plant, self.families, self.stated, self.offset, self.bounds
+        )
 
     def data_set(
         self, t: Vector, y: Matrix, u: Matrix, held: Mask, samples: SampleRows | None = None

@@ -118,34 +118,18 @@ class _IdentifierData:
 
     def _assessed(self, theta: Vector) -> dict[str, Any]:
         identified = self._identified
-        data = [self._data()]
-        assessment = assess_from(
-            data,
-            identified.plant,
-            identified.families,
-            theta,
-            stated=identified.stated,
-            offset=identified.offset,
-            bounds=identified.bounds,
-        )
-        assessment = advised(
-            assessment,
-            data,
-            identified.plant,
-            identified.families,
-            alpha=identified.alpha,
-            offset=identified.offset,
-        )
+        problem = identified.problem_of([self._data()])
+        assessment = advised(assess_from(problem, theta), identified.alpha)
         error = None if self._error is None else self._last[self._error]
         result = assessment.to_dict()
         if identified.extent:
             result["extent"] = identified.extent
-        amplitudes = amplitude_verdicts(assessment, data, identified.families)
+        amplitudes = amplitude_verdicts(assessment)
         result["amplitudes"] = plain_amplitudes(amplitudes)
         own = judge(assessment, theta, error)
         result["estimate"] = [parameter.to_dict() for parameter in own]
         if identified.irregular is not None:
-            result["irregular"] = _irregular(assessment, data[0], identified, identified.irregular)
+            result["irregular"] = _irregular(assessment, identified.irregular)
         return result
 
     def _data(self) -> DataSet:
@@ -166,14 +150,10 @@ def plain_amplitudes(
     return [[amplitude.to_dict() for amplitude in of_data] for of_data in amplitudes]
 
 
-def _irregular(
-    assessment: Assessment, data: DataSet, identified: IdentifiedPlant, bound: float
-) -> dict[str, Any]:
+def _irregular(assessment: Assessment, bound: float) -> dict[str, Any]:
     """Return what an irregular part within its bound leaves open, or why that is not known."""
     try:
-        interval = interval_of(
-            assessment, data, identified, bound, programs=Programs.BEYOND_FIRST_ORDER
-        )
+        interval = interval_of(assessment, bound, Programs.BEYOND_FIRST_ORDER)
     except (AssumptionError, RunError) as error:
         return {"bound": bound, "problem": str(error)}
     return irregular_part(bound, interval).to_dict()

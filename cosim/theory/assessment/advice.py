@@ -21,9 +21,8 @@ from cosim.native.output_error import ParameterState, ResponseRecord
 from cosim.theory.assessment.consistency import MARGIN
 from cosim.theory.assessment.record_information import information_of
 from cosim.theory.assessment.verdicts import LARGEST_PROFILE, Assessment, Verdict, growth_of_squares
-from cosim.theory.disturbance import Family, generators
-from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, sample_plant
-from cosim.theory.estimators.output_error import least_squares_at
+from cosim.theory.disturbed_plant import DataSet, sample_plant
+from cosim.theory.estimators.output_error import squares_at
 from cosim.theory.quantiles import CONFIDENCE, student_two_sided
 
 LONGEST: Final = 32  # times as long as the data
@@ -55,28 +54,14 @@ class Outlook:
         return self.curvature <= SURELY_ENOUGH
 
 
-def advised(
-    assessment: Assessment,
-    data: Sequence[DataSet],
-    plant: DisturbedPlant,
-    families: Sequence[Family],
-    *,
-    alpha: Callable[[Vector], Matrix],
-    offset: bool,
-) -> Assessment:
+def advised(assessment: Assessment, alpha: Callable[[Vector], Matrix]) -> Assessment:
     """Return an assessment whose WEAK parameters have the reason and what would help.
 
     Parameters
     ----------
     assessment : Assessment
-        Of these data.
-    data : sequence of DataSet
-    plant : DisturbedPlant
-    families : sequence of Family
     alpha : callable
         The known factors at instants ``(N,)`` [s], shape ``(N, components)``, also after the data.
-    offset : bool
-        An unknown constant is on every output.
     """
     if assessment.other_optimum is not None:
         return assessment  # predictions around one of two optima say nothing of both
@@ -87,7 +72,7 @@ def advised(
             parameter.verdict is Verdict.WEAK
             and assessment.fit.states[j] is ParameterState.ESTIMATED
         ):
-            advisor = advisor or _Advisor(assessment, data, plant, families, alpha, offset)
+            advisor = advisor or _Advisor(assessment, alpha)
             parameter = replace(parameter, reason=f"{parameter.reason}; {advisor.advice(j)}")
         parameters.append(parameter)
     return replace(assessment, parameters=tuple(parameters))
@@ -96,23 +81,12 @@ def advised(
 class _Advisor:
     """Predicts experiments beside the one that was made."""
 
-    def __init__(
-        self,
-        assessment: Assessment,
-        data: Sequence[DataSet],
-        plant: DisturbedPlant,
-        families: Sequence[Family],
-        alpha: Callable[[Vector], Matrix],
-        offset: bool,
-    ) -> None:
+    def __init__(self, assessment: Assessment, alpha: Callable[[Vector], Matrix]) -> None:
         self._assessment = assessment
+        self._problem = assessment.problem
         self._fit = assessment.fit
-        self._data = data
-        self._plant = plant
-        self._matrices = generators(families)
         self._alpha = alpha
-        self._offset = offset
-        self._same = self._records(1, offset=offset)
+        self._same = self._records(1, offset=self._problem.offset)
 
     def advice(self, j: int) -> str:
         """Return what would make parameter j identifiable, and what would not."""
@@ -125,23 +99,23 @@ class _Advisor:
         for k in np.flatnonzero(self._fit.estimated).tolist():
             if k != j and self._assessment.parameters[k].verdict.has_value:
                 outlooks.append((f"theta[{k}] known", self._outlook(self._same, j, known=k)))
-        if self._offset:
+        if self._problem.offset:
             without = self._records(1, offset=False)
             outlooks.append(("no offset on y", self._outlook(without, j)))
-        fails = ["another u"] if self._plant.B.shape[1] else []
+        fails = ["another u"] if self._problem.plant.B.shape[1] else []
         error = float(self._fit.standard_error[j])
         return f"{_sentences(outlooks, fails)} (in brackets the standard error, {error:.2g} now)"
 
     def _length(self, j: int) -> tuple[str, Outlook]:
         """Return the shortest record that would do, or that none would."""
-        samples = sum(len(one.t) for one in self._data)
+        samples = sum(len(one.t) for one in self._problem.data)
         longest = max(2, min(LONGEST, MOST_SAMPLES // samples))
         outlook = Outlook(float(self._fit.standard_error[j]), np.inf)
-        span = max(float(one.t[-1] - one.t[0]) for one in self._data)
+        span = max(float(one.t[-1] - one.t[0]) for one in self._problem.data)
         times = 2
         while times <= longest:
             try:
-                records = self._records(times, offset=self._offset)
+                records = self._records(times, offset=self._problem.offset)
             except AssumptionError:  # an alpha has no value there
                 return "", outlook
             longer = self._outlook(records, j)
@@ -166,11 +140,11 @@ class _Advisor:
     def _records(self, times: int, *, offset: bool) -> list[ResponseRecord]:
         """Return the outputs of records so many times as long, without noise."""
         records = []
-        for index, one in enumerate(self._data):
+        for index, one in enumerate(self._problem.data):
             longer = _longer(one, times, self._alpha)
             sampled = sample_plant(
-                self._plant,
-                self._matrices,
+                self._problem.plant,
+                self._problem.generators,
                 longer,
                 noise=self._assessment.noise,
                 offset=offset,
@@ -237,7 +211,7 @@ class _Advisor:
         squares = []
         for shift in (reach, -reach, 0.0):
             theta = fit.theta + shift * direction
-            squares.append(sum(least_squares_at(record, theta) for record in records))
+            squares.append(squares_at(records, theta))
         *ends, base = squares
         expected = (deviation * reach) ** 2 / variance
         return abs(float(np.log(growth_of_squares(ends, base, expected))))

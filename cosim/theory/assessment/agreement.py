@@ -2,52 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
-from cosim.arrays import Matrix
 from cosim.theory.assessment.assessing import assess_from
 from cosim.theory.assessment.verdicts import Assessment
-from cosim.theory.disturbance import Family
-from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
-from cosim.theory.estimators.output_error import NO_BOUNDS
 
 
-def each_alone(
-    assessment: Assessment,
-    data: Sequence[DataSet],
-    plant: DisturbedPlant,
-    families: Sequence[Family],
-    *,
-    stated: Matrix | None = None,
-    offset: bool = False,
-    bounds: Mapping[int, tuple[float, float]] = NO_BOUNDS,
-) -> tuple[Assessment, ...]:
+def each_alone(assessment: Assessment) -> tuple[Assessment, ...]:
     """Assess each of several data sets alone; none where they are consistent together.
-
-    Parameters
-    ----------
-    assessment : Assessment
-        Of all of them.
-    data, plant, families, stated, offset, bounds
-        As for :func:`cosim.theory.assessment.assessing.assess`.
 
     Raises
     ------
     AssumptionError
-        As from there.
+        As from :func:`cosim.theory.assessment.assessing.assess`.
     """
-    if len(data) == 1 or (assessment.fit.converged and assessment.consistency.passed):
+    problem = assessment.problem
+    if len(problem.data) == 1 or (assessment.fit.converged and assessment.consistency.passed):
         return ()
     theta = assessment.fit.theta
-    alone = []
-    for one in data:
-        found = assess_from(
-            [one], plant, families, theta, stated=stated, offset=offset, bounds=bounds
-        )
-        alone.append(found)
-    return tuple(alone)
+    return tuple(assess_from(problem.of_data([data]), theta) for data in problem.data)
 
 
 def contradictions(alone: Sequence[Assessment], names: Sequence[str]) -> list[str]:

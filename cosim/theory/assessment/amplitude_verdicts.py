@@ -10,8 +10,6 @@ import numpy as np
 from cosim.theory.assessment.amplitudes import ComponentConstants, component_constants
 from cosim.theory.assessment.consistency import MARGIN
 from cosim.theory.assessment.verdicts import Assessment, ParameterVerdict, Verdict
-from cosim.theory.disturbance import Family
-from cosim.theory.disturbed_plant import DataSet
 from cosim.theory.quantiles import CONFIDENCE, student_two_sided
 
 # from the best verdict to the worst, for what rests on several
@@ -20,32 +18,21 @@ _MEANINGS: Final = {"phase": "in rad at t = 0"}
 
 
 def amplitude_verdicts(
-    assessment: Assessment, data: Sequence[DataSet], families: Sequence[Family]
+    assessment: Assessment,
 ) -> tuple[tuple[ParameterVerdict, ...], ...]:
-    """Return what may be said about amplitudes and phases, those of each data set.
-
-    Parameters
-    ----------
-    assessment : Assessment
-        Of these data.
-    data : sequence of DataSet
-    families : sequence of Family
-    """
-    verdicts = []
-    for index, one in enumerate(data):
-        verdicts.append(_of_data_set(assessment, index, float(one.t[0]), families))
-    return tuple(verdicts)
+    """Return what may be said about amplitudes and phases, those of each data set."""
+    return tuple(_of_data_set(assessment, index) for index in range(len(assessment.problem.data)))
 
 
-def _of_data_set(
-    assessment: Assessment, index: int, t_1: float, families: Sequence[Family]
-) -> tuple[ParameterVerdict, ...]:
+def _of_data_set(assessment: Assessment, index: int) -> tuple[ParameterVerdict, ...]:
+    families = assessment.problem.families
+    t_1 = float(assessment.problem.data[index].t[0])
     consistency = assessment.consistency
     moved = np.concatenate([consistency.bias, consistency.amplitude_bias[index]])
-    found = component_constants(assessment.fit, index, families, t_1=t_1, moved=moved)
+    of_components = component_constants(assessment.fit, index, families, t_1=t_1, moved=moved)
     verdicts = []
     first = 0
-    for i, constants in enumerate(found):
+    for i, constants in enumerate(of_components):
         count = len(constants.family.parameters)
         parameters = assessment.parameters[first : first + count]
         verdicts += _of_component(i, constants, parameters, assessment.fit.freedom)

@@ -1,28 +1,25 @@
-"""Fits by output error until one explains the data: from a start, colored, searched, smaller.
+"""Fits by output error until one explains the data: from a start, searched, colored, smaller.
 
-A fit that leaves what white noise leaves is taken as it is. Else the color of the noise is
-estimated; components that are no larger than noise are left out; and a start that may have led to
-another optimum is followed by a search.
+A fit that leaves what white noise leaves is taken as it is. Else a start that may have led to
+another optimum is followed by a search; the color of the noise of the better fit is estimated; and
+components that are no larger than noise are left out.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from cosim.arrays import Matrix, Vector
+from cosim.arrays import Vector
 from cosim.errors import StartError
-from cosim.theory.assessment.consistency import (
-    WHITENESS,
-    Consistency,
-    examine,
-)
-from cosim.theory.assessment.missing_terms import Terms, hidden_terms, silent_terms
+from cosim.theory.assessment.consistency import WHITENESS, Consistency, examine
+from cosim.theory.assessment.fitted_model import FittedModel
+from cosim.theory.assessment.missing_terms import hidden_terms, silent_terms
 from cosim.theory.assessment.noise_color import UNKNOWN_COLOR, Criterion, noise_color
-from cosim.theory.assessment.noise_covariance import fit_with_noise, size_covariance
+from cosim.theory.assessment.noise_covariance import first_noise, fit_with_noise
+from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.standing_outputs import standing_outputs
 from cosim.theory.assessment.term_order import ordered_like
 from cosim.theory.assessment.verdicts import (
@@ -31,19 +28,18 @@ from cosim.theory.assessment.verdicts import (
     VerdictMaker,
     are_hidden_by_errors,
     is_present,
+    is_settled,
 )
-from cosim.theory.disturbance import Family
-from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel
-from cosim.theory.estimators.output_error import (
-    NO_BOUNDS,
-    OutputErrorFit,
-)
-from cosim.theory.estimators.start_grid import search_start
+from cosim.theory.disturbed_plant import NoiseModel
 from cosim.theory.quantiles import chi_square_above
 
+# Of a component that is 100 of its deviations from absent: a wrong optimum would not pass.
+CLEAR_PRESENCE: Final = 1e4
 # probability of a larger difference of two optima by noise alone
 FALSE_CHOICE: Final = 0.01
 SAME_OPTIMUM: Final = 1e-3  # difference of two sums of squares, in variances, that rounding makes
+# times the difference that noise alone makes, white or colored: beyond it an optimum is no rival
+NO_RIVAL: Final = 1e3
 HIDDEN_BY_ERRORS: Final = (
     "its component is not larger than what straight lines between samples, or the quantization of "
     "y, may have made it: shorter steps, or finer outputs, would show it"
@@ -51,16 +47,25 @@ HIDDEN_BY_ERRORS: Final = (
 COLOR_FITS: Final = 2  # the color of the noise is known from the first, and hardly moves with theta
 
 
-def assess(
-    data: Sequence[DataSet],
-    plant: DisturbedPlant,
-    families: Sequence[Family],
-    start: Vector | None = None,
-    *,
-    stated: Matrix | None = None,
-    offset: bool = False,
-    bounds: Mapping[int, tuple[float, float]] = NO_BOUNDS,
-) -> Assessment:
+@dataclass(frozen=True, eq=False)
+class _Examined:
+    """A fit, and what its residual says."""
+
+    fitted: FittedModel
+    consistency: Consistency
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether the fit converged, every component there, and left what noise leaves."""
+        return is_settled(self.fitted.fit, self.consistency)
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether every component is so far above the noise that a wrong optimum would show."""
+        return bool((self.fitted.fit.presence > CLEAR_PRESENCE).all())
+
+
+def assess(problem: OutputErrorProblem, start: Vector | None = None) -> Assessment:
     """Fit output error, and say what the data say about every parameter.
 
     The outputs are weighed by the covariance of their noise, which is that of the residual where it
@@ -68,241 +73,204 @@ def assess(
 
     Parameters
     ----------
-    data : sequence of DataSet
-    plant : DisturbedPlant
-    families : sequence of Family
+    problem : OutputErrorProblem
     start : Vector, shape (P,), optional
         By default searched.
-    stated : Matrix, shape (n_y, n_y), optional
-        Covariance of the noise of the outputs, where it is known.
-    offset, bounds
-        As for :func:`cosim.theory.estimators.output_error.fit_output_error`.
 
     Raises
     ------
     AssumptionError
-        As from there.
+        If sizes do not fit, a bound excludes every value, or there are fewer samples than unknowns.
+    StartError
+        If the response at the start is not finite.
     """
-    return _Assessing(data, plant, families, stated, offset, bounds).assessment(start)
+    return _judged(_white(problem, start))
 
 
-_Found = tuple[OutputErrorFit, NoiseModel, Consistency]
-
-
-class _Assessing:
-    """Fits and examines a model of the noise after another."""
-
-    def __init__(
-        self,
-        data: Sequence[DataSet],
-        plant: DisturbedPlant,
-        families: Sequence[Family],
-        stated: Matrix | None,
-        offset: bool,
-        bounds: Mapping[int, tuple[float, float]],
-    ) -> None:
-        self._data = data
-        self._plant = plant
-        self._families = families
-        self._stated = stated
-        self._offset = offset
-        self._bounds = bounds
-
-    def assessment(self, start: Vector | None) -> Assessment:
-        noise = self._first_noise()
-        if start is None:
-            start = search_start(
-                self._data,
-                self._plant,
-                self._families,
-                offset=self._offset,
-                bounds=self._bounds,
-                noise=noise,
-            )
-        found = self._fitted(start, noise, is_known=self._stated is not None)
-        fit, noise, consistency = found
-        if not consistency.passed and not consistency.step_too_long:
-            fit, noise, consistency = self._colored(found)
-        missing = self._missing(fit, noise, consistency)
-        left_out = self._absent(fit, consistency)
-        if left_out:
-            smaller = self._without(left_out, fit, noise)
-            if smaller[2].passed:
-                fit, noise, consistency = smaller
-            else:
-                left_out = ()
-        standing = standing_outputs(self._data)
-        judge = VerdictMaker(
-            fit,
-            consistency,
-            noise,
-            self._families,
-            self._bounds,
-            missing=missing,
-            standing=standing,
-            left_out=left_out,
-        )
-        return judge.assessment()
-
-    def _absent(self, fit: OutputErrorFit, consistency: Consistency) -> tuple[int, ...]:
-        """Return the terms with an effect that are no larger than noise, if others are there."""
-        present = is_present(fit, consistency, self._families)
-        if not consistency.passed or not present.any():
-            return ()
-        present[list(silent_terms(fit, self._data, self._families))] = True
-        return tuple(np.flatnonzero(~present).tolist())
-
-    def _without(self, left_out: Sequence[int], fit: OutputErrorFit, noise: NoiseModel) -> _Found:
-        """Fit again with alpha 0 for some terms, whose amplitudes would take from others."""
-        data = []
-        for one in self._data:
-            alpha = one.alpha.copy()
-            alpha[:, left_out] = 0.0
-            data.append(replace(one, alpha=alpha))
-        is_known = self._stated is not None and not noise.order
-        return self._fitted(fit.theta, noise, is_known=is_known, data=data)
-
-    def searched_like(self, theta: Vector) -> Assessment:
-        """Assess from a search, with interchangeable terms in the order of another theta."""
-        searched = self.assessment(None)
-        found = searched.fit.theta
-        ordered = ordered_like(found, theta, self._data, self._plant, self._families, self._bounds)
-        if not searched.fit.converged or np.array_equal(ordered, found):
-            return searched
-        return self.assessment(ordered)
-
-    def _missing(
-        self, fit: OutputErrorFit, noise: NoiseModel, consistency: Consistency
-    ) -> dict[int, str]:
-        """Return why components do not show, where noise is not the cause."""
-        reasons = silent_terms(fit, self._data, self._families)
-        absent = ~is_present(fit, consistency, self._families)
-        absent[list(reasons)] = False
-        if not absent.any() or not consistency.passed:
-            return reasons
-        hidden_by_errors = absent & are_hidden_by_errors(fit, consistency, self._families)
-        reasons.update(dict.fromkeys(np.flatnonzero(hidden_by_errors).tolist(), HIDDEN_BY_ERRORS))
-        if len(absent) < 2:
-            return reasons
-        terms = Terms(
-            data=self._data,
-            plant=self._plant,
-            families=self._families,
-            noise=noise,
-            offset=self._offset,
-            bounds=self._bounds,
-        )
-        for i, others in hidden_terms(fit, terms, absent=absent).items():
-            names = " and ".join(f"terms[{k}]" for k in others)
-            reasons[i] = (
-                f"without {names} it would be there: the data are explained by either alone; "
-                "leave one out"
-            )
-        return reasons
-
-    def _colored(self, white: _Found) -> _Found:
-        """Return the fit for colored noise where that explains the residual, else the white one."""
-        remark = ""
-        for criterion in Criterion:
-            found, slow = self._with_color(white, criterion)
-            failed = found[2].failed
-            if found[2].passed:
-                return found
-            if set(failed) == {WHITENESS}:
-                remark = UNKNOWN_COLOR
-            remark = remark or slow
-            if slow or WHITENESS not in failed:
-                break
-        fit, noise, consistency = white
-        return fit, noise, replace(consistency, remark=remark)
-
-    def _with_color(self, found: _Found, criterion: Criterion) -> tuple[_Found, str]:
-        """Fit and estimate the color of the noise by turns; with a remark where it is not known."""
-        for _ in range(COLOR_FITS):
-            fit, noise, _ = found
-            color = noise_color(fit, self._data, self._plant, self._families, criterion)
-            if color.remark or not color.order:
-                return found, color.remark
-            # what is stated is of the noise itself, not of the white one that makes it
-            colored = replace(noise, a=color.a, freedom=color.freedom)
-            found = self._fitted(fit.theta, colored, is_known=False)
-        return found, ""
-
-    def _first_noise(self) -> NoiseModel:
-        outputs = len(self._plant.C)
-        covariance = self._stated
-        if covariance is None:
-            covariance = np.eye(1) if outputs == 1 else size_covariance(self._data)
-        return NoiseModel(covariance=covariance, a=np.zeros((outputs, 0)))
-
-    def _fitted(
-        self,
-        theta: Vector,
-        noise: NoiseModel,
-        *,
-        is_known: bool,
-        data: Sequence[DataSet] | None = None,
-    ) -> _Found:
-        given = (data or self._data, self._plant, self._families)
-        fit, noise = fit_with_noise(
-            *given,
-            theta,
-            noise=noise,
-            is_known=is_known,
-            offset=self._offset,
-            bounds=self._bounds,
-        )
-        return fit, noise, examine(fit, *given, noise, stated=self._stated)
-
-
-def assess_from(
-    data: Sequence[DataSet],
-    plant: DisturbedPlant,
-    families: Sequence[Family],
-    theta: Vector | None,
-    *,
-    stated: Matrix | None = None,
-    offset: bool = False,
-    bounds: Mapping[int, tuple[float, float]] = NO_BOUNDS,
-) -> Assessment:
+def assess_from(problem: OutputErrorProblem, theta: Vector | None) -> Assessment:
     """Assess from a theta that may be none of these data, where need be from a search too.
 
     That is where it does not fit, or where noise could hide that it is not the best optimum.
 
     Parameters
     ----------
-    data, plant, families, stated, offset, bounds
-        As for :func:`assess`.
+    problem : OutputErrorProblem
     theta : Vector, shape (P,), or None
         None: from a search alone; NaN: no value. Interchangeable terms are in its order.
 
     Returns
     -------
     Assessment
-        The one with the smaller residual.
+        Of the fit with the smaller residual.
 
     Raises
     ------
     AssumptionError
-        As from there.
+        As from :func:`assess`.
     """
-    assessing = _Assessing(data, plant, families, stated, offset, bounds)
     if theta is None:
-        return assessing.assessment(None)
+        return assess(problem)
+    near = _near(problem, theta)
+    if near is not None and near.is_settled and near.is_clear:
+        return _judged(near)
+    searched = _searched_like(problem, theta)
+    if near is None:
+        return _judged(searched)
+    best, other = _by_residual(near, searched)
+    assessment = _judged(best)
+    excess = _excess(best.fitted, other.fitted)
+    if SAME_OPTIMUM < excess <= NO_RIVAL * _largest_chance(problem):
+        assessment = _beside(assessment, _judged(other))
+    return assessment
+
+
+def _near(problem: OutputErrorProblem, theta: Vector) -> _Examined | None:
+    """Fit from a theta; None where nothing can be fitted from it."""
     if not np.isfinite(theta).all():
-        return assessing.searched_like(theta)
+        return None
     try:
-        near = assessing.assessment(theta)
+        return _white(problem, theta)
     except StartError:
-        return assessing.searched_like(theta)
-    if near.is_settled and near.is_clear:
-        return near
-    searched = assessing.searched_like(theta)
-    if not searched.fit.converged:
-        return near
-    if near.fit.converged and near.residual_size <= searched.residual_size:
-        return _beside(near, searched)
-    return _beside(searched, near)
+        return None
+
+
+def _searched_like(problem: OutputErrorProblem, theta: Vector) -> _Examined:
+    """Fit from a search, with interchangeable terms in the order of another theta."""
+    searched = _white(problem, None)
+    fit = searched.fitted.fit
+    ordered = ordered_like(fit.theta, theta, problem)
+    if not fit.converged or np.array_equal(ordered, fit.theta):
+        return searched
+    return _white(problem, ordered)
+
+
+def _by_residual(near: _Examined, searched: _Examined) -> tuple[_Examined, _Examined]:
+    """Return the better of two fits first."""
+    if not searched.fitted.fit.converged:
+        return near, searched
+    is_nearer = near.fitted.residual_size <= searched.fitted.residual_size
+    if near.fitted.fit.converged and is_nearer:
+        return near, searched
+    return searched, near
+
+
+def _white(problem: OutputErrorProblem, start: Vector | None) -> _Examined:
+    """Fit for white noise, from a start or a search."""
+    noise = first_noise(problem)
+    if start is None:
+        start = problem.search_start(noise)
+    return _fitted(problem, start, noise, is_known=problem.stated is not None)
+
+
+def _fitted(
+    problem: OutputErrorProblem, theta: Vector, noise: NoiseModel, *, is_known: bool
+) -> _Examined:
+    fitted = fit_with_noise(problem, theta, noise, is_known=is_known)
+    return _Examined(fitted, examine(fitted))
+
+
+def _judged(white: _Examined) -> Assessment:
+    """Return what may be said from a fit, after the color of its noise and terms to leave out."""
+    examined = white
+    if not white.consistency.passed and not white.consistency.step_too_long:
+        examined = _colored(white)
+    missing = _missing(examined)
+    left_out = _absent(examined)
+    if left_out:
+        smaller = _without(left_out, examined)
+        if smaller.consistency.passed:
+            examined = smaller
+        else:
+            left_out = ()
+    judge = VerdictMaker(
+        examined.fitted,
+        examined.consistency,
+        missing=missing,
+        standing=standing_outputs(white.fitted.problem.data),
+        left_out=left_out,
+    )
+    return judge.assessment()
+
+
+def _absent(examined: _Examined) -> tuple[int, ...]:
+    """Return the terms with an effect that are no larger than noise, if others are there."""
+    present = is_present(examined.fitted, examined.consistency)
+    if not examined.consistency.passed or not present.any():
+        return ()
+    present[list(silent_terms(examined.fitted))] = True
+    return tuple(np.flatnonzero(~present).tolist())
+
+
+def _without(left_out: tuple[int, ...], examined: _Examined) -> _Examined:
+    """Fit again without the effect of some terms, whose amplitudes would take from others."""
+    fitted = examined.fitted
+    problem = fitted.problem.without_effect_of(left_out)
+    is_known = problem.stated is not None and not fitted.noise.order
+    return _fitted(problem, fitted.fit.theta, fitted.noise, is_known=is_known)
+
+
+def _missing(examined: _Examined) -> dict[int, str]:
+    """Return why components do not show, where noise is not the cause."""
+    fitted = examined.fitted
+    consistency = examined.consistency
+    reasons = silent_terms(fitted)
+    absent = ~is_present(fitted, consistency)
+    absent[list(reasons)] = False
+    if not absent.any() or not consistency.passed:
+        return reasons
+    hidden_by_errors = absent & are_hidden_by_errors(fitted, consistency)
+    reasons.update(dict.fromkeys(np.flatnonzero(hidden_by_errors).tolist(), HIDDEN_BY_ERRORS))
+    if len(absent) < 2:
+        return reasons
+    for i, others in hidden_terms(fitted, absent).items():
+        names = " and ".join(f"terms[{k}]" for k in others)
+        reasons[i] = (
+            f"without {names} it would be there: the data are explained by either alone; "
+            "leave one out"
+        )
+    return reasons
+
+
+def _colored(white: _Examined) -> _Examined:
+    """Return the fit for colored noise where that explains the residual, else the white one."""
+    remark = ""
+    for criterion in Criterion:
+        colored, too_slow = _with_color(white, criterion)
+        if colored.consistency.passed:
+            return colored
+        failed = colored.consistency.failed
+        if set(failed) == {WHITENESS}:
+            remark = UNKNOWN_COLOR
+        remark = remark or too_slow
+        if too_slow or WHITENESS not in failed:
+            break
+    return replace(white, consistency=replace(white.consistency, remark=remark))
+
+
+def _with_color(examined: _Examined, criterion: Criterion) -> tuple[_Examined, str]:
+    """Fit and estimate the color of the noise by turns; with a remark where it is not known."""
+    for _ in range(COLOR_FITS):
+        fitted = examined.fitted
+        color = noise_color(fitted, criterion)
+        if color.remark or not color.order:
+            return examined, color.remark
+        # what is stated is of the noise itself, not of the white one that makes it
+        noise = replace(fitted.noise, a=color.a, freedom=color.freedom)
+        examined = _fitted(fitted.problem, fitted.fit.theta, noise, is_known=False)
+    return examined, ""
+
+
+def _excess(best: FittedModel, other: FittedModel) -> float:
+    """Return by how many variances the sum of squares of another fit is larger."""
+    if best.residual_size == 0.0:
+        return np.inf if other.residual_size > 0.0 else 0.0
+    ratio = other.residual_size / best.residual_size
+    return best.fit.freedom * (ratio**2 - 1.0)
+
+
+def _largest_chance(problem: OutputErrorProblem) -> float:
+    """Return the largest difference of the sums of squares of two optima by noise alone."""
+    return chi_square_above(FALSE_CHOICE, problem.generators.parameters)
 
 
 def _beside(best: Assessment, other: Assessment) -> Assessment:
@@ -313,8 +281,8 @@ def _beside(best: Assessment, other: Assessment) -> Assessment:
     """
     if not (best.is_settled and other.is_settled):
         return best
-    excess = best.fit.freedom * ((other.residual_size / best.residual_size) ** 2 - 1.0)
-    threshold = chi_square_above(FALSE_CHOICE, len(best.fit.theta))
+    excess = _excess(best.fitted, other.fitted)
+    threshold = _largest_chance(best.problem)
     if not SAME_OPTIMUM < excess <= threshold:
         return best
     theta = ", ".join(f"{value:.4g}" for value in other.fit.theta)

@@ -26,25 +26,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.arrays import Mask, Matrix, Vector
-from cosim.native.output_error import Generators
-from cosim.theory.assessment.accuracy import (
-    LARGEST_STEP_ERROR,
-    Accuracy,
-    accuracy_of,
-)
-from cosim.theory.assessment.linearized_fit import (
-    ErrorBias,
-    LinearizedFit,
-    error_bias,
-    linearize_fit,
-    whitened_rows,
-)
+from cosim.arrays import Matrix, Vector
+from cosim.theory.assessment.accuracy import LARGEST_STEP_ERROR, Accuracy
+from cosim.theory.assessment.fitted_model import FittedModel
+from cosim.theory.assessment.linearized_fit import ErrorBias, error_bias, whitened_rows
 from cosim.theory.assessment.model_errors import Directions, model_errors
-from cosim.theory.disturbance import Family, generators
-from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel
 from cosim.theory.estimators.output_error import OutputErrorFit
-from cosim.theory.fitted_response import FittedResponse, fitted_response
 from cosim.theory.quantiles import chi_square_above, ratio_above
 
 FALSE_ALARM: Final = 3e-4  # probability, for white noise, of each of the three tests
@@ -90,7 +77,7 @@ class ResidualTest:
         return {**asdict(self), "passed": self.passed}
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Consistency:
     """What the residual says of the model.
 
@@ -145,52 +132,31 @@ class Consistency:
         return tuple(test.name for test in self.tests if not test.passed)
 
 
-def examine(
-    fit: OutputErrorFit,
-    data: Sequence[DataSet],
-    plant: DisturbedPlant,
-    families: Sequence[Family],
-    noise: NoiseModel,
-    *,
-    stated: Matrix | None = None,
-) -> Consistency:
-    """Test the residual of a fit.
-
-    Parameters
-    ----------
-    fit : OutputErrorFit
-    data : sequence of DataSet
-    plant : DisturbedPlant
-    families : sequence of Family
-    noise : NoiseModel
-        As in the fit.
-    stated : Matrix, shape (n_y, n_y), optional
-        Covariance of the noise, where it is known.
-    """
-    matrices = generators(families)
-    problems = _tested_fits(fit, data, plant, matrices, noise)
-    accuracies = tuple(problem.accuracy for problem in problems)
-    rounding = max(problem.rounding for problem in problems)
+def examine(fitted: FittedModel) -> Consistency:
+    """Test the residual of a fit."""
+    fit = fitted.fit
+    stated = fitted.problem.stated
+    order = fitted.problem.generators.order
+    tested = [_TestedFit(fitted, index) for index in range(len(fitted.problem.data))]
+    rounding = max(one.rounding for one in tested)
     tests = []
-    for problem in problems:
+    for one in tested:
         of_data: list[ResidualTest] = []
         if fit.deviation > NOTHING_ELSE * rounding:
-            of_data += problem.tests(fit.deviation)
+            of_data += one.tests(fit.deviation)
         if stated is not None:
-            of_data += problem.size_tests(stated)
+            of_data += one.size_tests(stated)
         tests.append(tuple(of_data))
-    step_errors = [problem.step_error for problem in problems]
-    linearized = [problem.fit for problem in problems]
-    moved = error_bias(linearized, fit.estimated)
-    of_linear = np.abs(moved.linear).sum(axis=2)
+    bias = error_bias(fitted.linearized, fit.estimated)
+    of_linear = np.abs(bias.linear).sum(axis=2)
     return Consistency(
-        tuple(tests),
-        accuracies,
-        _is_exact(fit, problems),
-        np.max(step_errors, axis=0),
-        np.abs(moved.theta).sum(axis=1),
-        of_linear[:, : matrices.order],
-        _presence_bias(fit, linearized, matrices, moved),
+        tests_by_data=tuple(tests),
+        accuracy=fitted.accuracies,
+        is_exact=_is_exact(fit, tested),
+        step_error=np.max([one.step_error for one in tested], axis=0),
+        bias=np.abs(bias.theta).sum(axis=1),
+        amplitude_bias=of_linear[:, :order],
+        presence_bias=_presence_bias(fitted, bias),
     )
 
 
@@ -200,20 +166,16 @@ class _TestedFit:
     Directions are computed of every so many samples.
     """
 
-    def __init__(
-        self,
-        estimated: Mask,
-        data: DataSet,
-        plant: DisturbedPlant,
-        response: FittedResponse,
-        accuracy: Accuracy,
-        noise: NoiseModel,
-        *,
-        every: int,
-    ) -> None:
+    def __init__(self, fitted: FittedModel, index: int) -> None:
+        data = fitted.problem.data[index]
+        plant = fitted.problem.plant
+        noise = fitted.noise
+        response = fitted.responses[index]
+        accuracy = fitted.accuracies[index]
         self.accuracy = accuracy
-        self.fit = linearize_fit(data, response, accuracy, noise)
-        self._unknowns = np.hstack([self.fit.slopes[:, estimated], self.fit.linear])
+        self.fit = fitted.linearized[index]
+        slopes = self.fit.slopes[:, fitted.fit.estimated]
+        self._unknowns = np.hstack([slopes, self.fit.linear])
         self._noise = noise
         weights = np.abs(noise.whitening)
         self.allowed = weights @ accuracy.deviations
@@ -223,6 +185,8 @@ class _TestedFit:
         scale[scale == 0.0] = np.inf  # of an output that is 0 at every sample
         self.step_error = step_error / scale
         self._plain = response.residual
+        longest = len(data.t) if noise.order else MOST_SAMPLES
+        every = max(1, len(data.t) // longest)
         self._rows = data.kept(every)
         thin = data.thinned(every)
         directions = model_errors(plant, thin, response.at(self._rows))
@@ -341,26 +305,6 @@ def _correlation(residual: Vector, errors: Matrix, deviation: float, order: int)
     return correlation
 
 
-def _tested_fits(
-    fit: OutputErrorFit,
-    data: Sequence[DataSet],
-    plant: DisturbedPlant,
-    matrices: Generators,
-    noise: NoiseModel,
-) -> list[_TestedFit]:
-    """Return the problem of each data set."""
-    problems = []
-    for index, one in enumerate(data):
-        longest = len(one.t) if noise.order else MOST_SAMPLES
-        every = max(1, len(one.t) // longest)
-        response = fitted_response(fit, index, one, plant, matrices)
-        accuracy = accuracy_of(plant, one, response.disturbance)
-        problems.append(
-            _TestedFit(fit.estimated, one, plant, response, accuracy, noise, every=every)
-        )
-    return problems
-
-
 def _orthonormal(columns: Matrix) -> Matrix:
     """Return an orthonormal basis of columns; dependent ones are left out."""
     lengths = np.linalg.norm(columns, axis=0)
@@ -372,11 +316,12 @@ def _orthonormal(columns: Matrix) -> Matrix:
     return np.asarray(scaled @ (vectors[:, kept] / np.sqrt(squares[kept])), np.float64)
 
 
-def _is_exact(fit: OutputErrorFit, problems: Sequence[_TestedFit]) -> bool:
+def _is_exact(fit: OutputErrorFit, tested: Sequence[_TestedFit]) -> bool:
     """Return whether no residual is larger than errors that are no noise allow."""
-    squares = np.sum([problem.squares for problem in problems], axis=0)
-    deviations = np.sqrt(squares / (max(fit.freedom, 1.0) / len(squares)))
-    allowed = np.max([problem.allowed for problem in problems], axis=0)
+    squares = np.sum([one.squares for one in tested], axis=0)
+    freedom = max(fit.freedom, 1.0) / len(squares)
+    deviations = np.sqrt(squares / freedom)
+    allowed = np.max([one.allowed for one in tested], axis=0)
     return bool((deviations <= NOTHING_ELSE * allowed).all())
 
 
@@ -384,23 +329,20 @@ def _threshold(degrees: int) -> float:
     return chi_square_above(FALSE_ALARM, degrees)
 
 
-def _presence_bias(
-    fit: OutputErrorFit,
-    linearized: Sequence[LinearizedFit],
-    matrices: Generators,
-    moved: ErrorBias,
-) -> Vector:
+def _presence_bias(fitted: FittedModel, errors: ErrorBias) -> Vector:
     """Return how long the errors of the amplitudes are in the measure of their covariance.
 
     Their own theta is given, as in ``OutputErrorFit.presence``.
     """
+    fit = fitted.fit
+    matrices = fitted.problem.generators
     owner = np.repeat(np.arange(len(matrices.size)), matrices.count)
     bias = np.zeros(len(matrices.size))
     first = 0
     for i, size in enumerate(matrices.size):
         place = slice(first, first + size)
-        squares = np.zeros(moved.theta.shape[1])
-        for one, own in zip(linearized, moved.linear, strict=True):
+        squares = np.zeros(errors.theta.shape[1])
+        for one, own in zip(fitted.linearized, errors.linear, strict=True):
             others = one.slopes[:, fit.estimated & (owner != i)]
             basis = _orthonormal(np.hstack([others, np.delete(one.linear, place, axis=1)]))
             effect = one.linear[:, place] @ own[place]

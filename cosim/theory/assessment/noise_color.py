@@ -23,11 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Vector
+from cosim.theory.assessment.fitted_model import FittedModel
 from cosim.theory.assessment.model_errors import SLOW_DIRECTIONS, model_errors
-from cosim.theory.disturbance import Family, generators
-from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, counted_values, usual_distances
-from cosim.theory.estimators.output_error import OutputErrorFit
-from cosim.theory.fitted_response import FittedResponse, fitted_response
+from cosim.theory.disturbed_plant import counted_values, usual_distances
+from cosim.theory.fitted_response import FittedResponse
 
 LONGEST_AR: Final = 24
 # Where slow directions take all power, a model says something as long as it resolves no less.
@@ -101,27 +100,18 @@ class NoiseColor:
         )
 
 
-def noise_color(
-    fit: OutputErrorFit,
-    data: Sequence[DataSet],
-    plant: DisturbedPlant,
-    families: Sequence[Family],
-    criterion: Criterion,
-) -> NoiseColor:
+def noise_color(fitted: FittedModel, criterion: Criterion) -> NoiseColor:
     """Estimate the color of each output's noise beside all that is fitted and may be wrong."""
-    matrices = generators(families)
-    responses = []
+    problem = fitted.problem
     columns = []
-    for index, one in enumerate(data):
-        response = fitted_response(fit, index, one, plant, matrices)
-        directions = model_errors(plant, one, response).columns
-        slopes = response.slopes[:, :, fit.estimated]
-        responses.append(response)
+    for data, response in zip(problem.data, fitted.responses, strict=True):
+        directions = model_errors(problem.plant, data, response).columns
+        slopes = response.slopes[:, :, fitted.fit.estimated]
         columns.append(np.concatenate([slopes, response.linear, directions], axis=2))
     models = []
-    for o in range(len(plant.C)):
+    for o in range(problem.outputs):
         records = []
-        for response, X in zip(responses, columns, strict=True):
+        for response, X in zip(fitted.responses, columns, strict=True):
             records.append(_record(response, X, o))
         models.append(autoregression(records, criterion))
     order = max(len(model.a) for model in models)
@@ -129,7 +119,7 @@ def noise_color(
         a=np.array([np.pad(model.a, (0, order - len(model.a))) for model in models]),
         freedom=min(model.freedom for model in models),
         memory=max(correlation_length(model.a) for model in models),
-        samples=min(len(one.t) for one in data),
+        samples=min(len(data.t) for data in problem.data),
     )
 
 

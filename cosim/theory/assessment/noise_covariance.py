@@ -12,28 +12,22 @@ No output is taken for more exact than errors that are no noise leave it
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from cosim.arrays import Matrix, Vector
-from cosim.theory.assessment.accuracy import accuracy_of
-from cosim.theory.disturbance import Family, generators
+from cosim.theory.assessment.fitted_model import FittedModel
+from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.disturbed_plant import (
     DataSet,
-    DisturbedPlant,
     NoiseModel,
     autoregressive_filter,
     counted_values,
 )
-from cosim.theory.estimators.output_error import (
-    NO_BOUNDS,
-    OutputErrorFit,
-    fit_output_error,
-)
-from cosim.theory.fitted_response import fitted_response
+from cosim.theory.estimators.output_error import OutputErrorFit
 
 MOST_FITS: Final = 12
 # of a covariance in units of the one that weighed the fit: its effect on theta is of second order
@@ -44,22 +38,15 @@ LARGEST_CORRELATION: Final = 1.0 - 2.0**-20
 
 
 def fit_with_noise(
-    data: Sequence[DataSet],
-    plant: DisturbedPlant,
-    families: Sequence[Family],
-    theta: Vector,
-    *,
-    noise: NoiseModel,
-    is_known: bool = False,
-    offset: bool = False,
-    bounds: Mapping[int, tuple[float, float]] = NO_BOUNDS,
-) -> tuple[OutputErrorFit, NoiseModel]:
+    problem: OutputErrorProblem, theta: Vector, noise: NoiseModel, *, is_known: bool = False
+) -> FittedModel:
     """Fit output error, and estimate the covariance of the noise of several outputs with it.
 
     Parameters
     ----------
-    data, plant, families, theta, offset, bounds
-        As for :func:`cosim.theory.estimators.output_error.fit_output_error`.
+    problem : OutputErrorProblem
+    theta : Vector, shape (P,)
+        Start.
     noise : NoiseModel
         The covariance to begin with. Its autoregressive models stay.
     is_known : bool
@@ -67,71 +54,57 @@ def fit_with_noise(
 
     Returns
     -------
-    OutputErrorFit
-        Its deviation is 1, in units of the estimated noise, or more; of a single output, which
-        needs no weight, that of the residual.
-    NoiseModel
+    FittedModel
+        The deviation of the fit is 1, in units of the estimated noise, or more; of a single output,
+        which needs no weight, that of the residual.
 
     Raises
     ------
-    AssumptionError
-        As from there.
+    AssumptionError, StartError
+        As from :func:`cosim.theory.estimators.output_error.fit_output_error`.
     """
-    if is_known or len(plant.C) == 1:
-        fit = fit_output_error(
-            data, plant, families, theta, noise=noise, offset=offset, bounds=bounds
-        )
-        return fit, noise
+    if is_known or problem.outputs == 1:
+        return FittedModel(problem, problem.fit(theta, noise), noise)
     for _ in range(MOST_FITS):
         used = noise
-        fit = fit_output_error(
-            data, plant, families, theta, noise=used, offset=offset, bounds=bounds
-        )
+        fitted = FittedModel(problem, problem.fit(theta, used), used)
+        fit = fitted.fit
         theta = fit.theta
-        covariance = residual_covariance(fit, data, plant, families, used.a)
+        covariance = residual_covariance(fitted)
         noise = replace(used, covariance=covariance)
         relative = used.whitening @ covariance @ used.whitening.T
         if fit.converged and np.abs(relative - np.eye(len(relative))).max() <= SMALL_CHANGE:
             break
-    return _of_known_noise(fit), used
+    return FittedModel(problem, _of_known_noise(fit), used)
 
 
-def residual_covariance(
-    fit: OutputErrorFit,
-    data: Sequence[DataSet],
-    plant: DisturbedPlant,
-    families: Sequence[Family],
-    a: Matrix,
-) -> Matrix:
-    """Return the covariance of the residual of a fit, shape (n_y, n_y).
+def first_noise(problem: OutputErrorProblem) -> NoiseModel:
+    """Return white noise to begin with: as it is stated, or as large as the outputs are."""
+    covariance = problem.stated
+    if covariance is None:
+        covariance = np.eye(1) if problem.outputs == 1 else size_covariance(problem.data)
+    return NoiseModel(covariance=covariance, a=np.zeros((problem.outputs, 0)))
 
-    Parameters
-    ----------
-    fit, data, plant, families
-        As they belong together.
-    a : Matrix, shape (n_y, order)
-        Autoregressive model that makes the residual white.
-    """
-    outputs = len(plant.C)
-    matrices = generators(families)
+
+def residual_covariance(fitted: FittedModel) -> Matrix:
+    """Return the covariance of the residual of a fit, made white in time, shape (n_y, n_y)."""
+    a = fitted.noise.a
+    outputs = len(a)
     products = np.zeros((outputs, outputs))
     pairs = np.zeros((outputs, outputs))
-    least = np.zeros(outputs)
-    for index, one in enumerate(data):
-        response = fitted_response(fit, index, one, plant, matrices)
+    for data, response in zip(fitted.problem.data, fitted.responses, strict=True):
         rows = response.residual[:, :, np.newaxis]
-        white = autoregressive_filter(rows, a, one.measured)[:, :, 0]
+        white = autoregressive_filter(rows, a, data.measured)[:, :, 0]
         products += white.T @ white
-        there = counted_values(one.measured, a.shape[1]).astype(np.float64)
+        there = counted_values(data.measured, a.shape[1]).astype(np.float64)
         pairs += there.T @ there
-        accuracy = accuracy_of(plant, one, response.disturbance)
-        least = np.maximum(least, accuracy.deviations)
-    freedom = max(fit.freedom / outputs, 1.0)
+    freedom = max(fitted.fit.freedom / outputs, 1.0)
     # as if every output had been measured as often as they are in the mean
     evened = products * (np.diag(pairs).mean() / np.maximum(pairs, 1.0))
     covariance = evened / freedom
     if freedom < FEWEST_AN_ENTRY * outputs**2 or not _is_covariance(covariance):
         covariance = np.diag(np.diag(covariance))
+    least = np.max([accuracy.deviations for accuracy in fitted.accuracies], axis=0)
     return _not_below(covariance, least)
 
 

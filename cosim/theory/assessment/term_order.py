@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from cosim.arrays import Vector
-from cosim.theory.disturbance import Family
-from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
+from cosim.theory.assessment.problem import OutputErrorProblem
 
 
 def ordered_like(
     theta: Vector,
     other: Vector,
-    data: Sequence[DataSet],
-    plant: DisturbedPlant,
-    families: Sequence[Family],
-    bounds: Mapping[int, tuple[float, float]],
+    problem: OutputErrorProblem,
 ) -> Vector:
     """Return theta with interchangeable terms in the order of another one.
 
@@ -28,17 +24,17 @@ def ordered_like(
     ----------
     theta, other : Vector, shape (P,)
         NaN in ``other``: anything fits there.
-    data : sequence of DataSet
-    plant : DisturbedPlant
-    families : sequence of Family
-    bounds : mapping of index to (lower, upper)
+    problem : OutputErrorProblem
     """
-    from scipy.optimize import linear_sum_assignment  # takes long to import
-
-    places = _parameter_places(families)
+    places = [problem.parameters_of([i]) for i in range(len(problem.families))]
     known = np.where(np.isfinite(other), other, np.nan)
     ordered = theta.copy()
-    for group in _groups(data, plant, families, bounds):
+    groups = [group for group in _groups(problem, places) if len(group) > 1]
+    if not groups:
+        return ordered
+    from scipy.optimize import linear_sum_assignment  # takes long to import
+
+    for group in groups:
         of_terms = [places[i] for i in group]
         costs = np.zeros((len(group), len(group)))
         for row, wanted in enumerate(of_terms):
@@ -50,35 +46,27 @@ def ordered_like(
     return ordered
 
 
-def _parameter_places(families: Sequence[Family]) -> list[slice]:
-    """Return where the parameters of each term are in theta."""
-    places = []
-    first = 0
-    for family in families:
-        count = len(family.parameters)
-        places.append(slice(first, first + count))
-        first += count
-    return places
+def _groups(problem: OutputErrorProblem, places: Sequence[Sequence[int]]) -> list[list[int]]:
+    """Return the terms that are interchangeable with one another.
 
-
-def _groups(
-    data: Sequence[DataSet],
-    plant: DisturbedPlant,
-    families: Sequence[Family],
-    bounds: Mapping[int, tuple[float, float]],
-) -> list[list[int]]:
-    """Return the terms that are interchangeable with one another."""
-    places = _parameter_places(families)
+    Parameters
+    ----------
+    problem : OutputErrorProblem
+    places : sequence of sequence of int
+        Where the parameters of each term are in theta.
+    """
+    families = problem.families
+    plant = problem.plant
 
     def alike(i: int, k: int) -> bool:
-        of_i = [bounds.get(j) for j in range(places[i].start, places[i].stop)]
-        of_k = [bounds.get(j) for j in range(places[k].start, places[k].stop)]
+        of_i = [problem.bounds.get(j) for j in places[i]]
+        of_k = [problem.bounds.get(j) for j in places[k]]
         return (
             families[i] == families[k]
             and of_i == of_k
             and np.array_equal(plant.Bd[:, i], plant.Bd[:, k])
             and np.array_equal(plant.Dd[:, i], plant.Dd[:, k])
-            and all(np.array_equal(one.alpha[:, i], one.alpha[:, k]) for one in data)
+            and all(np.array_equal(data.alpha[:, i], data.alpha[:, k]) for data in problem.data)
         )
 
     groups: list[list[int]] = []

@@ -9,7 +9,6 @@ held is larger than noise makes it, too (the likelihood ratio; S. Wilks, 1938).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
@@ -26,11 +25,10 @@ from cosim.theory.assessment.consistency import (
     ResidualTest,
     examine,
 )
+from cosim.theory.assessment.fitted_model import FittedModel
 from cosim.theory.assessment.verdicts import Assessment
-from cosim.theory.disturbance import Family, generators
-from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel, white_noise
-from cosim.theory.estimators.output_error import OutputErrorFit, fit_output_error
-from cosim.theory.fitted_response import fitted_response
+from cosim.theory.disturbed_plant import DataSet, NoiseModel, white_noise
+from cosim.theory.estimators.output_error import NO_BOUNDS, OutputErrorFit
 from cosim.theory.quantiles import chi_square_above
 
 
@@ -90,76 +88,55 @@ class Validation:
         }
 
 
-def validate(
-    assessment: Assessment,
-    fitted: Sequence[DataSet],
-    data: DataSet,
-    plant: DisturbedPlant,
-    families: Sequence[Family],
-    *,
-    stated: Matrix | None = None,
-    offset: bool = False,
-) -> Validation:
+def validate(assessment: Assessment, data: DataSet) -> Validation:
     """Say whether a fit holds for data that were not used in it.
 
     Parameters
     ----------
     assessment : Assessment
         Of the fit.
-    fitted : sequence of DataSet
-        The data that were used.
     data : DataSet
-        Others.
-    plant, families, stated, offset
-        As in the fit.
+        Others than were used in it.
 
     Raises
     ------
     AssumptionError
         If there are fewer samples than unknowns.
     """
-    fit = assessment.fit
-    own = assess_from([data], plant, families, fit.theta, stated=stated, offset=offset)
-    bounds = {j: (float(value), float(value)) for j, value in enumerate(fit.theta)}
-    held = fit_output_error(
-        [data], plant, families, fit.theta, noise=own.noise, offset=offset, bounds=bounds
-    )
-    noise = white_noise(len(plant.C))
-    if len(plant.C) > 1:
+    theta = assessment.fit.theta
+    problem = replace(assessment.problem, data=[data], bounds=NO_BOUNDS)
+    own = assess_from(problem, theta)
+    bounds = {j: (float(value), float(value)) for j, value in enumerate(theta)}
+    at_theta = replace(problem, bounds=bounds)
+    held = FittedModel(at_theta, at_theta.fit(theta, own.noise), own.noise)
+    noise = white_noise(problem.outputs)
+    if problem.outputs > 1:
         noise = replace(noise, covariance=assessment.noise.covariance)
-    deviation = _root_mean_square(held, [data], plant, families, noise)
+    deviation = _root_mean_square(held, noise)
     tested = _comparable(assessment, own)
-    difference = _difference(assessment, own, held, tested)
+    difference = _difference(assessment, own, held.fit, tested)
     verdict, reason = _verdict(assessment, own, tested, difference)
     return Validation(
         verdict=verdict,
         reason=reason,
-        fit=held,
-        consistency=examine(held, [data], plant, families, own.noise, stated=stated),
+        fit=held.fit,
+        consistency=examine(held),
         deviation=deviation,
-        ratio=deviation / _root_mean_square(fit, fitted, plant, families, noise),
+        ratio=deviation / _root_mean_square(assessment.fitted, noise),
         own=own,
         difference=difference,
     )
 
 
-def _root_mean_square(
-    fit: OutputErrorFit,
-    data: Sequence[DataSet],
-    plant: DisturbedPlant,
-    families: Sequence[Family],
-    noise: NoiseModel,
-) -> float:
+def _root_mean_square(fitted: FittedModel, noise: NoiseModel) -> float:
     """Return the root mean square of the white residual, corrected for what was fitted to it."""
-    matrices = generators(families)
     squares = 0.0
     count = 0
-    for index, one in enumerate(data):
-        response = fitted_response(fit, index, one, plant, matrices)
-        white = noise.whitened(response.residual[:, :, np.newaxis], one.measured)
+    for data, response in zip(fitted.problem.data, fitted.responses, strict=True):
+        white = noise.whitened(response.residual[:, :, np.newaxis], data.measured)
         squares += float(np.sum(white**2))
-        count += int(one.measured.sum())
-    unknowns = max(count - fit.freedom, 0.0)
+        count += int(data.measured.sum())
+    unknowns = max(count - fitted.fit.freedom, 0.0)
     return float(np.sqrt(squares / max(count - unknowns, 1.0)))
 
 

@@ -25,9 +25,8 @@ from enum import StrEnum
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cosim.arrays import Matrix, Vector
+from cosim.arrays import Mask, Matrix, Vector
 from cosim.native.output_error import ParameterState
 from cosim.theory.assessment.accuracy import LARGEST_STEP_ERROR, enough_shorter
 from cosim.theory.assessment.consistency import (
@@ -35,19 +34,17 @@ from cosim.theory.assessment.consistency import (
     Consistency,
     ResidualTest,
 )
+from cosim.theory.assessment.fitted_model import FittedModel
+from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.standing_outputs import StandingOutput
-from cosim.theory.disturbance import Family, generators
 from cosim.theory.disturbed_plant import NoiseModel
 from cosim.theory.estimators.output_error import (
     OutputErrorFit,
-    least_squares_at,
     presence_threshold,
+    squares_at,
 )
 from cosim.theory.quantiles import CONFIDENCE, normal_two_sided, student_two_sided
 
-# Of a component that is 100 of its deviations from absent: its effect is linear over an interval to
-# 2 % of it.
-LINEAR_PRESENCE: Final = 1e4
 # Growth of the sum of squares at the ends of an interval over that of a linear problem; the root of
 # it is how far such an end is from where it should be: up to 20 %.
 LEAST_PROFILE: Final = 0.7
@@ -111,11 +108,8 @@ class Assessment:
 
     Parameters
     ----------
-    fit : OutputErrorFit
+    fitted : FittedModel
     consistency : Consistency
-    noise : NoiseModel
-        As it was in the fit, in units of ``fit.deviation``: stated, or that of the residual; ``a``
-        is not empty where the noise was found to be colored.
     half_width : Vector, shape (P,)
         Of the 95 % intervals; NaN where there is none.
     parameters : tuple of ParameterVerdict
@@ -123,24 +117,31 @@ class Assessment:
         Another theta that explains the data as well, as far as noise lets it be seen.
     """
 
-    fit: OutputErrorFit
+    fitted: FittedModel
     consistency: Consistency
-    noise: NoiseModel
     half_width: Vector
     parameters: tuple[ParameterVerdict, ...]
     other_optimum: Vector | None = None
 
     @property
-    def is_settled(self) -> bool:
-        """Whether the fit converged, every component there, and left what noise leaves."""
-        if ParameterState.ABSENT in self.fit.states:
-            return False
-        return self.fit.converged and self.consistency.passed
+    def problem(self) -> OutputErrorProblem:
+        """What was fitted to which data; alpha is 0 of terms that the fit has not."""
+        return self.fitted.problem
 
     @property
-    def is_clear(self) -> bool:
-        """Whether every component is so far above the noise that a wrong optimum would show."""
-        return bool((self.fit.presence > LINEAR_PRESENCE).all())
+    def fit(self) -> OutputErrorFit:
+        """The fit."""
+        return self.fitted.fit
+
+    @property
+    def noise(self) -> NoiseModel:
+        """The noise as it was in the fit."""
+        return self.fitted.noise
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether the fit converged, every component there, and left what noise leaves."""
+        return is_settled(self.fit, self.consistency)
 
     @property
     def correlation(self) -> Matrix:
@@ -154,12 +155,6 @@ class Assessment:
     def deviations(self) -> Vector:
         """The deviation of the noise of each output, made white, shape (n_y,)."""
         return self.fit.deviation * self.noise.deviations
-
-    @property
-    def residual_size(self) -> float:
-        """What maximum likelihood makes smallest: of several outputs a geometric mean."""
-        _, logarithm = np.linalg.slogdet(self.noise.covariance)
-        return self.fit.deviation * float(np.exp(0.5 * logarithm / len(self.noise.a)))
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
@@ -178,27 +173,30 @@ class Assessment:
         }
 
 
-def is_present(
-    fit: OutputErrorFit, consistency: Consistency, families: Sequence[Family]
-) -> NDArray[np.bool_]:
+def is_settled(fit: OutputErrorFit, consistency: Consistency) -> bool:
+    """Return whether a fit converged, every component there, and left what noise leaves."""
+    if ParameterState.ABSENT in fit.states:
+        return False
+    return fit.converged and consistency.passed
+
+
+def is_present(fitted: FittedModel, consistency: Consistency) -> Mask:
     """Return which components are larger than noise and the errors of the step make them."""
-    size = np.sqrt(fit.presence) - MARGIN * consistency.presence_bias
-    present: NDArray[np.bool_] = size > _least_size(fit, families)
+    size = np.sqrt(fitted.fit.presence) - MARGIN * consistency.presence_bias
+    present: Mask = size > _least_size(fitted.problem)
     return present
 
 
-def are_hidden_by_errors(
-    fit: OutputErrorFit, consistency: Consistency, families: Sequence[Family]
-) -> NDArray[np.bool_]:
+def are_hidden_by_errors(fitted: FittedModel, consistency: Consistency) -> Mask:
     """Return for which components step and quantization leave more than noise does."""
-    hidden: NDArray[np.bool_] = MARGIN * consistency.presence_bias > _least_size(fit, families)
+    hidden: Mask = MARGIN * consistency.presence_bias > _least_size(fitted.problem)
     return hidden
 
 
-def _least_size(fit: OutputErrorFit, families: Sequence[Family]) -> Vector:
+def _least_size(problem: OutputErrorProblem) -> Vector:
     """Return the root of the presence that noise alone rarely exceeds, shape (components,)."""
-    sizes = [family.v for family in families]
-    return np.sqrt(presence_threshold(sizes, len(fit.records)))
+    sizes = [family.v for family in problem.families]
+    return np.sqrt(presence_threshold(sizes, len(problem.data)))
 
 
 def judge(
@@ -275,13 +273,9 @@ class VerdictMaker:
 
     Parameters
     ----------
-    fit : OutputErrorFit
+    fitted : FittedModel
     consistency : Consistency
         Of its residual.
-    noise : NoiseModel
-        As in the fit.
-    families : sequence of Family
-    bounds : mapping of index to (lower, upper)
     missing : mapping of component to str
         Why a component does not show, where noise is not the cause.
     standing : sequence of StandingOutput
@@ -291,23 +285,20 @@ class VerdictMaker:
 
     def __init__(
         self,
-        fit: OutputErrorFit,
+        fitted: FittedModel,
         consistency: Consistency,
-        noise: NoiseModel,
-        families: Sequence[Family],
-        bounds: Mapping[int, tuple[float, float]],
         *,
         missing: Mapping[int, str],
         standing: Sequence[StandingOutput],
         left_out: Sequence[int],
     ) -> None:
-        self._fit = fit
+        self._fitted = fitted
+        self._fit = fitted.fit
         self._consistency = consistency
-        self._noise = noise
-        matrices = generators(families)
-        self._component = np.repeat(np.arange(len(families)), matrices.count)
-        self._present = is_present(fit, consistency, families)
-        self._bounds = bounds
+        problem = fitted.problem
+        self._component = np.repeat(np.arange(len(problem.families)), problem.generators.count)
+        self._present = is_present(fitted, consistency)
+        self._bounds = problem.bounds
         self._missing = missing
         self._standing = standing
         self._left_out = left_out
@@ -317,16 +308,15 @@ class VerdictMaker:
         half_width = self._half_widths()
         parameters = tuple(self._parameter(j, half_width) for j in range(len(half_width)))
         return Assessment(
-            fit=self._fit,
+            fitted=self._fitted,
             consistency=self._consistency,
-            noise=self._noise,
             half_width=half_width,
             parameters=parameters,
         )
 
     def _half_widths(self) -> Vector:
         fit = self._fit
-        freedom = 1.0 / (1.0 / max(fit.freedom, 1.0) + 1.0 / self._noise.freedom)
+        freedom = 1.0 / (1.0 / max(fit.freedom, 1.0) + 1.0 / self._fitted.noise.freedom)
         quantile = student_two_sided(CONFIDENCE, freedom)
         half_width = quantile * fit.standard_error + MARGIN * self._consistency.bias
         half_width[~fit.estimated] = np.nan
@@ -374,8 +364,7 @@ class VerdictMaker:
             )
         if state is ParameterState.AT_BOUND:
             return Verdict.WEAK, f"{self._at_bound(j)}: widen it"
-        is_large = self._fit.presence[self._component[j]] > LINEAR_PRESENCE
-        ratio = 1.0 if is_large else self._profile(j, half_width)
+        ratio = self._profile(j, half_width)
         if not LEAST_PROFILE <= ratio <= LARGEST_PROFILE:
             return Verdict.WEAK, (
                 f"its effect is not linear over its interval (the sum of squares grows "
@@ -419,12 +408,9 @@ class VerdictMaker:
         direction = fit.covariance[:, j] / variance
         expected = half_width**2 / variance
         ends = [fit.theta + side * half_width * direction for side in (1.0, -1.0)]
-        squares = [self._squares(end) for end in ends]
-        return growth_of_squares(squares, self._squares(fit.theta), fit.deviation**2 * expected)
-
-    def _squares(self, theta: Vector) -> float:
-        """Return the sum of squares at theta, the linear unknowns at their best."""
-        return sum(least_squares_at(record, theta) for record in self._fit.records)
+        squares = [squares_at(fit.records, end) for end in ends]
+        base = squares_at(fit.records, fit.theta)
+        return growth_of_squares(squares, base, fit.deviation**2 * expected)
 
     def _weak_direction(self) -> str:
         """Name the combination of parameters that is known least."""

@@ -167,8 +167,12 @@ def fit_output_error(
     return _fit(result, records, matrices.order, plant.A.shape[0])
 
 
-def least_squares_at(record: ResponseRecord, theta: Vector) -> float:
-    """Return the least sum of squares over the linear unknowns of a record, at ``theta``."""
+def squares_at(records: Sequence[ResponseRecord], theta: Vector) -> float:
+    """Return the sum of squares at ``theta``, the linear unknowns of each record at their best."""
+    return sum(_least_squares(record, theta) for record in records)
+
+
+def _least_squares(record: ResponseRecord, theta: Vector) -> float:
     R = record.make(theta)
     linear = record.model.linear
     lengths = np.linalg.norm(R[:, :linear], axis=0)

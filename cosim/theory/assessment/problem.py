@@ -1,0 +1,121 @@
+"""What output error is to explain: data sets, a plant, the terms of its disturbance."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+from cosim.arrays import Matrix, Vector
+from cosim.native.output_error import Generators
+from cosim.theory.disturbance import Family, generators
+from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel
+from cosim.theory.estimators.output_error import OutputErrorFit, fit_output_error
+from cosim.theory.estimators.start_grid import search_start
+
+
+@dataclass(frozen=True, eq=False)
+class OutputErrorProblem:
+    """Data sets of one plant under one theta, and the model that is fitted to them.
+
+    Parameters
+    ----------
+    data : sequence of DataSet
+        Amplitudes, initial states and offsets of each are its own.
+    plant : DisturbedPlant
+    families : sequence of Family
+        Of the terms of the disturbance.
+    stated : Matrix, shape (n_y, n_y), optional
+        Covariance of the noise of the outputs, where it is known.
+    offset : bool
+        An unknown constant is on every output.
+    bounds : mapping of index to (lower, upper)
+        Of entries of theta; equal bounds fix one.
+    """
+
+    data: Sequence[DataSet]
+    plant: DisturbedPlant
+    families: Sequence[Family]
+    stated: Matrix | None = None
+    offset: bool = False
+    bounds: Mapping[int, tuple[float, float]] = field(default_factory=dict)
+
+    @cached_property
+    def generators(self) -> Generators:
+        """Those of all terms."""
+        return generators(self.families)
+
+    @property
+    def outputs(self) -> int:
+        """The number of outputs."""
+        return len(self.plant.C)
+
+    def fit(self, theta: Vector, noise: NoiseModel) -> OutputErrorFit:
+        """Fit output error from a start.
+
+        Raises
+        ------
+        AssumptionError, StartError
+            As :func:`cosim.theory.estimators.output_error.fit_output_error`.
+        """
+        return fit_output_error(
+            self.data,
+            self.plant,
+            self.families,
+            theta,
+            noise=noise,
+            offset=self.offset,
+            bounds=self.bounds,
+        )
+
+    def search_start(self, noise: NoiseModel) -> Vector:
+        """Return a start that is searched, as if the noise were white, shape (P,).
+
+        Raises
+        ------
+        AssumptionError
+            As :func:`cosim.theory.estimators.output_error.fit_output_error`.
+        """
+        return search_start(
+            self.data,
+            self.plant,
+            self.families,
+            noise=replace(noise, a=noise.a[:, :0]),
+            offset=self.offset,
+            bounds=self.bounds,
+        )
+
+    def of_data(self, data: Sequence[DataSet]) -> OutputErrorProblem:
+        """Return the same for other data."""
+        return replace(self, data=data)
+
+    def of_terms(self, kept: Sequence[int]) -> OutputErrorProblem:
+        """Return the problem of some of the terms."""
+        data = [replace(one, alpha=one.alpha[:, kept]) for one in self.data]
+        plant = replace(self.plant, Bd=self.plant.Bd[:, kept], Dd=self.plant.Dd[:, kept])
+        bounds = {}
+        for place, j in enumerate(self.parameters_of(kept)):
+            if j in self.bounds:
+                bounds[place] = self.bounds[j]
+        families = [self.families[i] for i in kept]
+        return replace(self, data=data, plant=plant, families=families, bounds=bounds)
+
+    def without_effect_of(self, terms: Sequence[int]) -> OutputErrorProblem:
+        """Return the problem with alpha 0 for some terms, whose theta keeps its place."""
+        data = []
+        for one in self.data:
+            alpha = one.alpha.copy()
+            alpha[:, terms] = 0.0
+            data.append(replace(one, alpha=alpha))
+        return self.of_data(data)
+
+    def parameters_of(self, terms: Sequence[int]) -> list[int]:
+        """Return the places in theta of the parameters of some terms."""
+        places: list[int] = []
+        first = 0
+        for i, family in enumerate(self.families):
+            count = len(family.parameters)
+            if i in terms:
+                places += range(first, first + count)
+            first += count
+        return places
