@@ -21,8 +21,37 @@ settings.register_profile("repeat", derandomize=True, deadline=None)
 settings.register_profile("search", max_examples=1000, deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeat"))
 
+# Modules whose tests share costly runs or exports: with -n one worker runs all of a module.
+OF_ONE_WORKER = frozenset(
+    {
+        "tests/paper/test_figures.py",
+        "tests/report/test_comparing.py",
+        "tests/report/test_estimator_comparison.py",
+        "tests/report/test_identification.py",
+        "tests/scenario/test_export.py",
+        "tests/scenario/test_identifying.py",
+        "tests/scenario/test_runs.py",
+        "tests/scenario/test_swap.py",
+        "tests/scenario/test_swap_matrix.py",
+        "tests/theory/test_validation.py",
+    }
+)
+
 HERE = Path(__file__).parent
 REFERENCE = HERE / "reference" / "cases.json"
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Distribute tests one by one, but modules of ``OF_ONE_WORKER`` as a whole, and these first."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class ByCost(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            module = nodeid.partition("::")[0]
+            return module if module in OF_ONE_WORKER else nodeid
+
+    return ByCost(config, log)
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -7,6 +7,9 @@ import pytest
 
 import cosim
 from cosim.report.summary import summarize
+from tests.scenario.signals import signals
+
+UNREAD = {"identifier.method": "least-squares"}  # the cheapest identifier, where none is read
 
 
 def error_of_delta(run) -> float:
@@ -28,7 +31,7 @@ def test_linear_interpolation_keeps_the_disturbance_error_near_the_methods_own(a
 
 def test_a_zero_order_hold_spoils_the_disturbance():
     """A zero-order hold makes the dirty derivative read ramps 58 % too high: an error of 0.35."""
-    held = cosim.run("academic", set={"scenario.input_interpolation": "zero-order"})
+    held = signals("academic", set={**UNREAD, "scenario.input_interpolation": "zero-order"})
     assert error_of_delta(held) == pytest.approx(0.353, abs=5e-3)
 
 
@@ -89,7 +92,7 @@ def test_coupling_error_is_of_second_order():
     inside the margin.
     """
     runs = {
-        h: cosim.run("academic", set={"scenario.step": h, "scenario.stop": 10.0})
+        h: signals("academic", set={**UNREAD, "scenario.step": h, "scenario.stop": 10.0})
         for h in (2e-3, 1e-3, 1.25e-4)
     }
     fine = runs[1.25e-4]
@@ -112,13 +115,13 @@ def test_without_a_prior_the_identifier_converges(academic):
 
 def test_as_printed_the_identifier_does_not_converge():
     """The paper's own result, reproduced and not corrected: theta2 has the wrong sign."""
-    run = cosim.run("academic-as-printed")
+    run = signals("academic-as-printed")
     assert abs(run["identifier.theta"][-1] - [-0.10786, 0.12818]).max() <= 1e-3
 
 
 def test_closed_loop_identifies_the_disturbance():
     """The loop changes the plant's input, not the disturbance: as good as in the open loop."""
-    run = cosim.run("closed-loop")
+    run = signals("closed-loop")
     error = abs(run["identifier.theta"][-1] - [-0.1, -0.3])
     assert error[0] <= 5e-4
     assert error[1] <= 2.5e-3
@@ -126,7 +129,7 @@ def test_closed_loop_identifies_the_disturbance():
 
 def test_there_is_no_estimate_before_there_is_information():
     """theta is NaN up to the identification start time, and never after its first value."""
-    run = cosim.run("academic", set={"identifier.method": "least-squares"})
+    run = signals("academic", set={"identifier.method": "least-squares"})
     time = run.time("identifier.theta")
     theta = run["identifier.theta"]
     assert np.isnan(theta[time <= 6.461]).all()

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-import cosim
 from cosim.core.contracts import Component, prepare
 from cosim.core.linear import LinearModel
 from cosim.scenario.build import Builder, build_context
 from cosim.scenario.execution import load
 from cosim.scenario.exporting import export_component
+from tests.scenario.signals import signals
 
 H = 1e-3
 STOP = 4.2  # s
@@ -86,7 +86,7 @@ def scenario_of(key: str) -> tuple[str, dict[str, Any]]:
 @cache
 def recorded(key: str) -> Any:
     name, changes = scenario_of(key)
-    return cosim.run(name, set=changes)
+    return signals(name, set=changes)
 
 
 @cache
@@ -104,8 +104,8 @@ def case(key: str, name: str) -> Case:
     if key in DRIVERS:
         # the log keeps only the rows at its period, so it runs here on what drove it
         prepare(component, H, graph.held[name], {})
-        signals = [np.reshape(run[port], (len(t), -1)) for port in DRIVERS[key]]
-        u = np.ascontiguousarray(np.hstack(signals))
+        driving = [np.reshape(run[port], (len(t), -1)) for port in DRIVERS[key]]
+        u = np.ascontiguousarray(np.hstack(driving))
         y = np.vstack([component.initialize(0.0, u[0]), component.advance(t, H, u)])
     else:
         u = columns(run, name, component.interface.inputs)
@@ -113,10 +113,10 @@ def case(key: str, name: str) -> Case:
     return Case(scenario, name, component, model, graph.held[name], t, u, y)
 
 
-def columns(run: Any, name: str, signals: Any) -> Any:
+def columns(run: Any, name: str, ports: Any) -> Any:
     """Return the signals of a component side by side, at every communication point."""
     arrays = []
-    for signal in signals:
+    for signal in ports:
         rows = run[f"{name}.{signal.name}"]
         arrays.append(np.reshape(rows, (-1, signal.size)))
     return np.ascontiguousarray(np.hstack(arrays))

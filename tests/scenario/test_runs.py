@@ -19,7 +19,7 @@ from cosim.scenario.exporting import export_component
 from cosim.scenario.recorded_metadata import ReplayOrigin, replay_origin
 from tests.fmi import lag
 
-SHORT = {"scenario.stop": 8.0}  # past the start of the identification at 6.461 s
+SHORT = {"scenario.stop": 7.0}  # past the start of the identification at 6.461 s
 
 
 @pytest.fixture(scope="module", params=shipped())
@@ -271,7 +271,7 @@ def test_a_longer_replay_is_refused(logged):
     _, path, _ = logged
     with pytest.raises(
         UsageError,
-        match=r"scenario\.stop'\]: found 9\.0 s, the recording ends at 8\.0 s; needed no more than "
+        match=r"scenario\.stop'\]: found 9\.0 s, the recording ends at 7\.0 s; needed no more than "
         r"that",
     ):
         cosim.replay(path, set={"scenario.stop": 9.0})

@@ -14,6 +14,7 @@ from cosim.errors import ScenarioError
 from cosim.scenario.build import parse
 from cosim.scenario.document import find
 from cosim.scenario.exporting import export_component
+from tests.scenario.signals import signals
 
 ONE = {"components.one": {"kind": "constant", "value": 1.0}}
 FOREIGN2 = {
@@ -110,7 +111,7 @@ def test_a_co_simulation_fmu_that_others_made_takes_the_plants_place(make, chang
     of these signals theta2 responds with about nine times as much (5e-4 moves it by 6e-3, as 7e-4
     in delta_hat): 6e-6.
     """
-    run = cosim.run("academic", swap={"plant": request.getfixturevalue(make)}, set=changes)
+    run = signals("academic", swap={"plant": request.getfixturevalue(make)}, set=changes)
     late = {
         "components.late": {
             "kind": "expression",
@@ -124,7 +125,7 @@ def test_a_co_simulation_fmu_that_others_made_takes_the_plants_place(make, chang
     document = replace(
         text, text=text.text.replace('"observer.y" = "plant.y"', '"observer.y" = "measured.y"')
     )
-    reference = cosim.run(parse(document.with_changes(late)))
+    reference = signals(parse(document.with_changes(late)))
     assert abs(run["plant.y"] - reference["measured.y"]).max() <= 1e-6
     assert abs(run["identifier.theta"][-1] - reference["identifier.theta"][-1]).max() <= 6e-6
 

@@ -12,6 +12,7 @@ from cosim.scenario.build import parse
 from cosim.scenario.document import find
 from cosim.scenario.exporting import export_component
 from tests.scenario.renamed import MAP, renamed
+from tests.scenario.signals import signals
 
 SHORT = {"scenario.stop": 9.0}  # theta is there from 6.5 s on
 RK4 = {"plant.solver": "rk4"}
@@ -77,9 +78,9 @@ def generated():
         text, text=text.text.replace('"observer.y" = "plant.y"', '"observer.y" = "measured.y"')
     )
     return {
-        "exact": cosim.run("academic", set=SHORT),
-        "rk4": cosim.run("academic", set=SHORT | RK4),
-        "late": cosim.run(parse(measured.with_changes(SHORT | LATE))),
+        "exact": signals("academic", set=SHORT),
+        "rk4": signals("academic", set=SHORT | RK4),
+        "late": signals(parse(measured.with_changes(SHORT | LATE))),
     }
 
 
@@ -98,9 +99,7 @@ def test_a_plant_of_another_make_identifies_the_same(plant, files, generated):
     """
     file, changes, like, tolerance = MATRIX[plant]
     names = MAP if file == "renamed" else {}
-    found = theta(
-        cosim.run("academic", swap={"plant": files[file]}, map=names, set=SHORT | changes)
-    )
+    found = theta(signals("academic", swap={"plant": files[file]}, map=names, set=SHORT | changes))
     if like == "late":
         tolerance *= abs(theta(generated["late"]) - theta(generated["exact"])).max() / 5e-4
     assert abs(found - theta(generated[like])).max() <= tolerance
