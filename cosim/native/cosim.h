@@ -57,6 +57,16 @@ int32_t cosim_invert(int32_t n, double *M, double *inverse);
  * doubles. */
 void cosim_exponential(int32_t n, const double *M, double *E, double *work);
 
+/* exp([[M, S], [0, M]]) = [[E, F], [0, E]]: F is the derivative of E = exp(M) in the direction S
+ * (C. Van Loan, IEEE Trans. Automatic Control, 1978). All of shape (n, n); `work` has 4 n n
+ * doubles. */
+void cosim_exponential_slope(int32_t n, const double *M, const double *S, double *E, double *F,
+                             double *work);
+
+/* cosim_exponential_slope of so many numbers, side by side: one alone waits for each division. */
+#define COSIM_NUMBERS 4
+void cosim_exponential_numbers(const double *M, const double *S, double *E, double *F);
+
 /* G = G0 + sum_j theta_j G1_j, all of shape (n, n), those of G1 one behind the other. */
 void cosim_system_matrix(int32_t n, int32_t count, const double *G0, const double *G1,
                          const double *theta, double *G);

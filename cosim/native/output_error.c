@@ -164,36 +164,62 @@ void cosim_output_error_residual(const cosim_output_error *s, const cosim_known_
 
 /* --- one pass over samples, for given theta --- */
 
-/* expm([[G, G_j], [0, G]] h) = [[E, F_j], [0, E]] with F_j the derivative of E = expm(G h) by
- * theta_j (C. Van Loan, IEEE Trans. Automatic Control, 1978). */
+/* Exponentials of components of one state, which wait for others: they are computed side by side. */
+typedef struct {
+    int count;
+    double M[COSIM_NUMBERS], S[COSIM_NUMBERS];
+    double *E[COSIM_NUMBERS], *F[COSIM_NUMBERS]; /* where the results go; F may be NULL */
+} numbers;
+
+static void compute_numbers(numbers *w)
+{
+    double E[COSIM_NUMBERS], F[COSIM_NUMBERS];
+    for (int i = w->count; i < COSIM_NUMBERS; ++i)
+        w->M[i] = w->S[i] = 0.0;
+    cosim_exponential_numbers(w->M, w->S, E, F);
+    for (int i = 0; i < w->count; ++i) {
+        *w->E[i] = E[i];
+        if (w->F[i])
+            *w->F[i] = F[i];
+    }
+    w->count = 0;
+}
+
+static void add_number(numbers *w, double M, double S, double *E, double *F)
+{
+    w->M[w->count] = M, w->S[w->count] = S;
+    w->E[w->count] = E, w->F[w->count] = F;
+    if (++w->count == COSIM_NUMBERS)
+        compute_numbers(w);
+}
+
 void cosim_output_error_basis(const cosim_output_error *s, const double *theta, double h, double *E,
                               double *F, double *work)
 {
     const double *G0 = s->G0, *G1 = s->G1;
+    numbers w = {0};
     for (int32_t i = 0; i < s->components; ++i) {
-        const int32_t V = s->size[i], N = 2 * V;
-        double *A = work, *expA = A + N * N, *G = E; /* until E is known */
-        cosim_system_matrix(V, s->count[i], G0, G1, theta, G);
-        memset(A, 0, (size_t)(N * N) * sizeof *A);
-        for (int32_t a = 0; a < V; ++a)
-            for (int32_t b = 0; b < V; ++b)
-                A[a * N + b] = A[(V + a) * N + V + b] = G[a * V + b] * h;
-        for (int32_t j = 0; j < s->count[i] || j == 0; ++j) {
-            for (int32_t a = 0; a < V && s->count[i]; ++a)
-                for (int32_t b = 0; b < V; ++b)
-                    A[a * N + V + b] = G1[(j * V + a) * V + b] * h;
-            cosim_exponential(N, A, expA, expA + N * N);
-            for (int32_t a = 0; a < V; ++a)
-                for (int32_t b = 0; b < V; ++b) {
-                    E[a * V + b] = expA[a * N + b];
-                    if (j < s->count[i])
-                        F[(j * V + a) * V + b] = expA[a * N + V + b];
-                }
-        }
-        E += V * V, F += s->count[i] * V * V;
-        G0 += V * V, G1 += s->count[i] * V * V;
-        theta += s->count[i];
+        const int32_t V = s->size[i], size = V * V, count = s->count[i];
+        double *Gh = work, *slope = work + size, *rest = work + 2 * size;
+        cosim_system_matrix(V, count, G0, G1, theta, Gh);
+        for (int32_t k = 0; k < size; ++k)
+            Gh[k] *= h;
+        if (V == 1 && count <= 1)
+            add_number(&w, *Gh, count ? *G1 * h : 0.0, E, count ? F : NULL);
+        else if (!count)
+            cosim_exponential(V, Gh, E, rest);
+        else
+            for (int32_t j = 0; j < count; ++j) {
+                for (int32_t k = 0; k < size; ++k)
+                    slope[k] = G1[j * size + k] * h;
+                cosim_exponential_slope(V, Gh, slope, E, F + j * size, rest);
+            }
+        E += size, F += count * size;
+        G0 += size, G1 += count * size;
+        theta += count;
     }
+    if (w.count)
+        compute_numbers(&w);
 }
 
 static void set_interval(const cosim_output_error *s, const double *theta, int32_t interval,

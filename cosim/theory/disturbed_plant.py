@@ -182,10 +182,11 @@ class DataSet:
 
     def kept(self, every: int) -> NDArray[np.intp]:
         """Return the rows that are left of every so many, also of those of each output."""
-        rows: NDArray[np.intp] = np.arange(0, len(self.t), every)
+        is_kept = np.zeros(len(self.t), np.bool_)
+        is_kept[::every] = True
         for values in self.measured.T:
-            rows = np.union1d(rows, np.flatnonzero(values)[::every])
-        return rows
+            is_kept[np.flatnonzero(values)[::every]] = True
+        return np.flatnonzero(is_kept)
 
     def thinned(self, every: int) -> DataSet:
         """Return every so many samples of it, and the inputs as often."""
@@ -320,10 +321,17 @@ def _by_outputs(
     measured: NDArray[np.bool_],
 ) -> Iterator[tuple[NDArray[np.bool_], NDArray[np.integer]]]:
     """Yield every set of outputs that are measured together, (n_y,), and the samples it has."""
-    sets, index = np.unique(measured, axis=0, return_inverse=True)
-    for i, outputs in enumerate(sets):
+    packed = np.packbits(measured, axis=1)
+    keys: NDArray[np.integer] = packed[:, 0]
+    for byte in packed.T[1:]:
+        longer = 256 * keys.astype(np.int64) + byte
+        keys = np.unique(longer, return_inverse=True)[1]
+    order = np.argsort(keys, kind="stable")
+    borders = 1 + np.flatnonzero(np.diff(keys[order]))
+    for samples in np.split(order, borders):
+        outputs = measured[samples[0]]
         if outputs.any():
-            yield outputs, np.flatnonzero(index.ravel() == i)
+            yield outputs, samples
 
 
 @dataclass(frozen=True, eq=False)
@@ -425,7 +433,9 @@ def discretize(
     mask = np.zeros(n_u + components, np.bool_)
     if held is not None:
         mask[:n_u] = held
-    Ad, start, end = first_order_holds(plant.A, inputs, step, mask)
+    lengths, which = np.unique(step, return_inverse=True)
+    of_lengths = first_order_holds(plant.A, inputs, lengths, mask)
+    Ad, start, end = (matrices[which] for matrices in of_lengths)
     K = np.zeros((m, n, n_y))
     L = np.tile(np.eye(n_y), (m, 1, 1))
     if predictor is not None:

@@ -13,7 +13,13 @@ from hypothesis.extra.numpy import arrays
 from cosim.blocks.plant import linear_model
 from cosim.core.linear import Linear
 from cosim.core.signals import Signal
-from cosim.native.step import affine, first_order_hold, invert, matrix_exponential
+from cosim.native.step import (
+    affine,
+    first_order_hold,
+    first_order_holds,
+    invert,
+    matrix_exponential,
+)
 from tests.blocks.stepping import drive
 
 EPS = np.finfo(np.float64).eps
@@ -181,6 +187,74 @@ def test_first_order_hold_agrees_with_quadrature(A, data):
     np.testing.assert_allclose(
         computed.B1, np.column_stack([end[:, 0], np.zeros(n)]), rtol=0, atol=atol
     )
+
+
+def augmented(A, B, h):
+    """Return the generator of the state beside an input that is a straight line, and its slope."""
+    n, m = B.shape
+    M = np.zeros((n + 2 * m, n + 2 * m))
+    M[:n, :n] = h * A
+    M[:n, n : n + m] = h * B
+    M[n : n + m, n + m :] = np.eye(m)
+    return M
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_a_discretization_is_the_exponential_of_the_augmented_matrix_bit_by_bit(seed):
+    """What is not computed is 0 or 1: of any sizes, stiff, singular, of short and long steps."""
+    rng = np.random.default_rng(seed)
+    n, m = rng.integers(0, 6), rng.integers(0, 5)
+    A = rng.standard_normal((n, n)) * 10.0 ** rng.uniform(-8.0, 4.0)
+    B = rng.standard_normal((n, m)) * 10.0 ** rng.uniform(-6.0, 6.0)
+    if seed % 2:
+        A = -A @ A.T / np.abs(A).max(initial=1e-300)
+    A[rng.random((n, n)) < 0.3] = 0.0
+    B[rng.random((n, m)) < 0.3] = 0.0
+    held = rng.random(m) < 0.4
+    steps = 10.0 ** rng.uniform(-9.0, -3.0, 3)
+    for h, *computed in zip(steps, *first_order_holds(A, B, steps, held), strict=True):
+        E = matrix_exponential(augmented(A, B, h))
+        whole = E[:n, n : n + m]
+        slope = E[:n, n + m :]
+        starts = np.where(held, whole, whole - slope)
+        expected = (E[:n, :n], starts, np.where(held, 0.0, slope))
+        for found, needed in zip(computed, expected, strict=True):
+            assert np.ascontiguousarray(found).tobytes() == np.ascontiguousarray(needed).tobytes()
+
+
+@pytest.mark.parametrize("h", [1e-9, 1e-3, 1.0, 1e3])
+@pytest.mark.parametrize(
+    "A",
+    [
+        pytest.param([[-1e5, 1.0], [0.0, -1e-2]], id="stiff"),
+        pytest.param([[0.0, 1.0], [0.0, 0.0]], id="double integrator"),
+        pytest.param([[-2.0, 1.0], [-4.0, 2.0]], id="nilpotent, no triangle"),
+        pytest.param([[-1.0, 50.0], [-50.0, -1.0]], id="oscillator"),
+        pytest.param([[0.02, 0.0], [1.0, -3.0]], id="unstable"),
+    ],
+)
+def test_steps_of_any_length_agree_with_sixty_digits(A, h):
+    """The exponential of mpmath; each squaring rounds exp - I once, an oscillator keeps errors."""
+    mpmath = pytest.importorskip("mpmath")
+    A = np.array(A)
+    B = np.array([[1.0, 0.5], [-0.3, 2.0]])
+    held = np.array([False, True])
+    with mpmath.workdps(60):
+        exact = mpmath.expm(mpmath.matrix(A) * mpmath.mpf(h))
+        inputs = mpmath.zeros(6, 6)
+        inputs[0:2, 0:2] = mpmath.matrix(A) * mpmath.mpf(h)
+        inputs[0:2, 2:4] = mpmath.matrix(B) * mpmath.mpf(h)
+        inputs[2, 4] = inputs[3, 5] = mpmath.mpf(1)
+        whole = mpmath.expm(inputs)
+        Ad = np.array(exact.tolist(), np.float64)
+        E = np.array(whole.tolist(), np.float64)
+    expected = (Ad, [[E[0, 2] - E[0, 4], E[0, 3]], [E[1, 2] - E[1, 4], E[1, 3]]])
+    computed = first_order_hold(A, B, h, held)
+    turns = 50.0 * h if A[0, 1] == 50.0 else 1.0
+    sizes = (max(1.0, np.abs(Ad).max()), np.abs(expected[1]).max())
+    for found, needed, size in zip((computed.Ad, computed.B0), expected, sizes, strict=True):
+        atol = 64 * EPS * max(turns, 1.0) * size
+        np.testing.assert_allclose(found, needed, rtol=0, atol=atol)
 
 
 def dirty_derivative(rate):

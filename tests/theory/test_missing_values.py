@@ -127,3 +127,31 @@ def test_an_output_that_is_never_measured_is_refused():
     pattern[:, 1] = False
     with pytest.raises(AssumptionError, match=r"y\[1\] is never measured"):
         missing(pattern, 1)
+
+
+@pytest.mark.parametrize("outputs", [1, 2, 8, 9, 17])
+@pytest.mark.parametrize("lost", [0.0, 0.3])
+def test_values_of_a_sample_are_whitened_by_the_covariance_of_those_that_are_there(outputs, lost):
+    """Sample by sample, by the inverse factor of their part of it; of any number of outputs."""
+    rng = np.random.default_rng(outputs)
+    measured = rng.random((200, outputs)) >= lost
+    rows = rng.standard_normal((200, outputs, 3))
+    mixed = rng.standard_normal((outputs, outputs))
+    covariance = mixed @ mixed.T + np.eye(outputs)
+    noise = NoiseModel(covariance=covariance, a=np.zeros((outputs, 0)))
+    expected = np.zeros_like(rows)
+    for k, there in enumerate(measured):
+        if there.any():
+            factor = np.linalg.cholesky(covariance[np.ix_(there, there)])
+            expected[k, there] = np.linalg.solve(factor, rows[k, there])
+    # the covariance has a condition below 1e4
+    np.testing.assert_allclose(noise.whitened(rows, measured), expected, rtol=0, atol=1e-10)
+
+
+def test_a_thinned_record_keeps_every_so_many_values_of_each_output():
+    """Rows 0, 3, ..., and every third one of those that have a value of an output."""
+    data, _ = missing(scattered(), 0)
+    rows = set(range(0, len(GRID), 3))
+    for own in data.measured.T:
+        rows |= set(np.flatnonzero(own)[::3].tolist())
+    assert data.kept(3).tolist() == sorted(rows)

@@ -9,8 +9,15 @@ from scipy.integrate import solve_ivp
 from cosim.errors import AssumptionError
 from cosim.native.output_error import ParameterState
 from cosim.theory.descriptor import reduce
-from cosim.theory.disturbance import Exponential, Sine
-from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel, disturbed_plant
+from cosim.theory.disturbance import Exponential, Sine, generators
+from cosim.theory.disturbed_plant import (
+    DataSet,
+    DisturbedPlant,
+    NoiseModel,
+    disturbed_plant,
+    sample_plant,
+    white_noise,
+)
 from cosim.theory.estimators.output_error import fit_output_error
 from tests.theory.academic import THETA, academic, alpha, delta
 
@@ -96,6 +103,43 @@ def test_samples_count_at_their_own_times(exact):
     t -= t[0]
     fit = fit_output_error([data(t, trajectory(t))], plant(), FAMILIES, START)
     assert np.abs(fit.theta - THETA).max() < 1e-6
+
+
+def test_columns_at_unequal_intervals_are_the_closed_forms():
+    """Of more components than are computed side by side, of one state and of two.
+
+    y is the disturbance itself: ``exp(theta t)`` with the derivative ``t exp(theta t)``, and the
+    cosine and sine of a rate with theirs.
+    """
+    rng = np.random.default_rng(5)
+    t = 1e-9 * np.cumsum(rng.integers(200_000, 3_000_000, 3000))
+    t -= t[0]
+    thetas = np.array([-0.1, 0.3, -2.0, 0.0, -40.0, -0.7])
+    rate = 1.7
+    families = (*(Exponential() for _ in thetas), Sine())
+    components = len(families)
+    direct = DisturbedPlant(
+        A=np.zeros((0, 0)),
+        B=np.zeros((0, 1)),
+        Bd=np.zeros((0, components)),
+        C=np.zeros((1, 0)),
+        D=np.zeros((1, 1)),
+        Dd=np.ones((1, components)),
+    )
+    ones = np.ones((len(t), components))
+    samples = DataSet(t, np.zeros((len(t), 1)), np.zeros((len(t), 1)), ones)
+    sampled = sample_plant(direct, generators(families), samples, noise=white_noise(1))
+    rows = sampled.record(samples).rows(np.append(thetas, rate))[:, 0]
+    exponentials = np.exp(np.outer(t, thetas))
+    waves = np.column_stack([np.cos(rate * t), np.sin(rate * t)])
+    turned = np.column_stack([-waves[:, 1], waves[:, 0]])
+    basis = np.hstack([exponentials, waves])
+    slopes = t[:, np.newaxis] * np.hstack([exponentials, turned])
+    # a rounding or two at each of 3000 intervals, which add up like those of a sum
+    atol = 2.0 * len(t) * np.finfo(np.float64).eps * max(basis.max(), slopes.max())
+    count = basis.shape[1]
+    np.testing.assert_allclose(rows[:, :count], basis, rtol=0, atol=atol)
+    np.testing.assert_allclose(rows[:, count : 2 * count], slopes, rtol=0, atol=atol)
 
 
 def test_missing_outputs_are_left_out(exact):
