@@ -167,6 +167,12 @@ class DataSet:
         return int(self.measured.any(axis=1).sum())
 
     @property
+    def spacing(self) -> float:
+        """The usual distance of the times at which something was measured [s]; 0 of one alone."""
+        times = self.t[self.measured.any(axis=1)]
+        return float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+
+    @property
     def is_held(self) -> NDArray[np.bool_]:
         """Which inputs keep their value from one sample to the next, shape (n_u,)."""
         if self.held is None:

@@ -212,3 +212,13 @@ def test_a_parameter_that_is_not_weak_has_no_advice():
     (parameter,) = sine(length=6.0)
     assert parameter.verdict is Verdict.IDENTIFIABLE
     assert "would" not in parameter.reason
+
+
+def test_a_large_disturbance_whose_rate_is_hardly_known_is_weak():
+    """Of a tenth of a period: far above the noise, but its effect is not linear in the rate."""
+    (parameter,) = sine(length=0.4, sigma=1e-3)
+    assert parameter.verdict is Verdict.WEAK
+    assert "not linear over its interval" in parameter.reason
+    (longer,) = sine(length=1.2, sigma=1e-3)
+    assert longer.verdict is Verdict.IDENTIFIABLE
+    assert longer.value == pytest.approx(1.3, abs=4.0 * longer.standard_error)

@@ -209,10 +209,30 @@ def test_a_sine_is_found_up_to_a_hundred_periods(rate):
 def test_a_rate_beyond_the_box_is_found_within_bounds(bounds):
     """Wherever they lie; without a lower one that is near the box ends before, and says where."""
     data = lag(100.0)
-    box = box_of_search([Sine()], span=20.0, bounds={0: bounds})
+    box = box_of_search([Sine()], span=20.0, spacing=0.01, bounds={0: bounds})
     assert bounds[0] <= box.lower[0] < box.upper[0] <= bounds[1]
     start = search_start([data], FIRST_ORDER, [Sine()], bounds={0: bounds})
     assert (abs(start[0] - 100.0) < 0.1) == (box.lower[0] <= 100.0 <= box.upper[0])
+
+
+@pytest.mark.parametrize("every", [1, 10])
+def test_no_sine_is_searched_beyond_half_the_sampling_frequency(every):
+    """There are others with the same samples: of every alias the slowest is found.
+
+    Also of a sensor that is slower than the points at which the disturbance is computed.
+    """
+    data = lag(3.0, sigma=1e-2)
+    short = slice(0, 1 + 20 * every)
+    y = np.full_like(data.y, np.nan)
+    y[::every] = data.y[::every]
+    few = DataSet(data.t[short], y[short], data.u[short], data.alpha[short])
+    spacing = every * (data.t[1] - data.t[0])
+    assert few.spacing == pytest.approx(spacing)
+    span = float(few.t[-1] - few.t[0])
+    box = box_of_search([Sine()], span=span, spacing=few.spacing)
+    assert box.upper[0] == pytest.approx(np.pi / spacing)
+    found = search_start([few], FIRST_ORDER, [Sine()])
+    assert abs(found[0]) < np.pi / spacing
 
 
 def test_two_sines_are_found_up_to_twenty_five_periods():

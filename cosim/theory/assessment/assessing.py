@@ -31,12 +31,10 @@ from cosim.theory.assessment.verdicts import (
     is_settled,
 )
 from cosim.theory.disturbed_plant import NoiseModel
-from cosim.theory.quantiles import chi_square_above
+from cosim.theory.estimators.output_error import excess_squares, largest_chance
 
 # Of a component that is 100 of its deviations from absent: a wrong optimum would not pass.
 CLEAR_PRESENCE: Final = 1e4
-# probability of a larger difference of two optima by noise alone
-FALSE_CHOICE: Final = 0.01
 SAME_OPTIMUM: Final = 1e-3  # difference of two sums of squares, in variances, that rounding makes
 # times the difference that noise alone makes, white or colored: beyond it an optimum is no rival
 NO_RIVAL: Final = 1e3
@@ -119,7 +117,7 @@ def assess_from(problem: OutputErrorProblem, theta: Vector | None) -> Assessment
     best, other = _by_residual(near, searched)
     assessment = _judged(best)
     excess = _excess(best.fitted, other.fitted)
-    if SAME_OPTIMUM < excess <= NO_RIVAL * _largest_chance(problem):
+    if SAME_OPTIMUM < excess <= NO_RIVAL * largest_chance(problem.generators.parameters):
         assessment = _beside(assessment, _judged(other))
     return assessment
 
@@ -145,13 +143,15 @@ def _searched_like(problem: OutputErrorProblem, theta: Vector) -> _Examined:
 
 
 def _by_residual(near: _Examined, searched: _Examined) -> tuple[_Examined, _Examined]:
-    """Return the better of two fits first."""
-    if not searched.fitted.fit.converged:
-        return near, searched
-    is_nearer = near.fitted.residual_size <= searched.fitted.residual_size
-    if near.fitted.fit.converged and is_nearer:
-        return near, searched
-    return searched, near
+    """Return the better of two fits first.
+
+    Of two the one that has converged, unless the other explains more than chance does.
+    """
+    best, other = sorted((near, searched), key=lambda examined: examined.fitted.residual_size)
+    is_chance = _excess(best.fitted, other.fitted) <= largest_chance(len(best.fitted.fit.theta))
+    if is_chance and other.fitted.fit.converged and not best.fitted.fit.converged:
+        return other, best
+    return best, other
 
 
 def _white(problem: OutputErrorProblem, start: Vector | None) -> _Examined:
@@ -172,7 +172,7 @@ def _fitted(
 def _judged(white: _Examined) -> Assessment:
     """Return what may be said from a fit, after the color of its noise and terms to leave out."""
     examined = white
-    if not white.consistency.passed and not white.consistency.step_too_long:
+    if white.consistency.is_structured and not white.consistency.step_too_long:
         examined = _colored(white)
     missing = _missing(examined)
     left_out = _absent(examined)
@@ -262,15 +262,7 @@ def _with_color(examined: _Examined, criterion: Criterion) -> tuple[_Examined, s
 
 def _excess(best: FittedModel, other: FittedModel) -> float:
     """Return by how many variances the sum of squares of another fit is larger."""
-    if best.residual_size == 0.0:
-        return np.inf if other.residual_size > 0.0 else 0.0
-    ratio = other.residual_size / best.residual_size
-    return best.fit.freedom * (ratio**2 - 1.0)
-
-
-def _largest_chance(problem: OutputErrorProblem) -> float:
-    """Return the largest difference of the sums of squares of two optima by noise alone."""
-    return chi_square_above(FALSE_CHOICE, problem.generators.parameters)
+    return excess_squares(best.residual_size, other.residual_size, best.fit.freedom)
 
 
 def _beside(best: Assessment, other: Assessment) -> Assessment:
@@ -282,7 +274,7 @@ def _beside(best: Assessment, other: Assessment) -> Assessment:
     if not (best.is_settled and other.is_settled):
         return best
     excess = _excess(best.fitted, other.fitted)
-    threshold = _largest_chance(best.problem)
+    threshold = largest_chance(len(best.parameters))
     if not SAME_OPTIMUM < excess <= threshold:
         return best
     theta = ", ".join(f"{value:.4g}" for value in other.fit.theta)

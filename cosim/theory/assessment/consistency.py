@@ -36,6 +36,8 @@ from cosim.theory.quantiles import chi_square_above, ratio_above
 
 FALSE_ALARM: Final = 3e-4  # probability, for white noise, of each of the three tests
 WHITENESS: Final = "whiteness"
+LARGEST_TRACE: Final = "largest trace of a model error"
+ALL_TRACES: Final = "traces of model errors"
 LAGS: Final = 24
 # Errors of step and quantization are computed, not bounded: they are allowed half as much again.
 MARGIN: Final = 1.5
@@ -130,6 +132,11 @@ class Consistency:
     def failed(self) -> tuple[str, ...]:
         """The names of the tests that did not pass."""
         return tuple(test.name for test in self.tests if not test.passed)
+
+    @property
+    def is_structured(self) -> bool:
+        """Whether the residual has a structure that a wrong model, or colored noise, would leave."""
+        return not {WHITENESS, LARGEST_TRACE, ALL_TRACES}.isdisjoint(self.failed)
 
 
 def examine(fitted: FittedModel) -> Consistency:
@@ -256,16 +263,14 @@ class _TestedFit:
         statistic = float(excess[place] ** 2) if len(excess) else 0.0
         largest = self._names[place] if self._names else ""
         threshold = self._threshold(1, among=max(len(excess), 1))
-        return ResidualTest("largest trace of a model error", statistic, threshold, 1, largest)
+        return ResidualTest(LARGEST_TRACE, statistic, threshold, 1, largest)
 
     def _all_directions(self, deviation: float) -> ResidualTest:
         basis = _orthonormal(self._directions)
         excess = self._excess(basis, deviation)
         degrees = max(len(excess), 1)
         statistic = float(excess @ excess)
-        return ResidualTest(
-            "traces of model errors", statistic, self._threshold(degrees), degrees, ""
-        )
+        return ResidualTest(ALL_TRACES, statistic, self._threshold(degrees), degrees, "")
 
     def _threshold(self, degrees: int, among: int = 1) -> float:
         return ratio_above(FALSE_ALARM / among, degrees, self._noise.freedom)

@@ -37,6 +37,8 @@ from cosim.theory.disturbed_plant import (
 )
 from cosim.theory.quantiles import chi_square_above
 
+# probability of a larger difference of two optima by noise alone
+FALSE_CHOICE: Final = 0.01
 # Probability that noise alone makes the amplitude of an absent component look like one, for one
 # theta; the largest over all theta, which the fit finds, is about a hundred times as probable.
 FALSE_PRESENCE: Final = 1e-8
@@ -183,6 +185,26 @@ def _least_squares(record: ResponseRecord, theta: Vector) -> float:
     solution = np.linalg.lstsq(columns, R[:, -1], rcond=1e-12)[0]
     rest = R[:, -1] - columns @ solution
     return float(rest @ rest)
+
+
+def excess_squares(best: float, other: float, freedom: float) -> float:
+    """Return by how many variances a fit leaves a larger sum of squares than another one.
+
+    Parameters
+    ----------
+    best, other : float
+        Sizes of their residuals.
+    freedom : float
+        Of the best one.
+    """
+    if best == 0.0:
+        return np.inf if other > 0.0 else 0.0
+    return float(freedom * ((other / best) ** 2 - 1.0))
+
+
+def largest_chance(parameters: int) -> float:
+    """Return the largest difference that noise alone makes between two optima, in variances."""
+    return chi_square_above(FALSE_CHOICE, parameters)
 
 
 def bound_vectors(

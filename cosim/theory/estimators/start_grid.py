@@ -35,7 +35,9 @@ from cosim.theory.estimators.output_error import (
     NO_BOUNDS,
     OutputErrorFit,
     bound_vectors,
+    excess_squares,
     fit_output_error,
+    largest_chance,
 )
 
 STARTS: Final = 4  # points of the grid that are fitted from
@@ -144,6 +146,9 @@ def search_start(
 ) -> Vector:
     """Find a start: theta of the best fit from the best points of a grid.
 
+    Of a fit that has not converged only where it explains more than another by chance: then these
+    data do not determine theta, and the optimum of the other one is none.
+
     Nothing but the data is needed; where there is a regression, its Rayleigh quotient is cheaper.
 
     Parameters
@@ -168,7 +173,8 @@ def search_start(
         sampled = sample_plant(plant, matrices, one, noise=noise, offset=offset)
         records.append(sampled.record(one))
     span = max(float(one.t[-1] - one.t[0]) for one in data)
-    box = box_of_search(families, span=span, bounds=bounds)
+    spacing = min(one.spacing for one in data)
+    box = box_of_search(families, span=span, spacing=spacing, bounds=bounds)
     points = _points_of_records(matrices.parameters)
     starts = search_starts(records, box.lower, box.upper, points=points, most=STARTS)
     if not len(starts):
@@ -180,25 +186,35 @@ def search_start(
         )
 
     fits = [fitted(start) for start in starts]
+    best = min(fits, key=lambda fit: fit.deviation)
     converged = [fit for fit in fits if fit.converged]
-    return min(converged or fits, key=lambda fit: fit.deviation).theta
+    if not converged:
+        return best.theta
+    least = min(converged, key=lambda fit: fit.deviation)
+    excess = excess_squares(best.deviation, least.deviation, best.freedom)
+    is_chance = excess <= largest_chance(matrices.parameters)
+    return least.theta if is_chance else best.theta
 
 
 def box_of_search(
     families: Sequence[Family],
     *,
     span: float,
+    spacing: float,
     bounds: Mapping[int, tuple[float, float]] = NO_BOUNDS,
 ) -> SearchBox:
     """Return where :func:`search_start` looks: as far as the points of its grid are dense enough.
 
-    Bounds that are narrower are searched instead, wherever they lie.
+    It looks for nothing faster than the samples resolve: a sine beyond half their frequency has the
+    same samples as a slower one. Bounds that are narrower are searched instead, wherever they lie.
 
     Parameters
     ----------
     families : sequence of Family
     span : float
         Length of the record [s].
+    spacing : float
+        Distance of its samples [s].
     bounds : mapping of index to (lower, upper)
         Of entries of theta.
 
@@ -209,7 +225,8 @@ def box_of_search(
     """
     parameters = sum(len(family.parameters) for family in families)
     time_scales = max(_points_of_records(parameters) / POINTS_A_SCALE, LEAST_SCALES)
-    box = search_box(families, span=span, shortest=span / time_scales)
+    shortest = max(span / time_scales, spacing)
+    box = search_box(families, span=span, shortest=shortest)
     lower, upper = bound_vectors(bounds, parameters)
     width = box.upper - box.lower
     # Bounds apart from the box are entered as far as the box is wide.
