@@ -61,10 +61,7 @@ def find_feedthrough(
     possible: dict[str, Feedthrough] = {}
     for name, interface in interfaces.items():
         possible[name] = {output.name: interface.feeds(output.name) for output in interface.outputs}
-        known[name] = {
-            output: inputs if interface.knows(output) else ()
-            for output, inputs in possible[name].items()
-        }
+        known[name] = _known_feedthrough(interface, possible[name])
     cycle = find_cycle(_dependencies(known, sources))
     if cycle:
         raise AlgebraicLoopError(
@@ -79,6 +76,14 @@ def find_feedthrough(
         unknown.append(_cut_unknown(name, possible[name], interfaces[name], dependencies))
         dependencies = _dependencies(possible, sources)
     return possible, tuple(unknown)
+
+
+def _known_feedthrough(interface: Interface, possible: Feedthrough) -> Feedthrough:
+    """Return which inputs are known to feed through to each output."""
+    known = {}
+    for output, inputs in possible.items():
+        known[output] = inputs if interface.knows(output) else ()
+    return known
 
 
 def _unknown_component(

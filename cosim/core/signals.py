@@ -101,16 +101,17 @@ class Signal:
                 raise GraphError(f"signal {self.name!r}: {key} {value!r}; {suggestion}")
 
     def _check_types(self) -> None:
-        for key, is_right, needed in (
-            ("unit", self.unit is None or isinstance(self.unit, str), "a string or None"),
-            ("optional", isinstance(self.optional, bool), "True or False"),
-            ("base", self.base is None or isinstance(self.base, BaseUnit), "a BaseUnit or None"),
-            ("start", _are_numbers(self.start), "a tuple of numbers, none of them NaN"),
-            ("first", type(self.first) is int and self.first >= 0, "a whole number from 0 on"),
-        ):
-            if not is_right:
-                found = quoted(getattr(self, key))
-                raise GraphError(f"signal {self.name!r}: {key} {found}, needed {needed}")
+        self._need("unit", "a string or None", isinstance(self.unit, str | None))
+        self._need("optional", "True or False", isinstance(self.optional, bool))
+        self._need("base", "a BaseUnit or None", isinstance(self.base, BaseUnit | None))
+        self._need("start", "a tuple of numbers, none of them NaN", _are_numbers(self.start))
+        is_whole = type(self.first) is int and self.first >= 0
+        self._need("first", "a whole number from 0 on", is_whole)
+
+    def _need(self, key: str, needed: str, is_right: bool) -> None:
+        if not is_right:
+            value = quoted(getattr(self, key))
+            raise GraphError(f"signal {self.name!r}: {key} {value}, needed {needed}")
 
     @property
     def initial_values(self) -> tuple[float, ...]:

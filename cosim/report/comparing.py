@@ -193,15 +193,21 @@ def compare(
     loaded.edit(set=common)  # a problem of all plants is raised once, before anything runs
     _check_edits(loaded, component, alternatives)
     labels = _distinct([alternative.label for alternative in alternatives])
-    logs: list[Path | None] = []
-    for label in labels:
-        log = None if folder is None else folder / f"{label.replace('#', '-')}.mcap"
-        check_target(log, force=force)  # all of them, before the first run
-        logs.append(log)
+    logs = _log_paths(labels, folder, force=force)
     outcomes = []
     for label, alternative, log in zip(labels, alternatives, logs, strict=True):
         outcomes.append(_run(loaded, component, label, alternative, log=log, force=force))
     return Comparison(loaded.name, component, tuple(outcomes))
+
+
+def _log_paths(labels: Sequence[str], folder: Path | None, *, force: bool) -> list[Path | None]:
+    """Return where the log of each plant goes; check all of them, before the first run."""
+    logs: list[Path | None] = []
+    for label in labels:
+        log = None if folder is None else folder / f"{label.replace('#', '-')}.mcap"
+        check_target(log, force=force)
+        logs.append(log)
+    return logs
 
 
 def _check_edits(loaded: Scenario, component: str, alternatives: Sequence[_Alternative]) -> None:
@@ -291,15 +297,20 @@ def _paths(
             f"give another, or leave out {flag('base', False)}"
         )
     listed = [str(path_argument("swap", path)) for path in paths]
+    _check_paths(component, listed)
+    return component, listed
+
+
+def _check_paths(component: str, paths: Sequence[str]) -> None:
+    """Check that each path is that of a file that can take the component's place."""
     problems = []
-    for path in listed:
+    for path in paths:
         try:
             component_table(component, path)
         except UsageError as error:
             problems.append(f"{option('swap', component)}: {error}")
     if problems:
         raise UsageError("\n".join(problems))
-    return component, listed
 
 
 def _distinct(labels: Sequence[str]) -> list[str]:

@@ -21,7 +21,7 @@ triangular: `W'M W - W'L C3 W` and `V'M V`.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -376,15 +376,9 @@ def identification_start_time(
     """
     if (filter_rate is None) == (window is None):
         raise AssumptionError("(36)-(38): needed either filter_rate or window")
-    rates = {"lambda_obs": lambda_obs, "filter_rate": filter_rate, "window": window}
-    for name, rate in rates.items():
-        if rate is not None and not 0.0 < rate < math.inf:
-            what = "time" if name == "window" else "rate"
-            raise AssumptionError(f"(36)-(38): {name} = {rate:g}; needed a positive finite {what}")
-    fractions = {"epsilon_observer": epsilon_observer, "epsilon_filter": epsilon_filter}
-    for name, fraction in fractions.items():
-        if not 0.0 < fraction < 1.0:
-            raise AssumptionError(f"(36)-(38): {name} = {fraction:g}; needed a fraction in (0, 1)")
+    _check_positive("rate", {"lambda_obs": lambda_obs, "filter_rate": filter_rate})
+    _check_positive("time", {"window": window})
+    _check_fractions({"epsilon_observer": epsilon_observer, "epsilon_filter": epsilon_filter})
     if not delays:
         raise AssumptionError("(36): no delays; needed at least one")
     T_obs = math.log(1.0 / epsilon_observer) / lambda_obs
@@ -394,6 +388,22 @@ def identification_start_time(
     D_max = max(delays)
     T_id = T_obs + T_f + D_max
     return IdentificationStartTime(T_obs, T_f, D_max, T_id)
+
+
+def _check_positive(quantity: str, values: Mapping[str, float | None]) -> None:
+    """Check that those that are given are positive and finite."""
+    for name, value in values.items():
+        if value is not None and not 0.0 < value < math.inf:
+            raise AssumptionError(
+                f"(36)-(38): {name} = {value:g}; needed a positive finite {quantity}"
+            )
+
+
+def _check_fractions(fractions: Mapping[str, float]) -> None:
+    """Check that all of them are in (0, 1)."""
+    for name, fraction in fractions.items():
+        if not 0.0 < fraction < 1.0:
+            raise AssumptionError(f"(36)-(38): {name} = {fraction:g}; needed a fraction in (0, 1)")
 
 
 def _freeze(matrices: ObserverDesign | StateSpace, names: Sequence[str]) -> None:

@@ -1,0 +1,121 @@
+"""The commands that show what is there: info, plot, list and show."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cosim import completion
+from cosim.cli.options import JsonOption, ScenarioArgument
+from cosim.errors import UsageError
+from cosim.files import file_type
+from cosim.report.printable import printable
+
+
+def info(
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar="LOG|FMU|SCENARIO",
+            help="A log (.mcap), an FMU (.fmu), samples (.csv, .parquet) or a scenario.",
+            autocompletion=completion.complete_source,
+        ),
+    ],
+    as_json: JsonOption = False,
+) -> None:
+    """Show what a log, an FMU or a scenario contains."""
+    from cosim.report.tables.contents import print_contents
+
+    print_contents(source, as_json=as_json)
+
+
+def plot(
+    sources: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="LOG... [SIGNAL]...",
+            help="One or several logs (.mcap), then signals or their elements, a panel each: "
+            "plant.y plant.x_a[0]. With commas between they share a panel: plant.y,observer.y. "
+            "Without signals: the standard picture of a log.",
+        ),
+    ],
+    out: Annotated[
+        Path,
+        typer.Option("--out", "-o", metavar="FILE", help="Picture to write (.png, .svg, .pdf)."),
+    ],
+    size: Annotated[
+        str | None,
+        typer.Option(metavar="WIDTHxHEIGHT", help="Size of the picture [cm], such as 16x9."),
+    ] = None,
+    start: Annotated[
+        float | None, typer.Option("--from", metavar="T", help="First time shown [s].")
+    ] = None,
+    stop: Annotated[
+        float | None, typer.Option("--to", metavar="T", help="Last time shown [s].")
+    ] = None,
+    title: Annotated[str | None, typer.Option(metavar="TEXT", help="Title of the picture.")] = None,
+) -> None:
+    """Plot signals of one or several logs over time."""
+    from cosim.log import open_log
+    from cosim.report.plots import PictureOptions, plot_run, plot_signals
+
+    options = PictureOptions(_size(size), start, stop, title)
+    logs = [open_log(source) for source in sources if file_type(source) == "log"]
+    signals = [source for source in sources if file_type(source) != "log"]
+    if not logs:
+        raise UsageError(
+            f"found no log among {', '.join(sources)}; needed a path that ends in .mcap"
+        )
+    if signals:
+        plot_signals(logs, signals, out, options)
+    elif len(logs) == 1:
+        plot_run(logs[0], out, options)
+    else:
+        raise UsageError("several logs have no standard picture; name the signals to plot")
+    typer.echo(printable(str(out)))
+
+
+def _size(text: str | None) -> tuple[float, float] | None:
+    if text is None:
+        return None
+    width, _, height = text.partition("x")
+    try:
+        return float(width), float(height)
+    except ValueError as error:
+        raise UsageError(
+            f"--size: found {text!r}, needed WIDTHxHEIGHT in cm, such as 16x9"
+        ) from error
+
+
+def list_(
+    kind: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="KIND",
+            help="A component kind, to explain its ports and parameters.",
+            autocompletion=completion.complete_kind,
+        ),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """List the shipped scenarios and the component kinds.
+
+    Each kind is listed with its parameters; KIND explains those of one.
+    """
+    from cosim.report.tables.catalog import print_catalog, print_kind
+
+    if kind is None:
+        print_catalog(as_json=as_json)
+    else:
+        print_kind(kind, as_json=as_json)
+
+
+def show(scenario: ScenarioArgument) -> None:
+    """Print the text of a scenario, to start your own from."""
+    from cosim.scenario.document import find
+
+    text = find(scenario).text
+    typer.echo(printable(text) if sys.stdout.isatty() else text, nl=False)

@@ -1,0 +1,143 @@
+"""Arguments and options that several commands have, and how their values are read."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from cosim import completion
+from cosim.errors import UsageError, option, quoted
+from cosim.files import file_type
+from cosim.report.printable import printable
+
+ScenarioArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="SCENARIO",
+        help="A shipped scenario by name, or a path to a .toml file.",
+        autocompletion=completion.complete_scenario,
+    ),
+]
+
+LogArgument = Annotated[
+    Path, typer.Argument(metavar="LOG", help="A log that 'cosim run' wrote (.mcap).")
+]
+
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="COMPONENT.PARAMETER=VALUE",
+        autocompletion=completion.complete_setting,
+        help="Set a value, such as observer.filter_rate=500. Repeatable.",
+    ),
+]
+
+MapOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--map",
+        metavar="PORT=NAME",
+        autocompletion=completion.complete_map,
+        help="Ports of the replacing component: observer.y=out1, plant.x=[s1,s2]. Repeatable.",
+    ),
+]
+
+JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
+
+QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
+
+ForceOption = Annotated[bool, typer.Option("--force", help="Replace an existing log.")]
+
+OutOption = Annotated[
+    Path | None, typer.Option("--out", "-o", metavar="PATH", help="Log to write (.mcap).")
+]
+
+StopOption = Annotated[
+    float | None, typer.Option(help="End of the run [s]; the same as --set scenario.stop=...")
+]
+
+PlotOption = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Plot the estimates with truth and errors, or the outputs, to a file "
+        "(.png, .svg, .pdf).",
+    ),
+]
+
+
+def given_values(values: Mapping[str, float | None]) -> dict[str, float]:
+    """Return the values of the options that were given."""
+    return {key: value for key, value in values.items() if value is not None}
+
+
+def read_pairs(texts: list[str] | None, name: str) -> dict[str, str]:
+    """Read the pairs KEY=VALUE of an option."""
+    pairs = {}
+    for text in texts or []:
+        key, equals, value = text.partition("=")
+        if not equals or not key.strip():
+            missing = "no name" if equals else "no '='"
+            raise UsageError(f"{option(name)} {quoted(text)}: found {missing}, needed NAME=VALUE")
+        pairs[key.strip()] = value.strip()
+    return pairs
+
+
+def read_unique_pairs(texts: list[str] | None, name: str) -> dict[str, str]:
+    """Read pairs of which each key may be given once."""
+    pairs = read_pairs(texts, name)
+    keys = [text.partition("=")[0].strip() for text in texts or []]
+    for key in keys:
+        count = keys.count(key)
+        if count > 1:
+            remedy = "; 'cosim compare' runs several plants" if name == "swap" else ""
+            raise UsageError(f"{option(name, key)}: given {count} times, needed once{remedy}")
+    return pairs
+
+
+def read_edits(
+    texts: list[str] | None, options: Mapping[str, float | None] | None = None
+) -> dict[str, Any]:
+    """Read the pairs of --set, whose values are TOML where they can be, and add those of options.
+
+    ``options`` are the values of --stop and --step, by the keys that they set.
+    """
+    from cosim.scenario.edits import parse_value
+
+    edits = {}
+    for key, text in read_pairs(texts, "set").items():
+        try:
+            edits[key] = parse_value(text)
+        except UsageError as error:
+            raise UsageError(f"{option('set', key)}: {error}") from error
+    for key, value in given_values(options or {}).items():
+        if key in edits:
+            name = key.removeprefix("scenario.")
+            raise UsageError(f"found both --{name} and --set {key}; needed one of them")
+        edits[key] = value
+    return edits
+
+
+def check_plot(plot: Path | None, out: Path | None) -> None:
+    """Refuse a picture that could not be drawn, before the run whose logs go to ``out``."""
+    if plot is None:
+        return
+    from cosim.report.plots import need_plot
+
+    need_plot(plot)
+    if out is None:
+        return
+    picture = Path(os.path.realpath(plot))
+    target = Path(os.path.realpath(out))
+    if target == picture or (file_type(target) == "log" and target in picture.parents):
+        raise UsageError(f"--plot {plot}: found the path of the log, --out {out}; needed another")
+
+
+def print_notice(text: str) -> None:
+    """Print a message, to stderr."""
+    typer.echo(printable(text), err=True)

@@ -1,0 +1,230 @@
+"""The commands that compute: run and replay."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Annotated, NoReturn
+
+import typer
+
+from cosim import completion
+from cosim.cli.options import (
+    ForceOption,
+    JsonOption,
+    LogArgument,
+    MapOption,
+    OutOption,
+    PlotOption,
+    QuietOption,
+    ScenarioArgument,
+    SetOption,
+    StopOption,
+    check_plot,
+    given_values,
+    print_notice,
+    read_edits,
+    read_unique_pairs,
+)
+from cosim.errors import UsageError
+from cosim.terminal import show_progress
+
+if TYPE_CHECKING:
+    from cosim.scenario.parsing import Scenario
+
+
+BEGAN = perf_counter()
+
+SwapOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--swap",
+        metavar="COMPONENT=PATH",
+        autocompletion=completion.complete_swap,
+        help="Replace a component by an FMU (x.fmu, x.fmu#me, x.fmu#cs), a recorded component "
+        "(.mcap) or samples with their times (.csv, .parquet). Repeatable.",
+    ),
+]
+
+RunOutOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--out",
+        "-o",
+        metavar="PATH",
+        help="Log to write (.mcap); default: logs/<scenario>.mcap, -2, -3, ...",
+    ),
+]
+
+StepOption = Annotated[
+    float | None,
+    typer.Option(help="Communication step [s]; the same as --set scenario.step=..."),
+]
+
+ProfileOption = Annotated[
+    bool, typer.Option("--profile", help="Show the wall time of each component.")
+]
+
+DryRunOption = Annotated[
+    bool,
+    typer.Option(
+        "--dry-run",
+        help="Check the scenario and compare swapped components with the replaced; do not run. "
+        "FMUs are loaded and initialized, which runs their code, in a process of its own.",
+    ),
+]
+
+
+def run(
+    scenario: ScenarioArgument,
+    out: RunOutOption = None,
+    force: ForceOption = False,
+    changes: SetOption = None,
+    swaps: SwapOption = None,
+    maps: MapOption = None,
+    stop: StopOption = None,
+    step: StepOption = None,
+    plot: PlotOption = None,
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
+    profile: ProfileOption = False,
+    dry_run: DryRunOption = False,
+) -> None:
+    """Run a scenario and record every signal to an MCAP log."""
+    from cosim.processes import COMMAND_VARIABLE, end_with_parent
+    from cosim.report.tables.run import print_summary
+    from cosim.scenario.execution import load
+    from cosim.scenario.execution import run as run_scenario
+
+    if dry_run and COMMAND_VARIABLE not in os.environ:
+        options = {"--set": changes, "--swap": swaps, "--map": maps}
+        _dry_run_in_child(scenario, options, {"--stop": stop, "--step": step}, as_json=as_json)
+    end_with_parent()
+    imported = perf_counter()
+    edits = read_edits(changes, {"scenario.stop": stop, "scenario.step": step})
+    loaded = load(scenario)
+    edited = loaded.edit(
+        swap=read_unique_pairs(swaps, "swap"), map=read_unique_pairs(maps, "map"), set=edits
+    )
+    if dry_run:
+        _dry_run(edited, as_json=as_json)
+        return
+    if force and out is None:
+        raise UsageError("--force replaces the log at --out; needed both, or neither")
+    path = out or Path("logs") / f"{edited.name}.mcap"
+    check_plot(plot, out)
+    seconds: dict[str, float] | None = {} if profile else None
+    with show_progress(quiet or as_json) as progress:
+        log = run_scenario(
+            edited,
+            out=path,
+            force=force,
+            numbered=out is None,
+            progress=progress,
+            notice=None if quiet else print_notice,
+            profile=seconds,
+        )
+    wall = {"imports": imported - BEGAN, "run": perf_counter() - imported}
+    if plot is not None:
+        from cosim.report.plots import plot_run
+
+        plot_run(log, plot)
+    print_summary(log, wall=wall, profile=seconds, as_json=as_json, quiet=quiet)
+
+
+def _dry_run_in_child(
+    scenario: str,
+    options: Mapping[str, Sequence[str] | None],
+    numbers: Mapping[str, float | None],
+    *,
+    as_json: bool,
+) -> NoReturn:
+    """Do a dry run in a child process, as it runs the code of FMUs; exit as that does."""
+    from cosim.processes import run_command
+    from cosim.report.tables.console import terminal_width
+
+    arguments = ["run", scenario, "--dry-run"]
+    for name, values in options.items():
+        for value in values or ():
+            arguments += [name, value]
+    for name, number in given_values(numbers).items():
+        arguments += [name, repr(number)]
+    if as_json:
+        arguments.append("--json")
+    result = run_command(arguments, columns=terminal_width())
+    typer.echo(result.output, nl=False)
+    typer.echo(result.messages, nl=False, err=True)
+    raise typer.Exit(result.exit_code)
+
+
+def _dry_run(scenario: Scenario, *, as_json: bool) -> None:
+    """Compare swapped components with those they replace.
+
+    Raises
+    ------
+    UsageError
+        If the scenario cannot run with them.
+    """
+    from cosim.report.tables.comparison import print_dry_run
+    from cosim.scenario.swap_comparison import compare_swaps
+
+    reports = compare_swaps(scenario)
+    print_dry_run(reports, as_json=as_json)
+    if reports.refusals:
+        raise UsageError("\n".join([*reports.refusals, *reports.hints]))
+
+
+def replay(
+    log: LogArgument,
+    verify: Annotated[
+        bool,
+        typer.Option(
+            "--verify",
+            help="Check the log's content hash, and compare with the log what is computed again: "
+            "every signal, bit for bit, and what the log says of its run (truth, connections, "
+            "schedule, times, component tables, warnings, last row); exit 1 if one differs. A log "
+            "is not signed: one of another run, put in its place as a whole, passes.",
+        ),
+    ] = False,
+    out: OutOption = None,
+    force: ForceOption = False,
+    changes: SetOption = None,
+    stop: StopOption = None,
+    plot: PlotOption = None,
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Run a log's scenario again on its recorded plant.
+
+    The log is all that is needed.
+    """
+    from cosim.log import open_log
+    from cosim.report.tables.run import print_summary, print_verification
+    from cosim.report.verification import verify as verify_replay
+    from cosim.scenario.execution import replay as replay_log
+
+    imported = perf_counter()
+    source = open_log(log)
+    if verify and stop is not None:
+        raise UsageError("--verify compares the whole log; leave out --stop")
+    edits = read_edits(changes, {"scenario.stop": stop})
+    check_plot(plot, out)
+    with show_progress(quiet or as_json) as progress:
+        notice = None if quiet else print_notice
+        again = replay_log(
+            source, out=out, force=force, set=edits, progress=progress, notice=notice
+        )
+    if plot is not None:
+        from cosim.report.plots import plot_run
+
+        plot_run(again, plot)
+    if verify:
+        verification = verify_replay(source, again)
+        print_verification(verification, source, path=log, as_json=as_json, quiet=quiet)
+        if not verification.passed:
+            raise typer.Exit(1)
+    else:
+        wall = {"imports": imported - BEGAN, "replay": perf_counter() - imported}
+        print_summary(again, wall=wall, profile=None, as_json=as_json, quiet=quiet)
