@@ -21,7 +21,7 @@ from cosim.blocks.renaming import Renaming
 from cosim.core.clock import NANOSECONDS, Clock
 from cosim.core.contracts import Component
 from cosim.core.port import Port
-from cosim.core.signals import Interface
+from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
 from cosim.native.step import LARGEST_MEMORY
 from cosim.scenario.field_file import read_field_data
@@ -90,24 +90,11 @@ class FieldDataKind(PlantKind):
         outputs = interface.by_name
         added = []
         for renaming in given:
-            sources = [source.find(outputs) for source in renaming.sources]
-            if any(found is None or samples_of(found[0].name) not in outputs for found in sources):
-                continue
-            samples = []
-            for source, found in zip(renaming.sources, sources, strict=True):
-                assert found is not None
-                signal, elements = found
-                part = range(elements.start * most, elements.stop * most)
-                samples.append(Port(source.component, samples_of(signal.name), part))
-            shown = renaming.port
-            element: range | None = None
-            match shown.element:
-                case int(index):
-                    element = range(index * most, (index + 1) * most)
-                case range() as indices:
-                    element = range(indices.start * most, indices.stop * most)
-            port = replace(shown, signal=samples_of(shown.signal), element=element)
-            added.append(Renaming(port, tuple(samples), renaming.causality))
+            samples = [_samples_behind(source, outputs, most) for source in renaming.sources]
+            sources = tuple(port for port in samples if port is not None)
+            if len(sources) == len(samples):
+                port = _samples_shown(renaming.port, most)
+                added.append(Renaming(port, sources, renaming.causality))
         return [*given, *added]
 
     def build(self, name: str, context: BuildContext) -> Component:
@@ -121,8 +108,8 @@ class FieldDataKind(PlantKind):
                 f"steps, and every step has a place for as many; needed at most {MOST_SAMPLES}, "
                 f"and {LARGEST_MEMORY} places: a smaller step, or a file without the burst"
             )
-        in_run = data.measured & (data.t >= points[0]) & (data.t <= points[-1])
-        samples = int(in_run.sum())
+        in_run = (data.t >= points[0]) & (data.t <= points[-1])
+        samples = int(np.count_nonzero(data.measured & in_run))
         if samples < FEWEST_SAMPLES:
             context.warn(name, self._too_few(data, samples, points))
         context.add_metadata(name, {"samples": samples, "samples_in_a_step": most})
@@ -157,6 +144,30 @@ class FieldDataKind(PlantKind):
             separator=self.separator,
             decimal=self.decimal,
         )
+
+
+def _samples_behind(source: Port, outputs: Mapping[str, Signal], most: int) -> Port | None:
+    """Return the samples of an output, ``most`` an element; None: it has none."""
+    matched = source.find(outputs)
+    if matched is None:
+        return None
+    signal, elements = matched
+    name = samples_of(signal.name)
+    if name not in outputs:
+        return None
+    places = range(elements.start * most, elements.stop * most)
+    return Port(source.component, name, places)
+
+
+def _samples_shown(shown: Port, most: int) -> Port:
+    """Return the port that shows the samples of what ``shown`` shows, ``most`` an element."""
+    places: range | None = None
+    match shown.element:
+        case int(index):
+            places = range(index * most, (index + 1) * most)
+        case range() as indices:
+            places = range(indices.start * most, indices.stop * most)
+    return replace(shown, signal=samples_of(shown.signal), element=places)
 
 
 def _points(clock: Clock) -> Vector:

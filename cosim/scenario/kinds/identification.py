@@ -319,12 +319,13 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         step = clock.step_ns / 1e9
         gaps = np.diff(np.sort(np.array(source.regression.delays, np.float64)))
         half_gap = 0.5 * float(gaps.min())
+        weight = 1.0 if self.forgetting is None else math.exp(-step / self.forgetting)
         return IdentificationSchedule(
             period=self.period_steps(source.identifier, clock.step_ns),
             steps=clock.steps,
             average=max(1, round(half_gap / step)),
             window=self._window_steps(source.identifier, clock.step_ns),
-            forgetting=1.0 if self.forgetting is None else math.exp(-step / self.forgetting),
+            forgetting=weight,
             start=begin,
             settled=clock.start_time + source.window,
             lag=context.lag(Port(source.identifier, "delta")),

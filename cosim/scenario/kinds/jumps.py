@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from cosim.arrays import Matrix, Vector
+from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.clock import NANOSECONDS, Clock
 from cosim.errors import UsageError
 from cosim.native.expression import compile_expression
@@ -147,22 +147,33 @@ def unseen_rows(t: Vector, y: Matrix, clock: Clock) -> list[str]:
     list of str
         Empty where no row is farther from the line than a hundredth of the range of its column.
     """
-    between = (t > clock.start_time) & (t < clock.stop) & ~clock.is_point(t)
+    in_run = (t > clock.start_time) & (t < clock.stop)
+    between = in_run & ~clock.is_point(t)
+    times = t[between]
+    distances = _distances_from_lines(t, y, between, clock)
+    unseen = distances > _UNSEEN
+    if not unseen.any():
+        return []
+    row = int(distances.argmax())
+    return [
+        f"{np.count_nonzero(unseen)} rows between communication points are not seen: the "
+        f"signal is a straight line there, and at t = {float(times[row])!r} s it is "
+        f"{distances[row]:.2g} of the table's range away from the row; a smaller step shows them"
+    ]
+
+
+def _distances_from_lines(t: Vector, y: Matrix, between: Mask, clock: Clock) -> Vector:
+    """Return how far rows between communication points are from the line, of their range."""
     times = t[between]
     h = clock.step_ns / NANOSECONDS
-    before = clock.start_time + np.floor((times - clock.start_time) / h) * h
-    worst = np.zeros(len(times))
+    steps_before = np.floor((times - clock.start_time) / h)
+    before = clock.start_time + steps_before * h
+    farthest = np.zeros(len(times))
     for column in y.T:
         first = np.interp(before, t, column)
         last = np.interp(before + h, t, column)
         line = first + (last - first) * (times - before) / h
         tallest = np.ptp(column) or 1.0
-        worst = np.maximum(worst, np.abs(column[between] - line) / tallest)
-    if not (worst > _UNSEEN).any():
-        return []
-    row = int(worst.argmax())
-    return [
-        f"{np.count_nonzero(worst > _UNSEEN)} rows between communication points are not seen: the "
-        f"signal is a straight line there, and at t = {float(times[row])!r} s it is "
-        f"{worst[row]:.2g} of the table's range away from the row; a smaller step shows them"
-    ]
+        distances = np.abs(column[between] - line) / tallest
+        farthest = np.maximum(farthest, distances)
+    return farthest

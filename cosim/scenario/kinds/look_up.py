@@ -60,9 +60,12 @@ class LookUpTableKind(Kind):
         given = {"u": self.u, "u1": self.u1, "u2": self.u2}
         points = {name: np.array(row) for name, row in given.items() if row is not None}
         if tuple(points) not in (("u",), ("u1", "u2")) or self.y is None:
-            found = ", ".join([*points, *(["y"] if self.y is not None else [])]) or "nothing"
+            names = list(points)
+            if self.y is not None:
+                names.append("y")
+            listed = ", ".join(names) or "nothing"
             raise UsageError(
-                f"look-up table: found {found}; needed u and y, or u1, u2 and y, or file"
+                f"look-up table: found {listed}; needed u and y, or u1, u2 and y, or file"
             )
         is_rows = any(isinstance(row, tuple) for row in self.y)
         if is_rows != ("u1" in points):
@@ -91,17 +94,18 @@ class LookUpTableKind(Kind):
 
 def _gridded(rows: Matrix, file: str) -> Points:
     """Return rows (u1, u2, y) as a grid; each of its points is there once, in any order."""
-    grid: list[Vector] = [np.unique(rows[:, 0]), np.unique(rows[:, 1])]
-    shape = (len(grid[0]), len(grid[1]))
-    points = shape[0] * shape[1]
-    if points == len(rows):
-        values = np.full(shape, np.nan)
-        first = np.searchsorted(grid[0], rows[:, 0])
-        second = np.searchsorted(grid[1], rows[:, 1])
+    u1 = np.unique(rows[:, 0])
+    u2 = np.unique(rows[:, 1])
+    pairs = len(u1) * len(u2)
+    if pairs == len(rows):
+        values = np.full((len(u1), len(u2)), np.nan)
+        first = np.searchsorted(u1, rows[:, 0])
+        second = np.searchsorted(u2, rows[:, 1])
         values[first, second] = rows[:, 2]
-        if len(np.unique(first * shape[1] + second)) == points:
-            return grid, values
+        different = np.unique(first * len(u2) + second)
+        if len(different) == pairs:
+            return [u1, u2], values
     raise UsageError(
-        f"file {file} has {len(rows)} rows over {shape[0]} and {shape[1]} points of its inputs; "
-        f"needed each pair of them once, {points} rows"
+        f"file {file} has {len(rows)} rows over {len(u1)} and {len(u2)} points of its inputs; "
+        f"needed each pair of them once, {pairs} rows"
     )

@@ -97,13 +97,15 @@ def delta_transient(
         return _autonomous(A, of_delta)
     rate = reconstruction.rate
     filtered = np.append(rate * of_delta, -rate)
-    with_filter = np.vstack([np.hstack([A, np.zeros((n_a, 1))]), filtered])
+    of_observer = np.hstack([A, np.zeros((n_a, 1))])
+    with_filter = np.vstack([of_observer, filtered])
     return _autonomous(with_filter, np.eye(n_a + 1)[n_a])
 
 
 def _autonomous(A: Matrix, row: Vector) -> observer.StateSpace:
-    n = len(A)
-    return observer.StateSpace(A, np.zeros((n, 0)), row[np.newaxis], np.zeros((1, 0)))
+    no_input = np.zeros((len(A), 0))
+    no_feedthrough = np.zeros((1, 0))
+    return observer.StateSpace(A, no_input, row[np.newaxis], no_feedthrough)
 
 
 def noise_gains(
@@ -124,17 +126,22 @@ def noise_gains(
         system = observer.realize(reduced, design)
         discrete = first_order_hold(system.A, system.B, h, mask)
         delta = slice(n_a, n_a + n_d)
-        return noise_gain(discrete, system.C[delta], system.D[delta])[:, of_y]
+        gains = noise_gain(discrete, system.C[delta], system.D[delta])
+        return gains[:, of_y]
     model = averaged_observer(reduced, design)
     component = averaging_observer(model, reduced, reconstruction)
     arrays = component.design(h, mask)
     discrete = DiscretizedDynamics(arrays["Ad"], arrays["B0"], arrays["B1"])
     if isinstance(reconstruction, SavitzkyGolay):
-        increments = (arrays["Jx"][:n_d], arrays["J0"][:n_d], arrays["J1"][:n_d])
-        return windowed_noise_gain(discrete, increments, arrays["weights"])[:, of_y]
+        Jx = arrays["Jx"][:n_d]
+        J0 = arrays["J0"][:n_d]
+        J1 = arrays["J1"][:n_d]
+        gains = windowed_noise_gain(discrete, (Jx, J0, J1), arrays["weights"])
+        return gains[:, of_y]
     first = len(arrays["C"]) - model.width
     delta = slice(first, first + n_d)
-    return noise_gain(discrete, arrays["C"][delta], arrays["D"][delta])[:, of_y]
+    gains = noise_gain(discrete, arrays["C"][delta], arrays["D"][delta])
+    return gains[:, of_y]
 
 
 def choice(
@@ -161,8 +168,8 @@ def choice(
 def recorded_noise(recording: Recording, name: str, n_y: int) -> Vector:
     """Estimate the noise of each element of y from what an observer read in a log."""
     port = f"{name}.y"
-    found = name in recording.channels and "y" in recording.channels[name].by_name
-    if not found:
+    is_recorded = name in recording.channels and "y" in recording.channels[name].by_name
+    if not is_recorded:
         raise UsageError(
             f"noise_from: {recording.label} has no {port!r}; needed a log of a run of this observer"
         )

@@ -186,8 +186,9 @@ def _rms_and_rate(alpha: Program, times: Vector) -> tuple[float, float]:
     That is the ratio of its second derivative to its first, from differences.
     """
     h = 1e-4
-    rows = [evaluate_at([alpha], times + shift)[:, 0] for shift in (-h, 0.0, h)]
-    before, now, after = rows
+    before = evaluate_at([alpha], times - h)[:, 0]
+    now = evaluate_at([alpha], times)[:, 0]
+    after = evaluate_at([alpha], times + h)[:, 0]
     first = (after - before) / (2.0 * h)
     second = (after - 2.0 * now + before) / h**2
     rms = float(np.sqrt(np.mean(now**2)))

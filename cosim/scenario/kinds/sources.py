@@ -208,7 +208,8 @@ class TableKind(Kind):
             for note in unseen_rows(t, y, clock):
                 context.warn(name, note)
         extrapolate = self.extrapolation == "hold"
-        if not (extrapolate or t[0] <= clock.start_time <= clock.stop <= t[-1]):
+        covers = t[0] <= clock.start_time <= clock.stop <= t[-1]
+        if not (extrapolate or covers):
             raise UsageError(
                 f"table: covers {t[0]} s to {t[-1]} s; needed {clock.start_time} s to "
                 f'{clock.stop} s, the whole run, or extrapolation = "hold"'
@@ -216,8 +217,8 @@ class TableKind(Kind):
         return source.Table(t, y, hold=hold, extrapolate=extrapolate, unit=self.unit_name)
 
     def _arrays(self) -> tuple[Vector, Matrix]:
-        rows = tuple(row if isinstance(row, tuple) else (row,) for row in self.y or ())
-        return np.array(self.t), matrix(rows, "y")
+        rows = [row if isinstance(row, tuple) else (row,) for row in self.y or ()]
+        return np.array(self.t), matrix(tuple(rows), "y")
 
     def _read(self, path: Path) -> tuple[Vector, Matrix]:
         table = read_csv(path)

@@ -28,8 +28,11 @@ def stated_covariance(
         raise UsageError("found both deviation and covariance; needed one of them, or none")
     if deviation is not None:
         return np.diag(_deviations(deviation, outputs) ** 2)
-    if covariance is None:
-        return None
+    return None if covariance is None else _checked(covariance, outputs)
+
+
+def _checked(covariance: Sequence[Sequence[float]], outputs: int) -> Matrix:
+    """Return a covariance, after a check of its shape, symmetry and sign."""
     if any(len(row) != outputs for row in covariance) or len(covariance) != outputs:
         raise UsageError(
             f"covariance: found {[list(row) for row in covariance]}; needed {outputs} rows of "
@@ -62,4 +65,6 @@ def _is_positive(matrix: Matrix, scale: Vector) -> bool:
     if not (np.isfinite(matrix).all() and (scale > 0.0).all()):
         return False
     correlations = matrix / np.outer(scale, scale)
-    return bool(np.linalg.eigvalsh(correlations).min() > np.finfo(np.float64).eps * len(matrix))
+    smallest = np.linalg.eigvalsh(correlations).min()
+    rounding = np.finfo(np.float64).eps * len(matrix)
+    return bool(smallest > rounding)

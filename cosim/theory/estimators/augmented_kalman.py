@@ -8,8 +8,8 @@ so delta is reconstructed from y with the lag and the attenuation that ``intensi
 density of w, buys for the noise v. The noise of a step enters delta and its derivative at the end
 of the step. Fixed-interval smoothing (H. Rauch, F. Tung and C. Striebel, AIAA Journal 3, 1965; here
 in the form of Bryson and Frazier, which inverts no covariance) removes the lag: it needs the
-samples that come after. theta is then found by variable projection on the smoothed delta, started
-by the Rayleigh quotient of its regression (25).
+samples that come after. theta is then estimated by variable projection on the smoothed delta,
+started by the Rayleigh quotient of its regression (25).
 
 **Online and after the run.** The filter takes every sample once. Smoother and projection go over
 all samples again, whenever there are a tenth more of them and at the end of the run: theta at an
@@ -77,9 +77,13 @@ def augmented_model(
     W = noise.whitening
     rows = np.zeros((2, n + 2))
     # [h^3 / 3, h^2 / 2; h^2 / 2, h] as a product
-    rows[0, n:] = np.sqrt(intensity * h) * np.array([h / np.sqrt(3.0), np.sqrt(3.0) / 2.0])
-    rows[1, n + 1] = np.sqrt(intensity * h) / 2.0
-    C = np.hstack([plant.C, plant.Dd[:, :1], np.zeros((len(plant.C), 1))])
+    root = np.sqrt(intensity * h)
+    rows[0, n] = root * (h / np.sqrt(3.0))
+    rows[0, n + 1] = root * (np.sqrt(3.0) / 2.0)
+    rows[1, n + 1] = root / 2.0
+    of_delta = plant.Dd[:, :1]
+    of_derivative = np.zeros((len(plant.C), 1))
+    C = np.hstack([plant.C, of_delta, of_derivative])
     return {
         "Phi": discrete.Ad,
         "B0": discrete.B0,

@@ -94,17 +94,14 @@ def extended_kalman(
     h = equal_step(t)
     span = float(t[-1] - t[0])
     searched = box or search_box(families, span=span, shortest=span / 40.0)
-    model, known = discretize(
-        plant,
-        generators(families),
-        step=np.array([h]),
-        noise=white_noise(len(plant.C)),
-    )
+    noise = white_noise(len(plant.C))
+    model, known = discretize(plant, generators(families), step=np.array([h]), noise=noise)
+    programs = [compile_expression(alpha) for alpha in alphas]
     constants = ExtendedKalmanConstants(
         terms=0,
         model=model,
         known=known,
-        alphas=[compile_expression(alpha) for alpha in alphas],
+        alphas=programs,
         deviation=deviation,
         size=size,
         theta=first_theta(searched),

@@ -23,6 +23,7 @@ from cosim.errors import AssumptionError, StartError
 from cosim.native.output_error import (
     NO_INFORMATION,
     GaussNewtonResult,
+    Generators,
     ParameterState,
     ResponseRecord,
     minimize,
@@ -129,7 +130,7 @@ def fit_output_error(
     forgetting : float
         Weight of the square of a sample over that of the next one.
     bounds : mapping of index to (lower, upper)
-        Of entries of theta; equal bounds fix one.
+        Of entries of theta; equal bounds fix an entry.
 
     Raises
     ------
@@ -142,12 +143,9 @@ def fit_output_error(
         raise AssumptionError("no data; needed at least one record")
     matrices = generators(families)
     noise = noise or white_noise(plant.C.shape[0])
-    records = []
-    for one in data:
-        sampled = sample_plant(
-            plant, matrices, one, noise=noise, offset=offset, forgetting=forgetting
-        )
-        records.append(sampled.record(one))
+    records = response_records(
+        data, plant, matrices, noise=noise, offset=offset, forgetting=forgetting
+    )
     lower, upper = bound_vectors(bounds, matrices.parameters)
     result = minimize(
         records,
@@ -159,14 +157,34 @@ def fit_output_error(
         accuracy=_rounding_of(data, noise),
     )
     if result.status == NO_INFORMATION:
-        measured = sum(int(one.measured.sum()) for one in data)
         unknowns = len(records) * records[0].model.linear + matrices.parameters
-        if measured > unknowns:
-            raise StartError(
-                f"the response at theta = {theta.tolist()} is not finite; needed another start"
-            )
-        raise AssumptionError(f"{measured} measured values for {unknowns} unknowns; needed more")
+        raise _no_information(data, unknowns, theta)
     return _fit(result, records, matrices.order, plant.A.shape[0])
+
+
+def response_records(
+    data: Sequence[DataSet],
+    plant: DisturbedPlant,
+    matrices: Generators,
+    *,
+    noise: NoiseModel,
+    offset: bool = False,
+    forgetting: float = 1.0,
+) -> list[ResponseRecord]:
+    """Return the residual problem of each data set; parameters as of :func:`fit_output_error`."""
+    records = []
+    for data_set in data:
+        sampled = sample_plant(
+            plant, matrices, data_set, noise=noise, offset=offset, forgetting=forgetting
+        )
+        records.append(sampled.record(data_set))
+    return records
+
+
+def longest_span(data: Sequence[DataSet]) -> float:
+    """Return the length of the longest record [s]."""
+    spans = [float(data_set.t[-1] - data_set.t[0]) for data_set in data]
+    return max(spans)
 
 
 def squares_at(records: Sequence[ResponseRecord], theta: Vector) -> float:
@@ -235,20 +253,33 @@ def presence_threshold(sizes: Sequence[int], records: int) -> Vector:
     return np.array(thresholds)
 
 
+def _no_information(data: Sequence[DataSet], unknowns: int, theta: Vector) -> AssumptionError:
+    """Return why there is no fit: too few samples, or a start without a response."""
+    measured = sum(int(data_set.measured.sum()) for data_set in data)
+    if measured > unknowns:
+        return StartError(
+            f"the response at theta = {theta.tolist()} is not finite; needed another start"
+        )
+    return AssumptionError(f"{measured} measured values for {unknowns} unknowns; needed more")
+
+
 def _longest_steps(data: Sequence[DataSet], families: Sequence[Family]) -> Vector:
     """Return the longest steps of an iteration, shape (P,).
 
     Longer ones make the response overflow, or pass between two samples.
     """
-    span = max(float(one.t[-1] - one.t[0]) for one in data)
-    count = max(len(one.t) for one in data)
-    return search_box(families, span=span, shortest=4.0 * span / max(count - 1, 4)).step
+    span = longest_span(data)
+    count = max(len(data_set.t) for data_set in data)
+    shortest = 4.0 * span / max(count - 1, 4)
+    return search_box(families, span=span, shortest=shortest).step
 
 
 def _rounding_of(data: Sequence[DataSet], noise: NoiseModel) -> float:
-    """Return the error by rounding of a simulated output, made white; of the largest one."""
-    largest = np.max([np.nanmax(np.abs(one.y), axis=0) for one in data], axis=0)
-    white = np.abs(noise.whitening) @ np.maximum(largest, np.finfo(np.float64).tiny)
+    """Return the largest error by rounding of the simulated outputs, made white."""
+    largest_of_each = [np.nanmax(np.abs(data_set.y), axis=0) for data_set in data]
+    largest = np.max(largest_of_each, axis=0)
+    positive = np.maximum(largest, np.finfo(np.float64).tiny)
+    white = np.abs(noise.whitening) @ positive
     return ROUNDING * float(white.max())
 
 

@@ -68,5 +68,7 @@ def project(
     modes = np.zeros((0, 0)) if A is None else A
     row = np.zeros(0) if c is None else c
     model = reconstruction_model(modes, row, len(families))
-    data = DataSet(t, np.reshape(delta, (-1, 1)), np.zeros((len(t), 0)), alpha)
-    return fit_output_error([data], model, families, theta)
+    column = np.reshape(delta, (-1, 1))
+    no_input = np.zeros((len(t), 0))
+    data_set = DataSet(t, column, no_input, alpha)
+    return fit_output_error([data_set], model, families, theta)

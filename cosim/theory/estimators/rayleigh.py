@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
@@ -80,7 +81,8 @@ def rayleigh_constants(
             group_of[component] = b
     parts = []
     for term in terms:
-        parts.append([row for part in term.parts for row in part])
+        rows = chain.from_iterable(term.parts)
+        parts.append(list(rows))
     return RayleighConstants(
         generators=matrices,
         group=tuple(group_of),
@@ -140,10 +142,10 @@ def rayleigh(
         If the quotient has no value, for which alphas that vanish are a reason.
     """
     model = RayleighModel(constants)
-    status, found, variance = model.minimize(triangle(mu), N, theta)
+    status, minimizer, variance = model.minimize(triangle(mu), N, theta)
     if status == NO_INFORMATION:
         raise AssumptionError(
             "(25): the quotient of the regression has no value; the alphas vanish on this window, "
             "or delta is not finite"
         )
-    return RayleighEstimate(found, status == 0, variance)
+    return RayleighEstimate(minimizer, status == 0, variance)

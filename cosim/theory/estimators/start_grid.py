@@ -28,7 +28,6 @@ from cosim.theory.disturbed_plant import (
     DataSet,
     DisturbedPlant,
     NoiseModel,
-    sample_plant,
     white_noise,
 )
 from cosim.theory.estimators.output_error import (
@@ -38,6 +37,8 @@ from cosim.theory.estimators.output_error import (
     excess_squares,
     fit_output_error,
     largest_chance,
+    longest_span,
+    response_records,
 )
 
 STARTS: Final = 4  # points of the grid that are fitted from
@@ -86,8 +87,9 @@ def start_grid(
             rows.append(generator.c)
             component.append(i)
         thetas.append(grid.ravel())
+    sizes = [generators.size[i] for i in component]
     at_points = Generators(
-        size=tuple(generators.size[i] for i in component),
+        size=tuple(sizes),
         count=(0,) * len(component),
         c=np.concatenate(rows),
         G0=np.concatenate(systems),
@@ -99,11 +101,12 @@ def start_grid(
         average=average,
         source=tuple(component),
     )
+    points_of_each = [component.count(i) for i in range(len(generators.size))]
     return StartGridConstants(
         model=repeated,
         size=generators.size,
         count=generators.count,
-        points=tuple(component.count(i) for i in range(len(generators.size))),
+        points=tuple(points_of_each),
         theta=np.concatenate(thetas),
     )
 
@@ -126,7 +129,8 @@ def search_starts(
     """
     sums = np.zeros(1)
     for record in records:
-        samples = int((~np.isnan(record.residual).any(axis=1)).sum())
+        is_measured = ~np.isnan(record.residual).any(axis=1)
+        samples = int(is_measured.sum())
         average = max(1, samples // ROWS)
         constants = start_grid(record.model.constants, lower, upper, points=points, average=average)
         grid = StartGridModel(constants)
@@ -168,12 +172,9 @@ def search_start(
     """
     matrices = generators(families)
     noise = noise or white_noise(plant.C.shape[0])
-    records = []
-    for one in data:
-        sampled = sample_plant(plant, matrices, one, noise=noise, offset=offset)
-        records.append(sampled.record(one))
-    span = max(float(one.t[-1] - one.t[0]) for one in data)
-    spacing = min(one.spacing for one in data)
+    records = response_records(data, plant, matrices, noise=noise, offset=offset)
+    span = longest_span(data)
+    spacing = min(data_set.spacing for data_set in data)
     box = box_of_search(families, span=span, spacing=spacing, bounds=bounds)
     points = _points_of_records(matrices.parameters)
     starts = search_starts(records, box.lower, box.upper, points=points, most=STARTS)
@@ -246,7 +247,8 @@ def _points(lower: Vector, upper: Vector, points: int) -> Matrix:
     axes = []
     for low, high in zip(lower, upper, strict=True):
         count = points if high > low else 1
-        axes.append([low + (k + 0.5) / count * (high - low) for k in range(count)])
+        width = high - low
+        axes.append([low + (k + 0.5) / count * width for k in range(count)])
     points_of_all = list(product(*axes))
     grid = np.array(points_of_all, np.float64)
     return grid.reshape(len(points_of_all), len(lower))
