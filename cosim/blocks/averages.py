@@ -90,7 +90,8 @@ class AveragedModel:
         n = len(model.states)
         # the integral of rate is a state beside those of the model
         no_effect = np.zeros((n + self.width, self.width))
-        A = np.hstack([np.vstack([model.A, model.C[self.rate]]), no_effect])
+        by_state = np.vstack([model.A, model.C[self.rate]])
+        A = np.hstack([by_state, no_effect])
         B = np.vstack([model.B, model.D[self.rate]])
         discrete = first_order_hold(A, B, h, held)
         Ad = discrete.Ad[:n, :n]
@@ -98,15 +99,18 @@ class AveragedModel:
         B1 = discrete.B1[:n]
         C_level = model.C[self.level]
         D_level = model.D[self.level]
+        Jx = discrete.Ad[n:, :n] + C_level @ (Ad - np.eye(n))
+        J0 = discrete.B0[n:] + C_level @ B0 - D_level
+        J1 = discrete.B1[n:] + C_level @ B1 + D_level
         arrays = {
             "Ad": Ad,
             "B0": B0,
             "B1": B1,
             "C": model.C[self.direct],
             "D": model.D[self.direct],
-            "Jx": discrete.Ad[n:, :n] + C_level @ (Ad - np.eye(n)),
-            "J0": discrete.B0[n:] + C_level @ B0 - D_level,
-            "J1": discrete.B1[n:] + C_level @ B1 + D_level,
+            "Jx": Jx,
+            "J0": J0,
+            "J1": J1,
             "X0": model.X0,
             "Xu": model.Xu,
         }
@@ -174,7 +178,7 @@ class Windowed:
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Set the initial state, with an empty window."""
-        self._kernel.start(self._arrays["X0"] + affine([(self._arrays["Xu"], u)]))
+        self._kernel.start(_initial_state(self._arrays, u))
         return self._kernel.outputs(u)
 
     def outputs(self, t: float, u: Vector) -> Vector:
@@ -196,8 +200,9 @@ class Windowed:
 
 def window_constants(arrays: Design) -> WindowConstants:
     """Return the numbers of the step among the arrays of :meth:`Windowed.design`."""
+    discrete = DiscretizedDynamics(arrays["Ad"], arrays["B0"], arrays["B1"])
     return WindowConstants(
-        DiscretizedDynamics(arrays["Ad"], arrays["B0"], arrays["B1"]),
+        discrete,
         C=arrays["C"],
         D=arrays["D"],
         Jx=arrays["Jx"],
@@ -245,15 +250,17 @@ class Smoothed:
         initial_of_x = self._start @ linear.C[model.rate]
         initial_of_u = self._start @ linear.D[model.rate] - at_once
         s = np.hstack([np.zeros((width, n)), np.eye(width)])
-        C = increments["C"]
+        direct = np.hstack([increments["C"], np.zeros((len(increments["C"]), width))])
+        initial_s = initial_of_x @ linear.X0
+        initial_s_of_u = initial_of_x @ linear.Xu + initial_of_u
         return {
             "Ad": np.block([[increments["Ad"], no_effect], [g * increments["Jx"], decay]]),
             "B0": np.vstack([increments["B0"], s_of_u]),
             "B1": np.vstack([increments["B1"], np.zeros(s_of_u.shape)]),
-            "C": np.vstack([np.hstack([C, np.zeros((len(C), width))]), s]),
+            "C": np.vstack([direct, s]),
             "D": np.vstack([increments["D"], at_once]),
-            "X0": np.concatenate([linear.X0, initial_of_x @ linear.X0]),
-            "Xu": np.vstack([linear.Xu, initial_of_x @ linear.Xu + initial_of_u]),
+            "X0": np.concatenate([linear.X0, initial_s]),
+            "Xu": np.vstack([linear.Xu, initial_s_of_u]),
         }
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
@@ -280,7 +287,7 @@ class Smoothed:
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Set the initial state."""
-        self._state[:] = self._arrays["X0"] + affine([(self._arrays["Xu"], u)])
+        self._state[:] = _initial_state(self._arrays, u)
         return self.outputs(t, u)
 
     def outputs(self, t: float, u: Vector) -> Vector:
@@ -298,3 +305,8 @@ class Smoothed:
     def restore(self, state: Vector) -> None:
         """Return to a saved state."""
         self._step.restore(state)
+
+
+def _initial_state(arrays: Design, u: Vector) -> Vector:
+    """Return the state at the start for inputs ``u``."""
+    return arrays["X0"] + affine([(arrays["Xu"], u)])

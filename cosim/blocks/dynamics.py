@@ -66,9 +66,10 @@ def integrator(*, initial: float = 0.0, size: int = 1, unit: str | None = None) 
     y = Signal("y", size, unit, role="state")
     states = tuple(y.elements)
     zero = np.zeros((size, size))
-    one = np.eye(size)
+    identity = np.eye(size)
     X0 = np.full(size, initial)
-    return LinearModel(Interface((u,), (y,)), states, zero, one, one, zero, X0, zero)
+    interface = Interface((u,), (y,))
+    return LinearModel(interface, states, zero, identity, identity, zero, X0, zero)
 
 
 class Delay:

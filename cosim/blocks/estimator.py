@@ -82,7 +82,7 @@ class Estimator(Generic[State]):
         self._problems = {**_PROBLEMS, NO_VALUE: no_value}
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
-        """Compute the design, or take the recorded one."""
+        """Compute the design, or take the recorded design."""
         computed = self.method.design(h, held)
         design = dict(recorded or computed)
         check_design(design, {name: array.shape for name, array in computed.items()})

@@ -3,8 +3,8 @@
 At the communication points the outputs are on the straight lines between the samples. Beside them
 are the samples themselves, for those who must not take interpolated values for measured ones: of
 every output ``y`` there is ``y_samples``, and ``sample_times`` has their instants. At a
-communication point these are the samples since the one before it; at the start of the run, one that
-is just there. As many as can be in one step have a place, NaN where there is none.
+communication point these are the samples since the point before it; at the start of the run, a
+sample of that instant. As many as can be in one step have a place, NaN where there is none.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ USUAL_GAP: Final = 10.0  # median distances of samples
 
 
 def samples_of(output: str) -> str:
-    """Return the name of the output that has the samples of another one."""
+    """Return the name of the output that has the samples of another output."""
     return f"{output}_samples"
 
 
@@ -104,7 +104,8 @@ class _Line:
         """Return the values at times within the samples."""
         before = np.searchsorted(self.t, t, side="right") - 1
         after = np.minimum(before + 1, len(self.t) - 1)
-        distance = np.where(after > before, self.t[after] - self.t[before], 1.0)
+        is_last = after == before
+        distance = np.where(is_last, 1.0, self.t[after] - self.t[before])
         part = (t - self.t[before]) / distance
         first = self.values[before]
         values: Vector = first + part * (self.values[after] - first)
@@ -228,7 +229,7 @@ def measured_lines(data: FieldData) -> list[_Line]:
     Raises
     ------
     UsageError
-        If there is nothing of one.
+        If nothing was measured of an element.
     """
     lines = []
     for signal in data.signals:
@@ -278,8 +279,10 @@ def check_covers(data: FieldData, points: Vector, maximum_gap: float | None) -> 
 def _check_gaps(
     source: str, name: str, t: Vector, points: Vector, maximum_gap: float | None
 ) -> None:
-    in_run = (t[1:] > points[0]) & (t[:-1] < points[-1])
-    gaps = np.diff(t)
+    begin = t[:-1]
+    end = t[1:]
+    in_run = (end > points[0]) & (begin < points[-1])
+    gaps = end - begin
     limit = maximum_gap
     needed = f"at most maximum_gap = {maximum_gap} s"
     if limit is None:
@@ -288,11 +291,12 @@ def _check_gaps(
         needed = f"at most {USUAL_GAP:g} times the median distance of samples, {median:g} s"
     too_long = np.flatnonzero(in_run & (gaps > limit))
     if too_long.size:
-        place = too_long[0]
+        first = too_long[0]
+        longest = float(gaps[in_run].max())
         raise UsageError(
-            f"{source}: {name!r} has no sample between {t[place]} s and {t[place + 1]} s; needed "
-            f"{needed}; maximum_gap = {float(gaps[in_run].max())!r} takes the straight line "
-            "there, or run before or after it"
+            f"{source}: {name!r} has no sample between {begin[first]} s and {end[first]} s; needed "
+            f"{needed}; maximum_gap = {longest!r} takes the straight line there, or run before "
+            "or after it"
         )
 
 

@@ -46,7 +46,7 @@ class IdentificationSchedule:
     window : int
         Samples of a moving window; 0: all.
     forgetting : float
-        Weight of the square of a sample over that of the next one; 1: all weigh the same.
+        Weight of the square of a sample over that of the next sample; 1: all weigh the same.
     start : float
         First instant of which mu counts, the identification start time T_id (36) [s].
     settled : float
@@ -109,11 +109,9 @@ class IdentificationProblem:
 
     def within(self, lower: Vector, upper: Vector) -> IdentificationProblem:
         """Return the problem with its search within bounds, shape (P,)."""
-        searched = replace(
-            self.rayleigh,
-            lower=np.clip(self.rayleigh.lower, lower, upper),
-            upper=np.clip(self.rayleigh.upper, lower, upper),
-        )
+        first = np.clip(self.rayleigh.lower, lower, upper)
+        last = np.clip(self.rayleigh.upper, lower, upper)
+        searched = replace(self.rayleigh, lower=first, upper=last)
         return replace(self, rayleigh=searched)
 
     # --- signals ---

@@ -123,28 +123,31 @@ class AugmentedKalmanIdentifier:
 
     def design(self, h: float, held: Mask) -> Design:
         """Discretize the plant with delta and its derivative as states."""
+        problem = self.problem
         model = augmented_model(
-            self.problem.plant,
+            problem.plant,
             h,
-            noise=self.problem.noise,
+            noise=problem.noise,
             intensity=self.intensity,
-            held=self.problem.held_inputs(held),
+            held=problem.held_inputs(held),
         )
         start = np.array([self.schedule.start])
-        return {**model, **self.problem.design_of_delta(h), "start": start}
+        return {**model, **problem.design_of_delta(h), "start": start}
 
     def kernel(self, h: float, held: Mask, design: Design) -> AugmentedKalmanStep:
         """Return the filter without samples."""
         (start,) = design["start"]
         schedule = replace(self.schedule, start=float(start), lag=0.0, window=0)
-        infinite = np.full(self.problem.rayleigh.generators.parameters, np.inf)
-        on_delta = self.problem.model_of_delta(h, design)
+        problem = self.problem
+        infinite = np.full(problem.rayleigh.generators.parameters, np.inf)
+        on_delta = problem.model_of_delta(h, design)
+        projection = problem.stage_constants(schedule, on_delta, -infinite, infinite)
         constants = AugmentedKalmanConstants(
             **{name: design[name] for name in _AUGMENTED},
-            first_spread=first_spread(len(self.problem.plant.A), self.size),
+            first_spread=first_spread(len(problem.plant.A), self.size),
             deviation=self.deviation,
             capacity=self.schedule.steps,
-            projection=self.problem.stage_constants(schedule, on_delta, -infinite, infinite),
+            projection=projection,
         )
         return AugmentedKalmanStep(constants)
 
@@ -155,7 +158,7 @@ def check_positive(**numbers: float) -> None:
     Raises
     ------
     UsageError
-        If one is not positive and finite.
+        If a number is not positive and finite.
     """
     for name, value in numbers.items():
         if not 0.0 < value < np.inf:

@@ -17,7 +17,7 @@ from cosim.blocks.field_data import SAMPLE_TIMES
 from cosim.core.contracts import Component, Design, Rollback, Stopped, prepare
 from cosim.core.signals import Interface, Signal
 
-# of instants as far apart as communication points, moved by no more than half their distance
+# of instants as far apart as communication points, with a jitter of at most half their distance
 MOST_IN_A_STEP: Final = 3
 SAMPLES: Final = "samples"
 
@@ -63,7 +63,7 @@ class LateSamples:
         self._steps = steps
         self._samples = columns[SAMPLES]
         self._times = columns[SAMPLE_TIMES]
-        inputs = tuple(_one_in_a_row(signal) for signal in component.interface.inputs)
+        inputs = tuple(_single_sample(signal) for signal in component.interface.inputs)
         self.interface: Interface = replace(component.interface, inputs=inputs, prepares=True)
         self._own = self.interface.input_columns()
 
@@ -106,10 +106,11 @@ class LateSamples:
         whole = max(len(times) - self._steps, 0)
         y = np.tile(self._y, (count, 1))
         if whole:
+            complete = slice(whole + 1)
             self._passed = float(times[whole - 1])
             first = count - whole
             try:
-                y[first:] = self._component.advance(times[: whole + 1], h, rows[: whole + 1])
+                y[first:] = self._component.advance(times[complete], h, rows[complete])
             except Stopped as stop:
                 completed = first + stop.steps
                 y[first:completed] = stop.outputs
@@ -120,13 +121,16 @@ class LateSamples:
         return y
 
     def _place(self, times: Vector, rows: Matrix, u: Matrix) -> int | None:
-        """Write samples into the rows that end their steps; return the row of one without any."""
+        """Write samples into the rows that end their steps.
+
+        Return the first row whose sample has no place; None: all have.
+        """
         before = len(times) - len(u)
         instants = u[:, self._own[SAMPLE_TIMES].start]
         samples = u[:, self._own[SAMPLES]]
         for i in np.flatnonzero(np.isfinite(instants)):
             place = int(np.searchsorted(times, instants[i], side="left"))
-            last = before + i - self._steps - 1  # row that was passed on before this one came
+            last = before + i - self._steps - 1  # row that was passed on before this sample came
             passed = times[last] if last >= 0 else self._passed
             is_in_time = passed < instants[i] <= times[before + i]
             if not is_in_time or not self._write(rows[place], instants[i], samples[i]):
@@ -139,7 +143,8 @@ class LateSamples:
         if not free.size:
             return False
         row[self._times.start + free[0]] = instant
-        places: NDArray[np.intp] = self._samples.start + np.arange(len(values)) * MOST_IN_A_STEP
+        first_places = np.arange(len(values)) * MOST_IN_A_STEP
+        places: NDArray[np.intp] = self._samples.start + first_places
         row[places + free[0]] = values
         return True
 
@@ -166,7 +171,7 @@ class LateSamples:
         self._y = state.y
 
 
-def _one_in_a_row(signal: Signal) -> Signal:
+def _single_sample(signal: Signal) -> Signal:
     if signal.name in (SAMPLES, SAMPLE_TIMES):
         return replace(signal, size=signal.size // MOST_IN_A_STEP)
     return signal

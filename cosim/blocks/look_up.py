@@ -76,7 +76,9 @@ class LookUpTable(Static):
     def _beyond(self, u: Vector) -> str:
         covered = []
         for name, points, value in zip(self.names, self.grid, u, strict=True):
-            covered.append(f"{name} from {points[0]} to {points[-1]} (found {value})")
+            lower = points[0]
+            upper = points[-1]
+            covered.append(f"{name} from {lower} to {upper} (found {value})")
         return (
             f"look-up table: covers {', '.join(covered)}; "
             'extrapolation = "hold" or "linear" goes beyond'
@@ -122,17 +124,23 @@ def _check(names: Sequence[str], grid: Sequence[Vector], values: Matrix) -> None
             f"point of {' and '.join(names)}"
         )
     for name, points in zip(names, grid, strict=True):
-        if len(points) < 2:
-            raise UsageError(f"look-up table: {name} has {len(points)} points, needed at least 2")
-        # the width of a cell, too, must be a number
-        if not (np.isfinite(points).all() and np.isfinite(np.ptp(points))):
-            raise UsageError(f"look-up table: {name} has no finite range; needed finite numbers")
-        not_increasing = np.flatnonzero(np.diff(points) <= 0.0)
-        if not_increasing.size:
-            index = int(not_increasing[0]) + 1
-            raise UsageError(
-                f"look-up table: {name}[{index}] = {points[index]} does not come after "
-                f"{points[index - 1]}; needed increasing points"
-            )
+        _check_points(name, points)
     if not np.isfinite(values).all():
         raise UsageError("look-up table: y has NaN or infinity; needed finite numbers")
+
+
+def _check_points(name: str, points: Vector) -> None:
+    """Check the points of an input: two or more, finite and increasing."""
+    if len(points) < 2:
+        raise UsageError(f"look-up table: {name} has {len(points)} points, needed at least 2")
+    # the width of a cell, too, must be a number
+    if not (np.isfinite(points).all() and np.isfinite(np.ptp(points))):
+        raise UsageError(f"look-up table: {name} has no finite range; needed finite numbers")
+    not_increasing = np.flatnonzero(np.diff(points) <= 0.0)
+    if not_increasing.size:
+        index = int(not_increasing[0]) + 1
+        before = points[index - 1]
+        raise UsageError(
+            f"look-up table: {name}[{index}] = {points[index]} does not come after "
+            f"{before}; needed increasing points"
+        )

@@ -19,7 +19,7 @@ from cosim.errors import UsageError
 from cosim.native.step import LARGEST_MEMORY, WORDS_PER_NORMAL, normal
 
 MOST_BITS = 52  # doubles tell no more levels apart
-WHOLE_NUMBERS = 2.0**53  # from here on every double is one
+WHOLE_NUMBERS = 2.0**53  # from here on every double is a whole number
 DRAWN_AHEAD = 4096  # numbers that are drawn at once, at least: a call for each sample is slow
 
 PerElement: TypeAlias = float | Sequence[float]
@@ -43,7 +43,7 @@ class SensorParameters:
     bits : int, optional
         Instead: 2**bits levels, the first at ``lower``, the last at ``upper``.
     delay : float
-        Communication steps, also parts of one.
+        Communication steps, also parts of a step.
     jitter : float
         Largest deviation of the sampling instant [communication steps].
     dropout : float, optional
@@ -83,7 +83,7 @@ def per_element(name: str, value: PerElement, size: int) -> Vector:
     Raises
     ------
     UsageError
-        If there are more or fewer, or one is not finite.
+        If there are more or fewer, or a number is not finite.
     """
     values = np.array(value, np.float64)
     if not np.isfinite(values).all():
@@ -159,8 +159,9 @@ class SamplingInstants:
         at_point = known[before, self._column]
         elapsed = np.where(held, 0.0, position - whole)
         with np.errstate(over="ignore", invalid="ignore"):  # the master names what is not finite
-            growth = known[end, self._column] - known[end - 1, self._column]
-            values: Matrix = at_point + elapsed * growth
+            at_end = known[end, self._column]
+            at_begin = known[end - 1, self._column]
+            values: Matrix = at_point + elapsed * (at_end - at_begin)
         return values
 
 
@@ -261,7 +262,7 @@ class _Quantizer:
         with np.errstate(over="ignore"):
             number = np.rint((values - self.origin) / self.resolution)
             level = self.origin + np.clip(number, self.first, self.last) * self.resolution
-        # where doubles are farther apart than the levels, every value is one
+        # where doubles are farther apart than the levels, every value is a level
         return np.where(np.abs(number) < WHOLE_NUMBERS, level, values)
 
 
@@ -291,9 +292,10 @@ def _levels_of_resolution(resolution: Vector, lower: Vector, upper: Vector) -> _
         if np.isfinite(upper[i]):
             last[i] = _number_of_level(math.floor(_ratio(upper[i], distance)))
         if not first[i] < last[i]:
+            limits = f"{lower[i]:g} and {upper[i]:g}"
             raise UsageError(
                 f"resolution: found {distance:g}, with fewer than two whole multiples between the "
-                f"limits {lower[i]:g} and {upper[i]:g}"
+                f"limits {limits}"
             )
     return _Quantizer(np.zeros(len(resolution)), resolution, first, last)
 

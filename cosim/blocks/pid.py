@@ -146,9 +146,9 @@ class PidParameters:
         return 1.0 / time
 
 
-def _require(is_met: bool, name: str, found: object, needed: str) -> None:
+def _require(is_met: bool, name: str, value: object, needed: str) -> None:
     if not is_met:
-        raise UsageError(f"pid: found {name} = {found}, needed {needed}")
+        raise UsageError(f"pid: found {name} = {value}, needed {needed}")
 
 
 class Pid:

@@ -149,12 +149,12 @@ class PortMap:
     # --- values ---
 
     def component_inputs(self, shown: Matrix) -> Matrix:
-        """Return the component's inputs for shown ones, shape (..., n_u)."""
+        """Return the component's inputs for shown inputs, shape (..., n_u)."""
         values = _convert(shown, self._inward)
         return np.take(values, self._shown_columns, axis=-1)
 
     def component_mask(self, shown: Mask) -> Mask:
-        """Return a mask of the component's input elements for one of shown ones, shape (n_u,)."""
+        """Return a mask of the component's input elements for that of shown elements, (n_u,)."""
         return np.take(shown, self._shown_columns)
 
     def shown_outputs(self, values: Matrix) -> Matrix:

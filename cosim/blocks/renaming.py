@@ -155,8 +155,9 @@ class _Resolver:
             if part.port != port:
                 overlapped += whole
             if overlapped:
+                first = _given(overlapped[0])
                 problems[part.port] = (
-                    f"{_given(part)} overlaps {_given(overlapped[0])}; needed '{port}' as a "
+                    f"{_given(part)} overlaps {first}; needed '{port}' as a "
                     "whole, or each of its elements once"
                 )
             covered |= dict.fromkeys(_positions(part.port), part)
@@ -391,9 +392,10 @@ def _check_complete(
         port = part.port
         if _positions(port).stop > size:
             problems[port] = f"{_given(part)}: '{port.whole}' has {count}, numbered from 0"
-    missing = [str(replace(parts[0].port, element=i)) for i in range(size) if i not in covered]
+    part = parts[0]
+    uncovered = [i for i in range(size) if i not in covered]
+    missing = [str(replace(part.port, element=i)) for i in uncovered]
     if missing and not problems:
-        part = parts[0]
         port = part.port.whole
         names = ", ".join(["NAME"] * size)
         problems[part.port] = (

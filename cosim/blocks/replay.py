@@ -24,7 +24,7 @@ class Replay:
         The recorded component.
     inputs : bool
         Whether it has the recorded inputs too, so that what drives the component may stay
-        connected; else it is a source. One that was constant needs no connection.
+        connected; else it is a source. An input that was constant needs no connection.
 
     Raises
     ------
@@ -101,7 +101,7 @@ class Replay:
 
 
 def _shown(recording: Recording, component: str, signal: Signal) -> Signal:
-    """Return an input; one that was constant with that value, where nothing drives it."""
+    """Return an input; a constant input has that value where nothing drives it."""
     rows = as_columns(recording[f"{component}.{signal.name}"])
     if not (rows == rows[0]).all():
         return signal

@@ -23,7 +23,7 @@ class Sampled:
     ----------
     component : Component
     n : int
-        Communication steps in one of its own.
+        Communication steps in a step of its own.
     hold : bool
         It samples its inputs at the start of its own step and holds them, as a digital controller
         does; else those without a zero-order hold are interpolated linearly over its own step.

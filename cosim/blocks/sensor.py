@@ -9,8 +9,8 @@ A sample passes the chain in this order:
    step goes on. Its error, up to ``j (h + j)/2 |u''|``, is of the order of that of interpolation.
 2. *Bias* and 3. *noise*: a constant, and a Gaussian number for every sample, are added.
 4. *Limits*: the sample saturates.
-5. *Quantization*: it becomes the nearest level; a tie goes to the even one.
-6. *Dropouts*: it may be lost; y then keeps the last one that was not.
+5. *Quantization*: it becomes the nearest level; a tie goes to the even level.
+6. *Dropouts*: it may be lost; y then keeps the last sample that was not.
 
 So noise is limited and quantized like the signal, every sample is a level, and what is lost is lost
 on the way from the converter.
@@ -151,11 +151,12 @@ class Sensor:
             times = Signal(SAMPLE_TIMES, 1, "s", "discrete", optional=True)
             outputs += (of_y, times)
         now = self._instants.reach_now
+        by_u = dict.fromkeys(measured, ("u",))
         return Interface(
             (u,),
             outputs,
-            feedthrough=dict.fromkeys(measured, ("u",)) if now else {},
-            initial=dict.fromkeys(measured, ("u",)),
+            feedthrough=by_u if now else {},
+            initial=by_u,
             delayed=() if now else ("u",),
             prepares=True,
             rollback=True,
@@ -207,7 +208,7 @@ class Sensor:
         """Return what is reported before the time reached, then at the rows of ``u``."""
         row = np.arange(len(u))
         if self._period > 1:
-            # from now to the first sample: none where one is due
+            # from now to the first sample: none where a sample is due
             first = self._period - self._since
             row = row[first :: self._period]
         samples = self._streams.next(len(row))
@@ -273,7 +274,7 @@ def _check_stamps(parameters: SensorParameters, size: int) -> None:
 
 
 def _kept(y: Matrix, valid: Mask) -> Matrix:
-    """Return ``y`` with the last valid row before it for one that is not; row 0 is a past one."""
+    """Return ``y``, each value that is not valid replaced by the last valid one; row 0 is past."""
     if valid.all():
         return y
     row = np.arange(len(y))[:, np.newaxis]

@@ -130,7 +130,7 @@ class Table:
     hold : bool
         Zero-order hold instead: each value until the next instant (a discrete signal).
     extrapolate : bool
-        Hold the first value before the first instant, and the last one after the last.
+        Hold the first value before the first instant, and the last value after the last.
     unit : str, optional
 
     Raises
@@ -215,7 +215,8 @@ class Table:
 def _slopes(t: Vector, y: Matrix) -> Matrix:
     """Return the slopes between the points of a table, shape (N - 1, n)."""
     with np.errstate(over="ignore"):
-        slopes: Matrix = np.diff(y, axis=0) / np.diff(t)[:, np.newaxis]
+        rises = np.diff(y, axis=0)
+        slopes: Matrix = rises / np.diff(t)[:, np.newaxis]
     steep = np.flatnonzero(~np.isfinite(slopes).all(axis=1))
     if steep.size:
         first = steep[0]

@@ -74,7 +74,9 @@ def system_matrices(
     _check_shape(kind, "x0", x0, (n,))
     C_x = np.eye(n)
     D_x = np.zeros((n, m))
-    return SystemMatrices(A, B, np.vstack([C, C_x]), np.vstack([D, D_x]), x0)
+    outputs_of_x = np.vstack([C, C_x])
+    outputs_of_u = np.vstack([D, D_x])
+    return SystemMatrices(A, B, outputs_of_x, outputs_of_u, x0)
 
 
 def _check_shape(kind: str, name: str, array: Matrix | Vector, needed: tuple[int, ...]) -> None:

@@ -48,18 +48,16 @@ def transfer_function(
     a = np.array(denominator[:0:-1]) / leading  # a_0, ..., a_(n-1)
     b = np.zeros(n + 1)
     b[: len(numerator)] = np.array(numerator[::-1]) / leading
-    if steady and a[0] == 0.0:
-        raise UsageError(
-            "transfer function: its denominator is zero at s = 0, so there is no steady state; "
-            'needed initial = "zero"'
-        )
+    if steady:
+        _check_steady(a)
     exponent = _exponent(a)
     powers = np.ldexp(1.0, exponent * np.arange(n))
     A = math.ldexp(1.0, exponent) * np.eye(n, k=1)
     A[-1] = -a * powers / powers[-1]
     B = np.zeros((n, 1))
     B[-1] = 1.0 / powers[-1]
-    C = ((b[:n] - b[n] * a) * powers)[np.newaxis]
+    proper = b[:n] - b[n] * a  # the numerator without the direct feedthrough
+    C = (proper * powers)[np.newaxis]
     Xu = np.zeros((n, 1))
     if steady:
         Xu[0] = 1.0 / a[0]
@@ -74,6 +72,14 @@ def transfer_function(
         X0=np.zeros(n),
         Xu=Xu,
     )
+
+
+def _check_steady(a: Vector) -> None:
+    if a[0] == 0.0:
+        raise UsageError(
+            "transfer function: its denominator is zero at s = 0, so there is no steady state; "
+            'needed initial = "zero"'
+        )
 
 
 def _exponent(a: Vector) -> int:

@@ -76,7 +76,7 @@ class Spectrum:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImpliedConnection:
-    """A connection that the file does not write, for it follows from one that it does.
+    """A connection that the file does not write, for it follows from a connection that it does.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ class ImpliedConnection:
 def shared_connections(
     to: Port, origin: Port, connections: Mapping[Port, Connection]
 ) -> dict[Port, ImpliedConnection]:
-    """Return the connections that an input shares with another one, as a whole or by elements."""
+    """Return the connections that an input shares with another input, as a whole or by elements."""
     shared = {}
     for port, connection in connections.items():
         if port.whole == origin:
@@ -154,7 +154,7 @@ class BuildContext(Protocol):
     def behind(self, to: Port) -> Mapping[str, Kind]:
         """Return the components that an input follows: those that drive it, and those behind them.
 
-        Nothing is followed through one that is not computable.
+        Nothing is followed through a component that is not computable.
         """
         ...
 
@@ -259,7 +259,7 @@ class Kind(TomlTable):
         return True
 
     def samples_of(self, output: str) -> str | None:
-        """Return the output with the samples of another one at times of their own; None: none."""
+        """Return the output with another output's samples at times of their own; None: none."""
         return None
 
     @property

@@ -21,7 +21,7 @@ from cosim.theory.observer import StateSpace
 
 
 class IdentifierSource:
-    """The regressor that drives an identifier, and the observer that drives that one.
+    """The regressor that drives an identifier, and the observer that drives the regressor.
 
     Parameters
     ----------

@@ -54,7 +54,7 @@ def start_time(
     else:
         T_id = float(start)
         elapsed_ns = T_id * 1e9 - clock.start_ns
-    # Rounded to 1e-3 ns: a T_id on a communication point must not become the next one.
+    # Rounded to 1e-3 ns: a T_id on a communication point must not become the next point.
     elapsed_ns = round(elapsed_ns, 3)
     _check_past(T_id, elapsed_ns, source, clock)
     if not T_id <= LARGEST_NS / 1e9:

@@ -199,7 +199,7 @@ class UnknownInputObserverKind(ExportableKind):
         Raises
         ------
         UsageError
-            If a key is missing, or there is one that the filter does not have.
+            If a key is missing, or is given that the filter does not have.
         AssumptionError
             If a number does not fit, or nothing can be chosen.
         """
@@ -405,5 +405,5 @@ class UnknownInputObserverKind(ExportableKind):
 
 
 def _plain_eigenvalues(eigenvalues: NDArray[Any]) -> list[float | str]:
-    """Return eigenvalues as JSON can write them: complex ones as text."""
+    """Return eigenvalues as JSON can write them: complex values as text."""
     return [str(complex(v)) if v.imag else float(v.real) for v in eigenvalues]

@@ -128,7 +128,7 @@ class SensorKind(PeriodicKind):
 
 
 def _steps(key: str, time: float, step_ns: int) -> float:
-    """Return a time [s] in communication steps, also parts of one."""
+    """Return a time [s] in communication steps, also parts of a step."""
     if time < 0.0:
         raise UsageError(f"{key}: found {time} s, needed 0 s or more")
     return nanoseconds(time) / step_ns

@@ -40,7 +40,7 @@ def without_default(*keys: str) -> dict[str, float]:
 
 
 def foreign_keys(variants: Mapping[VariantName, Variant], name: VariantName) -> list[str]:
-    """Return the keys that other variants have and this one has not, in order of declaration."""
+    """Return the keys that other variants have and this variant has not, as they are declared."""
     keys: dict[str, None] = {}
     for variant in variants.values():
         keys |= dict.fromkeys(variant.own)

@@ -13,8 +13,8 @@ started by the Rayleigh quotient of its regression (25).
 
 **Online and after the run.** The filter takes every sample once. Smoother and projection go over
 all samples again, whenever there are a tenth more of them and at the end of the run: theta at an
-instant rests on samples before it alone, but it is an old one, of up to a tenth of the time ago.
-Only the last one rests on the whole record.
+instant rests on samples before it alone, but it is an old estimate, of up to a tenth of the time
+ago. Only the last estimate rests on the whole record.
 
 Delta has transients: an invariant zero of the plant is a mode of delta that y does not see, and
 what is assumed of x(0) decides it. They are those of the observer, and the projection eliminates

@@ -5,7 +5,7 @@
 as in S. Sastry and M. Bodson, Adaptive Control, 1989, section 2.2. The normalization makes it
 independent of the unit of delta, and stable for every gain: eta goes towards the plane of the
 present row at the rate ``gain``. It converges at the rate of the weakest direction of the
-regressor, which is 3e4 times slower than the strongest one in the paper's example.
+regressor, which is 3e4 times slower than the strongest in the paper's example.
 """
 
 from __future__ import annotations

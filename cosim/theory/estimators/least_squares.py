@@ -11,7 +11,7 @@ a recurrence for each of its components. With equal spacing of the delays in S i
 roots are `z = exp(lambda spacing)`, `w = 1 / z`.
 
 The paper's choice for S is the rows the group has in the first term and the last row. For `V_b = 1`
-this gives exactly (35); for `V_b = 2` another S is taken where the delays of this one are not
+this gives exactly (35); for `V_b = 2` another S is taken where the delays of this S are not
 equally spaced.
 """
 
@@ -32,7 +32,7 @@ from cosim.native.step import RecoveryConstants
 from cosim.theory.disturbance import AlphaGroup, Exponential, Sine
 from cosim.theory.regression import Parts, RowSet, Term, check_delays
 
-# pivot over the largest one, below which R'R, the information, is singular to rounding;
+# pivot over the largest pivot, below which R'R, the information, is singular to rounding;
 # the same value stands in estimate.c
 RANK = 2.0**-26
 EQUAL_SPACING = 1e-9  # relative difference of two spacings that still counts as none

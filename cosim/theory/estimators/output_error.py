@@ -2,9 +2,10 @@
 
 What is minimized is the sum of squares of ``y - y(theta, beta, x(0), offset)``, whitened, over the
 whole record. y is linear in all but theta: the linear unknowns are eliminated by orthogonal
-rotations, theta is found by Gauss-Newton on what remains (:mod:`cosim.native.output_error`). The
-initial state is an unknown, so there is no transient to wait for. With white Gaussian noise this is
-maximum likelihood, and its covariance is the Cramer-Rao bound for the same unknowns
+rotations, theta is estimated by Gauss-Newton on what remains
+(:mod:`cosim.native.output_error`). The initial state is an unknown, so there is no transient to
+wait for. With white Gaussian noise this is maximum likelihood, and its covariance is the
+Cramer-Rao bound for the same unknowns
 (L. Ljung, System Identification, 2nd ed., 1999, section 7.4).
 """
 
@@ -40,8 +41,8 @@ from cosim.theory.quantiles import chi_square_above
 
 # probability of a larger difference of two optima by noise alone
 FALSE_CHOICE: Final = 0.01
-# Probability that noise alone makes the amplitude of an absent component look like one, for one
-# theta; the largest over all theta, which the fit finds, is about a hundred times as probable.
+# Probability that noise alone makes an absent component look present, for a given theta; that of
+# the largest over all theta, which the fit finds, is about a hundred times as large.
 FALSE_PRESENCE: Final = 1e-8
 ROUNDING: Final = 2.0**-44  # error of a simulated output relative to the largest output
 NO_BOUNDS: Mapping[int, tuple[float, float]] = MappingProxyType({})
@@ -128,7 +129,7 @@ def fit_output_error(
     offset : bool
         An unknown constant is on every output.
     forgetting : float
-        Weight of the square of a sample over that of the next one.
+        Weight of the square of a sample over that of the next sample.
     bounds : mapping of index to (lower, upper)
         Of entries of theta; equal bounds fix an entry.
 
@@ -233,7 +234,7 @@ def bound_vectors(
     Raises
     ------
     AssumptionError
-        If there is no such parameter, or an upper bound is below the lower one.
+        If there is no such parameter, or an upper bound is below the lower bound.
     """
     lower = np.full(parameters, -np.inf)
     upper = np.full(parameters, np.inf)
@@ -266,7 +267,7 @@ def _no_information(data: Sequence[DataSet], unknowns: int, theta: Vector) -> As
 def _longest_steps(data: Sequence[DataSet], families: Sequence[Family]) -> Vector:
     """Return the longest steps of an iteration, shape (P,).
 
-    Longer ones make the response overflow, or pass between two samples.
+    Longer steps make the response overflow, or pass between two samples.
     """
     span = longest_span(data)
     count = max(len(data_set.t) for data_set in data)

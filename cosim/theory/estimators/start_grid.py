@@ -222,7 +222,7 @@ def box_of_search(
     Raises
     ------
     AssumptionError
-        If there is no such parameter, or an upper bound is below the lower one.
+        If there is no such parameter, or an upper bound is below the lower bound.
     """
     parameters = sum(len(family.parameters) for family in families)
     time_scales = max(_points_of_records(parameters) / POINTS_A_SCALE, LEAST_SCALES)
