@@ -135,7 +135,7 @@ class Consistency:
 
     @property
     def is_structured(self) -> bool:
-        """Whether the residual has a structure that a wrong model, or colored noise, would leave."""
+        """Whether the residual has structure, as a wrong model or colored noise leaves."""
         return not {WHITENESS, LARGEST_TRACE, ALL_TRACES}.isdisjoint(self.failed)
 
 
