@@ -116,10 +116,10 @@ def _scenario(context: typer.Context) -> Scenario | None:
 
 def _readable(incomplete: str) -> list[str]:
     """Return paths of FMUs, logs and tables that begin so, and folders."""
-    found: list[str] = []
-    for wanted in _READABLE:
-        found += _files(incomplete, wanted)
-    return list(dict.fromkeys(found))
+    paths: list[str] = []
+    for kind in _READABLE:
+        paths += _files(incomplete, kind)
+    return list(dict.fromkeys(paths))
 
 
 def _files(incomplete: str, wanted: FileType) -> Iterator[str]:

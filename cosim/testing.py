@@ -293,7 +293,7 @@ def _estimator_inputs(component: Component, case: EstimationCase) -> Matrix:
     for signal in component.interface.inputs:
         values = case.signals.get(signal.name)
         if values is None or values.shape[1] != signal.size:
-            listed = ", ".join(f"{name} ({one.shape[1]})" for name, one in case.signals.items())
+            listed = ", ".join(f"{name} ({rows.shape[1]})" for name, rows in case.signals.items())
             raise AssertionError(
                 f"input {signal.name!r} of size {signal.size}: an estimator takes some of {listed}"
             )
@@ -357,11 +357,12 @@ def _check_scale(
     converted = replace(
         case, signals=scaled, deviation=scale * case.deviation, size=scale * case.size
     )
-    found = _estimate(make, converted, case.steps)["theta"][-1]
-    same = np.isclose(found, theta, rtol=_SCALED, atol=0.0, equal_nan=True)
+    converted_theta = _estimate(make, converted, case.steps)["theta"][-1]
+    same = np.isclose(converted_theta, theta, rtol=_SCALED, atol=0.0, equal_nan=True)
     if not same.all():
         raise AssertionError(
-            f"theta with y, u and delta in units of {1.0 / scale:g}: found {found}, needed {theta}"
+            f"theta with y, u and delta in units of {1.0 / scale:g}: "
+            f"found {converted_theta}, needed {theta}"
         )
 
 

@@ -144,11 +144,11 @@ def check_design(recorded: Design, shapes: Mapping[str, tuple[int, ...]]) -> Non
     LogError
         If they are not those needed.
     """
-    found = {name: np.shape(array) for name, array in recorded.items()}
-    if found != shapes:
+    recorded_shapes = {name: np.shape(array) for name, array in recorded.items()}
+    if recorded_shapes != shapes:
         raise LogError(
-            f"the recorded design has arrays of shapes {found}, needed {dict(shapes)}; run the "
-            "scenario to compute it again"
+            f"the recorded design has arrays of shapes {recorded_shapes}, needed {dict(shapes)}; "
+            "run the scenario to compute it again"
         )
 
 

@@ -201,9 +201,9 @@ def _numbers(columns: slice) -> NDArray[np.intp]:
 def _origin(results: Iterable[tuple[Member, Vector]]) -> NonFinite | None:
     """Return the first value of a step that is not finite: in a loop it goes around from there."""
     for member, y in results:
-        found = member.first_non_finite_output(y)
-        if found is not None:
-            return found
+        non_finite = member.first_non_finite_output(y)
+        if non_finite is not None:
+            return non_finite
     return None
 
 

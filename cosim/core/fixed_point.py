@@ -125,10 +125,10 @@ def newton_step(function: Function, v: Vector, w: Vector) -> Vector:
     matrix = np.eye(len(v))
     for j in range(len(v)):
         difference = np.ldexp(scale[j], DIFFERENCE)
-        moved = v.copy()
-        moved[j] += np.copysign(difference, v[j])
-        taken = moved[j] - v[j]  # the difference to the last bit
-        slope = (function(moved) - w) / taken
+        shifted = v.copy()
+        shifted[j] += np.copysign(difference, v[j])
+        taken = shifted[j] - v[j]  # the difference to the last bit
+        slope = (function(shifted) - w) / taken
         matrix[:, j] -= slope * scale[j] / scale
     scaled = eliminate(matrix, (w - v) / scale)
     step: Vector = scaled * scale

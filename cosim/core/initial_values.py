@@ -262,10 +262,10 @@ class _InitialRow:
 
     def _note_origin(self, name: str, u: Vector, y: Vector) -> None:
         """Record a component whose outputs are not finite although its inputs are."""
-        found = self._plan.members[name].first_non_finite_output(y)
-        if found is not None and np.isfinite(u).all():
+        non_finite = self._plan.members[name].first_non_finite_output(y)
+        if non_finite is not None and np.isfinite(u).all():
             self.origins.pop(name, None)
-            self.origins[name] = found  # behind those before it
+            self.origins[name] = non_finite  # behind those before it
 
     def _update(self, port: Port) -> None:
         """Bring an input or an output up to date."""

@@ -565,10 +565,10 @@ class Log(RecordedSignals):
         return {number: record_dtype(part.size) for number, part in self._parts.items()}
 
     def _check_format(self) -> None:
-        found = self._metadata.get("cosim.run", {}).get("format", FORMAT)
-        if found != FORMAT:
+        log_format = self._metadata.get("cosim.run", {}).get("format", FORMAT)
+        if log_format != FORMAT:
             raise LogError(
-                f"{self.path}: written in log format {found!r}, by another version of cosim; "
+                f"{self.path}: written in log format {log_format!r}, by another version of cosim; "
                 f"needed format {FORMAT!r}: run its scenario again"
             )
 

@@ -43,9 +43,9 @@ def check_grid(time_ns: Nanoseconds, first_ns: int, part: Part) -> None:
     distance = time_ns - first_ns
     off = distance // period_ns * period_ns != distance  # much faster than a remainder
     if off.any():
-        found = time_ns[int(off.argmax())] / 1e9
+        time = time_ns[int(off.argmax())] / 1e9
         raise ValueError(
-            f"a row of {part.channel.name!r} at t = {found} s is off its grid: there are "
+            f"a row of {part.channel.name!r} at t = {time} s is off its grid: there are "
             f"{period_ns / 1e9} s between two rows, and one is at {first_ns / 1e9} s"
         )
 

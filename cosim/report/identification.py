@@ -44,7 +44,7 @@ class IdentificationReport:
     irregular : TimedPart or None
     """
 
-    found: LogIdentification
+    identification: LogIdentification
     validations: tuple[tuple[IdentifierRecord, Validation], ...] = ()
     irregular: TimedPart | None = None
 
@@ -58,17 +58,17 @@ class IdentificationReport:
     @property
     def noise(self) -> str:
         """What is known of the noise of y."""
-        record = IdentificationRecord.model_validate(self.found.assessment.to_dict())
+        record = IdentificationRecord.model_validate(self.identification.assessment.to_dict())
         return noise_text(record)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
         content: dict[str, Any] = {
-            "identifier": self.found.records[0].identifier,
-            "offset": self.found.assessment.problem.offset,
-            **self.found.assessment.to_dict(),
+            "identifier": self.identification.records[0].identifier,
+            "offset": self.identification.assessment.problem.offset,
+            **self.identification.assessment.to_dict(),
             "logs": self._logs(),
-            "contradictions": list(self.found.contradictions),
+            "contradictions": list(self.identification.contradictions),
         }
         if self.validations:
             content["validation"] = [
@@ -80,10 +80,10 @@ class IdentificationReport:
         return content
 
     def _logs(self) -> list[dict[str, Any]]:
-        fit = self.found.assessment.fit
-        amplitudes = plain_amplitudes(self.found.amplitudes)
+        fit = self.identification.assessment.fit
+        amplitudes = plain_amplitudes(self.identification.amplitudes)
         logs = []
-        for i, record in enumerate(self.found.records):
+        for i, record in enumerate(self.identification.records):
             logs.append(
                 {
                     "log": record.log.label,
@@ -97,7 +97,7 @@ class IdentificationReport:
 
 
 def report_identification(
-    found: LogIdentification,
+    identification: LogIdentification,
     *,
     others: Sequence[IdentifierRecord] = (),
     irregular: float | None = None,
@@ -117,12 +117,14 @@ def report_identification(
     UsageError
         If one of the others is of another model, or an irregular part cannot be bounded for.
     """
-    validations = tuple((other, found.validate(other)) for other in others)
-    part = None if irregular is None else _irregular_part(found, irregular)
-    return IdentificationReport(found=found, validations=validations, irregular=part)
+    validations = tuple((other, identification.validate(other)) for other in others)
+    part = None if irregular is None else _irregular_part(identification, irregular)
+    return IdentificationReport(
+        identification=identification, validations=validations, irregular=part
+    )
 
 
-def _irregular_part(found: LogIdentification, bound: float) -> TimedPart:
+def _irregular_part(identification: LogIdentification, bound: float) -> TimedPart:
     began = perf_counter()
-    part = irregular_part(bound, found.guaranteed_interval(bound))
+    part = irregular_part(bound, identification.guaranteed_interval(bound))
     return TimedPart(part=part, seconds=perf_counter() - began)

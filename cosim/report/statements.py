@@ -95,11 +95,11 @@ def contradictions(
     LogError
         If a statement cannot be understood.
     """
-    found = []
+    differing = []
     for statement, recorded, expected in _Statements(source, again, computed).pairs():
         if recorded != expected:
-            found.append(Contradiction(statement, recorded, expected))
-    return tuple(found)
+            differing.append(Contradiction(statement, recorded, expected))
+    return tuple(differing)
 
 
 class _Statements:
@@ -266,11 +266,11 @@ def _agree(
     """Return whether verdicts are equal and their numbers equal but for rounding."""
     if len(found) != len(needed):
         return False
-    for one, other in zip(found, needed, strict=True):
-        if one.keys() != other.keys():
+    for verdict, needed_verdict in zip(found, needed, strict=True):
+        if verdict.keys() != needed_verdict.keys():
             return False
-        for key, value in one.items():
-            expected = other[key]
+        for key, value in verdict.items():
+            expected = needed_verdict[key]
             if isinstance(value, float) and isinstance(expected, float):
                 if not math.isclose(value, expected, rel_tol=rtol, abs_tol=1e-12):
                     return False

@@ -186,8 +186,8 @@ def summarize(recording: Recording) -> Summary:
     recorded = recorded_identification(recording)
     identifications = []
     for name, record in identifiers.items():
-        found = recorded.get(name, IdentificationRecord())
-        identifications.append(_identification(recording, name, record, found))
+        identification = recorded.get(name, IdentificationRecord())
+        identifications.append(_identification(recording, name, record, identification))
     unknown = _without_value(identifications)
     signals: list[SignalError] = []
     values: list[ValueOutcome] = []
@@ -304,7 +304,10 @@ def _value_outcomes(
 
 
 def _identification(
-    recording: Recording, component: str, record: ComponentRecord, found: IdentificationRecord
+    recording: Recording,
+    component: str,
+    record: ComponentRecord,
+    identification: IdentificationRecord,
 ) -> Identification:
     """Summarize what is known of an identifier."""
     eigenvalues: tuple[float, ...] = ()
@@ -312,24 +315,24 @@ def _identification(
     if record.unknowns is not None:
         eigenvalues, sentence = _information(recording, component, record)
     amplitudes = []
-    for of_data in found.amplitudes:
-        amplitudes += [_parameter(one.name, one) for one in of_data]
+    for of_data in identification.amplitudes:
+        amplitudes += [_parameter(amplitude.name, amplitude) for amplitude in of_data]
     is_output_error = record.method == OUTPUT_ERROR
-    own = found.parameters if is_output_error else found.estimate
-    others = () if is_output_error else found.parameters
+    own = identification.parameters if is_output_error else identification.estimate
+    others = () if is_output_error else identification.parameters
     return Identification(
         component,
         record.start_time,
         record.times,
         eigenvalues,
         sentence,
-        (*record.notes, *_extent(recording, component, record, found)),
+        (*record.notes, *_extent(recording, component, record, identification)),
         parameters=_parameters(recording, component, own),
         reference=_parameters(recording, component, others),
         amplitudes=tuple(amplitudes),
-        deviation=found.deviation,
-        noise=found.problem or noise_text(found),
-        guaranteed=_guaranteed(component, found.irregular),
+        deviation=identification.deviation,
+        noise=identification.problem or noise_text(identification),
+        guaranteed=_guaranteed(component, identification.irregular),
     )
 
 
@@ -344,20 +347,23 @@ def _guaranteed(component: str, record: IrregularRecord | None) -> GuaranteedSum
 
 
 def _extent(
-    recording: Recording, component: str, record: ComponentRecord, found: IdentificationRecord
+    recording: Recording,
+    component: str,
+    record: ComponentRecord,
+    identification: IdentificationRecord,
 ) -> Iterator[str]:
     """Yield what the verdicts rest on, and why the signal theta has no last value beside them."""
-    if found.extent:
-        yield found.extent
+    if identification.extent:
+        yield identification.extent
     theta = f"{component}.theta"
     rows = as_columns(recording[theta])
     has_value = bool(len(rows)) and bool(np.isfinite(rows[-1]).all())
-    if record.method != OUTPUT_ERROR or has_value or found.problem:
+    if record.method != OUTPUT_ERROR or has_value or identification.problem:
         return
     end = recording.end_ns / 1e9
     if end < record.start_time:
         cause = f"the run ends at {end:g} s, before the identification start time"
-    elif all(parameter.value is None for parameter in found.parameters):
+    elif all(parameter.value is None for parameter in identification.parameters):
         return  # the verdicts say why
     else:
         cause = "the samples that it had, as it weighs them, do not determine theta"
@@ -381,18 +387,20 @@ def _parameter(name: str, record: ParameterRecord) -> ParameterSummary:
     )
 
 
-def noise_text(found: IdentificationRecord) -> str:
+def noise_text(identification: IdentificationRecord) -> str:
     """Describe the noise of y as the residual of output error shows it."""
-    if not found.deviation:
+    if not identification.deviation:
         return ""
-    if found.is_exact:
+    if identification.is_exact:
         return (
             f"the residual is below what step, quantization and rounding allow, "
-            f"{numbers_text(found.accuracy)}"
+            f"{numbers_text(identification.accuracy)}"
         )
-    order = len(found.noise_model[0]) if found.noise_model else 0
+    order = len(identification.noise_model[0]) if identification.noise_model else 0
     if order:
-        coefficients = "; ".join(", ".join(f"{a:.3g}" for a in row) for row in found.noise_model)
+        coefficients = "; ".join(
+            ", ".join(f"{a:.3g}" for a in row) for row in identification.noise_model
+        )
         return f"colored, whitened by an autoregressive model of order {order}: {coefficients}"
     return "of y, from the residual of output error"
 

@@ -186,15 +186,15 @@ class ScenarioBuildContext:
     def behind(self, to: Port) -> Mapping[str, Kind]:
         """Return the components that an input follows, up to those that are not computable."""
         self._need_connected(to)
-        found: dict[str, Kind] = {}
+        components: dict[str, Kind] = {}
         waiting = set(self._scenario.sources(to))
         while waiting:
             name = waiting.pop()
             if name in self._scenario.specs:
-                spec = found[name] = self._scenario.specs[name]
+                spec = components[name] = self._scenario.specs[name]
                 if spec.computable:
-                    waiting |= self._scenario.sources_of(name) - found.keys()
-        return found
+                    waiting |= self._scenario.sources_of(name) - components.keys()
+        return components
 
     def _need_connected(self, to: Port) -> None:
         """Check that what drives an input is right, as far as that is known.
@@ -265,9 +265,9 @@ class ScenarioBuildContext:
                     seen.add(name)
                     waiting += self._inputs(name)
         if len(lags) > 1:
-            found = ", ".join(f"{source} by {lag:g} s" for lag, source in lags.items())
+            sources = ", ".join(f"{source} by {lag:g} s" for lag, source in lags.items())
             raise UsageError(
-                f"{to.name!r} is driven by signals that lag behind differently: {found}; "
+                f"{to.name!r} is driven by signals that lag behind differently: {sources}; "
                 "needed one lag"
             )
         return next(iter(lags), 0.0)

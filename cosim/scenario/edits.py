@@ -94,13 +94,13 @@ def flatten_tables(tree: dict[str, Any]) -> list[Problem]:
     problems: list[Problem] = []
     for name in FLAT:
         if isinstance(tree.get(name), dict):
-            tree[name], found = _flatten(tree[name], (name,))
-            problems += found
+            tree[name], repeated = _flatten(tree[name], (name,))
+            problems += repeated
     swaps = tree.get("swap")
     for name, table in swaps.items() if isinstance(swaps, dict) else ():
         if isinstance(table, dict) and isinstance(table.get("map"), dict):
-            table["map"], found = _flatten(table["map"], ("swap", name, "map"))
-            problems += found
+            table["map"], repeated = _flatten(table["map"], ("swap", name, "map"))
+            problems += repeated
     return problems
 
 

@@ -147,19 +147,19 @@ class _Headers:
 
     def named(self, name: str) -> _Header:
         """Return a column, by its name or by all that its header says."""
-        found = []
+        matches = []
         for header in self.all:
             if name in (header.name, self._written[header.position]):
-                found.append(header)
-        if not found:
+                matches.append(header)
+        if not matches:
             names = [header.name for header in self.all]
             raise UsageError(f"{self._label} has no column {name!r}; {nearest(name, names)}")
-        if len(found) > 1:
+        if len(matches) > 1:
             raise UsageError(
-                f"{self._label} has {len(found)} columns {name!r}; needed a name of its own for "
+                f"{self._label} has {len(matches)} columns {name!r}; needed a name of its own for "
                 "each that is used"
             )
-        return found[0]
+        return matches[0]
 
     def signals(
         self, clock: _Header, columns: Mapping[str, str | Sequence[str]] | None
@@ -257,7 +257,7 @@ class _CsvTable:
         if decimal not in (".", ","):
             raise UsageError(f'decimal: found {decimal!r}; needed "." or ","')
         self._lines = read_lines(path, repr(str(path)))
-        self._separator = self._found() if separator is None else separator
+        self._separator = self._likely_separator() if separator is None else separator
         if len(self._separator) != 1 or self._separator in f'{decimal}"\r\n' + "0123456789":
             raise UsageError(
                 f"separator: found {self._separator!r}, with the decimal sign {decimal!r}; needed "
@@ -272,7 +272,7 @@ class _CsvTable:
                 f"{self.label} has {len(self.names)} columns; needed at most {MOST_COLUMNS}"
             )
 
-    def _found(self) -> str:
+    def _likely_separator(self) -> str:
         """Return the separator in the first line that says something, outside of quotes."""
         header = next((line for line in self._lines if line.strip()), "")
         plain = re.sub('"[^"]*"', "", header)
@@ -403,11 +403,12 @@ class _ParquetTable:
     def _column(self, position: int, *, is_time: bool = False) -> list[Any]:
         """Return the numbers of a column, None where there is none."""
         types = self._arrow.types
-        found = self._schema.field(position).type
-        is_stamp = is_time and (types.is_timestamp(found) or types.is_duration(found))
-        if not (types.is_integer(found) or types.is_floating(found) or is_stamp):
+        column_type = self._schema.field(position).type
+        is_stamp = is_time and (types.is_timestamp(column_type) or types.is_duration(column_type))
+        if not (types.is_integer(column_type) or types.is_floating(column_type) or is_stamp):
             raise UsageError(
-                f"{self.label}: column {self.names[position]!r} is of type {found}; needed numbers"
+                f"{self.label}: column {self.names[position]!r} is of type {column_type}; "
+                "needed numbers"
             )
         with self._only_parquet():
             column = self._file.read(columns=[self.names[position]]).column(0)

@@ -516,9 +516,9 @@ def propose(
             if _fits(old, port):
                 reasons[candidate] = _reasons(old, port)
         most = max(map(len, reasons.values()), default=0)
-        for candidate, found in reasons.items():
-            if len(found) == most:
-                proposals.append(Proposal(name, candidate, found))
+        for candidate, its_reasons in reasons.items():
+            if len(its_reasons) == most:
+                proposals.append(Proposal(name, candidate, its_reasons))
     return tuple(proposals)
 
 

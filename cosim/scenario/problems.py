@@ -116,9 +116,11 @@ class _Alternatives:
         """Return the problems of the nearest alternative of one value."""
         groups = _by_alternative(problems, level)
         kept = [self.nearest(group, level + 1) for group in groups.values()]
-        inside = [group for group in kept if any(len(one.path) > len(choice) for one in group)]
+        inside = [
+            group for group in kept if any(len(problem.path) > len(choice) for problem in group)
+        ]
         candidates = inside or kept
-        exact = [group for group in candidates if not any(one.is_type for one in group)]
+        exact = [group for group in candidates if not any(problem.is_type for problem in group)]
         if len(candidates) == 1 or exact:
             return (exact or candidates)[0]
         value = quoted(_value(self._data, choice))

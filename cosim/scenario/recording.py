@@ -69,7 +69,7 @@ def record(
     """Run an experiment and return its recording: the log file if a path is given."""
     out = target.out
     if out is None:
-        attachments = {one.name: one.data for one in attachments_of(experiment)}
+        attachments = {file.name: file.data for file in attachments_of(experiment)}
         memory = Memory(metadata_of(experiment), attachments)
         run_into(memory, experiment, progress=progress, profile=profile)
         return memory

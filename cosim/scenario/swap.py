@@ -179,8 +179,8 @@ def resolve_maps(
             written[owner] = {**written[owner], port: names}
     entries: dict[str, list[MapEntry]] = {}
     for name, table in written.items():
-        entries[name], found = _resolve_map(name, table, ports)
-        problems += found
+        entries[name], map_problems = _resolve_map(name, table, ports)
+        problems += map_problems
     return entries, problems
 
 

@@ -229,14 +229,14 @@ def test_the_operating_point_of_a_linear_fmu_adds_no_error(exported):
 def test_states_stay_in_their_range_where_their_error_is_estimated(tmp_path, monkeypatch):
     """The angle that is reached ends its range; the error is estimated on the near side."""
     moved = []
-    original = OperatingPoint.moved_apart
+    original = OperatingPoint.displaced
 
     def observed(point, x):
         result = original(point, x)
         moved.append((result.all_states - point.all_states)[0])
         return result
 
-    monkeypatch.setattr(OperatingPoint, "moved_apart", observed)
+    monkeypatch.setattr(OperatingPoint, "displaced", observed)
     path = pendulum(tmp_path / "p.fmu", derivatives=True)
     angle = cosim.linearize(path, at=0.3).x.item(0)
     for number, bound in enumerate(("min", "max")):

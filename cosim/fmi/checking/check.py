@@ -193,14 +193,14 @@ def _binary_problems(file: Path, platform: str, machine: tuple[str, str]) -> Ite
         yield f"{name} is missing"
         return
     with file.open("rb") as opened:
-        found = built_for(opened.read(HEAD_SIZE))
-    if found is None:
+        built = built_for(opened.read(HEAD_SIZE))
+    if built is None:
         yield f"{name} is no shared library"
         return
     architecture, system = machine
-    found_architecture, found_system = found
-    if found_system != system or found_architecture not in (architecture, "any"):
-        yield f"{name} is for {'-'.join(found)}; needed {'-'.join(machine)}"
+    built_architecture, built_system = built
+    if built_system != system or built_architecture not in (architecture, "any"):
+        yield f"{name} is for {'-'.join(built)}; needed {'-'.join(machine)}"
 
 
 # --- trials ---

@@ -103,6 +103,6 @@ def _is_significant(outputs: Vector, last: Vector, before_last: Vector | None) -
     """Return whether a change is more than rounding, and no switch back."""
     with np.errstate(all="ignore"):  # what is not finite stops the run elsewhere
         scale = np.maximum(np.abs(outputs), np.abs(last))
-        moved = np.abs(outputs - last) > RELATIVE * scale
+        changed = np.abs(outputs - last) > RELATIVE * scale
     switched_back = before_last is not None and outputs.tobytes() == before_last.tobytes()
-    return bool(moved.any()) and not switched_back
+    return bool(changed.any()) and not switched_back

@@ -199,8 +199,8 @@ def _with_error_of_states(
     error: Matrix | None,
 ) -> Matrix | None:
     """Add what is due to the error of the states to that of the Jacobian; see the module."""
-    moved, _ = point.moved_apart(rough_x).jacobian(method)
-    change = np.abs(moved - jacobian)
+    displaced, _ = point.displaced(rough_x).jacobian(method)
+    change = np.abs(displaced - jacobian)
     if error is None:
         # Where the states do not matter the derivatives are as exact as before.
         return change if change.any() else None

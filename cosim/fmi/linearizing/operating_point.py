@@ -161,7 +161,7 @@ class OperatingPoint:
         """All states there, the selected ones among them."""
         return self._x.copy()
 
-    def moved_apart(self, x: Vector) -> OperatingPoint:
+    def displaced(self, x: Vector) -> OperatingPoint:
         """Return the point with all states moved as far as they are from ``x`` at the most.
 
         How far is relative to the size of a state, its nominal value at the least; each goes the
@@ -175,10 +175,10 @@ class OperatingPoint:
             reached = self._x[i] + step[i]
             if not element.variable.minimum <= reached <= element.variable.maximum:
                 step[i] = -step[i]
-        moved = copy(self)
-        moved._x = self._x + step
-        moved._read()
-        return moved
+        displaced = copy(self)
+        displaced._x = self._x + step
+        displaced._read()
+        return displaced
 
     def _check_finite(self, what: str, values: Vector) -> None:
         if not np.isfinite(values).all():

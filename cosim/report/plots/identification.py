@@ -42,7 +42,7 @@ _TITLES: Final = (
 
 
 def plot_identification(
-    found: LogIdentification, out: Path, options: PictureOptions = _STANDARD
+    identification: LogIdentification, out: Path, options: PictureOptions = _STANDARD
 ) -> None:
     """Draw what an identification from logs rests on.
 
@@ -56,18 +56,18 @@ def plot_identification(
         axis.
     """
     need_plot(out)
-    picture = Picture(_ROWS * len(found.records), 2, options, shares_time=False)
+    picture = Picture(_ROWS * len(identification.records), 2, options, shares_time=False)
     panels = np.reshape(np.array(picture.panels, object), (-1, _ROWS, 2))
-    for index, (record, of_log) in enumerate(zip(found.records, panels, strict=True)):
-        _draw_residual(of_log[0], found, index, options)
-        _draw_disturbance(of_log[1], found, index, options)
+    for index, (record, of_log) in enumerate(zip(identification.records, panels, strict=True)):
+        _draw_residual(of_log[0], identification, index, options)
+        _draw_disturbance(of_log[1], identification, index, options)
         _draw_theta(of_log[2], record, options)
         for panel, title in zip(of_log.ravel(), _TITLES, strict=True):
             panel.set_title(title, fontsize="medium")
-        if len(found.records) > 1:
+        if len(identification.records) > 1:
             of_log[0, 0].set_title(f"{record.log.label}: {_TITLES[0]}", fontsize="medium")
         _label_time([of_log[0, 0], *of_log[1], *of_log[2]], record, options)
-    title = "" if len(found.records) > 1 else found.records[0].log.label
+    title = "" if len(identification.records) > 1 else identification.records[0].log.label
     picture.save(out, title=title)
 
 
@@ -83,13 +83,13 @@ def _label_time(panels: list[Any], record: IdentifierRecord, options: PictureOpt
 
 
 def _draw_residual(
-    panels: Any, found: LogIdentification, index: int, options: PictureOptions
+    panels: Any, identification: LogIdentification, index: int, options: PictureOptions
 ) -> None:
     over_time, spectrum = panels
-    record = found.records[index]
-    identified = found.identified
+    record = identification.records[index]
+    identified = identification.identified
     data = record.data
-    response = found.assessment.fitted.responses[index]
+    response = identification.assessment.fitted.responses[index]
     unit = signal_of(record.log, f"{identified.observer}.y").measure
     names = ["residual of y"]
     if data.y.shape[1] > 1:
@@ -100,14 +100,17 @@ def _draw_residual(
     styles = [{**style, "linewidth": _THIN} for style in color_styles(len(curves))]
     draw(over_time, curves, styles=styles)
     over_time.ticklabel_format(axis="y", scilimits=(-2, 3))
-    _draw_spectrum(spectrum, found, record, response)
+    _draw_spectrum(spectrum, identification, record, response)
 
 
 def _draw_spectrum(
-    panel: Any, found: LogIdentification, record: IdentifierRecord, response: FittedResponse
+    panel: Any,
+    identification: LogIdentification,
+    record: IdentifierRecord,
+    response: FittedResponse,
 ) -> None:
     measured = record.data.measured
-    noise = found.assessment.noise
+    noise = identification.assessment.noise
     whitened = noise.whitened(response.residual[:, :, np.newaxis], measured)[:, :, 0]
     counted = counted_values(measured, noise.order)
     panel.set_xlabel("frequency [Hz]")
@@ -131,14 +134,14 @@ def _draw_spectrum(
 
 
 def _draw_disturbance(
-    panels: Any, found: LogIdentification, index: int, options: PictureOptions
+    panels: Any, identification: LogIdentification, index: int, options: PictureOptions
 ) -> None:
     left, right = panels
-    record = found.records[index]
-    estimate = f"{found.identified.observer}.delta"
+    record = identification.records[index]
+    estimate = f"{identification.identified.observer}.delta"
     unit = signal_of(record.log, estimate).measure
     try:
-        smoothed = found.smoothed(index)
+        smoothed = identification.smoothed(index)
     except AssumptionError as error:  # of an unstable plant
         left.text(0.5, 0.5, str(error), transform=left.transAxes, ha="center", wrap=True)
         return

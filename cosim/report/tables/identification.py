@@ -21,9 +21,9 @@ def print_identification(report: IdentificationReport, *, as_json: bool) -> None
     if as_json:
         print_json(report.to_dict())
         return
-    found = report.found
-    assessment = found.assessment
-    identifier = found.records[0].identifier
+    identification = report.identification
+    assessment = identification.assessment
+    identifier = identification.records[0].identifier
     columns = ("", "estimate", "standard error", "95 % interval", "")
     has_offset = assessment.problem.offset
     table = new_table(f"{identifier}: output error{' with offset' * has_offset}", columns)
@@ -34,10 +34,10 @@ def print_identification(report: IdentificationReport, *, as_json: bool) -> None
             correlation = f"{assessment.correlation[i, j]:+.3f}"
             table.add_row("correlation", correlation, "", "", f"of theta[{i}] and theta[{j}]")
     table.add_row("noise", numbers_text(assessment.deviations.tolist()), "", "", report.noise)
-    for text in found.contradictions:
+    for text in identification.contradictions:
         table.add_row("contradiction", "", "", "", text)
-    for index in range(len(found.records)):
-        _add_log(table, found, index)
+    for index in range(len(identification.records)):
+        _add_log(table, identification, index)
     for record, validation in report.validations:
         _add_validation(table, record, validation)
     if report.irregular is not None:
@@ -45,17 +45,17 @@ def print_identification(report: IdentificationReport, *, as_json: bool) -> None
     print_table(table)
 
 
-def _add_log(table: Table, found: LogIdentification, index: int) -> None:
+def _add_log(table: Table, identification: LogIdentification, index: int) -> None:
     """Add what is of one log: x(0), amplitudes and phases, and the tests of its residual."""
-    record = found.records[index]
-    fit = found.assessment.fit
+    record = identification.records[index]
+    fit = identification.assessment.fit
     x0 = ", ".join(f"{value:.4g}" for value in fit.x0[index])
-    number = f"data set {index + 1}: " if len(found.records) > 1 else ""
+    number = f"data set {index + 1}: " if len(identification.records) > 1 else ""
     text = f"{number}{record.data.samples} samples; x(0) {x0}"
     table.add_row(record.log.label, "", "", "", text)
-    for amplitude in found.amplitudes[index]:
+    for amplitude in identification.amplitudes[index]:
         _add_parameter(table, amplitude)
-    for test in found.assessment.consistency.tests_by_data[index]:
+    for test in identification.assessment.consistency.tests_by_data[index]:
         _add_test(table, test)
 
 
