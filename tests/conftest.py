@@ -29,6 +29,7 @@ OF_ONE_WORKER = frozenset(
         "tests/report/test_estimator_comparison.py",
         "tests/report/test_identification.py",
         "tests/scenario/test_export.py",
+        "tests/scenario/test_field_data.py",
         "tests/scenario/test_identifying.py",
         "tests/scenario/test_runs.py",
         "tests/scenario/test_swap.py",
@@ -88,6 +89,20 @@ def frozen_heap() -> Iterator[None]:
     gc.freeze()
     yield
     gc.unfreeze()
+
+
+@pytest.fixture
+def without_verdicts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave out the verdicts at the end of runs, for tests of signals.
+
+    They take most of the time of a long run. Fixtures of modules are made with them.
+    """
+    from cosim.scenario.identification.run_verdicts import Assessor
+
+    def no_results(assessor: Assessor) -> dict[str, Any]:
+        return {}
+
+    monkeypatch.setattr(Assessor, "results", no_results)
 
 
 @pytest.fixture(scope="session")

@@ -7,6 +7,8 @@ import cosim
 from cosim.cli import main
 from cosim.errors import CosimError
 
+pytestmark = pytest.mark.usefixtures("without_verdicts")
+
 
 @pytest.fixture(scope="module")
 def plant(tmp_path_factory):

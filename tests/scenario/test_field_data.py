@@ -107,6 +107,7 @@ def error_of(log):
     return log["identifier.theta"][-1] - THETA
 
 
+@pytest.mark.usefixtures("without_verdicts")
 def test_estimates_reach_the_bound_for_the_samples_that_are_there(experiment, tmp_path):
     """Over a few seeds: the errors in units of the bound are as chi-square says, up to 1.15."""
     seeds = 6
@@ -123,6 +124,7 @@ def test_estimates_reach_the_bound_for_the_samples_that_are_there(experiment, tm
 
 
 @pytest.mark.campaign
+@pytest.mark.usefixtures("without_verdicts")
 def test_estimates_reach_the_bound_over_200_seeds(tmp_path):
     """At 1 ms and a deviation of 1e-3: RMSE <= 1.15 x the bound, for both theta."""
     experiment = Experiment(1e-3, 1e-3)
@@ -154,6 +156,7 @@ def test_the_verdict_knows_the_inputs_between_the_samples(experiment, tmp_path):
     np.testing.assert_allclose(values, log["identifier.theta"][-1], atol=1e-6)
 
 
+@pytest.mark.usefixtures("without_verdicts")
 def test_the_same_file_gives_the_same_estimate_without_a_scenario(experiment, tmp_path):
     """A fit of all samples at their times, from the functions of theory alone."""
     path = experiment.written(tmp_path, experiment.measured(1))
@@ -168,6 +171,7 @@ def test_the_same_file_gives_the_same_estimate_without_a_scenario(experiment, tm
     assert (np.abs(theta - fit.theta) < 5e-5).all()
 
 
+@pytest.mark.usefixtures("without_verdicts")
 def test_the_form_of_the_file_does_not_matter(experiment, plain, tmp_path):
     """An epoch, mm, semicolons and decimal commas: the same samples, the same estimate."""
     y = experiment.measured(0)
@@ -192,6 +196,7 @@ def test_the_form_of_the_file_does_not_matter(experiment, plain, tmp_path):
     np.testing.assert_allclose(found["plant.y"], 1e3 * plain["plant.y"], rtol=1e-3, atol=1.0)
 
 
+@pytest.mark.usefixtures("without_verdicts")
 def test_the_samples_reach_the_identifier_as_they_are(experiment, tmp_path):
     """Each with its own time; only y at the communication points is on straight lines."""
     t = experiment.t
@@ -208,6 +213,7 @@ def test_the_samples_reach_the_identifier_as_they_are(experiment, tmp_path):
     np.testing.assert_array_equal(log["identifier.sample_times"], times[every])
 
 
+@pytest.mark.usefixtures("without_verdicts")
 def test_a_log_replays_without_the_file(experiment, tmp_path):
     """Bit for bit: the samples are signals, and nothing else of the file is needed."""
     path = experiment.written(tmp_path, experiment.measured(4))
@@ -222,6 +228,7 @@ def test_a_log_replays_without_the_file(experiment, tmp_path):
     assert open_log(out).steps == round(STOP / STEP)
 
 
+@pytest.mark.usefixtures("without_verdicts")
 def test_ports_of_other_names_bring_their_samples(experiment, plain, tmp_path):
     """A map of y is one of its samples too, also of elements."""
     y = experiment.measured(0)
@@ -231,6 +238,7 @@ def test_ports_of_other_names_bring_their_samples(experiment, plain, tmp_path):
     np.testing.assert_array_equal(cosim.run(mapped)["identifier.theta"], plain["identifier.theta"])
 
 
+@pytest.mark.usefixtures("without_verdicts")
 def test_a_file_drives_the_inputs_too(experiment, plain, tmp_path):
     """u of the same file, in the place of its source: straight lines between its own samples."""
     y = experiment.measured(0)
@@ -309,6 +317,7 @@ def test_too_many_samples_in_a_step_are_refused(experiment, tmp_path):
         experiment.run(path, {"plant.maximum_gap": 3.0})
 
 
+@pytest.mark.usefixtures("without_verdicts")
 def test_parts_between_the_file_and_the_identifier_are_refused(experiment, plain, tmp_path):
     """A gain of the observer's y has no samples; one of the connection has."""
     y = experiment.measured(0)
@@ -379,6 +388,7 @@ def test_of_other_methods_it_is_said_that_they_take_interpolated_values(experime
         identifier_record(log)
 
 
+@pytest.mark.usefixtures("without_verdicts")
 def test_units_are_declared_where_the_file_has_none(experiment, plain, tmp_path):
     """Of an output and of its samples, under the name that the scenario has for it."""
     y = experiment.measured(0)
@@ -390,6 +400,7 @@ def test_units_are_declared_where_the_file_has_none(experiment, plain, tmp_path)
     )
 
 
+@pytest.mark.usefixtures("without_verdicts")
 def test_estimates_come_online_before_the_regression_has_values(experiment, tmp_path):
     """The grid of starts takes the samples too; what is said there is true."""
     path = experiment.written(tmp_path, experiment.measured(1))

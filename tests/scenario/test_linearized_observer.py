@@ -15,6 +15,8 @@ from cosim.scenario.exporting import export_component
 from cosim.scenario.linearizing import model_table, split
 from tests.fmi.pendulum import jacobian, pendulum
 
+pytestmark = pytest.mark.usefixtures("without_verdicts")
+
 MODEL = {"fmu": "plant.fmu", "disturbance": "delta"}
 
 

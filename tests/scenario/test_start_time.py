@@ -80,6 +80,7 @@ def test_the_log_has_simulation_time(logs):
     assert part.time("plant")[[0, -1]].tolist() == [16.0, 16.5]
 
 
+@pytest.mark.usefixtures("without_verdicts")
 def test_an_fmu_starts_there(tmp_path, logs):
     """FMI's start time is that of the run; the comparison before it starts there as well."""
     path = tmp_path / "plant.fmu"
@@ -105,6 +106,7 @@ def swapped_for_log(log, start, stop):
     return cosim.run("closed-loop", swap={"plant": str(log.path)}, set=changes)
 
 
+@pytest.mark.usefixtures("without_verdicts")
 def test_a_recorded_component_needs_rows_where_the_run_has_points(logs):
     """A log of a later start can stand in from there on, at its own communication points."""
     log = logs[START]

@@ -76,6 +76,7 @@ def test_co_simulation_has_the_bits_of_the_exact_solver(plant):
     assert cosim.diff(exact, run).equal
 
 
+@pytest.mark.usefixtures("without_verdicts")
 def test_a_model_exchange_fmu_that_others_made_takes_the_plants_place(foreign3):
     """FMI 3 model exchange by pythonfmu3: the derivatives are its own, the solver is ours.
 
@@ -173,6 +174,7 @@ def test_an_fmu_keeps_the_tolerance_of_its_table(plant):
     assert json.loads(tight.metadata["cosim.component.plant"]["metadata"])["tolerance"] == 1e-11
 
 
+@pytest.mark.usefixtures("without_verdicts")
 def test_a_sampled_fmu_responds_at_its_own_step(plant, tmp_path):
     """With a period the FMU lives on that step.
 

@@ -18,6 +18,8 @@ from cosim.scenario.build import parse
 from cosim.scenario.document import find
 from tests.scenario.renamed import MAP, PACKED, packed, renamed
 
+pytestmark = pytest.mark.usefixtures("without_verdicts")
+
 SHORT = {"scenario.stop": 7.0}
 BY_HAND = (
     (
