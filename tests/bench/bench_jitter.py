@@ -14,6 +14,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from cosim.theory.assessment.assessing import assess
+from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.descriptor import reduce
 from cosim.theory.disturbance import Exponential
 from cosim.theory.disturbed_plant import DataSet, disturbed_plant
@@ -45,7 +46,7 @@ def main() -> None:
             best = np.inf
             for _ in range(RUNS):
                 began = time.process_time()
-                assessment = assess([data], plant, FAMILIES, start)
+                assessment = assess(OutputErrorProblem([data], plant, FAMILIES), start)
                 best = min(best, time.process_time() - began)
             times[kind] = best
             error = np.abs(assessment.fit.theta - THETA).max()

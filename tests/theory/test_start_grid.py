@@ -14,7 +14,10 @@ from cosim.native.start_grid import StartGridModel
 from cosim.theory.disturbance import Exponential, Sine, generators
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, sample_plant, white_noise
 from cosim.theory.estimators.start_grid import (
+    MOST_POINTS,
+    MOST_POINTS_ON_AN_AXIS,
     box_of_search,
+    grid_points,
     search_start,
     search_starts,
     start_grid,
@@ -243,3 +246,11 @@ def test_two_sines_are_found_up_to_twenty_five_periods():
     plant = replace(FIRST_ORDER, Bd=np.ones((1, 2)), Dd=np.zeros((1, 2)))
     start = search_start([data], plant, [Sine(), Sine()])
     np.testing.assert_allclose(np.sort(start), [3.0, 7.5], atol=1e-2)
+
+
+@pytest.mark.parametrize("parameters", range(1, 13))
+def test_a_grid_has_all_the_points_that_are_searched(parameters):
+    """One more in every direction is more than 4096 in all, or than an axis has; roots are exact."""
+    points = grid_points(parameters)
+    assert points**parameters <= MOST_POINTS
+    assert points == MOST_POINTS_ON_AN_AXIS or (points + 1) ** parameters > MOST_POINTS

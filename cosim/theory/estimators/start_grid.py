@@ -54,8 +54,7 @@ LEAST_SCALES: Final = 20.0
 
 def grid_points(parameters: int) -> int:
     """Return how many points a grid of starts has in every direction."""
-    points = int(MOST_POINTS ** (1.0 / max(parameters, 1)))
-    return min(points, MOST_POINTS_ON_AN_AXIS)
+    return min(_points_on_an_axis(parameters), MOST_POINTS_ON_AN_AXIS)
 
 
 def start_grid(
@@ -238,8 +237,15 @@ def box_of_search(
 
 def _points_of_records(parameters: int) -> int:
     """Return how many points the grid for recorded data has in every direction."""
-    points = int(MOST_POINTS ** (1.0 / max(parameters, 1)))
-    return min(points, MOST_POINTS_OF_RECORDS)
+    return min(_points_on_an_axis(parameters), MOST_POINTS_OF_RECORDS)
+
+
+def _points_on_an_axis(parameters: int) -> int:
+    """Return the most points in every direction that make no more than are searched in all."""
+    points = 1
+    while (points + 1) ** max(parameters, 1) <= MOST_POINTS:
+        points += 1
+    return points
 
 
 def _points(lower: Vector, upper: Vector, points: int) -> Matrix:
