@@ -7,7 +7,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from time import perf_counter
 from types import FrameType
@@ -50,6 +50,28 @@ def show_progress(hidden: bool) -> Iterator[Progress | None]:
             clock = f"t = {time:.2f} of {end:g} s"
             speed = f"{(time - first) / elapsed:.3g} x real time"
             bar.update(task, completed=time - first, total=end - first, clock=clock, speed=speed)
+
+        yield update
+
+
+@contextmanager
+def show_count(hidden: bool, what: str) -> Iterator[Callable[[int], None] | None]:
+    """Show on stderr how many of something are done, and for how long it has been going on.
+
+    Nothing is shown where stderr is no terminal.
+    """
+    if hidden or not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(f"{what}: 0", total=None)
+
+        def update(count: int) -> None:
+            bar.update(task, description=f"{what}: {count}")
 
         yield update
 

@@ -1,5 +1,6 @@
 """No command sends a terminal what it would obey, whatever a log, an FMU or a scenario says."""
 
+import io
 import re
 import sys
 
@@ -7,6 +8,7 @@ import pytest
 
 import cosim
 from cosim.cli import main
+from cosim.terminal import show_count
 from tests.fmi.archives import write
 from tests.log.crafting import put_together, take_apart
 
@@ -109,3 +111,26 @@ def test_texts_of_scenarios_are_shown_and_not_obeyed(printed, tmp_path, monkeypa
     printed("run", tmp_path / "raw.toml")
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
     printed("show", tmp_path / "raw.toml")
+
+
+class Tty(io.StringIO):
+    """Text that a terminal would show."""
+
+    def isatty(self):
+        return True
+
+
+@pytest.mark.parametrize(
+    ("stream", "hidden", "is_shown"),
+    [(Tty(), False, True), (Tty(), True, False), (io.StringIO(), False, False)],
+)
+def test_a_count_is_shown_on_a_terminal_alone(monkeypatch, stream, hidden, is_shown):
+    """In a pipe, a file or beside JSON nothing is written, not even what moves a cursor."""
+    monkeypatch.setattr(sys, "stderr", stream)
+    monkeypatch.setenv("TERM", "xterm")
+    with show_count(hidden, "linear programs solved") as watch:
+        assert (watch is not None) == is_shown
+        if watch is not None:
+            watch(41)
+    assert ("linear programs solved: 41" in stream.getvalue()) == is_shown
+    assert is_shown or not stream.getvalue()

@@ -9,6 +9,7 @@ import typer
 
 from cosim.cli.options import JsonOption, check_plot
 from cosim.errors import UsageError
+from cosim.terminal import show_count
 
 if TYPE_CHECKING:
     from cosim.scenario.identification.from_logs import IdentifierRecord
@@ -99,7 +100,10 @@ def identify(
             "note: the guaranteed interval rests on linear programs, which take seconds to minutes",
             error=True,
         )
-    report = report_identification(identification, others=others, irregular=irregular)
+    with show_count(as_json or irregular is None, "linear programs solved") as watch:
+        report = report_identification(
+            identification, others=others, irregular=irregular, watch=watch
+        )
     if plot is not None:
         from cosim.report.plots import plot_identification
 

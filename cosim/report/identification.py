@@ -13,6 +13,7 @@ from cosim.scenario.identification.irregular import IrregularPart, irregular_par
 from cosim.scenario.identification.run_verdicts import plain_amplitudes
 from cosim.scenario.recorded_metadata import IdentificationRecord
 from cosim.theory.assessment.validation import Validation, ValidationVerdict
+from cosim.theory.bounded.feasible_program import Watch
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,6 +102,7 @@ def report_identification(
     *,
     others: Sequence[IdentifierRecord] = (),
     irregular: float | None = None,
+    watch: Watch | None = None,
 ) -> IdentificationReport:
     """Collect what is said of a fit.
 
@@ -111,6 +113,8 @@ def report_identification(
         Of logs that were not used, which the fit is held against.
     irregular : float, optional
         Bound of an irregular part of the disturbance.
+    watch : callable, optional
+        Is told after every linear program for it how many have been solved.
 
     Raises
     ------
@@ -118,13 +122,15 @@ def report_identification(
         If one of the others is of another model, or an irregular part cannot be bounded for.
     """
     validations = tuple((other, identification.validate(other)) for other in others)
-    part = None if irregular is None else _irregular_part(identification, irregular)
+    part = None if irregular is None else _irregular_part(identification, irregular, watch)
     return IdentificationReport(
         identification=identification, validations=validations, irregular=part
     )
 
 
-def _irregular_part(identification: LogIdentification, bound: float) -> TimedPart:
+def _irregular_part(
+    identification: LogIdentification, bound: float, watch: Watch | None
+) -> TimedPart:
     began = perf_counter()
-    part = irregular_part(bound, identification.guaranteed_interval(bound))
+    part = irregular_part(bound, identification.guaranteed_interval(bound, watch))
     return TimedPart(part=part, seconds=perf_counter() - began)

@@ -51,7 +51,7 @@ def test_beyond_the_first_order_linear_programs_decide(monkeypatch):
     """Both intervals hold, so that what they have in common does."""
     asked = []
 
-    def feasible(problem, recorded, starts):
+    def feasible(problem, recorded, starts, watch):
         asked.append(problem.bound)
         ends = np.array([-0.3, -0.31]), np.array([-0.099, 0.5])
         return FeasibleInterval(*ends, np.zeros((0, 2)))

@@ -411,7 +411,20 @@ def test_a_program_that_cannot_be_solved_is_no_verdict(monkeypatch):
     interval = feasible_interval(model.problem(0.1), recorded, np.array([[0.0, 1.0]]))
     assert (interval.lower.item(), interval.upper.item()) == (-np.inf, np.inf)
     assert interval.unsolved == 1
-    assert attempts == [("highs", True), ("highs", False), ("highs-ipm", False)]
+    assert attempts == [("highs-ipm", False), ("highs", True)]
+
+
+def test_an_interval_takes_no_more_programs_than_it_may(monkeypatch):
+    """Then nothing is known of the starts that are left: they are counted, and there is no end."""
+    monkeypatch.setattr("cosim.theory.bounded.feasible_program.MOST_PROGRAMS_IN_ALL", 1)
+    model = direct(samples=9, h=0.1)
+    recorded = RecordedOutputs(np.ones((9, 1)), Cells(1, 1), NO_NOISE)
+    starts = np.array([[0.0, 1.0], [0.0, 1.0]])
+    counted = []
+    interval = feasible_interval(model.problem(0.1), recorded, starts, watch=counted.append)
+    assert counted == [1]
+    assert (interval.lower.item(), interval.upper.item()) == (-np.inf, np.inf)
+    assert interval.unsolved == 1
 
 
 @pytest.mark.parametrize(

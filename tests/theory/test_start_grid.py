@@ -250,7 +250,7 @@ def test_two_sines_are_found_up_to_twenty_five_periods():
 
 @pytest.mark.parametrize("parameters", range(1, 13))
 def test_a_grid_has_all_the_points_that_are_searched(parameters):
-    """One more in every direction is more than 4096 in all, or than an axis has; roots are exact."""
+    """One more in every direction is more than 4096 in all, or than an axis has; exact roots."""
     points = grid_points(parameters)
     assert points**parameters <= MOST_POINTS
     assert points == MOST_POINTS_ON_AN_AXIS or (points + 1) ** parameters > MOST_POINTS

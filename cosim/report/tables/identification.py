@@ -14,6 +14,7 @@ from cosim.scenario.identification.from_logs import IdentifierRecord, LogIdentif
 from cosim.theory.assessment.consistency import ResidualTest
 from cosim.theory.assessment.validation import Validation
 from cosim.theory.assessment.verdicts import ParameterVerdict
+from cosim.theory.bounded.feasible_program import MOST_PROGRAMS_IN_ALL
 
 
 def print_identification(report: IdentificationReport, *, as_json: bool) -> None:
@@ -99,7 +100,10 @@ def _add_irregular(table: Table, timed: TimedPart) -> None:
     chance = "" if part.confidence == 1.0 else f", noise within its bounds with {part.confidence:g}"
     text = f"every theta that explains the data{chance}; computed in {timed.seconds:.3g} s"
     if part.unsolved:
-        text += f"; {part.unsolved} linear programs could not be solved, so the data show no end"
+        text += (
+            f"; from {part.unsolved} starts the linear programs could not be solved, or not within "
+            f"{MOST_PROGRAMS_IN_ALL} of them, so the data show no end"
+        )
     table.add_row(f"|delta_0| <= {part.bound:g}", "", "", "guaranteed", text)
     for effect in part.effects:
         interval = interval_text(effect.lower, effect.upper, is_explained=effect.is_explained)

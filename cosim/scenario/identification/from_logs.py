@@ -36,6 +36,7 @@ from cosim.theory.assessment.assessing import assess_from
 from cosim.theory.assessment.smoothing import SmoothedSignals, smoothed_signals
 from cosim.theory.assessment.validation import Validation, validate
 from cosim.theory.assessment.verdicts import Assessment, ParameterVerdict
+from cosim.theory.bounded.feasible_program import Watch
 from cosim.theory.bounded.irregular_part import GuaranteedInterval, Programs
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 
@@ -118,13 +119,15 @@ class LogIdentification:
         """
         return smoothed_signals(self.assessment.fitted, index)
 
-    def guaranteed_interval(self, bound: float) -> GuaranteedInterval:
+    def guaranteed_interval(self, bound: float, watch: Watch | None = None) -> GuaranteedInterval:
         """Return which theta a log allows if an irregular part of delta is within a bound.
 
         Parameters
         ----------
         bound : float
             Of the irregular part, ``|delta_0| <= bound``.
+        watch : callable, optional
+            Is told after every linear program how many have been solved.
 
         Raises
         ------
@@ -139,7 +142,7 @@ class LogIdentification:
                 f"found {len(self.records)} logs; needed one to bound theta for an irregular part "
                 "of the disturbance"
             )
-        return interval_of(self.assessment, bound, Programs.ALWAYS)
+        return interval_of(self.assessment, bound, Programs.ALWAYS, watch)
 
 
 def identifier_record(log: CompleteRecording, identifier: str | None = None) -> IdentifierRecord:

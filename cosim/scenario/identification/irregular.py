@@ -10,6 +10,7 @@ import numpy as np
 from cosim.arrays import Vector
 from cosim.errors import AssumptionError
 from cosim.theory.assessment.verdicts import Assessment
+from cosim.theory.bounded.feasible_program import Watch
 from cosim.theory.bounded.irregular_part import GuaranteedInterval, Programs, guaranteed_interval
 from cosim.theory.disturbed_plant import NoiseModel
 
@@ -52,7 +53,8 @@ class IrregularPart:
     confidence : float
         Probability of the bounds of the noise.
     unsolved : int
-        Searches whose linear program could not be solved; with any the data alone show no end.
+        Searches whose linear programs could not be solved, or not within those that there may be;
+        with any the data alone show no end.
     """
 
     bound: float
@@ -89,7 +91,9 @@ def irregular_part(bound: float, interval: GuaranteedInterval) -> IrregularPart:
     )
 
 
-def interval_of(assessment: Assessment, bound: float, programs: Programs) -> GuaranteedInterval:
+def interval_of(
+    assessment: Assessment, bound: float, programs: Programs, watch: Watch | None = None
+) -> GuaranteedInterval:
     """Return which theta data allow if an irregular part of delta is within a bound.
 
     Where the noise of y is not stated it is as large as the residual, which holds the irregular
@@ -103,6 +107,8 @@ def interval_of(assessment: Assessment, bound: float, programs: Programs) -> Gua
         Of the irregular part, ``|delta_0| <= bound``.
     programs : Programs
         When linear programs are solved.
+    watch : callable, optional
+        Is told after every linear program how many have been solved.
 
     Raises
     ------
@@ -134,6 +140,7 @@ def interval_of(assessment: Assessment, bound: float, programs: Programs) -> Gua
         sampling_error=sampling_error,
         noise=NoiseModel(covariance=assessment.noise.covariance, a=np.zeros((outputs, 0))),
         programs=programs,
+        watch=watch,
     )
 
 

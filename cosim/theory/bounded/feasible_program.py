@@ -19,6 +19,7 @@ with a stated probability in all cells at once; then the interval holds with thi
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -35,11 +36,16 @@ CELLS = 200  # in which `cells_of` divides a recording
 BETWEEN = 0.5  # slope of the directions between the first principal one and each other one
 NEGLIGIBLE = 1e-12  # relative size of a principal direction without influence
 MARGIN = 1e-6  # relative, on every bound: ten times the feasibility tolerance of the solver
-# of the solver; on rare degenerate programs the simplex method cycles, or presolve loses digits
-ATTEMPTS = (("highs", True), ("highs", False), ("highs-ipm", False))
+# Of the solver. Where the set is far larger than the first order says, the programs are so badly
+# conditioned that the simplex method takes minutes for one of them, and ends without an answer; an
+# interior point needs the same 10 to 40 iterations for all. Presolve loses digits.
+ATTEMPTS = (("highs-ipm", False), ("highs", True))
 SOLVED = 0  # status of linprog
 INFEASIBLE = 2
 PIVOTS = 5  # most of them, a variable
+MOST_PROGRAMS_IN_ALL = 400  # of one interval; about a second each for 200 cells
+
+Watch: TypeAlias = Callable[[int], None]  # is told how many programs have been solved
 
 
 @dataclass(frozen=True)
@@ -155,9 +161,13 @@ class FeasibleProgram:
     and the step of p. States and outputs are in units of what delta_0 and the noise can do to them.
     """
 
-    def __init__(self, problem: BoundedDisturbance, recorded: RecordedOutputs) -> None:
+    def __init__(
+        self, problem: BoundedDisturbance, recorded: RecordedOutputs, watch: Watch | None = None
+    ) -> None:
         from scipy import sparse
 
+        self._watch = watch
+        self._solved = 0
         self.problem = problem
         self.recorded = recorded
         count = recorded.cells.count(len(recorded.y))
@@ -179,6 +189,11 @@ class FeasibleProgram:
             _with_columns(sparse.hstack(outputs), 0.0, -1.0),
             _with_columns(sparse.hstack([no_states, supports]), -1.0 - MARGIN, 0.0),
         )
+
+    @property
+    def is_exhausted(self) -> bool:
+        """Whether as many programs have been solved as one interval may take."""
+        return self._solved >= MOST_PROGRAMS_IN_ALL
 
     def predict(self, p: Vector) -> Prediction:
         """Compute the model's output; infinities and NaN show a p out of its range."""
@@ -230,6 +245,9 @@ class FeasibleProgram:
             columns * unit[2:],
             self._sides(prediction),
         )
+        self._solved += 1
+        if self._watch is not None:
+            self._watch(self._solved)
         if found is None:
             return None
         outer = found[n_inner:] * unit

@@ -18,7 +18,12 @@ from numpy.typing import NDArray
 from cosim.arrays import NAN, Mask, Matrix, Vector
 from cosim.errors import AssumptionError
 from cosim.native.output_error import ResponseRecord
-from cosim.theory.bounded.feasible_program import RecordedOutputs, cells_of, gaussian_noise_bound
+from cosim.theory.bounded.feasible_program import (
+    RecordedOutputs,
+    Watch,
+    cells_of,
+    gaussian_noise_bound,
+)
 from cosim.theory.bounded.set_membership import FeasibleInterval, feasible_interval, starts_around
 from cosim.theory.bounded.worst_case import (
     BoundedDisturbance,
@@ -179,6 +184,7 @@ def guaranteed_interval(
     confidence: float = GUARANTEED_CONFIDENCE,
     noise: NoiseModel | None = None,
     programs: Programs = Programs.ALWAYS,
+    watch: Watch | None = None,
 ) -> GuaranteedInterval:
     """Compute which theta the data allow if the irregular part is within its bound.
 
@@ -202,6 +208,8 @@ def guaranteed_interval(
         When linear programs are solved, which take seconds to minutes: without them the interval is
         that around the estimate, which is the narrower one where the first order holds and there
         is noise.
+    watch : callable, optional
+        Is told after every linear program how many have been solved.
     """
     offset = bool(len(fit.offset[0]))
     problem, y = bounded_problem(data, plant, families, bound=bound, noise=noise, offset=offset)
@@ -220,7 +228,8 @@ def guaranteed_interval(
         cells = cells_of(len(y), noisy)
         random_error = gaussian_noise_bound(sigma, cells, len(y), of_each)
         recorded = RecordedOutputs(y, cells, random_error + sampling_error)
-        feasible = feasible_interval(problem, recorded, starts_around(problem, recorded, p))
+        starts = starts_around(problem, recorded, p)
+        feasible = feasible_interval(problem, recorded, starts, watch=watch)
         lower = np.maximum(feasible.lower, lower)
         upper = np.minimum(feasible.upper, upper)
     contradictory = lower > upper
@@ -261,7 +270,8 @@ def _reach_equal(interval: Matrix, theta: Vector) -> Mask:
     above = interval[:, 1] - theta
     finite = np.isfinite(below + above)
     equal: Mask = finite.copy()
-    equal[finite] = np.abs(above - below)[finite] <= FIRST_ORDER * (above + below)[finite]
+    difference = np.abs(above[finite] - below[finite])
+    equal[finite] = difference <= FIRST_ORDER * (above + below)[finite]
     return equal
 
 

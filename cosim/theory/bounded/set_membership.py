@@ -41,7 +41,12 @@ import numpy as np
 
 from cosim.arrays import NAN, Mask, Matrix, Vector
 from cosim.errors import AssumptionError
-from cosim.theory.bounded.feasible_program import FeasibleProgram, ProgramSolution, RecordedOutputs
+from cosim.theory.bounded.feasible_program import (
+    FeasibleProgram,
+    ProgramSolution,
+    RecordedOutputs,
+    Watch,
+)
 from cosim.theory.bounded.worst_case import (
     REACH,
     BoundedDisturbance,
@@ -50,6 +55,7 @@ from cosim.theory.bounded.worst_case import (
 
 VIOLATED = 1e-6  # relative violation from which on a point is outside
 MOST_PROGRAMS = 60  # linear programs of one search
+MOST_RETURNS = 8  # of one search, to the set that its steps left
 SEARCH_CHANGE = 1e-6  # change by one linear program, in first-order half widths, that ends a search
 LINEAR = 1e-3  # change, the same, of which the second order is as little
 MISSED = 1e-5  # first-order half widths by which a search may end too early; added to every end
@@ -70,8 +76,8 @@ class FeasibleInterval:
         The feasible theta that the searches reached, shape ``(k, n_theta)``; none where the bounds
         do not explain the data.
     unsolved : int
-        Starts from which a linear program could not be solved. Nothing is known of what is around
-        them, so there is no end where there are any.
+        Starts from which a linear program could not be solved, or not within those that an interval
+        may take. Nothing is known of what is around them, so there is no end where there are any.
     """
 
     lower: Vector
@@ -106,6 +112,7 @@ def feasible_interval(
     recorded: RecordedOutputs,
     starts: Matrix,
     box: Matrix | None = None,
+    watch: Watch | None = None,
 ) -> FeasibleInterval:
     """Compute the interval of each theta that the data and the bounds allow.
 
@@ -118,9 +125,11 @@ def feasible_interval(
         one sets the scale of the steps.
     box : Matrix, optional
         Limits within which theta is known to lie, shape ``(n_theta, 2)``.
+    watch : callable, optional
+        Is told after every linear program how many have been solved.
     """
     n_theta = problem.n_theta
-    program = FeasibleProgram(problem, recorded)
+    program = FeasibleProgram(problem, recorded, watch)
     limits = np.tile([-np.inf, np.inf], (n_theta, 1)) if box is None else box
     half_width = _half_width(problem, recorded, starts[0])
     vertices = np.zeros((0, n_theta))
@@ -130,9 +139,7 @@ def feasible_interval(
         is_feasible = search.restore()
         unsolved += search.is_unsolved
         if is_feasible and not _encloses(vertices, search.origin[:n_theta]):
-            for parameter in range(n_theta):
-                ends = [search.extreme(parameter, -1), search.extreme(parameter, 1)]
-                vertices = np.concatenate([vertices, np.array(ends)[:, :n_theta]])
+            vertices = _with_ends(vertices, search, n_theta)
     if unsolved:
         return FeasibleInterval(limits[:, 0], limits[:, 1], vertices, unsolved)
     if not len(vertices):
@@ -142,6 +149,16 @@ def feasible_interval(
     lower = np.maximum(vertices.min(axis=0) - missed, limits[:, 0])
     upper = np.minimum(vertices.max(axis=0) + missed, limits[:, 1])
     return FeasibleInterval(lower, upper, vertices)
+
+
+def _with_ends(vertices: Matrix, search: _Search, n_theta: int) -> Matrix:
+    """Return vertices with the ends that a search reaches; where there is none none is searched."""
+    for parameter, direction in product(range(n_theta), (-1, 1)):
+        if direction * np.inf in vertices[:, parameter]:
+            continue
+        end = search.extreme(parameter, direction)
+        vertices = np.concatenate([vertices, end[np.newaxis, :n_theta]])
+    return vertices
 
 
 def starts_around(problem: BoundedDisturbance, recorded: RecordedOutputs, p: Vector) -> Matrix:
@@ -260,7 +277,9 @@ class _Search:
         """
         problem = self.program.problem
         for _ in range(MOST_PROGRAMS):
-            here = self._least_violation(radius=0.0)
+            here = None
+            if not self.program.is_exhausted:
+                here = self._least_violation(radius=0.0)
             if here is None:
                 self.is_unsolved = True
                 break
@@ -313,15 +332,18 @@ class _Search:
         n_theta = len(self.half_width)
         radius = 1.0  # trust region, in half widths
         last = np.zeros(n_theta)
+        returns = 0
         for _ in range(MOST_PROGRAMS):
             prediction = self.program.predict(p)
-            if not np.isfinite(prediction.jacobian).all():
+            if self.program.is_exhausted or not np.isfinite(prediction.jacobian).all():
                 break
             limits = self._limits(p, radius, multiple)
             solution = self.program.solve(prediction, objective, limits)
-            if solution is None:  # the last step left the set by its second order
+            if solution is None and returns < MOST_RETURNS:
+                # the last step left the set by its second order
                 solution = self.program.restore(prediction, limits)
-            elif self._rests(solution.step, objective):
+                returns += 1
+            elif solution is not None and self._rests(solution.step, objective):
                 return _Rest(p + solution.step, settled=True)
             if solution is None or self._size(p - self.origin) > REACH:
                 break
