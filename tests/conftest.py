@@ -24,16 +24,20 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeat"))
 # Modules whose tests share costly runs or exports: with -n one worker runs all of a module.
 OF_ONE_WORKER = frozenset(
     {
+        "tests/fmi/test_export.py",
         "tests/paper/test_figures.py",
         "tests/report/test_comparing.py",
         "tests/report/test_estimator_comparison.py",
         "tests/report/test_identification.py",
+        "tests/scenario/test_dae.py",
         "tests/scenario/test_export.py",
         "tests/scenario/test_field_data.py",
         "tests/scenario/test_identifying.py",
+        "tests/scenario/test_linearized_observer.py",
         "tests/scenario/test_runs.py",
         "tests/scenario/test_swap.py",
         "tests/scenario/test_swap_matrix.py",
+        "tests/scenario/test_swapping.py",
         "tests/theory/test_validation.py",
     }
 )
