@@ -26,7 +26,7 @@ from cosim.theory.disturbance import SearchBox
 from cosim.theory.disturbed_plant import DisturbedPlant, NoiseModel, discretize, white_noise
 from cosim.theory.estimators.output_error import presence_threshold
 from cosim.theory.estimators.projection import reconstruction_model
-from cosim.theory.predictor import stationary_predictor
+from cosim.theory.predictor import stationary_predictor, unstable_modes
 
 OF_Y: Final = ("Ad", "B0", "B1", "K", "L", "C", "D", "W")
 
@@ -177,6 +177,18 @@ class IdentificationProblem:
         design |= {"Bu0": known.B0, "Bu1": known.B1, "Du": known.D}
         design["threshold"] = presence_threshold(generators.size, 1)
         return design
+
+    def design_of_predictor(self, h: float) -> dict[str, Matrix]:
+        """Return the modes by which y is predicted from samples that may be missing."""
+        covariance = self.noise.covariance
+        modes = unstable_modes(self.plant.A, self.plant.C, h, covariance)
+        return {
+            "predictor_T": modes.transition,
+            "predictor_C": self.plant.C @ modes.V,
+            "predictor_R": covariance,
+            "predictor_V": modes.V,
+            "predictor_P": modes.P,
+        }
 
     def model_of_y(
         self, h: float, design: Design, *, offset: bool = False, forgetting: float = 1.0

@@ -19,6 +19,7 @@ from cosim.errors import AssumptionError
 from cosim.native.between import BetweenConstants
 from cosim.native.identifier import IdentifierConstants, IdentifierStep
 from cosim.native.output_error import OutputErrorConstants
+from cosim.native.predictor import ModePredictorConstants
 from cosim.native.start_grid import StartGridConstants
 from cosim.theory.disturbed_plant import needs_predictor
 from cosim.theory.estimators.start_grid import start_grid
@@ -49,6 +50,8 @@ class OutputErrorIdentifier:
     most : int
         Samples in one communication step at instants of their own; 0: y is sampled at the
         communication points.
+    at_points : bool
+        They are of communication points alone, of which some have none.
 
     Raises
     ------
@@ -63,6 +66,7 @@ class OutputErrorIdentifier:
     lower: Vector
     upper: Vector
     most: int = 0
+    at_points: bool = False
 
     @property
     def interface(self) -> Interface:
@@ -88,7 +92,8 @@ class OutputErrorIdentifier:
         problem = self.problem
         span = self.schedule.steps * h
         predicts = needs_predictor(problem.plant.A, span)
-        if self.most and predicts:
+        misses = self.most > 0 and self.at_points
+        if self.most and predicts and not misses:
             raise AssumptionError(
                 "the plant is unstable, so that its output has to be predicted from the samples "
                 "before, at constant distances; needed samples at the communication points"
@@ -98,7 +103,9 @@ class OutputErrorIdentifier:
                 "the plant is unstable, so that its outputs have to be predicted by what is known "
                 "of their noise; needed its deviation, one number an output, or its covariance"
             )
-        design = problem.design_of_y(h, held, predicts=predicts)
+        design = problem.design_of_y(h, held, predicts=predicts and not misses)
+        if predicts and misses:
+            design |= problem.design_of_predictor(h)
         design |= problem.design_of_delta(h)
         if self.most:
             design["A"] = problem.plant.A
@@ -136,6 +143,7 @@ class OutputErrorIdentifier:
             deviations=None if problem.stated is None else problem.noise.deviations,
             grid=self._grid(on_y, lower, upper),
             between=self._between(design, held),
+            predictor=_predictor(design),
         )
 
     def _grid(self, on_y: OutputErrorConstants, lower: Vector, upper: Vector) -> StartGridConstants:
@@ -163,3 +171,16 @@ class OutputErrorIdentifier:
             D=D,
             held=self.problem.held_inputs(held),
         )
+
+
+def _predictor(design: Design) -> ModePredictorConstants | None:
+    """Return the predictor from samples that may be missing; None: there is no need of one."""
+    if "predictor_T" not in design:
+        return None
+    return ModePredictorConstants(
+        T=design["predictor_T"],
+        C=design["predictor_C"],
+        R=design["predictor_R"],
+        V=design["predictor_V"],
+        P=design["predictor_P"],
+    )

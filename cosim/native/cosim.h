@@ -468,6 +468,10 @@ typedef struct {
     const double *C; /* (outputs, states) */
     const double *R; /* (outputs, outputs) */
 } cosim_predictor;
+/* One sample: K and L as below, and P, that of x there, becomes that of x at the next one, to which T
+ * leads; NULL: there is none, and K is 0. */
+int32_t cosim_predictor_gain(const cosim_predictor *self, const uint8_t *measured, const double *T,
+                             double *P, double *K, double *L, int32_t *there, double *work);
 /* For each of `count` samples its gain K (states, outputs), by which y there corrects x at the next one,
  * and L (outputs, outputs) as in cosim_output_error. `interval` ends at the sample, P (states, states)
  * is the covariance of x at the first one; `there` has outputs numbers of scratch, `work` outputs
@@ -595,6 +599,13 @@ int32_t cosim_extended_kalman_step(void *self, double t0, double t1, double h, c
  * count in the place of y.
  * Without on_y it ends with what was found on delta, its outputs are theta and the amplitudes;
  * without on_delta too with the quotient, its input is mu and its output theta. */
+/* A predictor in some modes w alone, x = V w, for samples that may be missing. */
+typedef struct {
+    cosim_predictor modes; /* of one interval */
+    const double *V;       /* (states, modes) */
+    const double *P;       /* (modes, modes) at the first sample */
+} cosim_mode_predictor;
+
 typedef struct {
     int32_t period;
     int32_t width;    /* of the outputs */
@@ -615,6 +626,8 @@ typedef struct {
     const double *deviations;            /* (outputs) of the noise that the W of on_y makes white */
     const cosim_start_grid *grid;
     const cosim_between *between; /* NULL: y is sampled at the communication points */
+    /* of y whose samples, of communication points alone, may be missing; NULL: its gain is K of on_y */
+    const cosim_mode_predictor *predictor;
     double *memory;
 } cosim_identifier;
 /* The number of doubles of `memory`, and of those before the samples, which are only appended. */

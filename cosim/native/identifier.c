@@ -30,6 +30,7 @@ typedef struct {
     double *delta_amplitudes, *delta_work; /* of delta */
     double *before; /* y and u of the last two samples */
     double *time, *betweens; /* of the last sample; number of samples between those of the grid */
+    double *P, *gain; /* (modes, modes), (states, outputs) of the predictor for the next sample */
     double *grid_taken, *grid_work; /* samples in it; of the grid of starts */
     int64_t state;
     double *grid_search, *grid_squares, *covariance, *least, *factor; /* scratch */
@@ -37,6 +38,12 @@ typedef struct {
     double *residual, *alpha;
     double *delta, *delta_alpha;
     double *between;
+    /* of the intervals that end at each sample, where y is predicted from samples that may be missing */
+    double *step, *Ad, *B0, *B1, *K, *L;
+    int32_t *interval;
+    double *of_modes, *known_B0, *predicting; /* scratch */
+    int32_t *there;
+    uint8_t *measured;
     int64_t size;
 } storage;
 
@@ -90,8 +97,14 @@ static storage storage_of(const cosim_identifier *s)
     m.time = cosim_place(s->memory, &next, 1);
     m.betweens = cosim_place(s->memory, &next, 1);
     m.grid_taken = cosim_place(s->memory, &next, 1);
+    const cosim_predictor *modes = s->predictor ? &s->predictor->modes : NULL;
+    const int64_t n_modes = modes ? modes->states : 0, outputs = modes ? modes->outputs : 0;
+    const int64_t states = modes ? s->on_y->states : 0;
+    const int64_t sources = modes ? s->on_y->sources : 0, room = modes ? capacity : 0;
+    m.P = cosim_place(s->memory, &next, n_modes * n_modes);
+    m.gain = cosim_place(s->memory, &next, states * outputs);
     const cosim_output_error *on_grid = s->grid ? s->grid->model : NULL;
-    m.grid_work = cosim_place(s->memory, &next, state_of(on_grid));
+    m.grid_work = cosim_place(s->memory, &next, state_of(on_grid)); /* its scratch follows */
     m.state = next;
     next += memory_of(on_grid) - state_of(on_grid);
     m.grid_search = cosim_place(s->memory, &next, s->grid ? cosim_start_grid_memory(s->grid) : 0);
@@ -106,6 +119,19 @@ static storage storage_of(const cosim_identifier *s)
     m.delta = cosim_place(s->memory, &next, capacity);
     m.delta_alpha = cosim_place(s->memory, &next, capacity * components);
     m.between = cosim_place(s->memory, &next, s->between ? cosim_between_memory(s->between) : 0);
+    m.step = cosim_place(s->memory, &next, room);
+    m.interval = (int32_t *)cosim_place(s->memory, &next, room);
+    m.Ad = cosim_place(s->memory, &next, room * states * states);
+    m.B0 = cosim_place(s->memory, &next, room * sources * states);
+    m.B1 = cosim_place(s->memory, &next, room * sources * states);
+    m.K = cosim_place(s->memory, &next, room * states * outputs);
+    m.L = cosim_place(s->memory, &next, room * outputs * outputs);
+    m.of_modes = cosim_place(s->memory, &next, n_modes * outputs);
+    m.known_B0 = cosim_place(s->memory, &next, states * inputs);
+    m.there = (int32_t *)cosim_place(s->memory, &next, outputs);
+    m.measured = (uint8_t *)cosim_place(s->memory, &next, outputs);
+    m.predicting = cosim_place(s->memory, &next,
+                               outputs * (3 * outputs + n_modes) + n_modes * n_modes);
     m.size = next;
     return m;
 }
@@ -127,6 +153,10 @@ void cosim_identifier_start(cosim_identifier *s, double *y)
         const size_t outputs = (size_t)n_outputs(s);
         memcpy(m.W, s->on_y->W, outputs * outputs * sizeof *m.W);
         memcpy(m.deviations, s->deviations, outputs * sizeof *m.deviations);
+    }
+    if (s->predictor) {
+        const size_t modes = (size_t)s->predictor->modes.states;
+        memcpy(m.P, s->predictor->P, modes * modes * sizeof *m.P);
     }
     forget_outputs(s, &m);
     memcpy(y, m.outputs, (size_t)s->width * sizeof *y);
@@ -199,6 +229,72 @@ static void take_delta(const cosim_identifier *s, const storage *m, double t, co
         *m->largest_delta = fabs(*delta);
 }
 
+/* M - K N for `columns` columns; those of N are `of_column` apart, its rows `of_row`. */
+static void less_gain(int32_t n, int32_t outputs, int32_t columns, const double *K, const double *N,
+                      int32_t of_row, int32_t of_column, double *M, int32_t M_row, int32_t M_column)
+{
+    for (int32_t a = 0; a < n; ++a)
+        for (int32_t c = 0; c < columns; ++c)
+            for (int32_t o = 0; o < outputs; ++o)
+                M[a * M_row + c * M_column] -= K[a * outputs + o] * N[o * of_row + c * of_column];
+}
+
+/* What leads to sample k from the one before: with the gain that y there has, 0 where it is missing. */
+static void set_interval_to(const cosim_identifier *s, const storage *m, int64_t k)
+{
+    const cosim_output_error *model = s->on_y;
+    const int32_t n = model->states, outputs = model->outputs, sources = model->sources;
+    const int32_t inputs = s->known->inputs;
+    double *Ad = m->Ad + k * n * n, *B0 = m->B0 + k * sources * n;
+    m->step[k] = model->step[0];
+    m->interval[k] = (int32_t)k;
+    memcpy(Ad, model->Ad, (size_t)(n * n) * sizeof *Ad);
+    memcpy(B0, model->B0, (size_t)(sources * n) * sizeof *B0);
+    memcpy(m->B1 + k * sources * n, model->B1, (size_t)(sources * n) * sizeof *B0);
+    memcpy(m->K + k * n * outputs, m->gain, (size_t)(n * outputs) * sizeof *Ad);
+    memcpy(m->known_B0, s->known->B0, (size_t)(n * inputs) * sizeof *Ad);
+    less_gain(n, outputs, n, m->gain, model->C, n, 1, Ad, n, 1);
+    less_gain(n, outputs, sources, m->gain, model->D, 1, outputs, B0, 1, n);
+    less_gain(n, outputs, inputs, m->gain, s->known->D, inputs, 1, m->known_B0, inputs, 1);
+}
+
+/* The gain of sample k for the next one. */
+static int32_t set_gain(const cosim_identifier *s, const storage *m, int64_t k, const double *y)
+{
+    const cosim_predictor *modes = &s->predictor->modes;
+    const int32_t n = s->on_y->states, outputs = modes->outputs;
+    for (int32_t o = 0; o < outputs; ++o)
+        m->measured[o] = isnan(y[o]) ? 0 : 1;
+    const int32_t status =
+        cosim_predictor_gain(modes, m->measured, modes->T, m->P, m->of_modes,
+                             m->L + k * outputs * outputs, m->there, m->predicting);
+    for (int32_t a = 0; a < n; ++a)
+        for (int32_t o = 0; o < outputs; ++o) {
+            double sum = 0.0;
+            for (int32_t w = 0; w < modes->states; ++w)
+                sum += s->predictor->V[a * modes->states + w] * m->of_modes[w * outputs + o];
+            m->gain[a * outputs + o] = sum;
+        }
+    return status;
+}
+
+/* The model of y from interval k on: with the gain of each sample, where some may be missing. */
+static cosim_output_error model_of_y(const cosim_identifier *s, const storage *m,
+                                     const cosim_output_error *from, int64_t k)
+{
+    cosim_output_error model = *from;
+    const int64_t n = model.states, outputs = model.outputs, sources = model.sources;
+    if (!s->predictor)
+        return model;
+    model.step = m->step + k;
+    model.Ad = m->Ad + k * n * n;
+    model.B0 = m->B0 + k * sources * n;
+    model.B1 = m->B1 + k * sources * n;
+    model.K = m->K + k * n * outputs;
+    model.L = m->L + k * outputs * outputs;
+    return model;
+}
+
 static int32_t take_outputs(const cosim_identifier *s, const storage *m, double t, const double *y)
 {
     const int32_t outputs = n_outputs(s), inputs = s->known->inputs;
@@ -213,6 +309,8 @@ static int32_t take_outputs(const cosim_identifier *s, const storage *m, double 
         const int32_t status = take_between(s, m, t, samples, u, m->at_point);
         if (status)
             return status;
+        if (s->predictor && *m->betweens > 0.0)
+            return COSIM_OUTSIDE;
         y = m->at_point;
     }
     double *ys = m->before, *us = m->before + 2 * outputs;
@@ -221,7 +319,18 @@ static int32_t take_outputs(const cosim_identifier *s, const storage *m, double 
     memcpy(ys + outputs, y, (size_t)outputs * sizeof *ys);
     memcpy(us + inputs, u, (size_t)inputs * sizeof *us);
     const int64_t begin = k > 0 ? 1 : 0; /* of the pair: the sample before it, and it */
-    cosim_output_error_residual(s->on_y, s->known, begin, begin + 1, us + (begin ? 0 : inputs),
+    const uint8_t predicts = 1;
+    cosim_known_input known = *s->known;
+    if (s->predictor) {
+        set_interval_to(s, m, k);
+        known.B0 = m->known_B0;
+        known.predicts = &predicts;
+        const int32_t status = set_gain(s, m, k, y);
+        if (status)
+            return status;
+    }
+    const cosim_output_error model = model_of_y(s, m, s->on_y, s->predictor ? k : 0);
+    cosim_output_error_residual(&model, &known, begin, begin + 1, us + (begin ? 0 : inputs),
                                 ys + (begin ? 0 : outputs), NULL, m->x, m->pair);
     memcpy(m->residual + k * outputs, m->pair + begin * outputs, (size_t)outputs * sizeof *m->pair);
     return COSIM_OK;
@@ -302,11 +411,11 @@ static void prepare_fit_of_y(const cosim_identifier *s, const storage *m, double
     const int64_t count = (int64_t)*m->count;
     const int64_t first = s->window && count > s->window ? count - s->window : 0;
     prepare_fit(s, e, rounding_of(s, m), theta);
-    e->weighed = *s->on_y;
+    e->weighed = model_of_y(s, m, s->on_y, 0);
     e->weighed.W = m->W;
     e->experiment = (cosim_experiment){
         .model = &e->weighed,
-        .record = {first, count, m->residual, m->alpha, NULL, NULL},
+        .record = {first, count, m->residual, m->alpha, s->predictor ? m->interval : NULL, NULL},
         .work = m->work,
         .amplitudes = m->amplitudes,
     };
@@ -433,7 +542,7 @@ static int32_t start_on_regression(const cosim_identifier *s, const storage *m, 
 /* The best points of the grid, for all samples so far. */
 static int32_t starts_on_grid(const cosim_identifier *s, const storage *m, double *theta)
 {
-    cosim_output_error model = *s->grid->model;
+    cosim_output_error model = model_of_y(s, m, s->grid->model, 0);
     const int32_t unknowns = cosim_output_error_columns(s->on_y);
     estimation e;
     if (*m->count < (double)ROWS_A_TERM * unknowns * model.average)

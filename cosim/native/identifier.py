@@ -22,6 +22,7 @@ from cosim.native.output_error import (
     OutputErrorModel,
     known_input_struct,
 )
+from cosim.native.predictor import ModePredictorConstants
 from cosim.native.rayleigh import RayleighConstants, RayleighModel
 from cosim.native.start_grid import StartGridConstants, StartGridModel
 from cosim.native.step import NativeStep, RegressorConstants, program_array, regressor_struct
@@ -36,7 +37,7 @@ class IdentifierStruct(ctypes.Structure):
         *((name, c_double) for name in ("start", "settled", "lag")),
         *((name, c_void_p) for name in ("products", "alphas", "rayleigh", "on_delta", "on_y")),
         *((name, c_void_p) for name in ("known", "lower", "upper", "scale", "threshold")),
-        *((name, c_void_p) for name in ("deviations", "grid", "between", "memory")),
+        *((name, c_void_p) for name in ("deviations", "grid", "between", "predictor", "memory")),
     )
 
 
@@ -80,6 +81,9 @@ class IdentifierConstants:
         Of starts on y.
     between : BetweenConstants or None
         Where y is sampled at instants of its own.
+    predictor : ModePredictorConstants or None
+        Where y is predicted, and samples may be missing, all of communication points; then the
+        gain of on_y is 0.
     """
 
     period: int
@@ -102,6 +106,7 @@ class IdentifierConstants:
     deviations: Vector | None = None
     grid: StartGridConstants | None = None
     between: BetweenConstants | None = None
+    predictor: ModePredictorConstants | None = None
 
     @property
     def n_y(self) -> int:
@@ -191,11 +196,16 @@ class IdentifierStep:
             between, arrays = constants.between.struct(constants.capacity)
             state.between = ctypes.addressof(between)
             keep_between = (between, *arrays)
+        keep_predictor: tuple[object, ...] = ()
+        if constants.predictor is not None:
+            predictor, of_predictor = constants.predictor.struct()
+            state.predictor = ctypes.addressof(predictor)
+            keep_predictor = (predictor, *of_predictor)
         memory = np.zeros(int(library.cosim_identifier_memory(byref(state))))
         state.memory = pointer(memory)
         self._small = int(library.cosim_identifier_state(byref(state)))
         keep_models = (on_delta, on_y, rayleigh, keep_known, keep_products, *structs)
-        keep = (*keep_models, grid, *vectors, *keep_between)
+        keep = (*keep_models, grid, *vectors, *keep_between, *keep_predictor)
         self._saved: WeakSet[IdentifierState] = WeakSet()
         function = address("cosim_identifier_step")
         self.step = NativeStep(function, state, n_y=constants.n_y, memory=memory, keep=keep)

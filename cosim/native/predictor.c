@@ -112,23 +112,33 @@ static void go_on(const cosim_predictor *s, const parts *p, int32_t m, const int
         }
 }
 
+int32_t cosim_predictor_gain(const cosim_predictor *s, const uint8_t *measured, const double *T,
+                             double *P, double *K, double *L, int32_t *there, double *work)
+{
+    const parts p = parts_of(s, work);
+    int32_t m = 0;
+    for (int32_t o = 0; o < s->outputs; ++o)
+        if (measured[o])
+            there[m++] = o;
+    memset(K, 0, (size_t)(s->states * s->outputs) * sizeof *K);
+    if (factorize(s, &p, m, there, P))
+        return COSIM_NO_VALUE;
+    set_weight(s, &p, m, there, L);
+    if (T)
+        go_on(s, &p, m, there, T, P, K);
+    return COSIM_OK;
+}
+
 int32_t cosim_predictor_gains(const cosim_predictor *s, int64_t count, const int32_t *interval,
                               const uint8_t *measured, double *P, double *K, double *L,
                               int32_t *there, double *work)
 {
     const int32_t n = s->states, outputs = s->outputs;
-    const parts p = parts_of(s, work);
-    memset(K, 0, (size_t)count * (size_t)(n * outputs) * sizeof *K);
     for (int64_t k = 0; k < count; ++k) {
-        int32_t m = 0;
-        for (int32_t o = 0; o < outputs; ++o)
-            if (measured[k * outputs + o])
-                there[m++] = o;
-        if (factorize(s, &p, m, there, P))
+        const double *T = k + 1 < count ? s->T + (int64_t)interval[k + 1] * n * n : NULL;
+        if (cosim_predictor_gain(s, measured + k * outputs, T, P, K + k * n * outputs,
+                                 L + k * outputs * outputs, there, work))
             return COSIM_NO_VALUE;
-        set_weight(s, &p, m, there, L + k * outputs * outputs);
-        if (k + 1 < count)
-            go_on(s, &p, m, there, s->T + (int64_t)interval[k + 1] * n * n, P, K + k * n * outputs);
     }
     return COSIM_OK;
 }

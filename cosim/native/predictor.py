@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from ctypes import POINTER, byref, c_int32, c_int64, c_void_p
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,49 @@ class PredictorStruct(ctypes.Structure):
         *((name, c_int32) for name in ("states", "outputs")),
         *((name, c_void_p) for name in ("T", "C", "R")),
     )
+
+
+class ModePredictorStruct(ctypes.Structure):
+    """cosim_mode_predictor."""
+
+    _fields_ = (
+        ("modes", PredictorStruct),
+        *((name, c_void_p) for name in ("V", "P")),
+    )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ModePredictorConstants:
+    """The numbers of cosim_mode_predictor.
+
+    Parameters
+    ----------
+    T : Matrix, shape (m, m)
+        Transition of the modes over a step.
+    C : Matrix, shape (n_y, m)
+        How the outputs see them.
+    R : Matrix, shape (n_y, n_y)
+        Covariance of the noise.
+    V : Matrix, shape (n, m)
+        The states of the modes.
+    P : Matrix, shape (m, m)
+        Covariance of the modes at the first sample.
+    """
+
+    T: Matrix
+    C: Matrix
+    R: Matrix
+    V: Matrix
+    P: Matrix
+
+    def struct(self) -> tuple[ModePredictorStruct, list[NDArray[np.float64]]]:
+        """Return the struct, and the arrays that must outlive it."""
+        arrays = []
+        for values in (self.T, self.C, self.R, self.V, self.P):
+            arrays.append(np.ascontiguousarray(values, np.float64))
+        n_y, m = self.C.shape
+        of_modes = PredictorStruct(m, n_y, *map(pointer, arrays[:3]))
+        return ModePredictorStruct(of_modes, *map(pointer, arrays[3:])), arrays
 
 
 def predictor_gains(

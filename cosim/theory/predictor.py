@@ -41,7 +41,7 @@ class Predictor:
 
 
 @dataclass(frozen=True, eq=False)
-class _UnstableModes:
+class UnstableModes:
     """``w' = transition w``, ``x = V w``; P is the stationary covariance of w as predicted."""
 
     transition: Matrix
@@ -59,7 +59,7 @@ def stationary_predictor(A: Matrix, C: Matrix, h: float, covariance: Matrix) -> 
     AssumptionError
         If an unstable mode is not seen by the outputs.
     """
-    modes = _unstable_modes(_transitions(A, np.array([h]))[0], C, covariance)
+    modes = unstable_modes(A, C, h, covariance)
     seen = C @ modes.V
     S = seen @ modes.P @ seen.T + covariance
     gain = modes.V @ modes.transition @ modes.P @ seen.T @ np.linalg.inv(S)
@@ -103,12 +103,23 @@ def time_varying_predictor(
     return Predictor(K, L)
 
 
+def unstable_modes(A: Matrix, C: Matrix, h: float, covariance: Matrix) -> UnstableModes:
+    """Return the modes that a predictor for samples every ``h`` seconds is for.
+
+    Raises
+    ------
+    AssumptionError
+        If one is not seen by the outputs.
+    """
+    return _unstable_modes(_transitions(A, np.array([h]))[0], C, covariance)
+
+
 def _transitions(A: Matrix, steps: Vector) -> NDArray[np.float64]:
     nothing = np.zeros((len(A), 0))
     return first_order_holds(A, nothing, steps, np.zeros(0, np.bool_))[0]
 
 
-def _unstable_modes(Ad: Matrix, C: Matrix, covariance: Matrix) -> _UnstableModes:
+def _unstable_modes(Ad: Matrix, C: Matrix, covariance: Matrix) -> UnstableModes:
     """Return the unstable modes of ``x' = Ad x``.
 
     The inverse Y of P solves ``Y = F'(Y + C' R^-1 C) F`` with F the inverse of the unstable block.
@@ -126,4 +137,4 @@ def _unstable_modes(Ad: Matrix, C: Matrix, covariance: Matrix) -> _UnstableModes
         raise AssumptionError(
             "the outputs do not see an unstable mode of the plant, so nothing can predict it"
         )
-    return _UnstableModes(unstable, V, np.linalg.inv(Y))
+    return UnstableModes(unstable, V, np.linalg.inv(Y))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -24,6 +25,7 @@ from cosim.theory.descriptor import reduce
 from cosim.theory.disturbance import Exponential
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.estimators.output_error import fit_output_error
+from cosim.theory.forced_response import simulate
 from tests.theory.academic import THETA, academic, alpha, delta
 
 H = 1e-2
@@ -46,7 +48,7 @@ def run():
     return scenario, cosim.run(scenario)
 
 
-def identifier(scenario, *, most=MOST, plant=None) -> Estimator:
+def identifier(scenario, *, most=MOST, plant=None, at_points=False) -> Estimator:
     with ExitStack() as resources:
         built = Builder(scenario, resources).components["identifier"]._component.method
     problem = built.problem
@@ -56,6 +58,7 @@ def identifier(scenario, *, most=MOST, plant=None) -> Estimator:
     method = OutputErrorIdentifier(
         problem, built.schedule, offset=False, lower=-unbounded, upper=unbounded, most=most
     )
+    method = replace(method, at_points=at_points)
     made = Estimator(method)
     n_u = made.interface.n_u
     made.prepare(H, np.zeros(n_u, np.bool_), {})
@@ -157,6 +160,81 @@ def test_samples_of_an_unstable_plant_are_refused(run):
     )
     with pytest.raises(AssumptionError, match="the plant is unstable"):
         identifier(scenario, plant=plant)
+
+
+UNSTABLE = DisturbedPlant(
+    A=np.array([[0.4, 0.3], [0.0, -1.0]]),
+    B=np.array([[1.0], [0.5]]),
+    Bd=np.ones((2, 2)),
+    C=np.array([[1.0, 0.5]]),
+    D=np.full((1, 1), 0.3),
+    Dd=np.array([[0.2, 0.2]]),
+)
+
+
+def unstable_rows():
+    """Return times, the inputs of an identifier, and a record with a gap and every fifth lost."""
+    t = np.arange(STEPS + 1) * H
+    u = np.sin(t)
+    forcing = np.column_stack([u, alpha(t) * np.exp(np.outer(t, THETA))])
+    inputs = np.hstack([UNSTABLE.B, UNSTABLE.Bd])
+    x = simulate(UNSTABLE.A, inputs, t, forcing, np.array([0.1, -0.2]), np.zeros(3, np.bool_))
+    rng = np.random.default_rng(1)
+    y = x @ UNSTABLE.C[0] + forcing @ np.hstack([UNSTABLE.D, UNSTABLE.Dd])[0]
+    y = y + 1e-2 * rng.standard_normal(len(t))
+    lost = rng.random(len(t)) < 0.2
+    lost[600:700] = True
+    lost[0] = True
+    samples = np.where(lost, np.nan, y)
+    nothing = np.full((len(t), 6), np.nan)
+    times = np.where(lost, np.nan, t)
+    rows = np.column_stack([nothing, np.zeros(len(t)), y, samples, times, u])
+    used = slice(None, -1)
+    record = DataSet(t[used], samples[used, np.newaxis], u[used, np.newaxis], alpha(t[used]))
+    return t, rows, record
+
+
+def test_missing_samples_of_an_unstable_plant_are_predictions_without_correction(run):
+    """The estimate has the interval that a fit of the record has, whatever comes in one call."""
+    scenario, _ = run
+    t, u, record = unstable_rows()
+    component = identifier(scenario, most=1, plant=UNSTABLE, at_points=True)
+    found = estimate(component, t, u)[-1]
+    families = (Exponential(), Exponential())
+    fit = fit_output_error([record], UNSTABLE, families, np.array(THETA))
+    # the fit goes on until a step is small, online it ends a little earlier
+    assert (np.abs(found[:2] - fit.theta) < 0.05 * fit.standard_error).all()
+    np.testing.assert_allclose(found[2:4], fit.standard_error, rtol=0.02)
+    assert found[4] == pytest.approx(fit.deviation, rel=1e-3)
+    component.initialize(t[0], u[0])
+    component.advance(t[:651], H, u[:651])
+    state = component.save()
+    component.advance(t[650:801], H, u[650:801])
+    component.restore(state)
+    np.testing.assert_array_equal(component.advance(t[650:], H, u[650:])[-1], found)
+
+
+def test_an_unstable_plant_with_all_its_samples_is_predicted_with_a_constant_gain(run):
+    """Which is where the gains of a predictor settle that begins with their covariance."""
+    scenario, _ = run
+    t, u, _ = unstable_rows()
+    u[:, 8] = u[:, 7]
+    u[:, 9] = t
+    found = estimate(identifier(scenario, most=1, plant=UNSTABLE, at_points=True), t, u)[-1]
+    plain = identifier(scenario, most=0, plant=UNSTABLE)
+    expected = estimate(plain, t, np.delete(u, [8, 9], axis=1))[-1]
+    np.testing.assert_allclose(found, expected, rtol=1e-7)
+
+
+def test_samples_between_the_points_stop_an_unstable_plant(run):
+    """One is said to be of a communication point, and is not."""
+    scenario, _ = run
+    t, u, _ = unstable_rows()
+    u[50, 8:10] = 0.0, t[50] - 0.5 * H
+    component = identifier(scenario, most=1, plant=UNSTABLE, at_points=True)
+    component.initialize(t[0], u[0])
+    with pytest.raises(Stopped, match="is said to be of an instant"):
+        component.advance(t, H, u)
 
 
 def test_inputs_that_are_held_are_held_up_to_the_sample(run):

@@ -245,3 +245,27 @@ def test_each_sensor_counts_at_its_own_times(tmp_path, second, samples):
     np.testing.assert_array_equal(record.data.measured.sum(axis=0), [201, samples])
     later = identify_records([record]).assessment
     np.testing.assert_array_equal(later.fit.theta, offline)
+
+
+@pytest.mark.parametrize("sensor", [{"dropout": 0.2}, {"period": 0.05}])
+def test_an_unstable_plant_is_identified_by_the_samples_that_are_there(sensor, tmp_path):
+    """Online as after the run, with the truth in the interval; and a replay has the same bits."""
+    changes = {
+        "models.academic.A": [[2, 1, 1], [0, -2, 1], [1, 0, 1]],
+        "scenario.stop": 20.0,
+        "scenario.step": 1e-2,
+        "observer.filter_rate": 50.0,
+        "identifier.period": 2.0,
+    }
+    changes |= {f"sensor.{key}": value for key, value in sensor.items()}
+    out = tmp_path / "unstable.mcap"
+    log = cosim.run(cosim.load("academic-noisy").set(changes), out=out)
+    theta = log["identifier.theta"][-1]
+    error = log["identifier.standard_error"][-1]
+    assert (np.abs(theta - [-0.1, -0.3]) < 4.0 * error).all()
+    for parameter, value, deviation in zip(verdicts(log).parameters, theta, error, strict=True):
+        assert parameter.verdict == "IDENTIFIABLE"
+        assert parameter.standard_error == pytest.approx(deviation, rel=0.05)
+        assert parameter.value == pytest.approx(value, abs=0.1 * deviation)
+    again = cosim.replay(out, out=tmp_path / "again.mcap")
+    assert again["identifier.theta"].tobytes() == log["identifier.theta"].tobytes()

@@ -10,6 +10,7 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from cosim.errors import UsageError
 from cosim.fmi.exporting.kernels import ESTIMATION, Kernel, doubles, integers
 from cosim.native.expression import Program
 from cosim.native.identifier import IdentifierConstants, IdentifierStep
@@ -28,6 +29,7 @@ NATIVES: Final = (
     "rayleigh.c",
     "start_grid.c",
     "between.c",
+    "predictor.c",
     "weights.c",
     "linear.c",
     *ESTIMATION,
@@ -82,7 +84,18 @@ class _Writer:
 
 
 def output_error(constants: IdentifierConstants) -> Kernel:
-    """Write the identifier by output error, with room for the samples of its run."""
+    """Write the identifier by output error, with room for the samples of its run.
+
+    Raises
+    ------
+    UsageError
+        If it predicts y from samples that may be missing.
+    """
+    if constants.predictor is not None:
+        raise UsageError(
+            "the plant is unstable and samples of y may be missing: an identifier of such samples "
+            "cannot be exported yet; needed a sensor without dropouts, and without a period"
+        )
     step = IdentifierStep(constants)
     writer = _Writer()
     pointers: list[Pointer] = [_regressor(writer, constants.products)]
@@ -100,7 +113,8 @@ def output_error(constants: IdentifierConstants) -> Kernel:
     pointers += [constants.lower, constants.upper, constants.scale, constants.threshold]
     pointers.append(constants.known_deviations)
     pointers.append(_grid(writer, constants))
-    pointers += [_between(writer, constants), NOTHING]  # the memory is the instance's
+    # no predictor, and the memory is the instance's
+    pointers += [_between(writer, constants), NOTHING, NOTHING]
     writer.struct("cosim_identifier", "kernel_constants", step.step.state, pointers)
     writer.lines[-1] = writer.lines[-1].removeprefix("static ")
     equations = (

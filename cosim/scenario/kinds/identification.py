@@ -278,6 +278,7 @@ class IdentifierKind(PeriodicKind, ExportableKind):
                 lower=lower,
                 upper=upper,
                 most=source.most_samples(),
+                at_points=source.samples_at_points(),
             )
             late = source.late_steps()
             estimator = Estimator(identifier)

@@ -116,6 +116,11 @@ class IdentifierSource:
             )
         return 0
 
+    def samples_at_points(self) -> bool:
+        """Return whether all samples of y are of communication points."""
+        drivers = self._context.drivers(Port(self.identifier, "samples"))
+        return all(kind.samples_at_points for kind in drivers.values())
+
     def late_steps(self) -> int:
         """Return how many communication steps after its instant a sample of y may come."""
         drivers = self._context.drivers(Port(self.identifier, "samples"))
