@@ -264,7 +264,7 @@ static int32_t set_gain(const cosim_identifier *s, const storage *m, int64_t k, 
     const cosim_predictor *modes = &s->predictor->modes;
     const int32_t n = s->on_y->states, outputs = modes->outputs;
     for (int32_t o = 0; o < outputs; ++o)
-        m->measured[o] = isnan(y[o]) ? 0 : 1;
+        m->measured[o] = (uint8_t)!isnan(y[o]);
     const int32_t status =
         cosim_predictor_gain(modes, m->measured, modes->T, m->P, m->of_modes,
                              m->L + k * outputs * outputs, m->there, m->predicting);
