@@ -385,7 +385,7 @@ void cosim_output_error_residual(const cosim_output_error *self, const cosim_kno
                                  const int32_t *interval, double *x, double *residual);
 
 /* E_i = expm(G_i h) of all components, and F_ij, their derivatives by theta, one behind the other;
- * `work` has 16 V V doubles for the largest V. */
+ * `work` has 6 V V doubles for the largest V. */
 void cosim_output_error_basis(const cosim_output_error *self, const double *theta, double h,
                               double *E, double *F, double *work);
 
@@ -587,6 +587,13 @@ int32_t cosim_extended_kalman_step(void *self, double t0, double t1, double h, c
 
 /* --- identifier.c --- */
 
+/* A predictor in some modes w alone, x = V w, for samples that may be missing. */
+typedef struct {
+    cosim_predictor modes; /* of one interval */
+    const double *V;       /* (states, modes) */
+    const double *P;       /* (modes, modes) at the first sample */
+} cosim_mode_predictor;
+
 /* Output error online: every `period` samples theta is estimated from all of them, or from those of
  * a moving window. A start is searched on a grid by y itself, and, once mu counts, by the Rayleigh
  * quotient and improved on delta. The search is repeated when the samples have become so many more,
@@ -599,13 +606,6 @@ int32_t cosim_extended_kalman_step(void *self, double t0, double t1, double h, c
  * count in the place of y.
  * Without on_y it ends with what was found on delta, its outputs are theta and the amplitudes;
  * without on_delta too with the quotient, its input is mu and its output theta. */
-/* A predictor in some modes w alone, x = V w, for samples that may be missing. */
-typedef struct {
-    cosim_predictor modes; /* of one interval */
-    const double *V;       /* (states, modes) */
-    const double *P;       /* (modes, modes) at the first sample */
-} cosim_mode_predictor;
-
 typedef struct {
     int32_t period;
     int32_t width;    /* of the outputs */

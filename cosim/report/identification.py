@@ -40,7 +40,7 @@ class IdentificationReport:
 
     Parameters
     ----------
-    found : LogIdentification
+    identification : LogIdentification
     validations : tuple of (IdentifierRecord, Validation)
     irregular : TimedPart or None
     """
@@ -108,7 +108,7 @@ def report_identification(
 
     Parameters
     ----------
-    found : LogIdentification
+    identification : LogIdentification
     others : sequence of IdentifierRecord
         Of logs that were not used, which the fit is held against.
     irregular : float, optional

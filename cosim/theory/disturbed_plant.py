@@ -167,10 +167,15 @@ class DataSet:
         return int(self.measured.any(axis=1).sum())
 
     @property
-    def spacing(self) -> float:
-        """The usual distance of the times at which something was measured [s]; 0 of one alone."""
+    def sampling_interval(self) -> float:
+        """The usual distance of the times at which something was measured [s].
+
+        Of a single one there is no distance: that from the first instant to the last.
+        """
         times = self.t[self.measured.any(axis=1)]
-        return float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+        if len(times) < 2:
+            return float(self.t[-1] - self.t[0])
+        return float(np.median(np.diff(times)))
 
     @property
     def is_held(self) -> NDArray[np.bool_]:

@@ -49,7 +49,7 @@ def experiment(families, theta, disturbance, *, length, sigma, seed=0, alpha=Non
     data = [DataSet(t, y[:, np.newaxis], np.zeros((len(t), 0)), alpha(t))]
     plant = lag(len(families))
     assessment = assess_from(OutputErrorProblem(data, plant, families, **options), np.array(theta))
-    return advised(assessment, alpha).parameters
+    return advised(assessment, [alpha]).parameters
 
 
 def sine(**options):

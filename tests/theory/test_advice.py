@@ -127,7 +127,7 @@ def test_another_input_does_not_help():
         other = DataSet(data.t, y, u, data.alpha)
         plant = design()
         assessment = assess_from(OutputErrorProblem([other], plant, FAMILIES), np.array(THETA))
-        found[name] = advised(assessment, alpha_of_example).parameters[1]
+        found[name] = advised(assessment, [alpha_of_example]).parameters[1]
     assert said(found["same"])[1]["another u"] is None
     same, other = (found[name].standard_error for name in ("same", "other"))
     assert other == pytest.approx(same, rel=1e-6)

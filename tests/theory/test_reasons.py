@@ -219,3 +219,13 @@ def test_a_single_sample_is_no_record():
     """Refused by name, before a time scale is divided by its length."""
     with pytest.raises(AssumptionError, match="found a single sample, at 0 s"):
         assess(OutputErrorProblem([measured(1.0, t=T[:1])], plant(1), ONE))
+
+
+def test_another_value_than_a_fixed_one_is_biased():
+    """Of a fixed theta there is no interval: only the other estimate's own one reaches it."""
+    assessment = assess(
+        OutputErrorProblem([measured(1.0)], plant(1), ONE, bounds={0: (TRUE, TRUE)})
+    )
+    for value, verdict in ((TRUE + 0.5, Verdict.INCONSISTENT), (TRUE, Verdict.IDENTIFIABLE)):
+        (judged,) = judge(assessment, np.array([value]), np.array([1e-3]))
+        assert judged.verdict is verdict

@@ -218,6 +218,24 @@ def test_a_rate_beyond_the_box_is_found_within_bounds(bounds):
     assert (abs(start[0] - 100.0) < 0.1) == (box.lower[0] <= 100.0 <= box.upper[0])
 
 
+@pytest.mark.parametrize(
+    ("bounds", "expected"),
+    [
+        ((5.0, np.inf), (5.0, None)),
+        ((-np.inf, 5.0), (None, 5.0)),
+        ((2.0, 5.0), (2.0, 5.0)),
+        ((-np.inf, np.inf), (None, None)),
+        ((-9.0, -8.0), (-9.0, -8.0)),
+    ],
+)
+def test_bounds_cut_the_box_of_the_search(bounds, expected):
+    """Where they overlap it; beside it they are searched themselves."""
+    box = box_of_search([Sine()], span=20.0, spacing=0.1)
+    cut = box_of_search([Sine()], span=20.0, spacing=0.1, bounds={0: bounds})
+    assert cut.lower[0] == (box.lower[0] if expected[0] is None else expected[0])
+    assert cut.upper[0] == (box.upper[0] if expected[1] is None else expected[1])
+
+
 @pytest.mark.parametrize("every", [1, 10])
 def test_no_sine_is_searched_beyond_half_the_sampling_frequency(every):
     """There are others with the same samples: of every alias the slowest is found.
@@ -230,9 +248,9 @@ def test_no_sine_is_searched_beyond_half_the_sampling_frequency(every):
     y[::every] = data.y[::every]
     few = DataSet(data.t[short], y[short], data.u[short], data.alpha[short])
     spacing = every * (data.t[1] - data.t[0])
-    assert few.spacing == pytest.approx(spacing)
+    assert few.sampling_interval == pytest.approx(spacing)
     span = float(few.t[-1] - few.t[0])
-    box = box_of_search([Sine()], span=span, spacing=few.spacing)
+    box = box_of_search([Sine()], span=span, spacing=few.sampling_interval)
     assert box.upper[0] == pytest.approx(np.pi / spacing)
     found = search_start([few], FIRST_ORDER, [Sine()])
     assert abs(found[0]) < np.pi / spacing

@@ -232,7 +232,7 @@ def test_of_two_optima_that_noise_cannot_tell_apart_none_is_identifiable(sigma, 
     assert "explains the data too" in found.parameters[0].reason
     both = np.array([found.fit.theta, found.other_optimum])
     assert np.abs(both - THETA).max(axis=1).min() < 0.05
-    advice = advised(found, alpha)
+    advice = advised(found, [alpha])
     assert advice is found
 
 

@@ -289,7 +289,7 @@ def identify_records(
     names = [record.log.label for record in records]
     return LogIdentification(
         records=tuple(records),
-        assessment=advised(assessment, identified.alpha),
+        assessment=advised(assessment, [record.identified.alpha for record in records]),
         contradictions=tuple(contradictions(each_alone(assessment), names)),
     )
 

@@ -119,7 +119,7 @@ class _IdentifierData:
     def _assessed(self, theta: Vector) -> dict[str, Any]:
         identified = self._identified
         problem = identified.problem_of([self._data()])
-        assessment = advised(assess_from(problem, theta), identified.alpha)
+        assessment = advised(assess_from(problem, theta), [identified.alpha])
         error = None if self._error is None else self._last[self._error]
         result = assessment.to_dict()
         if identified.extent:

@@ -23,7 +23,6 @@ from cosim.theory.assessment.record_information import information_of
 from cosim.theory.assessment.verdicts import LARGEST_PROFILE, Assessment, Verdict, growth_of_squares
 from cosim.theory.disturbed_plant import DataSet, sample_plant
 from cosim.theory.estimators.output_error import squares_at
-from cosim.theory.quantiles import CONFIDENCE, student_two_sided
 
 LONGEST: Final = 32  # times as long as the data
 MOST_SAMPLES: Final = 400_000  # of a record that is predicted, unless the data are half of that
@@ -54,14 +53,15 @@ class Outlook:
         return self.curvature <= SURELY_ENOUGH
 
 
-def advised(assessment: Assessment, alpha: Callable[[Vector], Matrix]) -> Assessment:
+def advised(assessment: Assessment, alphas: Sequence[Callable[[Vector], Matrix]]) -> Assessment:
     """Return an assessment whose WEAK parameters have the reason and what would help.
 
     Parameters
     ----------
     assessment : Assessment
-    alpha : callable
-        The known factors at instants ``(N,)`` [s], shape ``(N, components)``, also after the data.
+    alphas : sequence of callable
+        Of each data set: the known factors at instants ``(N,)`` [s], shape ``(N, components)``,
+        also after the data.
     """
     if assessment.other_optimum is not None:
         return assessment  # predictions around one of two optima say nothing of both
@@ -72,7 +72,7 @@ def advised(assessment: Assessment, alpha: Callable[[Vector], Matrix]) -> Assess
             parameter.verdict is Verdict.WEAK
             and assessment.fit.states[j] is ParameterState.ESTIMATED
         ):
-            advisor = advisor or _Advisor(assessment, alpha)
+            advisor = advisor or _Advisor(assessment, alphas)
             parameter = replace(parameter, reason=f"{parameter.reason}; {advisor.advice(j)}")
         parameters.append(parameter)
     return replace(assessment, parameters=tuple(parameters))
@@ -81,11 +81,13 @@ def advised(assessment: Assessment, alpha: Callable[[Vector], Matrix]) -> Assess
 class _Advisor:
     """Predicts experiments beside the one that was made."""
 
-    def __init__(self, assessment: Assessment, alpha: Callable[[Vector], Matrix]) -> None:
+    def __init__(
+        self, assessment: Assessment, alphas: Sequence[Callable[[Vector], Matrix]]
+    ) -> None:
         self._assessment = assessment
         self._problem = assessment.problem
         self._fit = assessment.fit
-        self._alpha = alpha
+        self._alphas = alphas
         self._same = self._records(1, offset=self._problem.offset)
 
     def advice(self, j: int) -> str:
@@ -141,7 +143,7 @@ class _Advisor:
         """Return the outputs of records so many times as long, without noise."""
         records = []
         for index, one in enumerate(self._problem.data):
-            longer = _longer(one, times, self._alpha)
+            longer = _longer(one, times, self._alphas[index])
             sampled = sample_plant(
                 self._problem.plant,
                 self._problem.generators,
@@ -204,9 +206,8 @@ class _Advisor:
         """
         fit = self._fit
         variance = float(covariance[j, j])
-        quantile = student_two_sided(CONFIDENCE, max(fit.freedom, 1.0))
         bias = MARGIN * float(self._assessment.consistency.bias[j])
-        reach = quantile * float(np.sqrt(variance)) + bias
+        reach = self._assessment.fitted.quantile * float(np.sqrt(variance)) + bias
         direction = covariance[:, j] / variance
         squares = []
         for shift in (reach, -reach, 0.0):
@@ -250,7 +251,12 @@ def _longer(data: DataSet, times: int, alpha: Callable[[Vector], Matrix]) -> Dat
     y = np.where(np.isnan(data.y), np.nan, 0.0)
     u = np.zeros((len(t), data.u.shape[1]))
     taken = np.tile(data.is_taken, times)
-    return DataSet(t, np.tile(y, (times, 1)), u, alpha(t), data.held, taken)
+    factors = data.alpha
+    if times > 1:
+        later = alpha(t[len(data.t) :])
+        later[:, ~data.alpha.any(axis=0)] = 0.0  # terms that the fit has not
+        factors = np.vstack([data.alpha, later])
+    return DataSet(t, np.tile(y, (times, 1)), u, factors, data.held, taken)
 
 
 def _sentences(outlooks: Sequence[tuple[str, Outlook]], others: Sequence[str]) -> str:

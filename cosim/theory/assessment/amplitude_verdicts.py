@@ -10,7 +10,6 @@ import numpy as np
 from cosim.theory.assessment.amplitudes import ComponentConstants, component_constants
 from cosim.theory.assessment.consistency import MARGIN
 from cosim.theory.assessment.verdicts import Assessment, ParameterVerdict, Verdict
-from cosim.theory.quantiles import CONFIDENCE, student_two_sided
 
 # from the best verdict to the worst, for what rests on several
 _ORDER: Final = {verdict: place for place, verdict in enumerate(Verdict)}
@@ -35,7 +34,7 @@ def _of_data_set(assessment: Assessment, index: int) -> tuple[ParameterVerdict, 
     for i, constants in enumerate(of_components):
         count = len(constants.family.parameters)
         parameters = assessment.parameters[first : first + count]
-        verdicts += _of_component(i, constants, parameters, assessment.fit.freedom)
+        verdicts += _of_component(i, constants, parameters, assessment.fitted.quantile)
         first += count
     return tuple(verdicts)
 
@@ -44,7 +43,7 @@ def _of_component(
     i: int,
     constants: ComponentConstants,
     parameters: Sequence[ParameterVerdict],
-    freedom: float,
+    quantile: float,
 ) -> list[ParameterVerdict]:
     """Return the verdicts on the constants of component i."""
     family = constants.family
@@ -57,7 +56,6 @@ def _of_component(
     problem = _problem(constants, worst)
     if problem and verdict.has_value:
         verdict = Verdict.NOT_IDENTIFIABLE
-    quantile = student_two_sided(CONFIDENCE, max(freedom, 1.0))
     verdicts = []
     for k, name in enumerate(family.constants):
         value = float(constants.values[k])

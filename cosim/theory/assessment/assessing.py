@@ -1,8 +1,9 @@
 """Fits by output error until one explains the data: from a start, searched, colored, smaller.
 
-A fit that leaves what white noise leaves is taken as it is. Else a start that may have led to
-another optimum is followed by a search; the color of the noise of the better fit is estimated; and
-components that are no larger than noise are left out.
+A fit for white noise that leaves what noise leaves, of components far above it, is taken as it is.
+Else another one follows from a search, and the better of the two counts; of it the color of the
+noise is estimated, and components that are no larger than noise are left out. Where noise alone may
+have decided which of two optima is the better one, both are assessed so.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from cosim.theory.assessment.consistency import WHITENESS, Consistency, examine
 from cosim.theory.assessment.fitted_model import FittedModel
 from cosim.theory.assessment.missing_terms import hidden_terms, silent_terms
 from cosim.theory.assessment.noise_color import UNKNOWN_COLOR, Criterion, noise_color
-from cosim.theory.assessment.noise_covariance import first_noise, fit_with_noise
+from cosim.theory.assessment.noise_covariance import first_noise, fit_with_noise, residual_size
 from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.standing_outputs import standing_outputs
 from cosim.theory.assessment.term_order import ordered_like
@@ -82,7 +83,7 @@ def assess(problem: OutputErrorProblem, start: Vector | None = None) -> Assessme
     StartError
         If the response at the start is not finite.
     """
-    return _judged(_white(problem, start))
+    return _assessed(_white(problem, start))
 
 
 def assess_from(problem: OutputErrorProblem, theta: Vector | None) -> Assessment:
@@ -94,12 +95,7 @@ def assess_from(problem: OutputErrorProblem, theta: Vector | None) -> Assessment
     ----------
     problem : OutputErrorProblem
     theta : Vector, shape (P,), or None
-        None: from a search alone; NaN: no value. Interchangeable terms are in its order.
-
-    Returns
-    -------
-    Assessment
-        Of the fit with the smaller residual.
+        None: from a search alone; NaN: no value. A search puts interchangeable terms in its order.
 
     Raises
     ------
@@ -110,15 +106,15 @@ def assess_from(problem: OutputErrorProblem, theta: Vector | None) -> Assessment
         return assess(problem)
     near = _near(problem, theta)
     if near is not None and near.is_settled and near.is_clear:
-        return _judged(near)
+        return _assessed(near)
     searched = _searched_like(problem, theta)
     if near is None:
-        return _judged(searched)
+        return _assessed(searched)
     best, other = _by_residual(near, searched)
-    assessment = _judged(best)
+    assessment = _assessed(best)
     excess = _excess(best.fitted, other.fitted)
     if SAME_OPTIMUM < excess <= NO_RIVAL * largest_chance(problem.generators.parameters):
-        assessment = _beside(assessment, _judged(other))
+        assessment = _beside(assessment, _assessed(other))
     return assessment
 
 
@@ -147,7 +143,7 @@ def _by_residual(near: _Examined, searched: _Examined) -> tuple[_Examined, _Exam
 
     Of two the one that has converged, unless the other explains more than chance does.
     """
-    best, other = sorted((near, searched), key=lambda examined: examined.fitted.residual_size)
+    best, other = sorted((near, searched), key=_residual_size)
     is_chance = _excess(best.fitted, other.fitted) <= largest_chance(len(best.fitted.fit.theta))
     if is_chance and other.fitted.fit.converged and not best.fitted.fit.converged:
         return other, best
@@ -169,7 +165,7 @@ def _fitted(
     return _Examined(fitted, examine(fitted))
 
 
-def _judged(white: _Examined) -> Assessment:
+def _assessed(white: _Examined) -> Assessment:
     """Return what may be said from a fit, after the color of its noise and terms to leave out."""
     examined = white
     if white.consistency.is_structured and not white.consistency.step_too_long:
@@ -178,18 +174,18 @@ def _judged(white: _Examined) -> Assessment:
     left_out = _absent(examined)
     if left_out:
         smaller = _without(left_out, examined)
-        if smaller.consistency.passed:
+        if smaller.fitted.fit.converged and smaller.consistency.passed:
             examined = smaller
         else:
             left_out = ()
-    judge = VerdictMaker(
+    maker = VerdictMaker(
         examined.fitted,
         examined.consistency,
         missing=missing,
         standing=standing_outputs(white.fitted.problem.data),
         left_out=left_out,
     )
-    return judge.assessment()
+    return maker.assessment()
 
 
 def _absent(examined: _Examined) -> tuple[int, ...]:
@@ -235,14 +231,14 @@ def _colored(white: _Examined) -> _Examined:
     """Return the fit for colored noise where that explains the residual, else the white one."""
     remark = ""
     for criterion in Criterion:
-        colored, too_slow = _with_color(white, criterion)
+        colored, unknown = _with_color(white, criterion)
         if colored.consistency.passed:
             return colored
         failed = colored.consistency.failed
         if set(failed) == {WHITENESS}:
             remark = UNKNOWN_COLOR
-        remark = remark or too_slow
-        if too_slow or WHITENESS not in failed:
+        remark = remark or unknown
+        if unknown or WHITENESS not in failed:
             break
     return replace(white, consistency=replace(white.consistency, remark=remark))
 
@@ -260,19 +256,29 @@ def _with_color(examined: _Examined, criterion: Criterion) -> tuple[_Examined, s
     return examined, ""
 
 
+def _residual_size(examined: _Examined) -> float:
+    return residual_size(examined.fitted)
+
+
 def _excess(best: FittedModel, other: FittedModel) -> float:
     """Return by how many variances the sum of squares of another fit is larger."""
-    return excess_squares(best.residual_size, other.residual_size, best.fit.freedom)
+    return excess_squares(residual_size(best), residual_size(other), best.fit.freedom)
 
 
 def _beside(best: Assessment, other: Assessment) -> Assessment:
-    """Return the better of two fits; its parameters are WEAK where noise may have chosen it.
+    """Return the better of two; its parameters are WEAK where noise may have chosen it.
+
+    Which is better may be another one with the color of the noise than without it.
 
     Under noise two optima far apart may both leave what noise leaves. Which of them is the deeper
     one is then chance, unless the difference of their sums of squares is more than noise makes.
     """
-    if not (best.is_settled and other.is_settled):
+    if not best.is_settled:
+        return other if other.is_settled else best
+    if not other.is_settled:
         return best
+    if residual_size(other.fitted) < residual_size(best.fitted):
+        best, other = other, best
     excess = _excess(best.fitted, other.fitted)
     threshold = largest_chance(len(best.parameters))
     if not SAME_OPTIMUM < excess <= threshold:
@@ -282,7 +288,7 @@ def _beside(best: Assessment, other: Assessment) -> Assessment:
     is_apart = False
     for j, parameter in enumerate(best.parameters):
         distance = abs(float(other.fit.theta[j] - best.fit.theta[j]))
-        reach = float(best.half_width[j] + other.half_width[j])
+        reach = float(np.nansum([best.half_width[j], other.half_width[j]]))
         if parameter.verdict.has_interval and distance > reach:
             is_apart = True
             parameter = replace(

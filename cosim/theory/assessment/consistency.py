@@ -13,8 +13,9 @@ stated by what errors that are no noise add, and by half as much again.
 
 Errors that are no noise (``accuracy``) are allowed for, each in every direction and
 at every lag by its own amount. Noise that is colored but has no structure is whitened by an
-autoregressive model (``noise_color``). How well that is known counts in the tests:
-instead of a chi-square each has the distribution of a ratio of two (R. Fisher and G. Snedecor).
+autoregressive model (``noise_color``). How well that is known counts along the directions:
+instead of a chi-square their tests have the distribution of a ratio of two (R. Fisher and G.
+Snedecor).
 """
 
 from __future__ import annotations
@@ -57,7 +58,8 @@ class ResidualTest:
     ----------
     name : str
     statistic, threshold : float
-        For noise alone the statistic is a chi-square; the threshold is what it rarely exceeds.
+        For noise alone the statistic is a chi-square, of a size the ratio of two deviations; the
+        threshold is what it rarely exceeds.
     degrees : int
     largest : str
         Where the statistic is largest.
@@ -86,7 +88,8 @@ class Consistency:
     Parameters
     ----------
     tests_by_data : tuple of tuples of ResidualTest
-        Of each data set; none where the residual is no larger than rounding.
+        Of each data set. Where the residual is no larger than rounding there are only those of its
+        size, if the noise is stated.
     accuracy : tuple of Accuracy
         Of each data set.
     is_exact : bool
@@ -288,7 +291,7 @@ class _TestedFit:
             of_output = f" of y[{o}]" if len(self.fit.counted.T) > 1 else ""
             places += [f"lag {lag}{of_output}" for lag in range(1, len(excess) + 1)]
         # each coefficient of a model of the noise takes a degree of freedom
-        degrees = len(squares) - self._noise.a.size
+        degrees = len(squares) - int(np.count_nonzero(self._noise.a))
         largest = places[int(np.argmax(squares))]
         statistic = float(np.sum(squares))
         return ResidualTest(WHITENESS, statistic, _threshold(degrees), degrees, largest)

@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
-import numpy as np
-
 from cosim.theory.assessment.accuracy import Accuracy, accuracy_of
 from cosim.theory.assessment.linearized_fit import LinearizedFit, linearize_fit
 from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.disturbed_plant import NoiseModel
 from cosim.theory.estimators.output_error import OutputErrorFit
 from cosim.theory.fitted_response import FittedResponse, fitted_response
+from cosim.theory.quantiles import CONFIDENCE, student_two_sided
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +55,7 @@ class FittedModel:
         return tuple(linearize_fit(*part, self.noise) for part in parts)
 
     @property
-    def residual_size(self) -> float:
-        """What maximum likelihood makes smallest: of several outputs a geometric mean."""
-        _, logarithm = np.linalg.slogdet(self.noise.covariance)
-        return self.fit.deviation * float(np.exp(0.5 * logarithm / len(self.noise.a)))
+    def quantile(self) -> float:
+        """Half a 95 % interval over the standard error, as far as the noise is known."""
+        freedom = 1.0 / (1.0 / max(self.fit.freedom, 1.0) + 1.0 / self.noise.freedom)
+        return student_two_sided(CONFIDENCE, freedom)

@@ -78,6 +78,16 @@ def fit_with_noise(
     return FittedModel(problem, _of_known_noise(fit), used)
 
 
+def residual_size(fitted: FittedModel) -> float:
+    """Return what maximum likelihood makes smallest: of several outputs a geometric mean."""
+    outputs = fitted.problem.outputs
+    is_weighed_alike = fitted.problem.stated is not None and not fitted.noise.order
+    if outputs == 1 or is_weighed_alike:
+        return fitted.fit.deviation
+    _, logarithm = np.linalg.slogdet(residual_covariance(fitted))
+    return float(np.exp(0.5 * logarithm / outputs))
+
+
 def first_noise(problem: OutputErrorProblem) -> NoiseModel:
     """Return white noise to begin with: as it is stated, or as large as the outputs are."""
     covariance = problem.stated

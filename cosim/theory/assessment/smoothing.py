@@ -28,7 +28,6 @@ from cosim.theory.disturbed_plant import (
     sample_plant,
     white_noise,
 )
-from cosim.theory.quantiles import CONFIDENCE, student_two_sided
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -84,8 +83,7 @@ def smoothed_signals(fitted: FittedModel, index: int = 0) -> SmoothedSignals:
     joint = joint_covariance(linearized.inverse, linearized.slopes, fit.covariance, fit.deviation)
     covariance = joint[: len(p), : len(p)]
     variance = np.einsum("nop,pq,noq->no", prediction.jacobian, covariance, prediction.jacobian)
-    quantile = student_two_sided(CONFIDENCE, max(fit.freedom, 1.0))
-    half_width = quantile * np.sqrt(np.maximum(variance, 0.0))
+    half_width = fitted.quantile * np.sqrt(np.maximum(variance, 0.0))
     disturbance = fitted.responses[index].disturbance
     bias = error_bias(fitted.linearized, fit.estimated)
     moved = prediction.jacobian @ np.vstack([bias.theta, bias.linear[index]])[: len(p)]

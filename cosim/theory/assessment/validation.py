@@ -28,7 +28,7 @@ from cosim.theory.assessment.consistency import (
 from cosim.theory.assessment.fitted_model import FittedModel
 from cosim.theory.assessment.verdicts import Assessment
 from cosim.theory.disturbed_plant import DataSet, NoiseModel, white_noise
-from cosim.theory.estimators.output_error import NO_BOUNDS, OutputErrorFit
+from cosim.theory.estimators.output_error import NO_BOUNDS, OutputErrorFit, squares_at
 from cosim.theory.quantiles import chi_square_above
 
 
@@ -136,8 +136,8 @@ def _root_mean_square(fitted: FittedModel, noise: NoiseModel) -> float:
         white = noise.whitened(response.residual[:, :, np.newaxis], data.measured)
         squares += float(np.sum(white**2))
         count += int(data.measured.sum())
-    unknowns = max(count - fitted.fit.freedom, 0.0)
-    return float(np.sqrt(squares / max(count - unknowns, 1.0)))
+    freedom = max(min(float(count), fitted.fit.freedom), 1.0)
+    return float(np.sqrt(squares / freedom))
 
 
 def _comparable(assessment: Assessment, own: Assessment) -> Mask:
@@ -165,7 +165,8 @@ def _difference(
     excess: Vector = np.maximum(np.abs(apart) - allowed, 0.0) * np.sign(apart)
     covariance = assessment.fit.covariance + own.fit.covariance
     of_theta = _squared_length(excess[tested], covariance[np.ix_(tested, tested)])
-    squares = held.freedom * held.deviation**2 - own.fit.freedom * own.fit.deviation**2
+    of_own = squares_at(own.fit.records, own.fit.theta)
+    squares = squares_at(held.records, held.theta) - of_own
     of_residual = squares / own.fit.deviation**2 if own.fit.deviation > 0.0 else 0.0
     place = int(np.argmax(np.where(tested, np.abs(excess), -1.0)))
     statistic = min(of_theta, max(of_residual, 0.0))

@@ -43,7 +43,7 @@ from cosim.theory.estimators.output_error import (
     presence_threshold,
     squares_at,
 )
-from cosim.theory.quantiles import CONFIDENCE, normal_two_sided, student_two_sided
+from cosim.theory.quantiles import CONFIDENCE, normal_two_sided
 
 # Growth of the sum of squares at the ends of an interval over that of a linear problem; the root of
 # it is how far such an end is from where it should be: up to 20 %.
@@ -216,7 +216,9 @@ def judge(
     for j, own in enumerate(assessment.parameters):
         value = float(theta[j])
         error = None if standard_error is None else float(standard_error[j])
-        verdicts.append(_judge_other(own, value, error, float(assessment.half_width[j])))
+        is_fixed = assessment.fit.states[j] is ParameterState.FIXED
+        half_width = 0.0 if is_fixed else float(assessment.half_width[j])
+        verdicts.append(_judge_other(own, value, error, half_width))
     return tuple(verdicts)
 
 
@@ -236,7 +238,7 @@ def _judge_other(
     verdict = own.verdict
     reason = own.reason
     reach = 0.0 if error is None or not np.isfinite(error) else normal_two_sided(CONFIDENCE) * error
-    if own.value is not None and verdict in (Verdict.IDENTIFIABLE, Verdict.WEAK):
+    if own.value is not None and verdict.has_interval:
         distance = abs(value - own.value)
         if distance > reach + half_width:
             verdict = Verdict.INCONSISTENT
@@ -316,9 +318,7 @@ class VerdictMaker:
 
     def _half_widths(self) -> Vector:
         fit = self._fit
-        freedom = 1.0 / (1.0 / max(fit.freedom, 1.0) + 1.0 / self._fitted.noise.freedom)
-        quantile = student_two_sided(CONFIDENCE, freedom)
-        half_width = quantile * fit.standard_error + MARGIN * self._consistency.bias
+        half_width = self._fitted.quantile * fit.standard_error + MARGIN * self._consistency.bias
         half_width[~fit.estimated] = np.nan
         return half_width
 

@@ -149,8 +149,8 @@ def search_start(
 ) -> Vector:
     """Find a start: theta of the best fit from the best points of a grid.
 
-    Of a fit that has not converged only where it explains more than another by chance: then these
-    data do not determine theta, and the optimum of the other one is none.
+    A fit that has not converged counts only where it explains more than chance allows beside those
+    that have: their optimum is not the best one then.
 
     Nothing but the data is needed; where there is a regression, its Rayleigh quotient is cheaper.
 
@@ -173,7 +173,7 @@ def search_start(
     noise = noise or white_noise(plant.C.shape[0])
     records = response_records(data, plant, matrices, noise=noise, offset=offset)
     span = longest_span(data)
-    spacing = min(data_set.spacing for data_set in data)
+    spacing = min(data_set.sampling_interval for data_set in data)
     box = box_of_search(families, span=span, spacing=spacing, bounds=bounds)
     points = _points_of_records(matrices.parameters)
     starts = search_starts(records, box.lower, box.upper, points=points, most=STARTS)
@@ -190,10 +190,10 @@ def search_start(
     converged = [fit for fit in fits if fit.converged]
     if not converged:
         return best.theta
-    least = min(converged, key=lambda fit: fit.deviation)
-    excess = excess_squares(best.deviation, least.deviation, best.freedom)
+    other = min(converged, key=lambda fit: fit.deviation)
+    excess = excess_squares(best.deviation, other.deviation, best.freedom)
     is_chance = excess <= largest_chance(matrices.parameters)
-    return least.theta if is_chance else best.theta
+    return other.theta if is_chance else best.theta
 
 
 def box_of_search(
@@ -206,7 +206,7 @@ def box_of_search(
     """Return where :func:`search_start` looks: as far as the points of its grid are dense enough.
 
     It looks for nothing faster than the samples resolve: a sine beyond half their frequency has the
-    same samples as a slower one. Bounds that are narrower are searched instead, wherever they lie.
+    same samples as a slower one. Bounds cut it; apart from it they are searched instead.
 
     Parameters
     ----------
@@ -228,10 +228,14 @@ def box_of_search(
     shortest = max(span / time_scales, spacing)
     box = search_box(families, span=span, shortest=shortest)
     lower, upper = bound_vectors(bounds, parameters)
-    width = box.upper - box.lower
+    first = np.maximum(box.lower, lower)
+    last = np.minimum(box.upper, upper)
     # Bounds apart from the box are entered as far as the box is wide.
-    first = np.clip(box.lower, lower, np.maximum(lower, upper - width))
-    last = np.clip(box.upper, np.minimum(upper, lower + width), upper)
+    width = box.upper - box.lower
+    is_above = lower > box.upper
+    is_below = upper < box.lower
+    last = np.where(is_above, np.minimum(upper, lower + width), last)
+    first = np.where(is_below, np.maximum(lower, upper - width), first)
     return SearchBox(first, last)
 
 
