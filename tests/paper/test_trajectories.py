@@ -22,15 +22,20 @@ def fine():
     return signals("academic", set={**ZERO_FILTER, "scenario.step": 2.5e-4})
 
 
-@cache
-def estimated(step, stop):
-    """Run an identifier of each prior on one regressor."""
-    changes = {**ZERO_FILTER, "scenario.step": step, "scenario.stop": stop}
-    for name, P0 in PRIORS.items():
-        identifier = {"kind": "identifier", "method": "least-squares", "P0": P0}
-        changes[f"components.{name}"] = identifier
-        changes[f"connections.{name}.regressor"] = "regressor.mu"
-    return signals("academic", set=changes)
+@pytest.fixture(scope="module")
+def estimated():
+    """Return a function that runs an identifier of each prior on one regressor."""
+
+    @cache
+    def run(step, stop):
+        changes = {**ZERO_FILTER, "scenario.step": step, "scenario.stop": stop}
+        for name, P0 in PRIORS.items():
+            identifier = {"kind": "identifier", "method": "least-squares", "P0": P0}
+            changes[f"components.{name}"] = identifier
+            changes[f"connections.{name}.regressor"] = "regressor.mu"
+        return signals("academic", set=changes)
+
+    return run
 
 
 def at(run, signal, times):
@@ -100,7 +105,7 @@ def test_rms_error_of_the_reconstruction_is_the_methods_own(fine, case):
     ],
 )
 def test_least_squares_as_printed_gives_the_exact_estimates(
-    name, key, identifier, step, times, case
+    name, key, identifier, step, times, case, estimated
 ):
     """C04, C05: theta of (33)-(35) from delta_hat to 2e-5, with filters started at zero."""
     reference = case(name)
