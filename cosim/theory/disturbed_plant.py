@@ -21,7 +21,7 @@ with the gain K of the Kalman filter without process noise for the unstable mode
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Final
 
 import numpy as np
@@ -109,6 +109,8 @@ class DataSet:
         Inputs that keep their value from one sample to the next; by default none: straight lines.
     taken : shape (N,), optional
         Samples at which u was taken; at others it is on the straight lines between. By default all.
+    in_feedback : shape (n_u,), optional
+        Inputs that depend on y, and so carry its noise: a closed loop. By default none.
 
     Raises
     ------
@@ -123,6 +125,7 @@ class DataSet:
     alpha: Matrix
     held: NDArray[np.bool_] | None = None
     taken: NDArray[np.bool_] | None = None
+    in_feedback: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
         """Freeze and check the samples."""
@@ -185,6 +188,13 @@ class DataSet:
         return np.array(self.held, np.bool_)
 
     @property
+    def is_in_feedback(self) -> NDArray[np.bool_]:
+        """Which inputs depend on y, shape (n_u,)."""
+        if self.in_feedback is None:
+            return np.zeros(self.u.shape[1], np.bool_)
+        return np.array(self.in_feedback, np.bool_)
+
+    @property
     def is_taken(self) -> NDArray[np.bool_]:
         """At which samples u was taken, shape (N,)."""
         if self.taken is None:
@@ -210,8 +220,14 @@ class DataSet:
         return self._rows(np.flatnonzero(self.t > before + rounding))
 
     def _rows(self, rows: NDArray[np.intp]) -> DataSet:
-        taken = self.is_taken[rows]
-        return DataSet(self.t[rows], self.y[rows], self.u[rows], self.alpha[rows], self.held, taken)
+        return replace(
+            self,
+            t=self.t[rows],
+            y=self.y[rows],
+            u=self.u[rows],
+            alpha=self.alpha[rows],
+            taken=self.is_taken[rows],
+        )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -24,6 +24,7 @@ from cosim.core.ports import Ports
 from cosim.errors import UsageError, nearest
 from cosim.log import open_log
 from cosim.scenario.build import Experiment
+from cosim.scenario.identification.feedback import inputs_in_feedback
 from cosim.scenario.identification.irregular import interval_of
 from cosim.scenario.identification.model import IdentifiedPlant, SampleRows
 from cosim.scenario.identification.run_verdicts import OUTPUT_ERROR
@@ -169,6 +170,7 @@ def identifier_record(log: CompleteRecording, identifier: str | None = None) -> 
         observer = identified.observer
         inputs = experiment.graph.layout[observer].interface.input_columns()
         held = experiment.graph.held[observer][inputs.get("u", slice(0, 0))]
+        in_feedback = inputs_in_feedback(experiment.graph, observer)
         samples = _samples(log, experiment, name)
     if identified.problem:
         raise UsageError(f"{log.label}: {identified.problem}")
@@ -177,7 +179,7 @@ def identifier_record(log: CompleteRecording, identifier: str | None = None) -> 
     u = np.zeros((len(t), 0))
     if "u" in inputs:
         u = as_columns(log[f"{observer}.u"])
-    data = identified.data_set(t, y, u, held, samples)
+    data = identified.data_set(t, y, u, held, in_feedback, samples)
     return IdentifierRecord(log, name, identified, data)
 
 

@@ -40,6 +40,8 @@ class IdentifiedPlant:
         Covariance of the noise of y; None: it is not known.
     irregular : float or None
         Bound of an irregular part of the disturbance that intervals are guaranteed for.
+    closed_loop : bool
+        All of u was computed from y.
     window : float
         Length of the moving window that the estimates rest on [s]; infinite: all samples.
     forgetting : float
@@ -55,6 +57,7 @@ class IdentifiedPlant:
     problem: str = ""
     stated: Matrix | None = None
     irregular: float | None = None
+    closed_loop: bool = False
     window: float = np.inf
     forgetting: float = np.inf
 
@@ -96,7 +99,13 @@ class IdentifiedPlant:
         )
 
     def data_set(
-        self, t: Vector, y: Matrix, u: Matrix, held: Mask, samples: SampleRows | None = None
+        self,
+        t: Vector,
+        y: Matrix,
+        u: Matrix,
+        held: Mask,
+        in_feedback: Mask,
+        samples: SampleRows | None = None,
     ) -> DataSet:
         """Return what the observer took in as the data of output error.
 
@@ -107,13 +116,16 @@ class IdentifiedPlant:
         u : Matrix, shape (N, n_u)
         held : Mask, shape (n_u,)
             Which of u had a zero-order hold.
+        in_feedback : Mask, shape (n_u,)
+            Which of u depend on y.
         samples : SampleRows, optional
             What counts in the place of y.
         """
         points = t
         if samples is not None:
             t, y, u = samples.beside(t, u, held, y.shape[1])
-        return DataSet(t, y, u, evaluate_at(self.alphas, t), held, np.isin(t, points))
+        alpha = evaluate_at(self.alphas, t)
+        return DataSet(t, y, u, alpha, held, np.isin(t, points), in_feedback | self.closed_loop)
 
 
 @dataclass(frozen=True, eq=False)

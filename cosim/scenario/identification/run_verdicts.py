@@ -18,6 +18,7 @@ from cosim.core.contracts import Block
 from cosim.core.graph import Graph
 from cosim.core.signals import Channel
 from cosim.errors import AssumptionError, RunError
+from cosim.scenario.identification.feedback import inputs_in_feedback
 from cosim.scenario.identification.irregular import interval_of, irregular_part
 from cosim.scenario.identification.model import IdentifiedPlant, SampleRows
 from cosim.theory.assessment.advice import advised
@@ -45,7 +46,8 @@ class Assessor:
         for name, plant in identified.items():
             channels = graph.layout[name], graph.layout[plant.observer]
             held = graph.held[plant.observer]
-            self._identifiers.append(_IdentifierData(name, plant, channels, held))
+            in_feedback = inputs_in_feedback(graph, plant.observer)
+            self._identifiers.append(_IdentifierData(name, plant, channels, held, in_feedback))
 
     def take(self, block: Block, signals: Matrix) -> None:
         """Keep the rows of a block."""
@@ -66,6 +68,7 @@ class _IdentifierData:
         identified: IdentifiedPlant,
         channels: tuple[Channel, Channel],
         held: Mask,
+        in_feedback: Mask,
     ) -> None:
         own, observer = channels
         self.name = name
@@ -80,6 +83,7 @@ class _IdentifierData:
         u = inputs.get("u", slice(0, 0))
         self._u = _shifted(u, observer.inputs.start)
         self._held = held[u]
+        self._in_feedback = in_feedback
         self._sample_columns: tuple[slice, slice] | None = None
         taken = own.interface.input_columns()
         if "samples" in taken:
@@ -139,7 +143,7 @@ class _IdentifierData:
         samples = None
         if self._sample_columns is not None:
             samples = SampleRows(t, *map(np.concatenate, (self._sample_times, self._samples)))
-        whole = self._identified.data_set(t, y, u, self._held, samples)
+        whole = self._identified.data_set(t, y, u, self._held, self._in_feedback, samples)
         return whole.last(self._identified.window)
 
 

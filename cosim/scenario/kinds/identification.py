@@ -141,6 +141,12 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         "hold, for a bound that moves theta far, linear programs that take up to minutes",
     )
 
+    closed_loop: bool = Field(
+        False,
+        description="whether u was computed from the noisy y, as by a controller whose plant was "
+        "recorded; a loop of the scenario's own connections is seen without it",
+    )
+
     def with_period(self, component: Component, n: int) -> Component:
         return component if n == 1 else Decimated(component, n)
 
@@ -225,6 +231,7 @@ class IdentifierKind(PeriodicKind, ExportableKind):
             bounds=bounds,
             stated=stated,
             irregular=self.irregular,
+            closed_loop=self.closed_loop,
             window=math.inf if self.window is None else self.window,
             forgetting=math.inf if self.forgetting is None else self.forgetting,
         )

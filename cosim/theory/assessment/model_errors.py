@@ -5,6 +5,9 @@ states, to the inputs, to the disturbance, each entering at one state; with an e
 gain of a sensor by these signals themselves. A constant disturbance, and one whose alphas are
 shifted or stretched in time, are inputs at the same places. What none of these describe leaves
 something slow: cosines over the record.
+
+An input that depends on y carries its noise, which shows along it as a wrong model would: of a
+closed loop the directions are those of signals without it.
 """
 
 from __future__ import annotations
@@ -18,7 +21,7 @@ from numpy.typing import NDArray
 from cosim.arrays import Matrix, Vector
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.fitted_response import FittedResponse
-from cosim.theory.forced_response import forced_outputs
+from cosim.theory.forced_response import forced_outputs, simulate
 
 SLOW_DIRECTIONS: Final = 30
 
@@ -33,7 +36,7 @@ class Directions:
 
 def model_errors(plant: DisturbedPlant, data: DataSet, response: FittedResponse) -> Directions:
     """Compute the directions for a fitted model."""
-    signals = _signals(data, response)
+    signals = _signals(plant, data, response)
     changes = _alpha_changes(data, response.disturbance)
     parts = [
         _entering_states(plant, data, {**signals, **changes}),
@@ -45,14 +48,29 @@ def model_errors(plant: DisturbedPlant, data: DataSet, response: FittedResponse)
     return Directions(columns, names)
 
 
-def _signals(data: DataSet, response: FittedResponse) -> dict[str, Vector]:
+def _signals(plant: DisturbedPlant, data: DataSet, response: FittedResponse) -> dict[str, Vector]:
     """Return what a wrong entry of a matrix multiplies, by its name in a report."""
-    signals = {f"x_a[{i}]": column for i, column in enumerate(response.states.T)}
-    for j, column in enumerate(data.u.T):
-        signals[_input_name(j)] = column
+    states = _states_outside_feedback(plant, data, response)
+    signals = {f"x_a[{i}]": column for i, column in enumerate(states.T)}
+    for j in np.flatnonzero(~data.is_in_feedback).tolist():
+        signals[_input_name(j)] = data.u[:, j]
     signals["delta"] = response.disturbance.sum(axis=1)
     signals["a constant"] = np.ones(len(data.t))
     return signals
+
+
+def _states_outside_feedback(
+    plant: DisturbedPlant, data: DataSet, response: FittedResponse
+) -> Matrix:
+    """Return the states, of a closed loop without what the inputs in feedback make of them."""
+    if not data.is_in_feedback.any() or not response.states.shape[1]:
+        return response.states
+    u = np.where(data.is_in_feedback, 0.0, data.u)
+    forcing = np.hstack([u, response.disturbance])
+    held = np.zeros(forcing.shape[1], np.bool_)
+    held[: u.shape[1]] = data.is_held
+    inputs = np.hstack([plant.B, plant.Bd])
+    return simulate(plant.A, inputs, data.t, forcing, np.zeros(len(plant.A)), held)
 
 
 def _input_name(j: int) -> str:
