@@ -26,7 +26,8 @@ def frozen(values: ArrayLike, ndim: int) -> NDArray[np.float64]:
     """
     array = np.array(values, dtype=np.float64, order="C")
     if array.ndim != ndim:
-        raise ValueError(f"found {array.ndim} axes, needed {ndim}")
+        axes = "one axis" if ndim == 1 else f"{ndim} axes"
+        raise ValueError(f"found an array of shape {array.shape}, needed one with {axes}")
     array.setflags(write=False)
     return array
 

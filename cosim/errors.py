@@ -143,6 +143,11 @@ def listing(names: Sequence[str], most: int = 5) -> str:
     return f"{text}, and {omitted} more" if omitted > 0 else text
 
 
+def steps_text(steps: float) -> str:
+    """Return a number of communication steps in words: ``1 communication step``."""
+    return f"{steps:g} communication step{'' if steps == 1 else 's'}"
+
+
 def quoted(value: object) -> str:
     """Return a value as Python writes it, cut in the middle where it is long."""
     try:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Vector
-from cosim.errors import UsageError
+from cosim.errors import UsageError, steps_text
 from cosim.native.step import LARGEST_MEMORY, WORDS_PER_NORMAL, normal
 
 MOST_BITS = 52  # doubles tell no more levels apart
@@ -125,7 +125,7 @@ class SamplingInstants:
         self.depth = -math.floor(parameters.earliest)
         if self.depth * size > LARGEST_MEMORY:
             raise UsageError(
-                f"delay: found {parameters.delay:g} communication steps of {size} values, needed "
+                f"delay: found {steps_text(parameters.delay)} of {size} values, needed "
                 f"at most {LARGEST_MEMORY} values"
             )
         self._column = np.arange(size)
@@ -175,12 +175,12 @@ def _check_timing(parameters: SensorParameters) -> None:
         raise UsageError(f"delay: found {delay:g} communication steps, needed 0 or more")
     if not 0.0 <= jitter <= 0.5 * period:
         raise UsageError(
-            f"jitter: found {jitter:g} communication steps, needed 0 to {0.5 * period:g}, half the "
+            f"jitter: found {steps_text(jitter)}, needed 0 to {0.5 * period:g}, half the "
             "distance of two samples: they keep their order"
         )
     if parameters.latest > 1.0:
         raise UsageError(
-            f"jitter: found {jitter:g} communication steps, so that samples are taken up to "
+            f"jitter: found {steps_text(jitter)}, so that samples are taken up to "
             f"{parameters.latest:g} after they are reported, where the input is not known; needed "
             "at most 1: less jitter, or more delay"
         )

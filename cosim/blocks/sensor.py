@@ -48,7 +48,7 @@ from cosim.blocks.measurement import (
 from cosim.core.clock import NANOSECONDS
 from cosim.core.contracts import Design
 from cosim.core.signals import Interface, Signal
-from cosim.errors import UsageError
+from cosim.errors import UsageError, steps_text
 
 
 @dataclass(frozen=True, slots=True)
@@ -267,9 +267,9 @@ def _check_stamps(parameters: SensorParameters, size: int) -> None:
         )
     if parameters.latest > 0.0:
         raise UsageError(
-            f"time_stamps: found a jitter of {parameters.jitter:g} communication steps and a delay "
-            f"of {parameters.delay:g}; needed a delay of at least the jitter, so that no sample is "
-            "taken after it is reported"
+            f"time_stamps: found a jitter of {steps_text(parameters.jitter)} and a delay of "
+            f"{steps_text(parameters.delay)}; needed a delay of at least the jitter, so that no "
+            "sample is taken after it is reported"
         )
 
 

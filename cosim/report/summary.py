@@ -30,6 +30,7 @@ from cosim.scenario.recorded_metadata import (
     truth_of,
 )
 from cosim.scenario.schema import truth_ports
+from cosim.theory.assessment.consistency import NOTHING_ELSE
 from cosim.theory.excitation import describe_excitation, information
 
 
@@ -366,7 +367,7 @@ def _extent(
     elif all(parameter.value is None for parameter in identification.parameters):
         return  # the verdicts say why
     else:
-        cause = "the samples that it had, as it weighs them, do not determine theta"
+        cause = "no fit during the run led to one; the fit after the run did"
     yield f"{theta} itself has no value at the end: {cause}"
 
 
@@ -393,8 +394,8 @@ def noise_text(identification: IdentificationRecord) -> str:
         return ""
     if identification.is_exact:
         return (
-            f"the residual is below what step, quantization and rounding allow, "
-            f"{numbers_text(identification.accuracy)}"
+            f"the residual is at most {NOTHING_ELSE:g} times what step, quantization and rounding "
+            f"allow, {numbers_text(identification.accuracy)}"
         )
     order = len(identification.noise_model[0]) if identification.noise_model else 0
     if order:

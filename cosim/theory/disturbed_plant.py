@@ -52,6 +52,11 @@ class DisturbedPlant:
 
     Shapes: ``A (n, n)``, ``B (n, n_u)``, ``Bd (n, components)``, ``C (n_y, n)``, ``D (n_y, n_u)``,
     ``Dd (n_y, components)``.
+
+    Raises
+    ------
+    AssumptionError
+        If one is no matrix of numbers.
     """
 
     A: Matrix
@@ -64,7 +69,7 @@ class DisturbedPlant:
     def __post_init__(self) -> None:
         """Freeze the matrices."""
         for field in fields(self):
-            object.__setattr__(self, field.name, frozen(getattr(self, field.name), 2))
+            object.__setattr__(self, field.name, _frozen(self, field.name, 2))
 
 
 def disturbed_plant(reduced: ReducedSystem, components: int, *, channel: int = 0) -> DisturbedPlant:
@@ -89,6 +94,13 @@ def disturbed_plant(reduced: ReducedSystem, components: int, *, channel: int = 0
     Bd = np.repeat(reduced.B_2a[:, [channel]], components, axis=1)
     Dd = np.repeat(reduced.C5[:, [channel]], components, axis=1)
     return DisturbedPlant(A=reduced.A_a, B=reduced.B_1a, Bd=Bd, C=reduced.C3, D=reduced.C4, Dd=Dd)
+
+
+def _frozen(owner: object, name: str, ndim: int) -> NDArray[np.float64]:
+    try:
+        return frozen(getattr(owner, name), ndim)
+    except (TypeError, ValueError) as error:
+        raise AssumptionError(f"{name}: {error}") from error
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,9 +141,9 @@ class DataSet:
 
     def __post_init__(self) -> None:
         """Freeze and check the samples."""
-        object.__setattr__(self, "t", frozen(self.t, 1))
+        object.__setattr__(self, "t", _frozen(self, "t", 1))
         for name in ("y", "u", "alpha"):
-            object.__setattr__(self, name, frozen(getattr(self, name), 2))
+            object.__setattr__(self, name, _frozen(self, name, 2))
         N = len(self.t)
         for name in ("y", "u", "alpha"):
             rows = len(getattr(self, name))
@@ -412,7 +424,7 @@ def sample_plant(
     AssumptionError
         If shapes do not fit, there are more unknowns than the kernels hold, or a single sample.
     """
-    _check_sizes(plant, generators, data)
+    check_sizes(plant, generators, data)
     if len(data.t) < 2:
         raise AssumptionError(f"found a single sample, at {data.t[0]:g} s; needed a record")
     step, interval, predictor = sample_intervals(plant.A, plant.C, data, noise.covariance)
@@ -499,7 +511,14 @@ def needs_predictor(A: Matrix, span: float) -> bool:
     return bool(fastest * span > np.log(LARGEST_GROWTH))
 
 
-def _check_sizes(plant: DisturbedPlant, generators: Generators, data: DataSet) -> None:
+def check_sizes(plant: DisturbedPlant, generators: Generators, data: DataSet) -> None:
+    """Check that a data set and the terms of the disturbance are of a plant.
+
+    Raises
+    ------
+    AssumptionError
+        If they are not; names what has another number of columns.
+    """
     n_y, components = plant.Dd.shape
     n_u = plant.B.shape[1]
     for name, found, needed in (

@@ -11,6 +11,7 @@ import pytest
 
 import cosim
 from cosim.report.identification import report_identification
+from cosim.report.plots import identification as plots
 from cosim.report.plots.intervals import band_curves
 from cosim.report.plots.picture import PictureOptions
 from cosim.scenario.identification.from_logs import identifier_record, identify_records
@@ -247,6 +248,55 @@ def test_the_picture_shows_residual_spectrum_disturbance_and_theta(logs, call, t
     assert texts.count("error of delta") == 2
     assert texts.count("error of identifier.theta[1]") == 2
     assert f"{logs['second'].path}: residual" in texts
+
+
+@pytest.mark.parametrize(
+    ("bounds", "verdict"), [(None, "IDENTIFIABLE"), ({1: (-0.5, -0.5)}, "INCONSISTENT")]
+)
+def test_a_band_is_drawn_where_it_holds(logs, tmp_path, monkeypatch, bounds, verdict):
+    """Where the residual is not what noise leaves, the titles say why there is none."""
+    pytest.importorskip("matplotlib")
+    bands = []
+    monkeypatch.setattr(
+        plots, "draw_bands", lambda panel, curves, widths, styles: bands.append(len(widths))
+    )
+    found = identify_records([identifier_record(logs["first"])], bounds=bounds)
+    assert {one.verdict for one in found.assessment.parameters} == {verdict}
+    plots.plot_identification(found, tmp_path / "a.svg")
+    texts = re.findall(r"<text[^>]*>([^<]*)</text>", (tmp_path / "a.svg").read_text("utf-8"))
+    of_delta = bands[:2]
+    if verdict == "IDENTIFIABLE":
+        assert of_delta == [1, 1]
+        assert "its error, and 95 % band" in texts
+    else:
+        assert of_delta == [0, 0]
+        reason = f"no 95 % band: theta[0] is {verdict}"
+        assert texts.count(reason) == 1
+        assert texts.count(f"its error; {reason}") == 1
+
+
+def test_what_is_said_of_an_exact_residual_is_true(tmp_path, call):
+    """It is at most as many times larger than its errors as the text says, with both numbers."""
+    log = cosim.run("academic-noisy", out=tmp_path / "a.mcap", set={**FAST, "sensor.noise": 0.0})
+    recorded = log.results[IDENTIFICATION]["identifier"]
+    assert recorded["is_exact"]
+    text = rows(call("identify", log.path)[1])["noise"]
+    factor, allowed = re.search(r"at most ([\d.]+) times what .* allow, (\S+)", text[3]).groups()
+    assert float(text[0]) <= float(factor) * float(allowed)
+    assert float(allowed) == pytest.approx(recorded["accuracy"][0], rel=0.01)
+
+
+def test_titles_are_those_of_what_is_drawn(logs, tmp_path, monkeypatch):
+    """Without a truth there is no gray line, and the half width takes the place of the error."""
+    pytest.importorskip("matplotlib")
+    monkeypatch.setattr(plots, "truth_of", lambda log: {})
+    found = identify_records([identifier_record(logs["first"])])
+    plots.plot_identification(found, tmp_path / "a.svg")
+    text = (tmp_path / "a.svg").read_text("utf-8")
+    assert "gray: truth" not in text
+    assert "its error" not in text
+    assert "half width of its 95 % band" in text
+    assert "half width of its 95 % interval" in text
 
 
 def test_the_band_of_theta_is_that_of_its_standard_error(logs):

@@ -83,6 +83,35 @@ def test_options_are_those_of_the_fit(logs):
     fixed = identify_records([record], bounds={0: (-0.1, -0.1)})
     assert fixed.assessment.fit.theta[0] == -0.1
     assert fixed.assessment.fit.freedom == plain.assessment.fit.freedom + 1
+    listed = identify_records([record], bounds=[[-0.1, -0.1], (-np.inf, np.inf)])
+    np.testing.assert_array_equal(listed.assessment.fit.theta, fixed.assessment.fit.theta)
+
+
+@pytest.mark.parametrize(
+    ("bounds", "text"),
+    [
+        ([[-1, 0]], "needed [lower, upper] for each of the 2 parameters"),
+        (3, "bounds: found 3; needed [lower, upper]"),
+        ({2: (0.0, 1.0)}, "bounds: no theta[2]; there are 2 parameters"),
+        ({0: 1.0}, "bounds of theta[0]: found 1.0; needed two numbers"),
+        ({0: (1.0, 0.0)}, "bounds of theta[0]: the lower 1 is above the upper 0"),
+    ],
+)
+def test_bounds_that_are_none_are_refused(logs, bounds, text):
+    """As rows or by index, with the same messages as in a scenario."""
+    with pytest.raises(UsageError, match=re.escape(text)):
+        cosim.identify(logs[0], bounds=bounds)
+
+
+def test_what_is_no_log_is_refused(logs):
+    """Alone, beside a log, and as the number of a log that the fit does not have."""
+    for given in (3, [logs[0], None]):
+        with pytest.raises(UsageError, match=r"logs: found (3|None); needed a path, or what"):
+            cosim.identify(given)
+    found = cosim.identify(logs[0])
+    for index in (1, -1):
+        with pytest.raises(UsageError, match=f"index: found {index}; needed 0 to 0"):
+            found.smoothed(index)
 
 
 def test_logs_of_other_models_are_refused(logs, tmp_path):

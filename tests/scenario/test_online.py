@@ -296,4 +296,9 @@ def test_verdicts_beside_forgetting_say_that_they_do_not_forget():
     assert np.isnan(theta(log)[-1]).all()
     notes = " ".join(summarize(log).identifications[0].notes)
     assert "those of all samples with equal weight" in notes
-    assert "identifier.theta itself has no value at the end: the samples that it had" in notes
+    assert (
+        "identifier.theta itself has no value at the end: no fit during the run led to one" in notes
+    )
+    found = recorded_identification(log)["identifier"]
+    assert "the fit after the run did" in notes
+    assert {parameter.verdict for parameter in found.parameters} == {"IDENTIFIABLE"}

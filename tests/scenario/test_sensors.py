@@ -148,7 +148,7 @@ def test_valid_drives_another_component(tmp_path):
         ),
         ("delay = -1e-3", "delay: found -0.001 s, needed 0 s or more"),
         ("jitter = -1e-3\nseed = 1", "jitter: found -0.001 s, needed 0 s or more"),
-        ("jitter = 1e-3\nseed = 1", "jitter: found 1 communication steps, needed 0 to 0.5"),
+        ("jitter = 1e-3\nseed = 1", "jitter: found 1 communication step, needed 0 to 0.5"),
         ("delay = 1.5e-10", "1.5e-10 s is not a whole number of nanoseconds"),
         ("lower = 1\nupper = 1", "found lower = 1 and upper = 1, needed lower < upper"),
         ("bits = 12", "bits: needed lower and upper too"),

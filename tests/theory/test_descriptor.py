@@ -180,7 +180,10 @@ def test_a_singular_pencil_is_refused():
         ({"Bd": np.ones((4, 1))}, r"Bd has shape \(4, 1\); needed \(3, n_d\)"),
         ({"C": np.ones((1, 2))}, r"C has shape \(1, 2\); needed \(n_y, 3\)"),
         ({"C": np.ones((0, 3))}, r"C has shape \(0, 3\); needed \(n_y, 3\)"),
-        ({"Bd": np.ones(3)}, r"Bd is not a matrix: found 1 axes, needed 2"),
+        (
+            {"Bd": np.ones(3)},
+            r"Bd is not a matrix: found an array of shape \(3,\), needed one with 2 axes",
+        ),
         ({"C": np.array([[1.0, np.nan, 0]])}, r"C\[0, 1\] is nan; needed a finite number"),
         ({"A": np.diag([1.0, 1, np.inf])}, r"A\[2, 2\] is inf; needed a finite number"),
         ({"n_a": 0}, r"n_a = 0; needed 1\.\.3"),

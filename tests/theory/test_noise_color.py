@@ -154,7 +154,7 @@ def test_noise_that_is_correlated_over_too_much_of_the_record_is_said_to_be_so()
     parameter = assessment.parameters[0]
     assert parameter.verdict is Verdict.INCONSISTENT
     assert "noise that is correlated over" in parameter.reason
-    assert "do not tell from a wrong model" in parameter.reason
+    assert "are too few to tell such noise from a wrong model" in parameter.reason
 
 
 def test_noise_that_no_model_here_describes_is_said_to_be_so():

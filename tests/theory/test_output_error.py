@@ -8,6 +8,8 @@ from scipy.integrate import solve_ivp
 
 from cosim.errors import AssumptionError
 from cosim.native.output_error import ParameterState
+from cosim.theory.assessment.problem import OutputErrorProblem
+from cosim.theory.covariance import is_covariance
 from cosim.theory.descriptor import reduce
 from cosim.theory.disturbance import Exponential, Sine, generators
 from cosim.theory.disturbed_plant import (
@@ -274,6 +276,8 @@ def test_several_outputs_are_weighted_by_their_noise(exact):
         ({"u": np.array([[0.0], [np.nan], [0.0]])}, "u is not finite at t = 1.0 s"),
         ({"y": np.full((3, 1), np.nan)}, r"y\[0\] is never measured"),
         ({"y": np.zeros((2, 1))}, "y: 2 samples; needed 3"),
+        ({"y": np.zeros(3)}, "y: found an array of shape (3,), needed one with 2 axes"),
+        ({"t": "late"}, "t: could not convert string to float"),
         ({"alpha": np.full((3, 2), np.inf)}, "alpha is not finite at t = 0.0 s"),
     ],
 )
@@ -285,7 +289,7 @@ def test_samples_that_are_none_are_refused(change, text):
         "u": np.zeros((3, 1)),
         "alpha": np.ones((3, 2)),
     }
-    with pytest.raises(AssumptionError, match=text.replace("(", r"\(")):
+    with pytest.raises(AssumptionError, match=text.replace("(", r"\(").replace(")", r"\)")):
         DataSet(**{**good, **change})
 
 
@@ -295,3 +299,49 @@ def test_fewer_samples_than_unknowns_are_refused():
     record = data(t, np.sin(t)[:, np.newaxis])
     with pytest.raises(AssumptionError, match="5 measured values for 6 unknowns"):
         fit_output_error([record], plant(), FAMILIES, START)
+
+
+@pytest.mark.parametrize("start", [[-0.1], [-0.1, -0.3, 0.0], -0.1])
+def test_a_start_of_another_size_is_refused(exact, start):
+    """One number would be taken for both theta."""
+    with pytest.raises(
+        AssumptionError, match=r"theta: found a start of shape \(.*\); needed \(2,\)"
+    ):
+        fit_output_error([data(*exact)], plant(), FAMILIES, np.array(start))
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"data": []}, "no data; needed at least one record"),
+        ({"stated": np.array([[-1.0]])}, r"stated: found \[\[-1.0\]\]; needed the covariance"),
+        ({"stated": np.array([[np.nan]])}, "stated: found"),
+        ({"stated": np.eye(2)}, r"stated: found .*; needed .* of shape \(1, 1\)"),
+        ({"stated": np.array([1.0])}, "stated: found"),
+        ({"bounds": {2: (0.0, 1.0)}}, r"bounds: no theta\[2\]"),
+        ({"bounds": {0: (1.0, 0.0)}}, r"bounds of theta\[0\]: 1.0 > 0.0"),
+        ({"families": FAMILIES[:1]}, "families: 1 columns; the plant needs 2"),
+    ],
+)
+def test_a_problem_that_does_not_fit_together_is_refused(exact, change, text):
+    """When it is stated, not in the midst of a fit."""
+    good = {"data": [data(*exact)], "plant": plant(), "families": FAMILIES}
+    with pytest.raises(AssumptionError, match=text):
+        OutputErrorProblem(**{**good, **change})
+
+
+@pytest.mark.parametrize(
+    ("matrix", "is_one"),
+    [
+        ([[1e-12, 0.0], [0.0, 1e12]], True),
+        ([[1.0, 0.5], [0.5, 1.0]], True),
+        ([[1.0, 0.5], [0.4, 1.0]], False),
+        ([[1.0, 2.0], [2.0, 1.0]], False),
+        ([[1.0, 1.0], [1.0, 1.0]], False),
+        ([[1.0, 0.0], [0.0, 0.0]], False),
+        ([[1.0, np.inf], [np.inf, 1.0]], False),
+    ],
+)
+def test_a_covariance_is_symmetric_and_positive_definite(matrix, is_one):
+    """Whatever the units of its outputs are."""
+    assert is_covariance(np.array(matrix)) == is_one

@@ -10,7 +10,7 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.errors import UsageError
+from cosim.errors import UsageError, steps_text
 from cosim.fmi.exporting.kernels import ESTIMATION, Kernel, doubles, integers
 from cosim.native.expression import Program
 from cosim.native.identifier import IdentifierConstants, IdentifierStep
@@ -119,7 +119,7 @@ def output_error(constants: IdentifierConstants) -> Kernel:
     writer.lines[-1] = writer.lines[-1].removeprefix("static ")
     equations = (
         "Theta by output error on y, from a start that is searched on y and on the regression mu: "
-        f"every {constants.period} communication steps, from all samples since the initialization "
+        f"every {steps_text(constants.period)}, from all samples since the initialization "
         f"or from those of a window, at most {constants.capacity}. No value (NaN) before there is "
         "one."
     )

@@ -207,7 +207,7 @@ def delay(steps: int, width: int, initial: float | None) -> Kernel:
         f"const double kernel_initial = {value.hex()};",
     )
     before = "the initial u" if follows else initial
-    equations = f"y(t) = u(t - {steps} communication steps); before that {before}."
+    equations = f"y(t) = u(t - {steps} h) with the communication step h; before that {before}."
     memory = 1 + steps * width
     return Kernel("delay.c", ("linear.c",), memory, lines, equations, linear=True)
 

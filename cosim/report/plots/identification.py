@@ -25,20 +25,13 @@ from cosim.scenario.identification.from_logs import IdentifierRecord, LogIdentif
 from cosim.scenario.recorded_metadata import truth_of
 from cosim.scenario.schema import truth_ports
 from cosim.theory.assessment.spectrum import whiteness_spectrum
+from cosim.theory.assessment.verdicts import Verdict
 from cosim.theory.disturbed_plant import counted_values
 from cosim.theory.fitted_response import FittedResponse
 
 _STANDARD = PictureOptions()
 _THIN: Final = 0.5  # width of a line of noise [points]
 _ROWS: Final = 3  # of panels for a log
-_TITLES: Final = (
-    "residual",
-    "its spectrum; gray: white noise, 95 %",
-    "disturbance by what was found; gray: truth",
-    "its error, and 95 % band",
-    "theta during the run; gray: truth",
-    "its error, and 95 % interval",
-)
 
 
 def plot_identification(
@@ -62,13 +55,13 @@ def plot_identification(
         _draw_residual(of_log[0], identification, index, options)
         _draw_disturbance(of_log[1], identification, index, options)
         _draw_theta(of_log[2], record, options)
-        for panel, title in zip(of_log.ravel(), _TITLES, strict=True):
-            panel.set_title(title, fontsize="medium")
-        if len(identification.records) > 1:
-            of_log[0, 0].set_title(f"{record.log.label}: {_TITLES[0]}", fontsize="medium")
         _label_time([of_log[0, 0], *of_log[1], *of_log[2]], record, options)
     title = "" if len(identification.records) > 1 else identification.records[0].log.label
     picture.save(out, title=title)
+
+
+def _set_title(panel: Any, title: str) -> None:
+    panel.set_title(title, fontsize="medium")
 
 
 def _label_time(panels: list[Any], record: IdentifierRecord, options: PictureOptions) -> None:
@@ -100,6 +93,8 @@ def _draw_residual(
     styles = [{**style, "linewidth": _THIN} for style in color_styles(len(curves))]
     draw(over_time, curves, styles=styles)
     over_time.ticklabel_format(axis="y", scilimits=(-2, 3))
+    owner = f"{record.log.label}: " if len(identification.records) > 1 else ""
+    _set_title(over_time, f"{owner}residual")
     _draw_spectrum(spectrum, identification, record, response)
 
 
@@ -127,7 +122,9 @@ def _draw_spectrum(
         panel.plot(frequency, spectrum.power[:, 0], marker=".", markersize=4.0, **style)
         panel.set_ylim(bottom=0.5 * float(spectrum.lower.min()))
     if not panel.lines:
+        _set_title(panel, "its spectrum: too few samples")
         return
+    _set_title(panel, "its spectrum; gray: white noise, 95 %")
     panel.set_xscale("log")
     panel.set_yscale("log")
     panel.axhline(1.0, color="0.6", linewidth=1.0)
@@ -143,6 +140,7 @@ def _draw_disturbance(
     try:
         smoothed = identification.smoothed(index)
     except AssumptionError as error:  # of an unstable plant
+        _set_title(left, "disturbance by what was found")
         left.text(0.5, 0.5, str(error), transform=left.transAxes, ha="center", wrap=True)
         return
     style = {"color": COLORS[0], "linewidth": WIDTH}
@@ -152,18 +150,35 @@ def _draw_disturbance(
     if true is not None:
         draw_truth(left, record.log, estimate, true, options)
     drawn = whole.within(options)
-    widths = [width.within(options)]
+    missing = _why_no_band(identification)
+    widths = [] if missing else [width.within(options)]
     draw_bands(left, [drawn], widths, [style])
     draw(left, [drawn], styles=[style])
-    if true is None:
-        shown = replace(widths[0], name="half width of the 95 % band")
-    else:
+    title = "disturbance by what was found" + "; gray: truth" * (true is not None)
+    _set_title(left, f"{title}\n{missing}" if missing else title)
+    if true is not None:
         values = smoothed.disturbance - _true_disturbance(record, true)
-        shown = replace(whole, name="error of delta", values=values).within(options)
-        draw_bands(right, [shown], widths, [style])
+        errors = [replace(whole, name="error of delta", values=values).within(options)]
+        draw_bands(right, errors, widths, [style])
+        draw(right, errors, styles=[style])
         right.axhline(0.0, color="0.75", linewidth=1.0)
-    draw(right, [shown], styles=[style])
+        _set_title(right, f"its error; {missing}" if missing else "its error, and 95 % band")
+    else:
+        shown = [replace(one, name="half width of the 95 % band") for one in widths]
+        draw(right, shown, styles=[style])
+        _set_title(right, missing or "half width of its 95 % band")
     right.ticklabel_format(axis="y", scilimits=(-2, 3))
+
+
+def _why_no_band(identification: LogIdentification) -> str:
+    """Return why the disturbance has no 95 % band; empty where it has one.
+
+    The band is linear in the same unknowns as the intervals of theta, and holds where they do.
+    """
+    for parameter in identification.assessment.parameters:
+        if parameter.verdict is not Verdict.IDENTIFIABLE:
+            return f"no 95 % band: {parameter.name} is {parameter.verdict}"
+    return ""
 
 
 def _true_disturbance(record: IdentifierRecord, true: Any) -> Vector:
@@ -188,7 +203,9 @@ def _draw_theta(panels: Any, record: IdentifierRecord, options: PictureOptions) 
         draw_truth(left, record.log, estimate, true, options)
     draw_bands(left, curves, widths, styles)
     draw(left, curves, styles=styles)
+    _set_title(left, "theta during the run" + "; gray: truth" * (true is not None))
     if true is not None:
+        _set_title(right, "its error, and 95 % interval" if widths else "its error")
         limit_to_truth(left, record.log, estimate, true, options)
         errors = error_curves(record.log, estimate, true, options)
         draw_bands(right, errors, widths, styles)
@@ -196,6 +213,7 @@ def _draw_theta(panels: Any, record: IdentifierRecord, options: PictureOptions) 
         limit_to_settled(right, [*errors, *edges(errors, widths)])
         right.axhline(0.0, color="0.75", linewidth=1.0)
     elif has_signal(record.log, f"{record.identifier}.standard_error"):
+        _set_title(right, "half width of its 95 % interval")
         named = []
         for width, curve in zip(widths, curves, strict=True):
             named.append(replace(width, name=f"95 % of {curve.name}"))

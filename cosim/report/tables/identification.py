@@ -11,7 +11,7 @@ from cosim.report.identification import IdentificationReport, TimedPart
 from cosim.report.summary import numbers_text
 from cosim.report.tables.console import new_table, print_json, print_table
 from cosim.scenario.identification.from_logs import IdentifierRecord, LogIdentification
-from cosim.theory.assessment.consistency import ResidualTest
+from cosim.theory.assessment.consistency import NOTHING_ELSE, ResidualTest
 from cosim.theory.assessment.validation import Validation
 from cosim.theory.assessment.verdicts import ParameterVerdict
 from cosim.theory.bounded.feasible_program import MOST_PROGRAMS_IN_ALL
@@ -87,7 +87,10 @@ def _add_validation(table: Table, record: IdentifierRecord, validation: Validati
     table.add_row(f"validation {record.log.label}", "", "", "", text)
     size = f"of the residual with theta held: {validation.ratio:.4g} times that of the fit"
     if validation.consistency.is_exact:
-        size = "the residual with theta held is below what step, quantization and rounding allow"
+        size = (
+            f"the residual with theta held is at most {NOTHING_ELSE:g} times what step, "
+            "quantization and rounding allow"
+        )
     table.add_row("deviation", f"{validation.deviation:.3g}", "", "", size)
     for test in validation.tests:
         if test.degrees:

@@ -21,12 +21,13 @@ from cosim.core.connections import conversions_of
 from cosim.core.contracts import CompleteRecording
 from cosim.core.port import Port
 from cosim.core.ports import Ports
-from cosim.errors import UsageError, nearest
+from cosim.core.recorded import RecordedSignals
+from cosim.errors import UsageError, nearest, quoted
 from cosim.log import open_log
 from cosim.scenario.build import Experiment
 from cosim.scenario.identification.feedback import inputs_in_feedback
 from cosim.scenario.identification.irregular import interval_of
-from cosim.scenario.identification.model import IdentifiedPlant, SampleRows
+from cosim.scenario.identification.model import IdentifiedPlant, SampleRows, ThetaBounds, bounds_of
 from cosim.scenario.identification.run_verdicts import OUTPUT_ERROR
 from cosim.scenario.recorded_metadata import component_record
 from cosim.scenario.replaying import rebuilt
@@ -115,9 +116,13 @@ class LogIdentification:
 
         Raises
         ------
+        UsageError
+            If there is no such log.
         AssumptionError
             If the plant is unstable.
         """
+        if not 0 <= index < len(self.records):
+            raise UsageError(f"index: found {index}; needed 0 to {len(self.records) - 1}, a log")
         return smoothed_signals(self.assessment.fitted, index)
 
     def guaranteed_interval(self, bound: float, watch: Watch | None = None) -> GuaranteedInterval:
@@ -219,7 +224,7 @@ def identify(
     *,
     identifier: str | None = None,
     offset: bool = False,
-    bounds: Mapping[int, tuple[float, float]] | None = None,
+    bounds: ThetaBounds | None = None,
 ) -> LogIdentification:
     """Estimate theta from logs by output error, whatever method their runs used.
 
@@ -237,26 +242,29 @@ def identify(
     LogError
         If a log is damaged, or has no scenario.
     UsageError
-        If a log has no such identifier, the logs are of different models, or two have the same
-        rows.
+        If one is neither a path nor a run, a log has no such identifier, the logs are of different
+        models, two have the same rows, or the bounds are none.
     AssumptionError
-        If there are fewer samples than unknowns, or a bound excludes every value.
+        If there are fewer samples than unknowns.
     """
     listed = list(logs) if isinstance(logs, Sequence) and not isinstance(logs, str) else [logs]
-    if not listed:
-        raise UsageError("logs: found none; needed one or more")
-    records = []
-    for log in listed:
-        opened = open_log(log) if isinstance(log, str | Path) else log
-        records.append(identifier_record(opened, identifier))
+    records = [identifier_record(_opened(log), identifier) for log in listed]
     return identify_records(records, offset=offset, bounds=bounds)
+
+
+def _opened(log: str | Path | CompleteRecording) -> CompleteRecording:
+    if isinstance(log, str | Path):
+        return open_log(log)
+    if not isinstance(log, RecordedSignals):
+        raise UsageError(f"logs: found {quoted(log)}; needed a path, or what a run returned")
+    return log
 
 
 def identify_records(
     records: Sequence[IdentifierRecord],
     *,
     offset: bool = False,
-    bounds: Mapping[int, tuple[float, float]] | None = None,
+    bounds: ThetaBounds | None = None,
 ) -> LogIdentification:
     """Estimate theta from records of logs by output error, with a verdict on every parameter.
 
@@ -266,16 +274,19 @@ def identify_records(
         Of one plant under one theta; amplitudes, phases and x(0) of each are its own.
     offset : bool
         An unknown constant is on every output, also where the scenario does not say so.
-    bounds : mapping of index to (lower, upper), optional
-        Of theta; equal ones fix it. By default those of the first log's scenario.
+    bounds : sequence of (lower, upper), or mapping of index to (lower, upper), optional
+        Of each theta, or of some; equal ones fix it. By default those of the first log's scenario.
 
     Raises
     ------
     UsageError
-        If the logs are of different models, or two have the same rows.
+        If there are none, they are of different models, two have the same rows, or the bounds are
+        none.
     AssumptionError
-        If there are fewer samples than unknowns, or a bound excludes every value.
+        If there are fewer samples than unknowns.
     """
+    if not records:
+        raise UsageError("logs: found none; needed one or more")
     first = records[0]
     for number, record in enumerate(records):
         _check_unused(record, records[:number])
@@ -285,7 +296,7 @@ def identify_records(
     problem = replace(
         problem,
         offset=offset or identified.offset,
-        bounds=identified.bounds if bounds is None else bounds,
+        bounds=identified.bounds if bounds is None else bounds_of(bounds, identified.parameters),
     )
     assessment = assess_from(problem, first.estimate)
     names = [record.log.label for record in records]

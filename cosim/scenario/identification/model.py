@@ -6,6 +6,7 @@ import math
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
@@ -16,6 +17,9 @@ from cosim.native.step import evaluate_at
 from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.disturbance import Family
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
+
+# (lower, upper) of each theta, or of some by their index
+ThetaBounds: TypeAlias = Sequence[Sequence[float]] | Mapping[int, tuple[float, float]]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -183,7 +187,7 @@ def bounds_of(rows: object, parameters: int) -> dict[int, tuple[float, float]]:
     Parameters
     ----------
     rows : object
-        ``[lower, upper]`` for each theta.
+        ``[lower, upper]`` for each theta, or by the index of some.
     parameters : int
         Number of theta.
 
@@ -192,7 +196,12 @@ def bounds_of(rows: object, parameters: int) -> dict[int, tuple[float, float]]:
     UsageError
         If they are not that.
     """
-    if not isinstance(rows, list) or len(rows) != parameters:
+    if isinstance(rows, Mapping):
+        unknown = [j for j in rows if j not in range(parameters)]
+        if unknown:
+            raise UsageError(f"bounds: no theta[{unknown[0]}]; there are {parameters} parameters")
+        return {int(j): _bounds_of_one(row, j) for j, row in rows.items()}
+    if not isinstance(rows, Sequence) or isinstance(rows, str) or len(rows) != parameters:
         raise UsageError(
             f"bounds: found {rows}; needed [lower, upper] for each of the {parameters} parameters, "
             "inf where there is none: [[-1, 0], [-inf, inf]]"
@@ -201,7 +210,7 @@ def bounds_of(rows: object, parameters: int) -> dict[int, tuple[float, float]]:
 
 
 def _bounds_of_one(row: object, j: int) -> tuple[float, float]:
-    if not isinstance(row, list) or len(row) != 2 or not all(map(_is_number, row)):
+    if not isinstance(row, list | tuple) or len(row) != 2 or not all(map(_is_number, row)):
         raise UsageError(
             f"bounds of theta[{j}]: found {row}; needed two numbers, [lower, upper], inf where "
             "there is none: [-1, inf]"

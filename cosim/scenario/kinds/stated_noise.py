@@ -8,8 +8,7 @@ import numpy as np
 
 from cosim.arrays import Matrix, Vector
 from cosim.errors import UsageError
-
-SYMMETRY = 1e-9  # relative difference of entries that are one number
+from cosim.theory.covariance import is_covariance
 
 
 def stated_covariance(
@@ -39,10 +38,7 @@ def _checked(covariance: Sequence[Sequence[float]], outputs: int) -> Matrix:
             f"{outputs} numbers, as y has"
         )
     matrix = np.array(covariance, np.float64)
-    scale = np.sqrt(np.abs(np.diag(matrix)))
-    difference = np.abs(matrix - matrix.T)
-    is_symmetric = bool((difference <= SYMMETRY * np.outer(scale, scale)).all())
-    if not is_symmetric or not _is_positive(matrix, scale):
+    if not is_covariance(matrix):
         raise UsageError(
             f"covariance: found {matrix.tolist()}; needed a symmetric positive definite matrix"
         )
@@ -59,12 +55,3 @@ def _deviations(deviation: float | Sequence[float], outputs: int) -> Vector:
     if not ((deviations > 0.0) & (deviations < np.inf)).all():
         raise UsageError(f"deviation: found {deviation}; needed positive finite numbers")
     return np.broadcast_to(deviations, outputs)
-
-
-def _is_positive(matrix: Matrix, scale: Vector) -> bool:
-    if not (np.isfinite(matrix).all() and (scale > 0.0).all()):
-        return False
-    correlations = matrix / np.outer(scale, scale)
-    smallest = np.linalg.eigvalsh(correlations).min()
-    rounding = np.finfo(np.float64).eps * len(matrix)
-    return bool(smallest > rounding)

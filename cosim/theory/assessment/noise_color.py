@@ -96,7 +96,8 @@ class NoiseColor:
         length = f"about {self.memory:.0f}" if self.memory <= self.samples else "very many"
         return (
             f"noise that is correlated over {length} samples would leave that too, and "
-            f"{self.samples} samples do not tell from a wrong model how slow it is: needed are more"
+            f"{self.samples} samples are too few to tell such noise from a wrong model: a longer "
+            "record would"
         )
 
 

@@ -6,11 +6,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
+import numpy as np
+
 from cosim.arrays import Matrix, Vector
+from cosim.errors import AssumptionError, quoted
 from cosim.native.output_error import Generators
+from cosim.theory.covariance import is_covariance
 from cosim.theory.disturbance import Family, generators
-from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel
-from cosim.theory.estimators.output_error import OutputErrorFit, fit_output_error
+from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel, check_sizes
+from cosim.theory.estimators.output_error import OutputErrorFit, bound_vectors, fit_output_error
 from cosim.theory.estimators.start_grid import search_start
 
 
@@ -31,6 +35,12 @@ class OutputErrorProblem:
         An unknown constant is on every output.
     bounds : mapping of index to (lower, upper)
         Of entries of theta; equal bounds fix one.
+
+    Raises
+    ------
+    AssumptionError
+        If there are no data, they do not fit the plant, ``stated`` is no covariance of its outputs,
+        or there is no such theta to bound, or a lower bound is above its upper one.
     """
 
     data: Sequence[DataSet]
@@ -39,6 +49,23 @@ class OutputErrorProblem:
     stated: Matrix | None = None
     offset: bool = False
     bounds: Mapping[int, tuple[float, float]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Check that all of it fits together."""
+        if not self.data:
+            raise AssumptionError("no data; needed at least one record")
+        for data_set in self.data:
+            check_sizes(self.plant, self.generators, data_set)
+        bound_vectors(self.bounds, self.generators.parameters)
+        if self.stated is None:
+            return
+        stated = np.asarray(self.stated)
+        shape = (self.outputs, self.outputs)
+        if stated.shape != shape or not is_covariance(stated):
+            raise AssumptionError(
+                f"stated: found {quoted(stated.tolist())}; needed the covariance of the noise of "
+                f"y, a symmetric positive definite matrix of shape {shape}"
+            )
 
     @cached_property
     def generators(self) -> Generators:

@@ -147,10 +147,16 @@ def fit_output_error(
     records = response_records(
         data, plant, matrices, noise=noise, offset=offset, forgetting=forgetting
     )
+    start = np.asarray(theta, np.float64)
+    if start.shape != (matrices.parameters,):
+        raise AssumptionError(
+            f"theta: found a start of shape {start.shape}; needed {(matrices.parameters,)}, one "
+            "for each parameter of the families"
+        )
     lower, upper = bound_vectors(bounds, matrices.parameters)
     result = minimize(
         records,
-        np.clip(theta, lower, upper),
+        np.clip(start, lower, upper),
         lower=lower,
         upper=upper,
         scale=_longest_steps(data, families),
@@ -159,7 +165,7 @@ def fit_output_error(
     )
     if result.status == NO_INFORMATION:
         unknowns = len(records) * records[0].model.linear + matrices.parameters
-        raise _no_information(data, unknowns, theta)
+        raise _no_information(data, unknowns, start)
     return _fit(result, records, matrices.order, plant.A.shape[0])
 
 
