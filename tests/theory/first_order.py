@@ -3,7 +3,7 @@
 import numpy as np
 
 from cosim.theory.assessment.advice import advised
-from cosim.theory.assessment.assessing import assess_from
+from cosim.theory.assessment.assessing import assess
 from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.disturbance import Sine
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
@@ -48,7 +48,7 @@ def experiment(families, theta, disturbance, *, length, sigma, seed=0, alpha=Non
     y = simulate(disturbance(t)) + constant + noise
     data = [DataSet(t, y[:, np.newaxis], np.zeros((len(t), 0)), alpha(t))]
     plant = lag(len(families))
-    assessment = assess_from(OutputErrorProblem(data, plant, families, **options), np.array(theta))
+    assessment = assess(OutputErrorProblem(data, plant, families, **options), np.array(theta))
     return advised(assessment, [alpha]).parameters
 
 

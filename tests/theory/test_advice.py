@@ -7,7 +7,7 @@ import pytest
 
 from cosim.native.step import first_order_hold, linear_step
 from cosim.theory.assessment.advice import advised
-from cosim.theory.assessment.assessing import assess_from
+from cosim.theory.assessment.assessing import assess
 from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.verdicts import Verdict
 from cosim.theory.disturbance import Exponential
@@ -126,7 +126,7 @@ def test_another_input_does_not_help():
         y = data.y + response_to(u - data.u, data.t)
         other = DataSet(data.t, y, u, data.alpha)
         plant = design()
-        assessment = assess_from(OutputErrorProblem([other], plant, FAMILIES), np.array(THETA))
+        assessment = assess(OutputErrorProblem([other], plant, FAMILIES), np.array(THETA))
         found[name] = advised(assessment, [alpha_of_example]).parameters[1]
     assert said(found["same"])[1]["another u"] is None
     same, other = (found[name].standard_error for name in ("same", "other"))

@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.signal import lsim
 
-from cosim.theory.assessment.assessing import assess, assess_from
+from cosim.theory.assessment.assessing import assess, assess_near
 from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.verdicts import Verdict
 from cosim.theory.disturbance import Exponential
@@ -58,7 +58,7 @@ def single_rate(data):
 def test_an_absent_term_takes_nothing_from_another_wherever_it_started(start):
     """Of rates -0.3 and -0.33 one explains the data: its value is that of a fit of it alone."""
     data = record((-0.3, -0.33), 2)
-    found = assess(
+    found = assess_near(
         OutputErrorProblem([data], plant(2), (Exponential(),) * 2), np.array([-0.25, start])
     ).parameters
     rate, error = single_rate(data)
@@ -74,9 +74,7 @@ def test_one_order_of_terms_that_are_interchangeable():
     data = record((-0.1, -0.6), 2, seed=5)
     for estimate in ([-0.1, np.nan], [np.nan, -0.1]):
         given = np.array(estimate)
-        found = assess_from(
-            OutputErrorProblem([data], plant(2), (Exponential(),) * 2), given
-        ).parameters
+        found = assess(OutputErrorProblem([data], plant(2), (Exponential(),) * 2), given).parameters
         place = int(np.flatnonzero(np.isfinite(given))[0])
         assert found[place].value == pytest.approx(-0.1, abs=0.01)
         assert found[1 - place].value == pytest.approx(-0.6, abs=0.1)
@@ -98,14 +96,14 @@ def coarse(h):
 def test_a_term_that_errors_of_the_step_hide_is_said_to_be_so():
     """Noise is none of the reasons: a third of the step shows both terms, as the reason says."""
     start = np.array([-2.0, -3.8])
-    found = assess(
+    found = assess_near(
         OutputErrorProblem([coarse(0.06)], plant(2), (Exponential(),) * 2), start
     ).parameters
     assert {one.verdict for one in found} == {Verdict.NOT_IDENTIFIABLE}
     for one in found:
         assert "straight lines between samples" in one.reason
         assert "less noise" not in one.reason
-    shorter = assess(
+    shorter = assess_near(
         OutputErrorProblem([coarse(0.02)], plant(2), (Exponential(),) * 2), start
     ).parameters
     assert {one.verdict for one in shorter} == {Verdict.IDENTIFIABLE}

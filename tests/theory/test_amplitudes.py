@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cosim.theory.assessment.amplitude_verdicts import amplitude_verdicts
-from cosim.theory.assessment.assessing import assess
+from cosim.theory.assessment.assessing import assess_near
 from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.verdicts import Verdict
 from cosim.theory.disturbance import Exponential, Sine
@@ -55,7 +55,9 @@ def times(start=0.0, length=20.0):
 
 def constants(records, family=SINE, start=TRUTH[0], **options):
     """Return the estimates of each data set by name."""
-    assessment = assess(OutputErrorProblem(records, LAG, [family], **options), np.array([start]))
+    assessment = assess_near(
+        OutputErrorProblem(records, LAG, [family], **options), np.array([start])
+    )
     return [
         {one.name: one for one in of_data} for of_data in amplitude_verdicts(assessment)
     ], assessment

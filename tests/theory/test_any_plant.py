@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from cosim.theory.assessment.assessing import assess_from
+from cosim.theory.assessment.assessing import assess
 from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.verdicts import Verdict
 from cosim.theory.disturbance import Exponential, Sine
@@ -94,9 +94,7 @@ def drawn(seed):
 def outcome(seed):
     """Return whether there is a false alarm, and how many intervals miss."""
     case = drawn(seed)
-    found = assess_from(
-        OutputErrorProblem([case.data], case.plant, case.families), 1.1 * case.theta
-    )
+    found = assess(OutputErrorProblem([case.data], case.plant, case.families), 1.1 * case.theta)
     verdicts = [parameter.verdict for parameter in found.parameters]
     if found.consistency.step_too_long or Verdict.INCONSISTENT in verdicts:
         return not found.consistency.step_too_long, 0

@@ -7,7 +7,7 @@ import pytest
 
 import cosim
 from cosim.theory import observer
-from cosim.theory.assessment.assessing import assess
+from cosim.theory.assessment.assessing import assess_near
 from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.verdicts import Verdict
 from cosim.theory.descriptor import reduce
@@ -79,7 +79,9 @@ class Recorded:
 
     def is_said_to_be_wrong(self, theta):
         """Whether no parameter has a verdict that stands for its interval."""
-        verdicts = assess(OutputErrorProblem([self.data], self.plant, FAMILIES), theta).parameters
+        verdicts = assess_near(
+            OutputErrorProblem([self.data], self.plant, FAMILIES), theta
+        ).parameters
         doubts = (Verdict.INCONSISTENT, Verdict.NOT_IDENTIFIABLE, Verdict.NO_ESTIMATE)
         return all(one.verdict in doubts for one in verdicts)
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cosim.theory.assessment.accuracy import step_error
-from cosim.theory.assessment.assessing import assess
+from cosim.theory.assessment.assessing import assess_near
 from cosim.theory.assessment.model_errors import model_errors
 from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.verdicts import Verdict
@@ -40,7 +40,7 @@ def test_a_held_input_has_no_error_of_the_step():
     without = replace(data, u=np.zeros_like(data.u))
     found = step_error(lag(), data, delta)
     np.testing.assert_array_equal(found, step_error(lag(), without, delta))
-    parameter = assess(OutputErrorProblem([data], lag(), FAMILY), START).parameters[0]
+    parameter = assess_near(OutputErrorProblem([data], lag(), FAMILY), START).parameters[0]
     assert parameter.verdict is Verdict.IDENTIFIABLE
     assert parameter.lower <= RATE <= parameter.upper
     assert parameter.upper - parameter.lower < 1e-5
@@ -49,7 +49,7 @@ def test_a_held_input_has_no_error_of_the_step():
 @pytest.mark.parametrize("sigma", [0.0, 1e-5, 1e-4])
 def test_a_wrong_gain_of_a_held_input_is_inconsistent(sigma):
     """By 0.2 %: what the data say is not hidden by an error that they do not have."""
-    found = assess(OutputErrorProblem([held_record(sigma, 1)], lag(gain=1.002), FAMILY), START)
+    found = assess_near(OutputErrorProblem([held_record(sigma, 1)], lag(gain=1.002), FAMILY), START)
     assert found.parameters[0].verdict is Verdict.INCONSISTENT
 
 
@@ -63,7 +63,7 @@ def test_what_is_allowed_passes_each_test(bits, sigma):
         level = 8.0 / 2**bits
         y = level * np.round(y / level)
     start = np.array([-0.05, -0.5])
-    found = assess(OutputErrorProblem([example_record(y, COARSE)], design(), FAMILIES), start)
+    found = assess_near(OutputErrorProblem([example_record(y, COARSE)], design(), FAMILIES), start)
     assert found.parameters[0].verdict is Verdict.IDENTIFIABLE
     assert [test.name for test in found.consistency.tests if not test.passed] == []
 
@@ -73,13 +73,13 @@ def test_a_failed_test_is_never_beside_a_good_verdict():
     u = np.sin(GRID)
     data = record(GRID, u, states(GRID, u)[:, np.newaxis])
     allowed = (
-        assess(OutputErrorProblem([data], lag(), FAMILY), START)
+        assess_near(OutputErrorProblem([data], lag(), FAMILY), START)
         .consistency.accuracy[0]
         .deviations[0]
     )
     wave = allowed * np.sqrt(2.0) * np.cos(np.pi * GRID)
     wrong = record(GRID, u, data.y + wave[:, np.newaxis])
-    found = assess(OutputErrorProblem([wrong], lag(), FAMILY), START)
+    found = assess_near(OutputErrorProblem([wrong], lag(), FAMILY), START)
     assert found.consistency.is_exact
     assert not all(test.passed for test in found.consistency.tests)
     assert found.parameters[0].verdict is Verdict.INCONSISTENT
@@ -95,7 +95,7 @@ def test_the_order_of_records_changes_nothing(sigma):
         records.append(record(GRID, u, y, sigma=sigma, seed=seed))
     found = []
     for order in (records, records[::-1]):
-        found.append(assess(OutputErrorProblem(order, lag(), FAMILY), START).parameters[0])
+        found.append(assess_near(OutputErrorProblem(order, lag(), FAMILY), START).parameters[0])
     assert {parameter.verdict for parameter in found} == {Verdict.IDENTIFIABLE}
     values = [parameter.value for parameter in found]
     np.testing.assert_allclose(values, values[0], rtol=1e-9)
@@ -111,7 +111,7 @@ def sampled(h):
 
 def test_a_long_step_is_said_with_its_error_and_the_step_that_would_do():
     """Which output, how large the error is, and by how much shorter the step must be."""
-    found = assess(OutputErrorProblem([sampled(0.5)], lag(), FAMILY), START)
+    found = assess_near(OutputErrorProblem([sampled(0.5)], lag(), FAMILY), START)
     relative = float(found.consistency.step_error[0])
     assert relative > 0.01
     reason = found.parameters[0].reason
@@ -119,7 +119,9 @@ def test_a_long_step_is_said_with_its_error_and_the_step_that_would_do():
     assert f"{100.0 * relative:.2g} %" in reason
     shorter = re.search(r"samples at (\S+) of their distances would do", reason)
     assert shorter is not None
-    enough = assess(OutputErrorProblem([sampled(0.5 * float(shorter[1]))], lag(), FAMILY), START)
+    enough = assess_near(
+        OutputErrorProblem([sampled(0.5 * float(shorter[1]))], lag(), FAMILY), START
+    )
     assert not enough.consistency.step_too_long
 
 
@@ -128,7 +130,9 @@ def test_a_fit_that_has_not_converged_is_no_statement_about_the_data(monkeypatch
     monkeypatch.setattr("cosim.native.output_error.MOST_ITERATIONS", 1)
     u = np.sin(GRID)
     data = record(GRID, u, states(GRID, u)[:, np.newaxis], sigma=1e-3)
-    parameter = assess(OutputErrorProblem([data], lag(), FAMILY), np.array([-0.5])).parameters[0]
+    parameter = assess_near(OutputErrorProblem([data], lag(), FAMILY), np.array([-0.5])).parameters[
+        0
+    ]
     assert parameter.verdict is Verdict.NO_ESTIMATE
     assert parameter.value is None
 
@@ -207,7 +211,7 @@ def test_samples_between_the_points_of_an_input_have_the_error_of_its_lines(plac
     taken = np.isin(t, points)
     data = DataSet(t, at_samples, between, alpha(t)[:, np.newaxis], taken=taken)
     plant = replace(lag(), D=np.array([[feedthrough]]))
-    found = assess(OutputErrorProblem([data], plant, FAMILY), START)
+    found = assess_near(OutputErrorProblem([data], plant, FAMILY), START)
     parameter = found.parameters[0]
     assert parameter.verdict is Verdict.IDENTIFIABLE
     assert parameter.lower <= RATE <= parameter.upper

@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from cosim.errors import AssumptionError
-from cosim.theory.assessment.assessing import assess
+from cosim.theory.assessment.assessing import assess, assess_near
 from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.smoothing import smoothed_signals
 from cosim.theory.assessment.verdicts import Verdict
@@ -84,7 +84,7 @@ def test_sensors_that_are_not_measured_together_identify(pattern):
     assert parameter.lower <= RATE <= parameter.upper
     deviations = np.sqrt(np.diag(covariance))
     np.testing.assert_allclose(found.deviations, deviations, rtol=0.1)
-    wrong = assess(OutputErrorProblem([data], lag(sensors=(1.0, 2.02)), FAMILY), START)
+    wrong = assess_near(OutputErrorProblem([data], lag(sensors=(1.0, 2.02)), FAMILY), START)
     assert wrong.parameters[0].verdict is Verdict.INCONSISTENT
     smoothed = smoothed_signals(found.fitted)
     errors = np.abs(smoothed.states[:, 0] - states(GRID, np.sin(GRID)))
@@ -98,7 +98,7 @@ def test_colored_noise_of_sensors_that_take_turns_is_whitened():
     noise = 1e-3 * lfilter([1.0], [1.0, -0.8], white, axis=0)
     y = np.outer(states(GRID, u), SENSORS) + noise
     y[~alternating()] = np.nan
-    found = assess(OutputErrorProblem([record(GRID, u, y)], two_sensors(), FAMILY), START)
+    found = assess_near(OutputErrorProblem([record(GRID, u, y)], two_sensors(), FAMILY), START)
     assert found.parameters[0].verdict is Verdict.IDENTIFIABLE
     np.testing.assert_allclose(found.noise.a[:, 0], 0.64, atol=0.08)
 
@@ -115,7 +115,7 @@ def test_an_unstable_plant_is_predicted_by_the_sensors_that_are_there():
     noise = np.random.default_rng(4).standard_normal((len(GRID), 2)) * [1e-3, 2e-3]
     y = x * SENSORS + noise
     y[~alternating()] = np.nan
-    found = assess(OutputErrorProblem([record(GRID, u, y)], plant, FAMILY), START)
+    found = assess_near(OutputErrorProblem([record(GRID, u, y)], plant, FAMILY), START)
     parameter = found.parameters[0]
     assert parameter.verdict is Verdict.IDENTIFIABLE
     assert parameter.value == pytest.approx(RATE, abs=1e-3)

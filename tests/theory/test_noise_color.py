@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter, lsim
 
-from cosim.theory.assessment.assessing import assess
+from cosim.theory.assessment.assessing import assess_near
 from cosim.theory.assessment.noise_color import (
     ColoredRecord,
     Criterion,
@@ -73,7 +73,7 @@ def record(N, disturbing, matrix=A):
 def assessed(N, disturbing, **options):
     """Assess the response with noise."""
     data = record(N, disturbing, **options)
-    return assess(OutputErrorProblem([data], PLANT, (Exponential(),)), np.array([RATE]))
+    return assess_near(OutputErrorProblem([data], PLANT, (Exponential(),)), np.array([RATE]))
 
 
 @pytest.mark.parametrize(("a", "N"), [(0.5, 1001), (0.8, 1001), (0.95, 5001)])
@@ -172,7 +172,7 @@ def test_gaps_do_not_make_colored_noise_a_wrong_model(a):
     data = record(2001, noise(2001, a, 4))
     y = data.y.copy()
     y[np.random.default_rng(9).random(2001) < 0.1] = np.nan
-    assessment = assess(
+    assessment = assess_near(
         OutputErrorProblem([replace(data, y=y)], PLANT, (Exponential(),)), np.array([RATE])
     )
     parameter = assessment.parameters[0]

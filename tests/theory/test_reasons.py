@@ -9,7 +9,7 @@ import pytest
 
 from cosim.errors import AssumptionError
 from cosim.theory.assessment.amplitude_verdicts import amplitude_verdicts
-from cosim.theory.assessment.assessing import assess, assess_from
+from cosim.theory.assessment.assessing import assess, assess_near
 from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.verdicts import Verdict, judge
 from cosim.theory.disturbance import Exponential, Sine
@@ -43,7 +43,7 @@ def measured(*alphas: float, t=T, amplitude: float = 2.0, sigma: float = 1e-3) -
 @pytest.mark.parametrize("start", [64.2, -1e6, 1e300])
 def test_a_start_whose_response_is_not_finite_is_replaced(start):
     """By a searched one: it says nothing of the data."""
-    found = assess_from(OutputErrorProblem([measured(1.0)], plant(1), ONE), np.array([start]))
+    found = assess(OutputErrorProblem([measured(1.0)], plant(1), ONE), np.array([start]))
     assert found.parameters[0].verdict is Verdict.IDENTIFIABLE
     assert found.parameters[0].lower <= TRUE <= found.parameters[0].upper
 
@@ -51,9 +51,9 @@ def test_a_start_whose_response_is_not_finite_is_replaced(start):
 def test_an_infinite_response_is_no_lack_of_samples():
     """One error for each: the number of samples, and the start."""
     with pytest.raises(AssumptionError, match=r"at theta = \[64.2\] is not finite"):
-        assess(OutputErrorProblem([measured(1.0)], plant(1), ONE), np.array([64.2]))
+        assess_near(OutputErrorProblem([measured(1.0)], plant(1), ONE), np.array([64.2]))
     with pytest.raises(AssumptionError, match="2 measured values for 3 unknowns; needed more"):
-        assess(OutputErrorProblem([measured(1.0, t=T[:2])], plant(1), ONE), np.array([-0.3]))
+        assess_near(OutputErrorProblem([measured(1.0, t=T[:2])], plant(1), ONE), np.array([-0.3]))
 
 
 @pytest.mark.parametrize("shown", ["absent", "other", "both"])
@@ -208,7 +208,7 @@ def test_a_failed_test_of_several_data_sets_names_that_of_it():
     """The second is of another plant; numbers begin with 1."""
     good = measured(1.0)
     bad = DataSet(T, good.y + 0.1 * np.sin(T)[:, np.newaxis], good.u, good.alpha)
-    (parameter,) = assess(
+    (parameter,) = assess_near(
         OutputErrorProblem([good, bad], plant(1), ONE), np.array([TRUE])
     ).parameters
     assert parameter.verdict is Verdict.INCONSISTENT
@@ -229,3 +229,27 @@ def test_another_value_than_a_fixed_one_is_biased():
     for value, verdict in ((TRUE + 0.5, Verdict.INCONSISTENT), (TRUE, Verdict.IDENTIFIABLE)):
         (judged,) = judge(assessment, np.array([value]), np.array([1e-3]))
         assert judged.verdict is verdict
+
+
+@pytest.mark.parametrize("start", [-3.0, 0.3, 5.0])
+def test_a_start_that_leads_elsewhere_says_nothing_against_the_model(start):
+    """It is searched for another one."""
+    found = assess(OutputErrorProblem([measured(1.0)], plant(1), ONE), np.array([start]))
+    assert found.parameters[0].verdict is Verdict.IDENTIFIABLE
+    assert found.parameters[0].lower <= TRUE <= found.parameters[0].upper
+
+
+def test_an_output_in_another_unit_is_a_wrong_model_and_not_a_long_step():
+    """A gain of 1e-9 forgotten: no shorter step would help."""
+    t = np.linspace(0.0, 20.0, 2001)
+    u = np.sin(t)[:, np.newaxis]
+    model = plant(1)
+    forced = DisturbedPlant(
+        A=model.A, B=np.ones((1, 1)), Bd=model.Bd, C=model.C, D=np.zeros((1, 1)), Dd=model.Dd
+    )
+    x = 0.5 * (np.sin(t) - np.cos(t)) + np.exp(-t) + 2.0 * np.exp(TRUE * t) / (1.0 + TRUE)
+    noise = 1e-3 * np.random.default_rng(7).standard_normal(len(t))
+    data = DataSet(t, 1e-9 * (x + noise)[:, np.newaxis], u, np.ones((len(t), 1)))
+    (parameter,) = assess(OutputErrorProblem([data], forced, ONE)).parameters
+    assert parameter.verdict is Verdict.INCONSISTENT
+    assert "samples are too far apart" not in parameter.reason

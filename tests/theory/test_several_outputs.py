@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter, lsim
 
-from cosim.theory.assessment.assessing import assess
+from cosim.theory.assessment.assessing import assess, assess_near
 from cosim.theory.assessment.noise_covariance import fit_with_noise
 from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.verdicts import Verdict
@@ -77,7 +77,7 @@ def campaign(covariance, seeds: range):
     verdicts = []
     for seed in seeds:
         noise = np.random.default_rng(seed).standard_normal(y.shape) @ factor.T
-        found = assess(OutputErrorProblem([record(y + noise)], plant, FAMILIES), START)
+        found = assess_near(OutputErrorProblem([record(y + noise)], plant, FAMILIES), START)
         error = found.fit.theta - THETA
         errors.append(error)
         misses.append(np.abs(error) > found.half_width)
@@ -153,7 +153,9 @@ def test_correlated_noise_is_estimated_with_its_correlation():
     factor = np.linalg.cholesky(covariance)
     y = response(two_outputs())
     noise = np.random.default_rng(4).standard_normal(y.shape) @ factor.T
-    assessment = assess(OutputErrorProblem([record(y + noise)], two_outputs(), FAMILIES), START)
+    assessment = assess_near(
+        OutputErrorProblem([record(y + noise)], two_outputs(), FAMILIES), START
+    )
     found = assessment.noise.covariance
     assert found[0, 1] / np.sqrt(found[0, 0] * found[1, 1]) == pytest.approx(0.9, abs=0.02)
     np.testing.assert_allclose(
@@ -167,7 +169,7 @@ def test_an_output_without_noise_gets_no_infinite_weight(level):
     y = noisy(np.array([1e-1, 0.0]))
     if level:
         y[:, 1] = level * np.round(y[:, 1] / level)
-    assessment = assess(OutputErrorProblem([record(y)], two_outputs(), FAMILIES), START)
+    assessment = assess_near(OutputErrorProblem([record(y)], two_outputs(), FAMILIES), START)
     assert [one.verdict for one in assessment.parameters] == GOOD
     for one, true in zip(assessment.parameters, THETA, strict=True):
         assert one.lower <= true <= one.upper
@@ -182,7 +184,9 @@ def test_noise_of_one_output_alone_may_be_colored():
     y = response(two_outputs())
     white = SIGMA * np.random.default_rng(5).standard_normal(y.shape)
     white[:, 1] = lfilter([1.0], [1.0, -0.8], white[:, 1])
-    assessment = assess(OutputErrorProblem([record(y + white)], two_outputs(), FAMILIES), START)
+    assessment = assess_near(
+        OutputErrorProblem([record(y + white)], two_outputs(), FAMILIES), START
+    )
     assert [one.verdict for one in assessment.parameters] == GOOD
     a = assessment.noise.a
     assert a[1, 0] == pytest.approx(0.8, abs=0.05)
@@ -193,10 +197,10 @@ def test_noise_of_one_output_alone_may_be_colored():
 def test_a_stated_covariance_weighs_the_outputs():
     """Stated right it holds; theta is that of the estimated one but for a part of its error."""
     data = [record(noisy())]
-    stated = assess(
+    stated = assess_near(
         OutputErrorProblem(data, two_outputs(), FAMILIES, stated=np.diag(SIGMA**2)), START
     )
-    estimated = assess(OutputErrorProblem(data, two_outputs(), FAMILIES), START)
+    estimated = assess_near(OutputErrorProblem(data, two_outputs(), FAMILIES), START)
     assert [one.verdict for one in stated.parameters] == GOOD
     apart = np.abs(stated.fit.theta - estimated.fit.theta)
     assert (apart < 0.1 * stated.fit.standard_error).all()
@@ -214,7 +218,7 @@ def test_a_stated_covariance_weighs_the_outputs():
 def test_a_residual_of_another_size_than_stated_is_said(stated, text):
     """Much larger or much smaller: the statement and the data exclude each other."""
     covariance = np.diag(np.square(stated))
-    assessment = assess(
+    assessment = assess_near(
         OutputErrorProblem([record(noisy())], two_outputs(), FAMILIES, stated=covariance), START
     )
     for one in assessment.parameters:
@@ -226,5 +230,5 @@ def test_a_wrong_model_of_one_output_is_seen_beside_a_good_one():
     """5 % in the gain of the exact sensor, while the other one is as good as nothing."""
     y = noisy()
     y[:, 1] *= 1.05
-    assessment = assess(OutputErrorProblem([record(y)], two_outputs(), FAMILIES), START)
+    assessment = assess_near(OutputErrorProblem([record(y)], two_outputs(), FAMILIES), START)
     assert [one.verdict for one in assessment.parameters] == 2 * [Verdict.INCONSISTENT]

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from cosim.theory.assessment.assessing import assess
+from cosim.theory.assessment.assessing import assess, assess_near
 from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.validation import ValidationVerdict, validate
 from cosim.theory.estimators.output_error import fit_output_error
@@ -31,7 +31,7 @@ START = np.array([-0.05, -0.5])
 def fitted(sigma, seed=1):
     """Assess good data."""
     data = noisy("good", sigma, seed, COARSE)
-    return assess(OutputErrorProblem([data], design(), FAMILIES), START)
+    return assess_near(OutputErrorProblem([data], design(), FAMILIES), START)
 
 
 def other(sigma, seed, scale=(1.0, 1.0), x0=(0.0, 2.0)):
@@ -75,7 +75,7 @@ def test_a_theta_that_has_changed_shows_in_the_residual():
     changed = alpha(t) * np.exp(np.outer(t, [-0.1, -0.4]))
     y = simulate(t, changed.sum(axis=1))
     data = record(y + 1e-3 * np.random.default_rng(1).standard_normal(y.shape), COARSE)
-    assessment = assess(OutputErrorProblem([data], design(), FAMILIES), START)
+    assessment = assess_near(OutputErrorProblem([data], design(), FAMILIES), START)
     found = validate(assessment, other(1e-3, 13))
     assert found.verdict is ValidationVerdict.FAILS
     assert found.ratio > 1.5
@@ -89,7 +89,9 @@ def test_a_fixed_theta_is_held_against_other_data():
     for value, verdict in ((-0.3, ValidationVerdict.HOLDS), (-0.32, ValidationVerdict.FAILS)):
         data = noisy("good", 1e-3, 1, COARSE)
         bounds = {1: (value, value)}
-        assessment = assess(OutputErrorProblem([data], design(), FAMILIES, bounds=bounds), START)
+        assessment = assess_near(
+            OutputErrorProblem([data], design(), FAMILIES, bounds=bounds), START
+        )
         assert validate(assessment, other(1e-3, 14)).verdict is verdict
 
 

@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 
 import cosim.theory.assessment.problem
 from cosim.theory.assessment.advice import advised
-from cosim.theory.assessment.assessing import assess, assess_from
+from cosim.theory.assessment.assessing import assess, assess_near
 from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.verdicts import Verdict, judge
 from cosim.theory.descriptor import reduce
@@ -37,7 +37,7 @@ GOOD = [Verdict.IDENTIFIABLE, Verdict.IDENTIFIABLE]
 
 def verdicts(data, **options):
     """Assess one data set."""
-    assessment = assess(OutputErrorProblem([data], design(), FAMILIES, **options), START)
+    assessment = assess_near(OutputErrorProblem([data], design(), FAMILIES, **options), START)
     return assessment, [parameter.verdict for parameter in assessment.parameters]
 
 
@@ -211,10 +211,10 @@ OTHER_OPTIMUM = np.array([-0.17, -0.06])  # of the example under noise, a local 
 def test_a_local_optimum_that_noise_hides_is_left(seed):
     """Its residual passes every test, but another theta leaves less than noise accounts for."""
     data = [noisy("good", 0.1, seed, h=2e-2)]
-    local = assess(OutputErrorProblem(data, design(), FAMILIES), OTHER_OPTIMUM)
+    local = assess_near(OutputErrorProblem(data, design(), FAMILIES), OTHER_OPTIMUM)
     assert local.consistency.passed
     np.testing.assert_allclose(local.fit.theta, OTHER_OPTIMUM, atol=0.03)
-    found = assess_from(OutputErrorProblem(data, design(), FAMILIES), OTHER_OPTIMUM)
+    found = assess(OutputErrorProblem(data, design(), FAMILIES), OTHER_OPTIMUM)
     errors = np.abs(found.fit.theta - THETA)
     assert (errors < 4.0 * found.fit.standard_error).all()
     assert found.parameters[0].verdict is Verdict.IDENTIFIABLE
@@ -225,7 +225,7 @@ def test_a_local_optimum_that_noise_hides_is_left(seed):
 def test_of_two_optima_that_noise_cannot_tell_apart_none_is_identifiable(sigma, seed):
     """In the first case the deeper one is near the truth, in the second it is not."""
     data = [noisy("good", sigma, seed, h=2e-2)]
-    found = assess_from(
+    found = assess(
         OutputErrorProblem(data, design(), FAMILIES), OTHER_OPTIMUM if sigma == 0.1 else THETA
     )
     assert [parameter.verdict for parameter in found.parameters] == [Verdict.WEAK] * 2
@@ -239,9 +239,7 @@ def test_of_two_optima_that_noise_cannot_tell_apart_none_is_identifiable(sigma, 
 def test_two_optima_within_one_interval_are_one_estimate():
     """A bound at the truth stays fixed, and nothing is said of another theta."""
     data = [noisy("good", 0.15, 1, h=2e-2)]
-    found = assess_from(
-        OutputErrorProblem(data, design(), FAMILIES, bounds={0: (-0.1, -0.1)}), THETA
-    )
+    found = assess(OutputErrorProblem(data, design(), FAMILIES, bounds={0: (-0.1, -0.1)}), THETA)
     assert found.parameters[0].verdict is Verdict.IDENTIFIABLE
     assert found.other_optimum is None
 
@@ -254,7 +252,7 @@ def test_data_far_above_the_noise_are_not_searched(monkeypatch):
 
     monkeypatch.setattr(cosim.theory.assessment.problem, "search_start", forbidden)
     data = [noisy("good", 1e-3, seed=7, h=COARSE)]
-    found = assess_from(OutputErrorProblem(data, design(), FAMILIES), START)
+    found = assess(OutputErrorProblem(data, design(), FAMILIES), START)
     assert [parameter.verdict for parameter in found.parameters] == GOOD
 
 
@@ -370,6 +368,6 @@ def test_what_the_class_contains_stays_identifiable_over_200_seeds(case, offset)
 def test_a_start_that_does_not_fit_is_replaced(start):
     """By one that is searched: whatever was recorded, good data are identifiable."""
     data = noisy("good", 1e-3, seed=3, h=COARSE)
-    assessment = assess_from(OutputErrorProblem([data], design(), FAMILIES), np.array(start))
+    assessment = assess(OutputErrorProblem([data], design(), FAMILIES), np.array(start))
     assert [parameter.verdict for parameter in assessment.parameters] == GOOD
     assert misses(assessment) == [False, False]

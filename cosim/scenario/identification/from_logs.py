@@ -34,7 +34,7 @@ from cosim.scenario.replaying import rebuilt
 from cosim.theory.assessment.advice import advised
 from cosim.theory.assessment.agreement import contradictions, each_alone
 from cosim.theory.assessment.amplitude_verdicts import amplitude_verdicts
-from cosim.theory.assessment.assessing import assess_from
+from cosim.theory.assessment.assessing import assess
 from cosim.theory.assessment.smoothing import SmoothedSignals, smoothed_signals
 from cosim.theory.assessment.validation import Validation, validate
 from cosim.theory.assessment.verdicts import Assessment, ParameterVerdict
@@ -298,7 +298,7 @@ def identify_records(
         offset=offset or identified.offset,
         bounds=identified.bounds if bounds is None else bounds_of(bounds, identified.parameters),
     )
-    assessment = assess_from(problem, first.estimate)
+    assessment = assess(problem, first.estimate)
     names = [record.log.label for record in records]
     return LogIdentification(
         records=tuple(records),

@@ -23,7 +23,7 @@ from cosim.scenario.identification.irregular import interval_of, irregular_part
 from cosim.scenario.identification.model import IdentifiedPlant, SampleRows
 from cosim.theory.assessment.advice import advised
 from cosim.theory.assessment.amplitude_verdicts import amplitude_verdicts
-from cosim.theory.assessment.assessing import assess_from
+from cosim.theory.assessment.assessing import assess
 from cosim.theory.assessment.verdicts import Assessment, ParameterVerdict, judge
 from cosim.theory.bounded.irregular_part import Programs
 from cosim.theory.disturbed_plant import DataSet
@@ -123,7 +123,7 @@ class _IdentifierData:
     def _assessed(self, theta: Vector) -> dict[str, Any]:
         identified = self._identified
         problem = identified.problem_of([self._data()])
-        assessment = advised(assess_from(problem, theta), [identified.alpha])
+        assessment = advised(assess(problem, theta), [identified.alpha])
         error = None if self._error is None else self._last[self._error]
         result = assessment.to_dict()
         if identified.extent:

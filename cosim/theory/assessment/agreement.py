@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cosim.theory.assessment.assessing import assess_from
+from cosim.theory.assessment.assessing import assess
 from cosim.theory.assessment.verdicts import Assessment
 
 
@@ -22,7 +22,7 @@ def each_alone(assessment: Assessment) -> tuple[Assessment, ...]:
     if len(problem.data) == 1 or (assessment.fit.converged and assessment.consistency.passed):
         return ()
     theta = assessment.fit.theta
-    return tuple(assess_from(problem.of_data([data]), theta) for data in problem.data)
+    return tuple(assess(problem.of_data([data]), theta) for data in problem.data)
 
 
 def contradictions(alone: Sequence[Assessment], names: Sequence[str]) -> list[str]:

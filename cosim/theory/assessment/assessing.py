@@ -74,40 +74,21 @@ def assess(problem: OutputErrorProblem, start: Vector | None = None) -> Assessme
     ----------
     problem : OutputErrorProblem
     start : Vector, shape (P,), optional
-        By default searched.
+        It may be of other data: a search follows where the fit from it does not explain these, or
+        where noise could hide that there is a better one. NaN: no value. The search puts
+        interchangeable terms in its order. By default there is the search alone.
 
     Raises
     ------
     AssumptionError
         If sizes do not fit, a bound excludes every value, or there are fewer samples than unknowns.
-    StartError
-        If the response at the start is not finite.
     """
-    return _assessed(_white(problem, start))
-
-
-def assess_from(problem: OutputErrorProblem, theta: Vector | None) -> Assessment:
-    """Assess from a theta that may be none of these data, where need be from a search too.
-
-    That is where it does not fit, or where noise could hide that it is not the best optimum.
-
-    Parameters
-    ----------
-    problem : OutputErrorProblem
-    theta : Vector, shape (P,), or None
-        None: from a search alone; NaN: no value. A search puts interchangeable terms in its order.
-
-    Raises
-    ------
-    AssumptionError
-        As from :func:`assess`.
-    """
-    if theta is None:
-        return assess(problem)
-    near = _near(problem, theta)
+    if start is None:
+        return _assessed(_white(problem, None))
+    near = _near(problem, start)
     if near is not None and near.is_settled and near.is_clear:
         return _assessed(near)
-    searched = _searched_like(problem, theta)
+    searched = _searched_like(problem, start)
     if near is None:
         return _assessed(searched)
     best, other = _by_residual(near, searched)
@@ -116,6 +97,24 @@ def assess_from(problem: OutputErrorProblem, theta: Vector | None) -> Assessment
     if SAME_OPTIMUM < excess <= NO_RIVAL * largest_chance(problem.generators.parameters):
         assessment = _beside(assessment, _assessed(other))
     return assessment
+
+
+def assess_near(problem: OutputErrorProblem, start: Vector) -> Assessment:
+    """Assess the optimum that a start leads to, whether or not there is a better one.
+
+    Parameters
+    ----------
+    problem : OutputErrorProblem
+    start : Vector, shape (P,)
+
+    Raises
+    ------
+    AssumptionError
+        As from :func:`assess`.
+    StartError
+        If the response at the start is not finite.
+    """
+    return _assessed(_white(problem, start))
 
 
 def _near(problem: OutputErrorProblem, theta: Vector) -> _Examined | None:

@@ -191,7 +191,8 @@ class _TestedFit:
         self.allowed = weights @ accuracy.deviations
         self.rounding = float((weights @ accuracy.rounding).max())
         step_error = np.sqrt(np.mean(accuracy.step**2, axis=0))
-        scale = np.maximum(np.nanstd(data.y, axis=0), accuracy.rounding)
+        of_model = np.nanstd(data.y - response.residual, axis=0)
+        scale = np.maximum(np.nanstd(data.y, axis=0), np.maximum(of_model, accuracy.rounding))
         scale[scale == 0.0] = np.inf  # of an output that is 0 at every sample
         self.step_error = step_error / scale
         self._plain = response.residual

@@ -17,7 +17,7 @@ import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.native.output_error import ParameterState
-from cosim.theory.assessment.assessing import assess_from
+from cosim.theory.assessment.assessing import assess
 from cosim.theory.assessment.consistency import (
     FALSE_ALARM,
     MARGIN,
@@ -105,7 +105,7 @@ def validate(assessment: Assessment, data: DataSet) -> Validation:
     """
     theta = assessment.fit.theta
     problem = replace(assessment.problem, data=[data], bounds=NO_BOUNDS)
-    own = assess_from(problem, theta)
+    own = assess(problem, theta)
     bounds = {j: (float(value), float(value)) for j, value in enumerate(theta)}
     at_theta = replace(problem, bounds=bounds)
     held = FittedModel(at_theta, at_theta.fit(theta, own.noise), own.noise)
