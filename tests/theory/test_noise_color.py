@@ -163,7 +163,7 @@ def test_noise_that_no_model_here_describes_is_said_to_be_so():
     assessment = assessed(2001, SIGMA * np.convolve(white, np.ones(5), "valid"))
     parameter = assessment.parameters[0]
     assert parameter.verdict is Verdict.INCONSISTENT
-    assert "do not tell from a wrong model" in parameter.reason
+    assert "are too few to tell such noise from a wrong model" in parameter.reason
 
 
 @pytest.mark.parametrize("a", [(0.8,), (1.2, -0.6)])
