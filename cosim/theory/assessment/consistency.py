@@ -93,7 +93,8 @@ class Consistency:
     accuracy : tuple of Accuracy
         Of each data set.
     is_exact : bool
-        The residual of every output is below what step, quantization and rounding allow.
+        The residual of every output is no larger than step, quantization and rounding allow, and a
+        tenth more.
     step_error : Vector, shape (n_y,)
         What straight lines between samples cost each output, over its deviation; of the data set
         where that is most.

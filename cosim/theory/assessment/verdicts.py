@@ -2,7 +2,9 @@
 
 ======================  ==========================================================================
 IDENTIFIABLE            no test contradicts the model; if it is right, the interval holds
-WEAK                    the parameter has an effect, but so little that the interval is no interval
+WEAK                    the parameter has an effect, but its interval is no 95 % interval: the
+                        effect is not linear over it, a bound cuts it, or another theta explains
+                        the data too
 NOT_IDENTIFIABLE        nothing in the data depends on it, or another parameter has the same effect:
                         there is no number
 INCONSISTENT            the residual is not what noise leaves: the model is wrong, a bound, or the
