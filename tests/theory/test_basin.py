@@ -89,12 +89,14 @@ class Recorded:
 def reached(recorded):
     """Return how many of 81 starts reach the optimum in turn; the others must say so."""
     count = 0
+    judged = []
     for start in STARTS:
         theta = recorded.in_turn(start).theta
         if recorded.is_optimum(theta):
             count += 1
-        else:
+        elif not any(np.allclose(theta, other, rtol=1e-6) for other in judged):
             assert recorded.is_said_to_be_wrong(theta)
+            judged.append(theta)
     return count
 
 
