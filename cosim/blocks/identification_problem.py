@@ -133,13 +133,10 @@ class IdentificationProblem:
         n_u = self.plant.D.shape[1]
         return (Signal("u", n_u, role="input"),) if n_u else ()
 
-    def theta_signal(self) -> Signal:
-        """Return the output theta."""
-        return estimate("theta", self.rayleigh.generators.parameters)
-
-    def standard_error_signal(self) -> Signal:
-        """Return the output with the standard errors of theta."""
-        return estimate("standard_error", self.rayleigh.generators.parameters)
+    def theta_signals(self, *names: str) -> tuple[Signal, ...]:
+        """Return outputs as long as theta; none where the terms have no parameters."""
+        parameters = self.rayleigh.generators.parameters
+        return tuple(estimate(name, parameters) for name in names if parameters)
 
     def amplitude_signal(self) -> Signal:
         """Return the output with the amplitudes at the beginning of the window."""

@@ -57,7 +57,7 @@ class ExtendedKalmanIdentifier:
         """Inputs regressor, y and u, outputs theta and standard_error."""
         problem = self.problem
         inputs = [problem.regressor_signal(), problem.y_signal(), *problem.u_signals()]
-        outputs = [problem.theta_signal(), problem.standard_error_signal()]
+        outputs = problem.theta_signals("theta", "standard_error")
         return sampling_interface(inputs, outputs)
 
     def design(self, h: float, held: Mask) -> Design:
@@ -119,7 +119,7 @@ class AugmentedKalmanIdentifier:
         """Inputs regressor, y and u, output theta."""
         problem = self.problem
         inputs = [problem.regressor_signal(), problem.y_signal(), *problem.u_signals()]
-        return sampling_interface(inputs, [problem.theta_signal()])
+        return sampling_interface(inputs, problem.theta_signals("theta"))
 
     def design(self, h: float, held: Mask) -> Design:
         """Discretize the plant with delta and its derivative as states."""

@@ -80,8 +80,7 @@ class OutputErrorIdentifier:
             inputs.append(replace(times, unit="s"))
         inputs.extend(problem.u_signals())
         outputs = [
-            problem.theta_signal(),
-            problem.standard_error_signal(),
+            *problem.theta_signals("theta", "standard_error"),
             estimate("deviation", y.size),
             problem.amplitude_signal(),
         ]

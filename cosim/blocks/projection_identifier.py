@@ -34,7 +34,7 @@ class RayleighIdentifier:
     def interface(self) -> Interface:
         """Input regressor, output theta."""
         problem = self.problem
-        return sampling_interface([problem.regressor_signal()], [problem.theta_signal()])
+        return sampling_interface([problem.regressor_signal()], problem.theta_signals("theta"))
 
     def design(self, h: float, held: Mask) -> Design:
         """Return the start time."""
@@ -73,7 +73,7 @@ class ProjectionIdentifier:
         """Inputs regressor and delta, outputs theta and amplitude."""
         problem = self.problem
         inputs = [problem.regressor_signal(), problem.delta_signal()]
-        outputs = [problem.theta_signal(), problem.amplitude_signal()]
+        outputs = [*problem.theta_signals("theta"), problem.amplitude_signal()]
         return sampling_interface(inputs, outputs)
 
     def design(self, h: float, held: Mask) -> Design:

@@ -57,6 +57,10 @@ int32_t cosim_invert(int32_t n, double *M, double *inverse);
  * doubles. */
 void cosim_exponential(int32_t n, const double *M, double *E, double *work);
 
+/* y(t) = c' exp(G t) beta at `count` instants, for G of shape (n, n); `work` has 4 n n doubles. */
+void cosim_response(int32_t n, const double *G, const double *c, const double *beta, int64_t count,
+                    const double *t, double *y, double *work);
+
 /* exp([[M, S], [0, M]]) = [[E, F], [0, E]]: F is the derivative of E = exp(M) in the direction S
  * (C. Van Loan, IEEE Trans. Automatic Control, 1978). All of shape (n, n); `work` has 4 n n
  * doubles. */
@@ -260,6 +264,8 @@ void cosim_regressor_outputs(const cosim_regressor *self, double t, double delta
 #define COSIM_EXPONENTIAL 1  /* V = 1: one exponential */
 #define COSIM_EXPONENTIALS 2 /* V = 2: two exponentials, the larger parameter first */
 #define COSIM_SINE 3         /* V = 2: one sine */
+#define COSIM_DAMPED_SINE 4  /* V = 2: one damped sine, decay and rate */
+#define COSIM_T_EXPONENTIAL 5 /* V = 2: one t exp, a double root */
 typedef struct {
     int32_t kind;
     int32_t index[3]; /* which chi; 0 is the normalizer */

@@ -120,6 +120,12 @@ static double exponent(double w, double spacing)
     return w > 0.0 && w <= DBL_MAX ? -cosim_ln(w) / spacing : cosim_no_value();
 }
 
+/* cos(w spacing) = cosine gives w; there is none beyond 1. */
+static double rate(double cosine, double spacing)
+{
+    return cosine >= -1.0 && cosine <= 1.0 ? cosim_acos(cosine) / spacing : cosim_no_value();
+}
+
 void cosim_recover(const cosim_recovery *r, const double *eta, double *theta)
 {
     double c[3] = {0.0, 0.0, 0.0};
@@ -139,10 +145,17 @@ void cosim_recover(const cosim_recovery *r, const double *eta, double *theta)
         const int known = discriminant >= 0.0 && !isnan(first) && !isnan(second);
         theta[r->theta[0]] = known ? larger(first, second) : cosim_no_value();
         theta[r->theta[1]] = known ? smaller(first, second) : cosim_no_value();
+    } else if (r->kind == COSIM_SINE) {
+        theta[r->theta[0]] = rate(-0.5 * c[1] / c[0], r->spacing);
+    } else if (r->kind == COSIM_DAMPED_SINE) {
+        const double squared = c[0] / c[2];
+        const double decay = -exponent(squared, 2.0 * r->spacing);
+        const double found = rate(-0.5 * c[1] / c[2] / sqrt(squared), r->spacing);
+        const int known = !isnan(decay) && !isnan(found);
+        theta[r->theta[0]] = known ? decay : cosim_no_value();
+        theta[r->theta[1]] = known ? found : cosim_no_value();
     } else {
-        const double cosine = -0.5 * c[1] / c[0];
-        theta[r->theta[0]] =
-            cosine >= -1.0 && cosine <= 1.0 ? cosim_acos(cosine) / r->spacing : cosim_no_value();
+        theta[r->theta[0]] = exponent(-0.5 * c[1] / c[2], r->spacing);
     }
 }
 

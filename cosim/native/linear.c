@@ -127,6 +127,21 @@ void cosim_exponential(int32_t n, const double *M, double *E, double *work)
         E[i * (n + 1)] += 1.0;
 }
 
+void cosim_response(int32_t n, const double *G, const double *c, const double *beta, int64_t count,
+                    const double *t, double *y, double *work)
+{
+    double *scaled = work, *E = work + n * n;
+    for (int64_t k = 0; k < count; ++k) {
+        for (int32_t i = 0; i < n * n; ++i)
+            scaled[i] = t[k] * G[i];
+        cosim_exponential(n, scaled, E, E + n * n);
+        y[k] = 0.0;
+        for (int32_t a = 0; a < n; ++a)
+            for (int32_t b = 0; b < n; ++b)
+                y[k] += c[a] * (E[a * n + b] * beta[b]);
+    }
+}
+
 /* P += Q F, all of shape (n, n). */
 static void add_product(int32_t n, const double *Q, const double *F, double *P)
 {

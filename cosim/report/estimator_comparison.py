@@ -273,6 +273,8 @@ def _verdicts(recording: Recording, component: str) -> tuple[ParameterRecord, ..
 
 
 def _last(recording: Recording, port: str) -> Vector:
+    if not has_signal(recording, port):
+        return np.zeros(0)  # no term has a parameter
     rows = rows_of(recording, port)
     if not len(rows):
         return np.full(rows.shape[1], np.nan)

@@ -14,7 +14,13 @@ import numpy as np
 from cosim.arrays import Matrix, Vector, as_columns
 from cosim.core.contracts import Recording
 from cosim.errors import LogError
-from cosim.report.recorded_rows import beside_truth, element_names, lag_of, rows_of
+from cosim.report.recorded_rows import (
+    beside_truth,
+    element_names,
+    has_signal,
+    lag_of,
+    rows_of,
+)
 from cosim.scenario.identification.run_verdicts import OUTPUT_ERROR
 from cosim.scenario.recorded_metadata import (
     ComponentRecord,
@@ -357,6 +363,8 @@ def _extent(
     if identification.extent:
         yield identification.extent
     theta = f"{component}.theta"
+    if not has_signal(recording, theta):
+        return  # no term has a parameter
     rows = as_columns(recording[theta])
     has_value = bool(len(rows)) and bool(np.isfinite(rows[-1]).all())
     if record.method != OUTPUT_ERROR or has_value or identification.problem:

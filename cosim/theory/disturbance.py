@@ -49,7 +49,7 @@ class Family(Protocol):
 
     @property
     def constants(self) -> tuple[str, ...]:
-        """The names of what `beta(0)` says: an amplitude, and of a sine its phase [rad]."""
+        """The names of what `beta(0)` says, such as an amplitude and a phase [rad]; v of them."""
 
     @property
     def formula(self) -> str:
@@ -62,8 +62,8 @@ class Family(Protocol):
         """
 
     @property
-    def is_even(self) -> bool:
-        """Whether theta and -theta are the same signals."""
+    def even(self) -> tuple[bool, ...]:
+        """For each parameter, whether its negative makes the same signals."""
 
     def search(self, span: float, shortest: float) -> tuple[tuple[float, float], ...]:
         """Return for each parameter the range in which a start is searched.
@@ -90,7 +90,7 @@ class Exponential:
 
     name: ClassVar[str] = "exponential"
     parameters: ClassVar[tuple[str, ...]] = ("theta",)
-    is_even: ClassVar[bool] = False
+    even: ClassVar[tuple[bool, ...]] = (False,)
     constants: ClassVar[tuple[str, ...]] = ("amplitude",)
     formula: ClassVar[str] = "{amplitude} exp({theta} t)"
     v: ClassVar[int] = 1
@@ -110,16 +110,11 @@ class Exponential:
 
     def search(self, span: float, shortest: float) -> tuple[tuple[float, float], ...]:
         """Return the range from a decay within ``shortest`` to a tenfold growth over ``span``."""
-        return ((-3.0 / shortest, math.log(10.0) / span),)
+        return (_exponents(span, shortest),)
 
     def theta_from_roots(self, z: Sequence[complex], spacing: float) -> Vector:
         """Compute theta from `z = exp(theta spacing)`; NaN where z is not real and positive."""
-        root = complex(z[0])
-        positive = 0.0 < root.real < math.inf
-        if root.imag != 0.0 or not positive:
-            return np.array([NAN])
-        theta = math.log(root.real) / spacing
-        return np.array([theta])
+        return np.array([_exponent(complex(z[0]), spacing)])
 
 
 @final
@@ -129,7 +124,7 @@ class Sine:
 
     name: ClassVar[str] = "sine"
     parameters: ClassVar[tuple[str, ...]] = ("rate",)
-    is_even: ClassVar[bool] = True
+    even: ClassVar[tuple[bool, ...]] = (True,)
     constants: ClassVar[tuple[str, ...]] = ("amplitude", "phase")
     formula: ClassVar[str] = "{amplitude} sin({rate} t + {phase})"
     v: ClassVar[int] = 2
@@ -145,18 +140,12 @@ class Sine:
         return np.array([[0.0, rate], [-rate, 0.0]])
 
     def constants_of(self, beta: Vector) -> tuple[Vector, Matrix]:
-        """Compute amplitude and phase from `beta = amplitude (sin phase, cos phase)`."""
-        sine, cosine = beta
-        amplitude = math.hypot(sine, cosine)
-        if not 0.0 < amplitude < math.inf:
-            return np.array([amplitude, NAN]), np.full((2, 2), NAN)
-        direction = beta / amplitude
-        across = np.array([direction[1], -direction[0]]) / amplitude
-        return np.array([amplitude, math.atan2(sine, cosine)]), np.array([direction, across])
+        """Compute amplitude and phase."""
+        return _amplitude_and_phase(beta)
 
     def search(self, span: float, shortest: float) -> tuple[tuple[float, float], ...]:
         """Return the range from a quarter of a period over ``span`` to half of one."""
-        return ((0.5 * math.pi / span, math.pi / shortest),)
+        return (_rates(span, shortest),)
 
     def theta_from_roots(self, z: Sequence[complex], spacing: float) -> Vector:
         """Compute theta from `z_1 + z_2 = 2 cos(w spacing)`; NaN where that is not in [-2, 2].
@@ -165,10 +154,179 @@ class Sine:
         """
         first, second = z
         cosine = complex(first + second).real / 2.0
-        if not abs(cosine) <= 1.0:
-            return np.array([NAN])
-        rate = math.acos(cosine) / spacing
-        return np.array([rate])
+        return np.array([_rate(cosine, spacing)])
+
+
+@final
+@dataclass(frozen=True)
+class DampedSine:
+    """`f = exp(-d t) (a sin(w t) + b cos(w t))`, theta = (d [1/s], w [rad/s]); d < 0 grows."""
+
+    name: ClassVar[str] = "damped-sine"
+    parameters: ClassVar[tuple[str, ...]] = ("decay", "rate")
+    even: ClassVar[tuple[bool, ...]] = (False, True)
+    constants: ClassVar[tuple[str, ...]] = ("amplitude", "phase")
+    formula: ClassVar[str] = "{amplitude} exp(-{decay} t) sin({rate} t + {phase})"
+    v: ClassVar[int] = 2
+
+    @property
+    def c(self) -> Vector:
+        """Output row, shape ``(2,)``."""
+        return np.array([1.0, 0.0])
+
+    def G(self, theta: Vector) -> Matrix:
+        """Compute the system matrix [1/s], shape ``(2, 2)``."""
+        decay, rate = theta
+        return np.array([[-decay, rate], [-rate, -decay]])
+
+    def constants_of(self, beta: Vector) -> tuple[Vector, Matrix]:
+        """Compute amplitude and phase."""
+        return _amplitude_and_phase(beta)
+
+    def search(self, span: float, shortest: float) -> tuple[tuple[float, float], ...]:
+        """Return the ranges of an exponential and of a sine."""
+        slowest, fastest = _exponents(span, shortest)
+        return ((-fastest, -slowest), _rates(span, shortest))
+
+    def theta_from_roots(self, z: Sequence[complex], spacing: float) -> Vector:
+        """Compute theta from `z = exp((-d +- j w) spacing)`; NaN where z is no such pair."""
+        first, second = z
+        decay = -_exponent(complex(first * second), 2.0 * spacing)
+        size = math.exp(-decay * spacing) if math.isfinite(decay) else NAN
+        cosine = complex(first + second).real / 2.0 / size
+        rate = _rate(cosine, spacing)
+        return np.array([decay, rate]) if math.isfinite(rate) else np.full(2, NAN)
+
+
+@final
+@dataclass(frozen=True)
+class Polynomial:
+    """`f = b_0 + b_1 t + ... + b_n t^n`, without parameters: a constant, a ramp, and so on.
+
+    Parameters
+    ----------
+    degree : int
+        n.
+    name : str
+        "constant" of degree 0, "ramp" of degree 1, or "polynomial".
+    """
+
+    degree: int
+    name: str = "polynomial"
+    parameters: ClassVar[tuple[str, ...]] = ()
+    even: ClassVar[tuple[bool, ...]] = ()
+
+    @property
+    def v(self) -> int:
+        """The number of basis functions (5)."""
+        return self.degree + 1
+
+    @property
+    def c(self) -> Vector:
+        """Output row, shape ``(v,)``."""
+        row = np.zeros(self.v)
+        row[0] = 1.0
+        return row
+
+    def G(self, theta: Vector) -> Matrix:
+        """Compute the system matrix [1/s], shape ``(v, v)``: `beta_k' = (k + 1) beta_(k+1)`."""
+        powers = np.arange(1.0, self.v)
+        return np.diag(powers, 1)
+
+    @property
+    def constants(self) -> tuple[str, ...]:
+        """The names of the coefficients, by power."""
+        higher = [f"coefficient_{power}" for power in range(2, self.v)]
+        return ("level", "slope", *higher)[: self.v]
+
+    @property
+    def formula(self) -> str:
+        """The sum of powers of t, by the names of their coefficients in braces."""
+        terms = [f"{{{name}}}{_power(k)}" for k, name in enumerate(self.constants)]
+        return " + ".join(terms)
+
+    def constants_of(self, beta: Vector) -> tuple[Vector, Matrix]:
+        """Return the coefficients, which are beta."""
+        return beta.copy(), np.eye(self.v)
+
+    def search(self, span: float, shortest: float) -> tuple[tuple[float, float], ...]:
+        """Return no range: there is no parameter."""
+        return ()
+
+    def theta_from_roots(self, z: Sequence[complex], spacing: float) -> Vector:
+        """Return theta, which is empty."""
+        return np.zeros(0)
+
+
+@final
+@dataclass(frozen=True)
+class TExponential:
+    """`f = (b_0 + b_1 t) exp(theta t)`, theta [1/s]."""
+
+    name: ClassVar[str] = "t-exponential"
+    parameters: ClassVar[tuple[str, ...]] = ("theta",)
+    even: ClassVar[tuple[bool, ...]] = (False,)
+    constants: ClassVar[tuple[str, ...]] = ("level", "slope")
+    formula: ClassVar[str] = "({level} + {slope} t) exp({theta} t)"
+    v: ClassVar[int] = 2
+
+    @property
+    def c(self) -> Vector:
+        """Output row, shape ``(2,)``."""
+        return np.array([1.0, 0.0])
+
+    def G(self, theta: Vector) -> Matrix:
+        """Compute the system matrix [1/s], shape ``(2, 2)``."""
+        return np.array([[theta[0], 1.0], [0.0, theta[0]]])
+
+    def constants_of(self, beta: Vector) -> tuple[Vector, Matrix]:
+        """Return level and slope, which are beta."""
+        return beta.copy(), np.eye(2)
+
+    def search(self, span: float, shortest: float) -> tuple[tuple[float, float], ...]:
+        """Return the range of an exponential."""
+        return (_exponents(span, shortest),)
+
+    def theta_from_roots(self, z: Sequence[complex], spacing: float) -> Vector:
+        """Compute theta from the double root `z = exp(theta spacing)`, the mean of both."""
+        mean = complex(sum(z)) / 2.0
+        return np.array([_exponent(complex(mean.real), spacing)])
+
+
+def _amplitude_and_phase(beta: Vector) -> tuple[Vector, Matrix]:
+    """Compute them from `beta = amplitude (sin phase, cos phase)`, and their derivatives."""
+    sine, cosine = beta
+    amplitude = math.hypot(sine, cosine)
+    if not 0.0 < amplitude < math.inf:
+        return np.array([amplitude, NAN]), np.full((2, 2), NAN)
+    direction = beta / amplitude
+    across = np.array([direction[1], -direction[0]]) / amplitude
+    return np.array([amplitude, math.atan2(sine, cosine)]), np.array([direction, across])
+
+
+def _exponents(span: float, shortest: float) -> tuple[float, float]:
+    return -3.0 / shortest, math.log(10.0) / span
+
+
+def _rates(span: float, shortest: float) -> tuple[float, float]:
+    return 0.5 * math.pi / span, math.pi / shortest
+
+
+def _exponent(root: complex, spacing: float) -> float:
+    """Compute theta from `root = exp(theta spacing)`; NaN where it is not real and positive."""
+    positive = 0.0 < root.real < math.inf
+    if root.imag != 0.0 or not positive:
+        return NAN
+    return math.log(root.real) / spacing
+
+
+def _rate(cosine: float, spacing: float) -> float:
+    """Compute w from `cos(w spacing)`; NaN where that is not in [-1, 1]."""
+    return math.acos(cosine) / spacing if abs(cosine) <= 1.0 else NAN
+
+
+def _power(k: int) -> str:
+    return ("", " t")[k] if k < 2 else f" t^{k}"
 
 
 def generators(families: Sequence[Family]) -> Generators:
@@ -254,22 +412,49 @@ class AlphaGroup:
 
 
 FAMILIES: Mapping[str, Family] = MappingProxyType(
-    {family.name: family for family in (Exponential(), Sine())}
+    {
+        family.name: family
+        for family in (
+            Exponential(),
+            Sine(),
+            DampedSine(),
+            Polynomial(0, "constant"),
+            Polynomial(1, "ramp"),
+            TExponential(),
+        )
+    }
+)
+SETTINGS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {"polynomial": ("degree",), "linear": ("G0", "G", "c", "parameters", "search")}
+)
+OUTSIDE: Mapping[str, str] = MappingProxyType(
+    {
+        "chirp": "a sine of unknown, growing rate is outside (5): its values a delay ago are no "
+        "combination of finitely many functions of t with constant coefficients. Where the growth "
+        "k [rad/s^2] is known, give two terms of family 'sine' with the alphas sin(k*t**2/2) and "
+        "cos(k*t**2/2); where the rate is known too, two of family 'constant' with the sine and "
+        "the cosine of the whole angle as alphas",
+    }
 )
 
 
 def family_named(name: str) -> Family:
-    """Return the family of this name.
+    """Return the family of this name, which needs no more than that.
 
     Raises
     ------
     AssumptionError
-        If there is no such family.
+        If there is no such family, or it has settings.
     """
-    if name not in FAMILIES:
-        nearest_name = nearest(name, FAMILIES)
-        raise AssumptionError(f"no disturbance family {name!r} in this package; {nearest_name}")
-    return FAMILIES[name]
+    if name in FAMILIES:
+        return FAMILIES[name]
+    if name in OUTSIDE:
+        raise AssumptionError(f"family {name!r}: {OUTSIDE[name]}")
+    if name in SETTINGS:
+        listed = ", ".join(SETTINGS[name])
+        raise AssumptionError(f"family {name!r}: found its name alone; it has settings: {listed}")
+    nearest_name = nearest(name, [*FAMILIES, *SETTINGS])
+    raise AssumptionError(f"no disturbance family {name!r} in this package; {nearest_name}")
 
 
 def K(family: Family, theta: ArrayLike, D: float) -> Vector:

@@ -2,16 +2,26 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from cosim.errors import AssumptionError
-from cosim.theory.disturbance import Exponential, Sine, coefficients, group_by_alpha
+from cosim.native.step import LeastSquares, LeastSquaresConstants
+from cosim.theory.disturbance import (
+    DampedSine,
+    Exponential,
+    Polynomial,
+    Sine,
+    TExponential,
+    coefficients,
+    group_by_alpha,
+)
 from cosim.theory.estimators.least_squares import (
     RecoveryKind,
     least_squares,
     plan,
     recover,
+    recovery_constants,
     trapezoid_weights,
 )
 from cosim.theory.regression import eta, expand, mu
@@ -129,6 +139,54 @@ def test_recovery_inverts_the_expansion(name, data):
     np.testing.assert_allclose(computed, thetas, rtol=0, atol=1e-10)
 
 
+@settings(max_examples=25)
+@given(rates, decays, decays, st.floats(0.2, 0.9))
+def test_terms_of_other_families_are_recovered_beside_one_without_parameters(
+    rate, decay, exponent, spacing
+):
+    """A damped sine, a ramp, and t exp: theta stands by component, the ramp has none."""
+    assume(math.sin(rate * spacing) > 0.2)
+    assume(abs(exponent) > 0.1)
+    families = [DampedSine(), Polynomial(1, "ramp"), TExponential()]
+    delays = [spacing * j for j in range(1, 8)]
+    terms, groups, planned = recovery(["a", "b", "c"], families, delays)
+    assert planned.n_theta == 3
+    thetas = [[decay, rate], [], [exponent]]
+    eta = exact_eta(terms, groups, thetas, delays)
+    # a double root is known to the root of the rounding that the minors leave
+    np.testing.assert_allclose(recover(planned, eta), [decay, rate, exponent], rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("family", "theta"), [(DampedSine(), [0.2, 1.3]), (Sine(), [1.3]), (TExponential(), [-0.4])]
+)
+def test_the_kernel_recovers_theta_as_the_formula_does(family, theta):
+    """One row for each unknown of the regression, which has eta as its solution."""
+    terms, groups, planned = recovery(["a"], [family], [0.5, 1.0, 1.5])
+    eta = exact_eta(terms, groups, [theta], [0.5, 1.0, 1.5])
+    kernel = LeastSquares(
+        LeastSquaresConstants(
+            unknowns=len(eta),
+            start_time=0.0,
+            information=0.0,
+            recovery=recovery_constants(planned),
+            held=True,
+        )
+    )
+    kernel.initialize()
+    mu = np.column_stack([-eta, np.eye(len(eta))])
+    rows = np.vstack([mu, mu[-1]])
+    y = kernel.step.advance(np.arange(len(rows)) * 1.0, 1.0, rows)
+    np.testing.assert_allclose(y[-1, : len(theta)], recover(planned, eta), rtol=0, atol=1e-7)
+    np.testing.assert_allclose(y[-1, : len(theta)], theta, rtol=0, atol=1e-6)
+
+
+def test_terms_without_parameters_have_no_recovery():
+    """There is no theta; the way out is named."""
+    with pytest.raises(AssumptionError, match=r"no theta to recover; method = \"output-error\""):
+        recovery(["a"], [Polynomial(2)], (1, 2, 3, 4))
+
+
 def test_delays_may_come_in_any_order():
     """Only their values count: a sine and an exponential with D = (1, 2, 1.5, 3)."""
     delays = [1.0, 2.0, 1.5, 3.0]
@@ -179,7 +237,7 @@ def test_an_eta_that_belongs_to_no_theta_gives_nan():
             ["a"] * 2,
             [Exponential(), Sine()],
             (1, 2, 3, 4),
-            r"possible for one alpha: one exponential, two exponentials, or one sine",
+            r"possible for one alpha: one exponential, two exponentials, one sine, one damped-sine",
         ),
         (
             ["a"],

@@ -66,6 +66,8 @@ class IdentifierRecord:
         """The last theta of output error in the run, NaN without value; None by other methods."""
         if component_record(self.log, self.identifier).method != OUTPUT_ERROR:
             return None
+        if not self.identified.parameters:
+            return np.zeros(0)
         rows = as_columns(self.log[f"{self.identifier}.theta"])
         theta: Vector = rows[-1]
         return theta

@@ -74,7 +74,8 @@ class _IdentifierData:
         self.name = name
         self._identified = identified
         outputs = own.interface.output_columns()
-        self._theta = _shifted(outputs["theta"], own.outputs.start)
+        of_theta = outputs.get("theta", slice(0, 0))  # there is none without parameters
+        self._theta = _shifted(of_theta, own.outputs.start)
         self._error: slice | None = None
         if "standard_error" in outputs:
             self._error = _shifted(outputs["standard_error"], own.outputs.start)

@@ -184,6 +184,7 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         self._check_options()
         source = IdentifierSource(name, context)
         source.check_step()
+        self._check_parameters(source.regression)
         begin = start_time(self.start, source, context)
         problem = source.missing_model()
         if source.observer is None or problem:
@@ -347,6 +348,17 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         value = METHODS[self.method].own[key] if given is None else given
         return float(value)
 
+    def _check_parameters(self, regression: RegressorDesign) -> None:
+        """Check that the method estimates amplitudes where the terms have nothing else."""
+        if any(family.parameters for family in regression.families):
+            return
+        if self.method not in ("output-error", "projection"):
+            names = ", ".join(sorted({family.name for family in regression.families}))
+            raise UsageError(
+                f'method = "{self.method}": estimates theta alone, and the terms ({names}) have no '
+                'parameter; for their amplitudes method = "output-error" or "projection"'
+            )
+
     def _check_options(self) -> None:
         for key in foreign_keys(METHODS, self.method):
             if key in self.model_fields_set:
@@ -429,7 +441,7 @@ def _recovery_notes(recovery: least_squares.Recovery) -> list[str]:
     notes = []
     for group in recovery.groups:
         names = ", ".join(f"theta[{i}]" for i in group.theta)
-        if group.kind is least_squares.RecoveryKind.SINE:
+        if math.isfinite(group.limit):
             notes.append(
                 f"{names}: a rate above {group.limit:.4g} rad/s is taken for a slower one "
                 f"(delays {group.spacing:g} s apart)"

@@ -14,6 +14,7 @@ from cosim.arrays import Vector
 from cosim.blocks.regressor import Regressor
 from cosim.core.clock import whole_steps
 from cosim.core.port import Port
+from cosim.errors import UsageError
 from cosim.fmi.exporting import kernels
 from cosim.fmi.exporting.kernels import DiscreteModel
 from cosim.fmi.exporting.specifications import Exportable
@@ -22,9 +23,10 @@ from cosim.native.step import evaluate_at
 from cosim.scenario.kinds.base import BuildContext, ExportableKind, Spectrum, Wiring
 from cosim.scenario.kinds.finite_values import check_finite
 from cosim.scenario.kinds.jumps import check_continuous
-from cosim.scenario.schema import NumberRow, TomlTable
+from cosim.scenario.kinds.terms import FamilyTerm, element_count, families_of
+from cosim.scenario.schema import NumberRow
 from cosim.theory import regression
-from cosim.theory.disturbance import AlphaGroup, Family, family_named, group_by_alpha
+from cosim.theory.disturbance import AlphaGroup, Family, group_by_alpha
 
 ALPHA_WAY_OUT = (
     "needed a continuous alpha: the regression multiplies alphas of different instants, "
@@ -78,19 +80,14 @@ class RegressorDesign:
         )
 
 
-class RegressorTerm(TomlTable):
-    """One term of the disturbance class (4), its parameter unknown."""
-
-    alpha: str = Field("1", description="known function of t")
-    family: str = Field(description="exponential or sine")
-
-
 class RegressorKind(ExportableKind):
     """From delta to the known signals mu of the regression (21)-(25)."""
 
     ports: ClassVar[str] = "delta -> mu"
     kind: Literal["regressor"]
-    terms: tuple[RegressorTerm, ...] = Field(description="list of { alpha, family }")
+    terms: tuple[FamilyTerm, ...] = Field(
+        min_length=1, description="list of { alpha, family } and settings of the family"
+    )
     delays: NumberRow = Field(
         description="D_j [s], one more than basis functions, whole communication steps"
     )
@@ -138,7 +135,12 @@ class RegressorKind(ExportableKind):
         return context.designed(name, lambda: self._designed(name, context))
 
     def _designed(self, name: str, context: BuildContext) -> RegressorDesign:
-        families = [family_named(term.family) for term in self.terms]
+        families = families_of(self.terms)
+        if element_count(self.terms) > 1:
+            raise UsageError(
+                "terms: found some of element 1 or more; needed all of element 0, as a regression "
+                "of several elements is not possible yet"
+            )
         groups = group_by_alpha([term.alpha for term in self.terms], families)
         sizes = tuple(group.size for group in groups)
         regression.check_delays(self.delays, sum(sizes) + 1)

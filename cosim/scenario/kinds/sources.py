@@ -11,6 +11,7 @@ from pydantic import Field
 
 from cosim.arrays import Matrix, Vector
 from cosim.blocks import source
+from cosim.blocks.linear_source import LinearResponse, LinearSource
 from cosim.core.contracts import Component
 from cosim.core.signals import SignalType, Variability
 from cosim.errors import UsageError
@@ -24,17 +25,16 @@ from cosim.scenario.kinds.jumps import (
     held_from_points,
     unseen_rows,
 )
+from cosim.scenario.kinds.terms import LINEAR, ValuedTerm, element_count, function_text, naming
 from cosim.scenario.schema import (
     Flag,
     Number,
     NumberRow,
     NumberRows,
     Size,
-    TomlTable,
     Whole,
     matrix,
 )
-from cosim.theory.disturbance import family_named
 
 
 def _vector(value: float | Sequence[float]) -> list[float]:
@@ -243,38 +243,40 @@ class NoiseKind(Kind):
         )
 
 
-class DisturbanceTerm(TomlTable):
-    """One term alpha(t) f(theta, t) of (4)."""
-
-    alpha: str = Field("1", description="known function of t")
-    family: str = Field(description="exponential or sine")
-    theta: Number = Field(description="the parameter: exponent [1/s], or rate [rad/s]")
-    amplitude: Number = Field(1.0, description="amplitude")
-    phase: Number = Field(0.0, description="of a sine [rad]")
-
-
 class DisturbanceKind(Kind):
     """y = sum of alpha(t) f(theta, t), the disturbance class (4)."""
 
     ports: ClassVar[str] = "-> y"
     kind: Literal["disturbance"]
-    terms: tuple[DisturbanceTerm, ...] = Field(description="list of { alpha, family, theta }")
+    terms: tuple[ValuedTerm, ...] = Field(
+        min_length=1, description="list of { alpha, family, theta, amplitude, phase, constants }"
+    )
 
     def build(self, name: str, context: BuildContext) -> Component:
-        texts = [_term_expression(term) for term in self.terms]
-        for term in self.terms:
-            check_continuous(term.alpha, context.clock, DISTURBANCE_WAY_OUT)
-            check_finite(term.alpha, context.clock)
-        context.add_metadata(name, {"theta": [term.theta for term in self.terms]})
-        return source.Expression([" + ".join(texts)], unit=self.unit_name)
-
-
-def _term_expression(term: DisturbanceTerm) -> str:
-    """Write alpha(t) f(theta, t) as an expression, after a check of its alpha and family."""
-    compile_expression(term.alpha)
-    family_named(term.family)
-    if term.family == "exponential":
-        function = f"exp({term.theta!r}*t)"
-    else:
-        function = f"sin({term.theta!r}*t + {term.phase!r})"
-    return f"({term.alpha})*{term.amplitude!r}*{function}"
+        elements: list[list[str]] = [[] for _ in range(element_count(self.terms))]
+        responses = []
+        theta: list[float] = []
+        for number, term in enumerate(self.terms):
+            with naming(number):
+                family = term.generator()
+                own = term.values(family)
+                constants = term.constant_values(family)
+                alpha = compile_expression(term.alpha)
+                check_continuous(term.alpha, context.clock, DISTURBANCE_WAY_OUT)
+                check_finite(term.alpha, context.clock)
+            theta += own
+            if family.name == LINEAR:
+                G = family.G(np.array(own))
+                beta = np.array(constants)
+                responses.append(
+                    LinearResponse(factor=alpha, G=G, c=family.c, beta=beta, element=term.element)
+                )
+            else:
+                function = function_text(family, own, constants)
+                elements[term.element].append(f"({term.alpha})*{function}")
+        context.add_metadata(name, {"theta": theta})
+        texts = [" + ".join(element) or "0" for element in elements]
+        if responses:
+            programs = [compile_expression(text) for text in texts]
+            return LinearSource(programs, responses, unit=self.unit_name)
+        return source.Expression(texts, unit=self.unit_name)

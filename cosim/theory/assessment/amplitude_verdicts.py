@@ -34,7 +34,10 @@ def _of_data_set(assessment: Assessment, index: int) -> tuple[ParameterVerdict, 
     for i, constants in enumerate(of_components):
         count = len(constants.family.parameters)
         parameters = assessment.parameters[first : first + count]
-        verdicts += _of_component(i, constants, parameters, assessment.fitted.quantile)
+        own = parameters or (assessment.terms[i],)
+        worst = max(own, key=lambda parameter: _ORDER[parameter.verdict])
+        names = [parameter.name for parameter in parameters]
+        verdicts += _of_component(i, constants, names, worst, assessment.fitted.quantile)
         first += count
     return tuple(verdicts)
 
@@ -42,16 +45,27 @@ def _of_data_set(assessment: Assessment, index: int) -> tuple[ParameterVerdict, 
 def _of_component(
     i: int,
     constants: ComponentConstants,
-    parameters: Sequence[ParameterVerdict],
+    parameters: Sequence[str],
+    worst: ParameterVerdict,
     quantile: float,
 ) -> list[ParameterVerdict]:
-    """Return the verdicts on the constants of component i."""
+    """Return the verdicts on the constants of component i.
+
+    Parameters
+    ----------
+    i : int
+    constants : ComponentConstants
+    parameters : sequence of str
+        Names of its parameters.
+    worst : ParameterVerdict
+        Of all that its constants rest on.
+    quantile : float
+        Half a 95 % interval over the standard error.
+    """
     family = constants.family
     names = {name: f"{name}[{i}]" for name in family.constants}
-    for name, parameter in zip(family.parameters, parameters, strict=True):
-        names[name] = parameter.name
+    names |= dict(zip(family.parameters, parameters, strict=True))
     meaning = f"in {family.formula.format(**names)}"
-    worst = max(parameters, key=lambda parameter: _ORDER[parameter.verdict])
     verdict = worst.verdict
     problem = _problem(constants, worst)
     if problem and verdict.has_value:

@@ -101,7 +101,8 @@ def whitened_rows(
     rows: NDArray[np.float64], measured: NDArray[np.bool_], noise: NoiseModel
 ) -> Matrix:
     """Return rows (N, n_y, k) made white, one behind the other, shape (N n_y, k)."""
-    return noise.whitened(rows, measured).reshape(-1, rows.shape[2])
+    samples, outputs, columns = rows.shape
+    return noise.whitened(rows, measured).reshape(samples * outputs, columns)
 
 
 def error_bias(fits: Sequence[LinearizedFit], estimated: Mask) -> ErrorBias:

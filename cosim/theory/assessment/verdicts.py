@@ -52,6 +52,10 @@ from cosim.theory.quantiles import CONFIDENCE, normal_two_sided
 LEAST_PROFILE: Final = 0.7
 LEAST_RATIO: Final = 1e-12  # of squares that do not grow, so that it has a logarithm
 LARGEST_PROFILE: Final = 1.4
+NOT_LARGER: Final = (
+    "its component is not larger than the largest that noise alone fits: a larger disturbance or "
+    "less noise would show it"
+)
 
 
 class Verdict(StrEnum):
@@ -115,6 +119,9 @@ class Assessment:
     half_width : Vector, shape (P,)
         Of the 95 % intervals; NaN where there is none.
     parameters : tuple of ParameterVerdict
+    terms : tuple of ParameterVerdict
+        What may be said of each term of the disturbance as a whole, without numbers; of those
+        without parameters it is all that is said beside their amplitudes.
     other_optimum : Vector, shape (P,), or None
         Another theta that explains the data as well, as far as noise lets it be seen.
     """
@@ -123,6 +130,7 @@ class Assessment:
     consistency: Consistency
     half_width: Vector
     parameters: tuple[ParameterVerdict, ...]
+    terms: tuple[ParameterVerdict, ...]
     other_optimum: Vector | None = None
 
     @property
@@ -311,11 +319,13 @@ class VerdictMaker:
         """Return the fit with its intervals and verdicts."""
         half_width = self._half_widths()
         parameters = tuple(self._parameter(j, half_width) for j in range(len(half_width)))
+        terms = tuple(self._term(i) for i in range(len(self._present)))
         return Assessment(
             fitted=self._fitted,
             consistency=self._consistency,
             half_width=half_width,
             parameters=parameters,
+            terms=terms,
         )
 
     def _half_widths(self) -> Vector:
@@ -341,24 +351,41 @@ class VerdictMaker:
             reason=reason,
         )
 
-    def _verdict(self, j: int, half_width: float) -> tuple[Verdict, str]:
-        fit = self._fit
-        consistency = self._consistency
-        component = int(self._component[j])
-        if component in self._missing:
-            return Verdict.NOT_IDENTIFIABLE, self._missing[component]
-        if not fit.converged:
+    def _term(self, i: int) -> ParameterVerdict:
+        against = self._against_term(i)
+        if against is None and not self._present[i]:
+            against = Verdict.NOT_IDENTIFIABLE, NOT_LARGER
+        verdict, reason = against or (Verdict.IDENTIFIABLE, self._not_contradicted())
+        return ParameterVerdict(
+            name=f"terms[{i}]",
+            verdict=verdict,
+            value=None,
+            standard_error=None,
+            lower=None,
+            upper=None,
+            reason=reason,
+        )
+
+    def _against_term(self, i: int) -> tuple[Verdict, str] | None:
+        """Return what stands against all that is said of a term; None: nothing."""
+        if i in self._missing:
+            return Verdict.NOT_IDENTIFIABLE, self._missing[i]
+        if not self._fit.converged:
             return Verdict.NO_ESTIMATE, self._not_converged()
-        if not consistency.passed:
+        if not self._consistency.passed:
             return Verdict.INCONSISTENT, self._inconsistency()
-        state = fit.states[j]
+        return None
+
+    def _verdict(self, j: int, half_width: float) -> tuple[Verdict, str]:
+        component = int(self._component[j])
+        against = self._against_term(component)
+        if against is not None:
+            return against
+        state = self._fit.states[j]
         if state is ParameterState.FIXED:
             return Verdict.IDENTIFIABLE, "fixed by its bounds"
         if state is ParameterState.ABSENT or not self._present[component]:
-            return Verdict.NOT_IDENTIFIABLE, (
-                "its component is not larger than the largest that noise alone fits: a larger "
-                "disturbance or less noise would show it"
-            )
+            return Verdict.NOT_IDENTIFIABLE, NOT_LARGER
         if state is ParameterState.DEPENDENT:
             return Verdict.NOT_IDENTIFIABLE, (
                 "another parameter has the same effect on the output: other alphas would tell them "
@@ -372,11 +399,12 @@ class VerdictMaker:
                 f"its effect is not linear over its interval (the sum of squares grows "
                 f"{ratio:.2g} times as much as it should); {self._weak_direction()}"
             )
+        return Verdict.IDENTIFIABLE, self._not_contradicted()
+
+    def _not_contradicted(self) -> str:
         names = " and ".join(f"terms[{i}]" for i in self._left_out)
         model = f"the model without {names}" if names else "the model"
-        return Verdict.IDENTIFIABLE, (
-            f"no test contradicts {model}; if it is right, the 95 % interval holds"
-        )
+        return f"no test contradicts {model}; if it is right, the 95 % interval holds"
 
     def _not_converged(self) -> str:
         last = ", ".join(f"{value:.4g}" for value in self._fit.theta)

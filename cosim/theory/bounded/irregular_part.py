@@ -252,9 +252,9 @@ def _magnitudes(
 
     What they have on the other side of 0 is the same signals.
     """
-    even = []
+    even: list[bool] = []
     for family in families:
-        even += [family.is_even] * len(family.parameters)
+        even += family.even
     crosses = np.array(even, np.bool_) & (lower < 0.0) & (upper > 0.0)
     largest = np.maximum(-lower, upper)
     positive = crosses & (theta >= 0.0)

@@ -22,14 +22,14 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from itertools import combinations, pairwise
+from itertools import chain, combinations, pairwise
 
 import numpy as np
 
 from cosim.arrays import NAN, Matrix, Vector
 from cosim.errors import AssumptionError
 from cosim.native.step import RecoveryConstants
-from cosim.theory.disturbance import AlphaGroup, Exponential, Sine
+from cosim.theory.disturbance import AlphaGroup, DampedSine, Exponential, Sine
 from cosim.theory.regression import Parts, RowSet, Term, check_delays
 
 # pivot over the largest pivot, below which R'R, the information, is singular to rounding;
@@ -47,6 +47,8 @@ class RecoveryKind(IntEnum):
     EXPONENTIAL = 1  # c1 w + c0 = 0, theta = -ln(w) / spacing
     EXPONENTIALS = 2  # c2 w^2 + c1 w + c0 = 0, theta = -ln(w) / spacing, the larger theta first
     SINE = 3  # 2 cos(theta spacing) = -c1 / c0
+    DAMPED_SINE = 4  # w1 w2 = exp(2 decay spacing) = c0 / c2, and w1 + w2 = -c1 / c2
+    T_EXPONENTIAL = 5  # the double root w = -c1 / (2 c2), theta = -ln(w) / spacing
 
 
 @dataclass(frozen=True)
@@ -106,13 +108,34 @@ def plan(terms: Sequence[Term], groups: Sequence[AlphaGroup], delays: Sequence[f
     """
     last_row = terms[0].row
     check_delays(delays, needed=last_row + 1)
+    places = _places_of_theta(groups)
     recoveries = []
     for b, group in enumerate(groups):
-        recovery = _plan_group(b, group, terms, delays)
-        recoveries.append(recovery)
+        theta = tuple(chain.from_iterable(places[i] for i in group.components))
+        if theta:
+            recoveries.append(_plan_group(b, group, terms, delays, theta))
     n_eta = len(terms) - 1
-    n_theta = sum(len(group.components) for group in groups)
+    n_theta = sum(map(len, places.values()))
+    if not n_theta:
+        raise AssumptionError(
+            "(35): the terms have no parameter, so there is no theta to recover; "
+            'method = "output-error" estimates their amplitudes'
+        )
     return Recovery(tuple(recoveries), n_eta, n_theta)
+
+
+def _places_of_theta(groups: Sequence[AlphaGroup]) -> dict[int, range]:
+    """Return where the parameters of each component stand in theta, by component."""
+    counts = {}
+    for group in groups:
+        for component, family in zip(group.components, group.families, strict=True):
+            counts[component] = len(family.parameters)
+    places = {}
+    first = 0
+    for component in sorted(counts):
+        places[component] = range(first, first + counts[component])
+        first += counts[component]
+    return places
 
 
 def recovery_constants(plan: Recovery) -> list[RecoveryConstants]:
@@ -195,7 +218,11 @@ def least_squares(mu: Matrix, weights: Vector, prior: float | None = None) -> Ve
 
 
 def _plan_group(
-    b: int, group: AlphaGroup, terms: Sequence[Term], delays: Sequence[float]
+    b: int,
+    group: AlphaGroup,
+    terms: Sequence[Term],
+    delays: Sequence[float],
+    theta: tuple[int, ...],
 ) -> GroupRecovery:
     kind = _recovery_kind(group)
     rows, others = _equally_spaced_rows(b, terms, group, delays)
@@ -213,8 +240,9 @@ def _plan_group(
     first = delays[rows[0]]
     second = delays[rows[1]]
     spacing = float(second - first)
-    limit = math.pi / spacing if kind is RecoveryKind.SINE else math.inf
-    return GroupRecovery(kind, tuple(indices), signs, spacing, group.components, limit)
+    has_rate = kind in (RecoveryKind.SINE, RecoveryKind.DAMPED_SINE)
+    limit = math.pi / spacing if has_rate else math.inf
+    return GroupRecovery(kind, tuple(indices), signs, spacing, theta, limit)
 
 
 def _recovery_kind(group: AlphaGroup) -> RecoveryKind:
@@ -224,8 +252,9 @@ def _recovery_kind(group: AlphaGroup) -> RecoveryKind:
         listed = ", ".join(names)
         raise AssumptionError(
             f"(35): no formula for theta of the components {components} that share "
-            f"alpha {group.alpha!r} ({listed}); possible for one alpha: one exponential, "
-            "two exponentials, or one sine; give the others another alpha"
+            f"alpha {group.alpha!r} ({listed}); possible for one alpha: one exponential, two "
+            "exponentials, one sine, one damped-sine, or one t-exponential; for others "
+            'method = "output-error"'
         )
     return _KINDS[names]
 
@@ -306,15 +335,33 @@ def _sine(c: Sequence[float], spacing: float) -> list[float]:
     return [float(theta[0])]
 
 
+def _damped_sine(c: Sequence[float], spacing: float) -> list[float]:
+    c0, c1, c2 = c
+    if c0 == 0.0 or c2 == 0.0:
+        return [NAN, NAN]
+    roots = _roots(c0, c1, c2)
+    theta = DampedSine().theta_from_roots(roots, spacing)
+    return [float(value) for value in theta]
+
+
+def _t_exponential(c: Sequence[float], spacing: float) -> list[float]:
+    _, c1, c2 = c
+    return [_exponent(-0.5 * c1 / c2, spacing)] if c2 else [NAN]
+
+
 _KINDS = {
     ("exponential",): RecoveryKind.EXPONENTIAL,
     ("exponential", "exponential"): RecoveryKind.EXPONENTIALS,
     ("sine",): RecoveryKind.SINE,
+    ("damped-sine",): RecoveryKind.DAMPED_SINE,
+    ("t-exponential",): RecoveryKind.T_EXPONENTIAL,
 }
 _FORMULAS = {
     RecoveryKind.EXPONENTIAL: _exponential,
     RecoveryKind.EXPONENTIALS: _exponentials,
     RecoveryKind.SINE: _sine,
+    RecoveryKind.DAMPED_SINE: _damped_sine,
+    RecoveryKind.T_EXPONENTIAL: _t_exponential,
 }
 
 

@@ -98,7 +98,7 @@ class OutputErrorFit:
     def estimated(self) -> NDArray[np.bool_]:
         """Which parameters the data determine, shape (P,)."""
         states = [state is ParameterState.ESTIMATED for state in self.states]
-        return np.array(states)
+        return np.array(states, np.bool_)
 
 
 def fit_output_error(
@@ -229,7 +229,7 @@ def excess_squares(best: float, other: float, freedom: float) -> float:
 
 def largest_chance(parameters: int) -> float:
     """Return the largest difference that noise alone makes between two optima, in variances."""
-    return chi_square_above(FALSE_CHOICE, parameters)
+    return chi_square_above(FALSE_CHOICE, max(parameters, 1))
 
 
 def bound_vectors(

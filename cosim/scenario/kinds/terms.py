@@ -1,0 +1,264 @@
+"""The terms of a disturbance in a scenario: a family with its settings, parameters, constants."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from types import MappingProxyType
+from typing import Any, Final
+
+from pydantic import Field
+
+from cosim.errors import AssumptionError, UsageError
+from cosim.scenario.schema import Number, NumberRow, NumberRows, TomlTable, Whole, matrix
+from cosim.theory.disturbance import (
+    FAMILIES,
+    SETTINGS,
+    Family,
+    Polynomial,
+    family_named,
+)
+from cosim.theory.linear_family import LinearFamily, Rows
+
+LINEAR: Final = "linear"
+LARGEST_DEGREE: Final = 8
+MOST_ELEMENTS: Final = 64
+ONE_BY_ONE: Final = ("amplitude", "phase")  # constants that have keys and defaults of their own
+DEFAULTS: Final = {"amplitude": 1.0, "phase": 0.0}
+
+
+class FamilyTerm(TomlTable):
+    """alpha(t) f(theta, t), one term of (4), by alpha and the family of f."""
+
+    alpha: str = Field("1", description="known function of t")
+    element: Whole = Field(
+        0, ge=0, lt=MOST_ELEMENTS, description="which element of delta it belongs to"
+    )
+    family: str = Field(description=", ".join([*FAMILIES, *SETTINGS]))
+    degree: Whole | None = Field(None, description="of polynomial: its degree")
+    G0: NumberRows | None = Field(
+        None, description="of linear: beta' = (G0 + sum theta_j G[j]) beta, f = c beta [1/s]"
+    )
+    G: tuple[NumberRows, ...] | None = Field(
+        None, description="of linear: a matrix for each parameter; default: none"
+    )
+    c: NumberRow | None = Field(None, description="of linear: how the states enter f")
+    parameters: tuple[str, ...] | None = Field(
+        None, description="of linear: names of the parameters; default: theta_1, theta_2, ..."
+    )
+    search: NumberRows | None = Field(
+        None,
+        description="of linear: [lower, upper] for each parameter, where a start is searched; "
+        "default: by the eigenvalues of the generator",
+    )
+
+    def generator(self) -> Family:
+        """Return the family with its settings.
+
+        Raises
+        ------
+        AssumptionError
+            If there is no such family, or its settings make none.
+        UsageError
+            If a setting is missing, or belongs to another family.
+        """
+        self._check_settings()
+        if self.family == "polynomial":
+            assert self.degree is not None
+            if not 0 <= self.degree <= LARGEST_DEGREE:
+                raise UsageError(
+                    f"degree: found {self.degree}; needed 0 to {LARGEST_DEGREE}, for powers of t "
+                    "beyond are hardly told apart"
+                )
+            return Polynomial(self.degree)
+        if self.family == LINEAR:
+            return self._linear()
+        return family_named(self.family)
+
+    def _check_settings(self) -> None:
+        own = SETTINGS.get(self.family, ())
+        for owner, keys in SETTINGS.items():
+            foreign = [key for key in keys if key in self.model_fields_set and key not in own]
+            if foreign:
+                raise UsageError(
+                    f"{foreign[0]}: is of family {owner!r}, found family {self.family!r}; leave it "
+                    "out"
+                )
+        for key in own:
+            needed = key in ("degree", "G0", "c")
+            if needed and key not in self.model_fields_set:
+                raise UsageError(f"family {self.family!r}: needed {key}")
+
+    def _linear(self) -> LinearFamily:
+        assert self.G0 is not None
+        assert self.c is not None
+        slopes = [_rows(rows, f"G[{j}]") for j, rows in enumerate(self.G or ())]
+        names = self.parameters
+        if names is None:
+            names = tuple(f"theta_{j}" for j in range(1, len(slopes) + 1))
+        ranges = None if self.search is None else tuple(map(_range, self.search))
+        return LinearFamily(_rows(self.G0, "G0"), tuple(slopes), self.c, names, ranges)
+
+
+class ValuedTerm(FamilyTerm):
+    """A term whose parameters and constants are known: of what makes a disturbance."""
+
+    theta: Number | NumberRow | None = Field(
+        None,
+        description="the parameters, in the order of the family: of exponential and t-exponential "
+        "the exponent [1/s], of sine the rate [rad/s], of damped-sine decay [1/s] and rate; the "
+        "others have none, linear as many as G",
+    )
+    amplitude: Number | None = Field(
+        None, description="of exponential, sine and damped-sine; default: 1"
+    )
+    phase: Number | None = Field(
+        None, description="of sine and damped-sine [rad] at t = 0; default: 0"
+    )
+    constants: NumberRow | None = Field(
+        None,
+        description="of the others: level, slope and so on of constant, ramp, polynomial and "
+        "t-exponential, the states at t = 0 of linear",
+    )
+
+    def values(self, family: Family) -> tuple[float, ...]:
+        """Return theta.
+
+        Raises
+        ------
+        UsageError
+            If these are not as many as the family has parameters.
+        """
+        given = self.theta
+        values = () if given is None else given if isinstance(given, tuple) else (given,)
+        names = family.parameters
+        if len(values) != len(names):
+            what = ", ".join(names)
+            needed = f"{len(names)}: {what}" if names else "none: leave it out"
+            raise UsageError(
+                f"theta of family {family.name!r}: found {_numbers(values)}; needed {needed}"
+            )
+        return tuple(map(float, values))
+
+    def constant_values(self, family: Family) -> tuple[float, ...]:
+        """Return the constants in the order of the family.
+
+        Raises
+        ------
+        UsageError
+            If they are not as many as the family has, or there is a key that it has not.
+        """
+        names = family.constants
+        has_keys = names[0] in ONE_BY_ONE
+        given = {key: getattr(self, key) for key in ONE_BY_ONE}
+        for key, value in given.items():
+            if value is not None and key not in names:
+                instead = "constants" if not has_keys else " and ".join(names)
+                raise UsageError(
+                    f"{key}: family {family.name!r} has none; it has {', '.join(names)}, as "
+                    f"{instead}"
+                )
+        if has_keys and self.constants is None:
+            numbers = [DEFAULTS[key] if given[key] is None else given[key] for key in names]
+            return tuple(map(float, numbers))
+        if has_keys and any(value is not None for value in given.values()):
+            raise UsageError(f"found constants beside {' or '.join(names)}; needed one of them")
+        constants = self.constants or ()
+        if len(constants) != len(names):
+            raise UsageError(
+                f"constants of family {family.name!r}: found {_numbers(constants)}; needed "
+                f"{len(names)}: {', '.join(names)}"
+            )
+        return tuple(map(float, constants))
+
+
+def element_count(terms: Sequence[FamilyTerm]) -> int:
+    """Return the number of elements of a disturbance of these terms."""
+    return 1 + max(term.element for term in terms)
+
+
+def families_of(terms: Sequence[FamilyTerm]) -> list[Family]:
+    """Return the families of terms.
+
+    Raises
+    ------
+    AssumptionError, UsageError
+        If one has none, naming the term.
+    """
+    families = []
+    for number, term in enumerate(terms):
+        with naming(number):
+            families.append(term.generator())
+    return families
+
+
+@contextmanager
+def naming(number: int) -> Iterator[None]:
+    """Name the term that an error is about."""
+    try:
+        yield
+    except AssumptionError as error:
+        raise AssumptionError(f"terms[{number}]: {error}") from error
+    except UsageError as error:
+        raise UsageError(f"terms[{number}]: {error}") from error
+
+
+def function_text(family: Family, theta: Sequence[float], constants: Sequence[float]) -> str:
+    """Return f as an expression in t, with a factor before it where it has an amplitude.
+
+    Not of a linear family, which is none.
+    """
+    return _FUNCTIONS[family.name](theta, constants)
+
+
+def _exponential(theta: Sequence[float], constants: Sequence[float]) -> str:
+    return f"{constants[0]!r}*exp({theta[0]!r}*t)"
+
+
+def _sine(theta: Sequence[float], constants: Sequence[float]) -> str:
+    return f"{constants[0]!r}*sin({theta[0]!r}*t + {constants[1]!r})"
+
+
+def _damped_sine(theta: Sequence[float], constants: Sequence[float]) -> str:
+    return f"{_exponential([-theta[0]], constants)}*sin({theta[1]!r}*t + {constants[1]!r})"
+
+
+def _polynomial(theta: Sequence[float], constants: Sequence[float]) -> str:
+    text = f"{constants[-1]!r}"
+    for coefficient in reversed(constants[:-1]):
+        text = f"({coefficient!r} + t*{text})"
+    return text
+
+
+def _t_exponential(theta: Sequence[float], constants: Sequence[float]) -> str:
+    return f"{_polynomial((), constants)}*exp({theta[0]!r}*t)"
+
+
+_FUNCTIONS: Mapping[str, Callable[[Sequence[float], Sequence[float]], str]] = MappingProxyType(
+    {
+        "exponential": _exponential,
+        "sine": _sine,
+        "damped-sine": _damped_sine,
+        "constant": _polynomial,
+        "ramp": _polynomial,
+        "polynomial": _polynomial,
+        "t-exponential": _t_exponential,
+    }
+)
+
+
+def _rows(rows: NumberRows, name: str) -> Rows:
+    values: Any = matrix(rows, name).tolist()
+    return tuple(tuple(row) for row in values)
+
+
+def _range(row: NumberRow) -> tuple[float, float]:
+    if len(row) != 2:
+        raise UsageError(f"search: found {_numbers(row)}; needed [lower, upper]")
+    return row[0], row[1]
+
+
+def _numbers(values: Sequence[float]) -> str:
+    count = len(values)
+    listed = ", ".join(f"{value:g}" for value in values[:8])
+    return f"{count} number{'s' if count != 1 else ''}{': ' if listed else ''}{listed}"
