@@ -2,53 +2,83 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cosim.arrays import Matrix
+from cosim.arrays import Matrix, Vector
 from cosim.core.linear import DescriptorModel, LinearModel, feedthrough_of, initial_dependencies
-from cosim.core.signals import Interface, Signal
+from cosim.core.signals import Interface, Role, Signal
 from cosim.errors import AssumptionError
-from cosim.theory.descriptor import DescriptorSystem, reduce
+from cosim.theory.descriptor import DescriptorSystem, ReducedSystem, reduce
 
 
-def descriptor_model(system: DescriptorSystem, x_a0: ArrayLike) -> LinearModel:
+def descriptor_model(system: DescriptorSystem, initial: ArrayLike) -> LinearModel:
     """Write a descriptor system as a model (8)-(10).
 
-    Inputs u and delta, outputs y, x_a and x_b, states x_a.
+    Inputs u and delta; outputs y and the user's states: x_a and x_b of the partitioned form, x of
+    the general one. There is no signal without elements.
+
+    Parameters
+    ----------
+    system : DescriptorSystem
+    initial : ArrayLike
+        x_a(0), shape ``(n_a,)``; of the general form x(0), shape ``(n,)``, of which E x(0) counts.
 
     Raises
     ------
     AssumptionError
-        If A22 is singular (Assumption 2), or ``x_a0`` has the wrong size.
+        If the system cannot be reduced, or ``initial`` has the wrong size.
     """
     reduced = reduce(system)
     n_a, n_u = reduced.B_1a.shape
     n_y, n_d = reduced.C5.shape
-    n_b = len(reduced.Kx)
-    X0 = np.atleast_1d(np.asarray(x_a0, dtype=np.float64))
-    if X0.shape != (n_a,):
-        raise AssumptionError(
-            f"x_a0 has shape {X0.shape}; needed ({n_a},): one number a dynamic state"
-        )
-    u = Signal("u", n_u, role="input")
-    delta = Signal("delta", n_d, role="input")
-    y = Signal("y", n_y)
-    x_a = Signal("x_a", n_a, role="state")
-    outputs = [y, x_a]
-    if n_b:
-        x_b = Signal("x_b", n_b, role="state")
-        outputs.append(x_b)
-    C_x_a = np.eye(n_a)
+    coordinates = reduced.coordinates
+    if coordinates is None:
+        X0 = _initial_vector("x_a0", initial, n_a, "one number a dynamic state")
+        X = np.vstack([np.eye(n_a), reduced.Kx])
+        Xu = np.vstack([np.zeros((n_a, n_u)), reduced.Ku])
+        Xd = np.vstack([np.zeros((n_a, n_d)), reduced.Kd])
+        sizes = {"x_a": n_a, "x_b": len(reduced.Kx)}
+    else:
+        n = len(coordinates.X)
+        X0 = coordinates.R @ _initial_vector("x0", initial, n, "one number a state")
+        X = coordinates.X
+        Xu = coordinates.Xu
+        Xd = coordinates.Xd
+        sizes = {"x": n}
     D_y = np.hstack([reduced.C4, reduced.C5])
-    D_x_a = np.zeros((n_a, n_u + n_d))
-    D_x_b = np.hstack([reduced.Ku, reduced.Kd])
-    A = reduced.A_a
-    B = np.hstack([reduced.B_1a, reduced.B_2a])
-    C = np.vstack([reduced.C3, C_x_a, reduced.Kx])
-    D = np.vstack([D_y, D_x_a, D_x_b])
-    states = tuple(x_a.elements)
-    return linear_model((u, delta), tuple(outputs), states=states, A=A, B=B, C=C, D=D, X0=X0)
+    D_x = np.hstack([Xu, Xd])
+    return linear_model(
+        _signals({"u": n_u, "delta": n_d}, "input"),
+        (Signal("y", n_y), *_signals(sizes, "state")),
+        states=_state_names(reduced),
+        A=reduced.A_a,
+        B=np.hstack([reduced.B_1a, reduced.B_2a]),
+        C=np.vstack([reduced.C3, X]),
+        D=np.vstack([D_y, D_x]),
+        X0=X0,
+    )
+
+
+def _state_names(reduced: ReducedSystem) -> tuple[str, ...]:
+    """Return the names of the model's states: those of x where they are x itself."""
+    n_a = len(reduced.A_a)
+    is_x = reduced.coordinates is not None and len(reduced.coordinates.X) == n_a
+    return tuple(Signal("x" if is_x else "x_a", n_a, role="state").elements)
+
+
+def _signals(sizes: Mapping[str, int], role: Role) -> tuple[Signal, ...]:
+    """Return signals by their sizes; there is none without elements."""
+    return tuple(Signal(name, size, role=role) for name, size in sizes.items() if size)
+
+
+def _initial_vector(name: str, values: ArrayLike, size: int, needed: str) -> Vector:
+    vector = np.atleast_1d(np.asarray(values, dtype=np.float64))
+    if vector.shape != (size,):
+        raise AssumptionError(f"{name} has shape {vector.shape}; needed ({size},): {needed}")
+    return vector
 
 
 def descriptor_form(system: DescriptorSystem, x_a0: ArrayLike) -> DescriptorModel:
@@ -59,10 +89,15 @@ def descriptor_form(system: DescriptorSystem, x_a0: ArrayLike) -> DescriptorMode
     Raises
     ------
     AssumptionError
-        As for ``descriptor_model``, or if there are no algebraic states.
+        As for ``descriptor_model``, or if there are no algebraic states, or the form is general.
     """
-    reduced = descriptor_model(system, x_a0)
     n_a = system.n_a
+    if n_a is None:
+        raise AssumptionError(
+            "a residual form has the algebraic states x_b; needed a model of the form n_a, A, Bu, "
+            "Bd, C"
+        )
+    reduced = descriptor_model(system, x_a0)
     n = len(system.A)
     n_y = len(system.C)
     if n_a == n:

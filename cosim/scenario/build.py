@@ -32,6 +32,7 @@ from cosim.scenario.context import (
 from cosim.scenario.document import Document
 from cosim.scenario.identification.model import IdentifiedPlant
 from cosim.scenario.kinds import BuildContext, Kind
+from cosim.scenario.models import form_problems
 from cosim.scenario.parsing import Scenario, read
 from cosim.scenario.problems import Key, Problem
 from cosim.scenario.recorded_metadata import ReplayOrigin, component_record
@@ -218,11 +219,17 @@ class Builder:
     # --- components ---
 
     def _check_models(self) -> None:
-        for name in self.scenario.file.models:
-            try:
-                self.context.model(name)
-            except (CosimError, ValueError) as error:
-                self.problems.append((("models", name), str(error)))
+        for name, table in self.scenario.file.models.items():
+            problems: list[Problem] = []
+            for key, text in form_problems(table):
+                problems.append((("models", name, key) if key else ("models", name), text))
+            if not problems:
+                try:
+                    self.context.model(name)
+                except (CosimError, ValueError) as error:
+                    problems = [(("models", name), str(error))]
+            if problems:
+                self.problems += problems
                 self.context.invalid.add(("models", name))
 
     def _build(self, name: str, spec: Kind) -> None:

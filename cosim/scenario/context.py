@@ -19,10 +19,10 @@ from cosim.errors import CosimError, LogError, UsageError, nearest, option, quot
 from cosim.scenario.identification.model import IdentifiedPlant
 from cosim.scenario.kinds import Kind
 from cosim.scenario.kinds.base import Spectrum
+from cosim.scenario.models import system_of
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.problems import Key
 from cosim.scenario.recorded_metadata import LinearizationRecord, component_record
-from cosim.scenario.schema import matrix
 from cosim.scenario.swap import ports_in
 from cosim.theory.descriptor import DescriptorSystem
 
@@ -158,12 +158,7 @@ class ScenarioBuildContext:
         if name not in models:
             raise UsageError(f"there is no model {name!r} in [models]; {nearest(name, models)}")
         self._read(f"models.{name}")
-        table = models[name]
-        matrices = {}
-        for letter in ("A", "Bu", "Bd", "C"):
-            rows = getattr(table, letter)
-            matrices[letter] = matrix(rows, f"models.{name}.{letter}")
-        return DescriptorSystem(n_a=table.n_a, **matrices)
+        return system_of(name, models[name])
 
     def spec(self, name: str) -> Kind:
         """Return the table of another component, and record that it was read."""

@@ -87,14 +87,27 @@ class Settings(TomlTable):
     description: str = Field("", description="one line for 'cosim list' and reports")
 
 
-class DescriptorTable(TomlTable):
-    """A table of [models]: E x' = A x + Bu u + Bd delta, y = C x, E = diag(I, 0)."""
+class ModelTable(TomlTable):
+    """A table of [models], in one of two forms.
 
-    n_a: Whole = Field(ge=1, description="number of dynamic states")
-    A: NumberRows
-    Bu: NumberRows
-    Bd: NumberRows
-    C: NumberRows
+    General: E x' = A x + B (u, delta), y = C x + D (u, delta). Partitioned: E = diag(I, 0), D = 0.
+    """
+
+    n_a: Whole | None = Field(
+        None, ge=1, description="partitioned form: number of dynamic states; then A, Bu, Bd, C"
+    )
+    E: NumberRows | None = Field(None, description="any square matrix; default: the identity")
+    A: NumberRows | None = None
+    B: NumberRows | None = Field(None, description="columns of all inputs; or give Bu and Bd")
+    Bu: NumberRows | None = Field(None, description="columns of the known inputs u")
+    Bd: NumberRows | None = Field(None, description="columns of the disturbances delta")
+    C: NumberRows | None = None
+    D: NumberRows | None = Field(None, description="columns as B; default: 0")
+    Du: NumberRows | None = Field(None, description="columns as Bu; default: 0")
+    Dd: NumberRows | None = Field(None, description="columns as Bd; default: 0")
+    disturbances: tuple[Whole, ...] | None = Field(
+        None, description="columns of B that are unknown, counted from 0; default: none"
+    )
 
 
 class ConnectionTable(TomlTable):
@@ -131,7 +144,7 @@ class File(TomlTable):
     """The content of a scenario file; its components are validated by their kinds."""
 
     scenario: Settings
-    models: dict[str, DescriptorTable] = {}
+    models: dict[str, ModelTable] = {}
     components: dict[Name, dict[str, Any]]
     connections: dict[str, str | list[str] | ConnectionTable] = {}
     truth: dict[str, str | tuple[str, ...] | Number | NumberRow] = {}

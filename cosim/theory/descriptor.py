@@ -1,88 +1,173 @@
 """Descriptor systems (1)-(2), their assumptions, and the reduction (8)-(12) to an ordinary system.
 
-Any number of inputs, disturbances and outputs::
+Any number of inputs, disturbances and outputs, any square E::
+
+    E x' = A x + Bu u + Bd delta
+       y = C x + Du u + Dd delta
+
+In the paper's form E is `diag(I, 0)` (Assumption 1), and so the states are partitioned::
 
     x_a' = A11 x_a + A12 x_b + B11 u + B12 delta
        0 = A21 x_a + A22 x_b + B21 u + B22 delta
        y = C1  x_a + C2  x_b
 
-E is `diag(I, 0)` (Assumption 1); a general E would be brought to this form by a function of its
-own, before `reduce`.
+Any other E is brought to this form by its singular value decomposition, `U' E V = diag(S, 0)`, in
+units in which the system is of size one (:mod:`cosim.theory.scaling`): orthogonal transformations
+add no more than rounding. x_a and x_b are then coordinates in which the reduction is done; the user
+sees x = V [x_a; x_b]. A regular E needs none: x_a is x.
+
+Data are known up to rounding, of an entry relative to the size of its row and column. What is
+smaller than the effect of that is zero: coefficients of the feedthrough, and singular values.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import TypeAlias
+from dataclasses import dataclass, fields, replace
+from typing import Self, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from cosim.arrays import Matrix, Vector, frozen
 from cosim.errors import AssumptionError
-from cosim.theory.geometry import output_nulling, rank, without_rounding
+from cosim.theory.elimination import DATA, Eliminated, PartitionedMatrices, eliminate
+from cosim.theory.geometry import output_nulling, rank
+from cosim.theory.pencil import RankDecomposition, decompose, determined_rank, shuffle
+from cosim.theory.scaling import Scales, scales_of
 
 ComplexVector: TypeAlias = NDArray[np.complex128]  # shape (n,)
 ComplexMatrix: TypeAlias = NDArray[np.complex128]  # shape (n, m)
 
-SINGULAR = 1e-12  # reciprocal condition below which a matrix counts as singular
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DescriptorSystem:
-    """The descriptor system (1) with `E = diag(I, 0)`, partitioned as (2).
+    """The descriptor system (1) with any square E; see :meth:`partitioned` and :meth:`general`.
 
     Parameters
     ----------
-    A : Matrix
+    E, A : Matrix
         Shape ``(n, n)``.
     Bu, Bd : Matrix
         Shapes ``(n, n_u)`` and ``(n, n_d)``; no columns are allowed.
     C : Matrix
         Shape ``(n_y, n)``.
-    n_a : int
-        Number of dynamic states; the last ``n - n_a`` states are algebraic.
+    Du, Dd : Matrix
+        Shapes ``(n_y, n_u)`` and ``(n_y, n_d)``.
+    n_a : int, optional
+        Of the partitioned form: `E = diag(I, 0)`, the first ``n_a`` states are x_a, the others x_b.
 
     Raises
     ------
     AssumptionError
         If a matrix is not two-dimensional, does not fit the others or is not finite, or if
-        ``n_a`` is not in 1..n.
+        ``n_a`` is not in 1..n, or E is another one than it says.
     """
 
+    E: Matrix
     A: Matrix
     Bu: Matrix
     Bd: Matrix
     C: Matrix
-    n_a: int
+    Du: Matrix
+    Dd: Matrix
+    n_a: int | None = None
 
     def __post_init__(self) -> None:
         """Freeze and check the matrices."""
-        for name in ("A", "Bu", "Bd", "C"):
+        for name in MATRICES:
             matrix = _finite_matrix(name, getattr(self, name))
             object.__setattr__(self, name, matrix)
         rows, n = self.A.shape
         n_y, columns = self.C.shape
         square = rows == n > 0
         _check_shape("A", self.A, square, "(n, n): one row and one column per state")
+        _check_shape("E", self.E, self.E.shape == (n, n), f"({n}, {n}), the shape of A")
         per_input = f"({n}, n_u): one row per state, one column per input"
         _check_shape("Bu", self.Bu, len(self.Bu) == n, per_input)
         per_disturbance = f"({n}, n_d): one row per state, one column per disturbance"
         _check_shape("Bd", self.Bd, len(self.Bd) == n, per_disturbance)
         per_output = f"(n_y, {n}): one row per output, one column per state"
         _check_shape("C", self.C, columns == n and n_y > 0, per_output)
-        if not 1 <= self.n_a <= n:
+        for name, B in (("Du", self.Bu), ("Dd", self.Bd)):
+            D = getattr(self, name)
+            m = B.shape[1]
+            per_pair = f"({n_y}, {m}): one row per row of C, one column per column of B{name[1]}"
+            _check_shape(name, D, D.shape == (n_y, m), per_pair)
+        if self.n_a is not None and not np.array_equal(self.E, _diagonal_E(self.n_a, n)):
+            raise AssumptionError(f"Assumption 1 (1): E is not diag(I, 0) with n_a = {self.n_a}")
+
+    @classmethod
+    def partitioned(
+        cls, *, A: ArrayLike, Bu: ArrayLike, Bd: ArrayLike, C: ArrayLike, n_a: int
+    ) -> Self:
+        """Build the paper's form: `E = diag(I, 0)` with ``n_a`` ones, and no feedthrough."""
+        n = len(_finite_matrix("A", A))
+        if not 1 <= n_a <= n:
             raise AssumptionError(
-                f"Assumption 1 (1): n_a = {self.n_a}; needed 1..{n}, the number of dynamic states "
+                f"Assumption 1 (1): n_a = {n_a}; needed 1..{n}, the number of dynamic states "
                 f"among the {n} rows of A"
             )
+        n_y = len(_finite_matrix("C", C))
+        Du = np.zeros((n_y, _finite_matrix("Bu", Bu).shape[1]))
+        Dd = np.zeros((n_y, _finite_matrix("Bd", Bd).shape[1]))
+        E = _diagonal_E(n_a, n)
+        matrices = {"E": E, "A": A, "Bu": Bu, "Bd": Bd, "C": C, "Du": Du, "Dd": Dd}
+        return cls(**{name: np.asarray(matrix) for name, matrix in matrices.items()}, n_a=n_a)
+
+    @classmethod
+    def general(
+        cls,
+        *,
+        A: ArrayLike,
+        C: ArrayLike,
+        E: ArrayLike | None = None,
+        Bu: ArrayLike | None = None,
+        Bd: ArrayLike | None = None,
+        Du: ArrayLike | None = None,
+        Dd: ArrayLike | None = None,
+    ) -> Self:
+        """Build any form; without E it is the identity, without a B there are no such inputs."""
+        n = len(_finite_matrix("A", A))
+        n_y = len(_finite_matrix("C", C))
+        of_u = np.zeros((n, 0)) if Bu is None else _finite_matrix("Bu", Bu)
+        of_delta = np.zeros((n, 0)) if Bd is None else _finite_matrix("Bd", Bd)
+        return cls(
+            E=np.eye(n) if E is None else np.asarray(E),
+            A=np.asarray(A),
+            Bu=of_u,
+            Bd=of_delta,
+            C=np.asarray(C),
+            Du=np.zeros((n_y, of_u.shape[1])) if Du is None else np.asarray(Du),
+            Dd=np.zeros((n_y, of_delta.shape[1])) if Dd is None else np.asarray(Dd),
+        )
 
     @property
-    def E(self) -> Matrix:
-        """The matrix of Assumption 1, shape ``(n, n)``."""
-        diagonal = np.zeros(len(self.A))
-        diagonal[: self.n_a] = 1.0
-        return np.diag(diagonal)
+    def scales(self) -> Scales:
+        """The sizes of its equations, states, inputs (u, delta) and outputs."""
+        B = np.hstack([self.Bu, self.Bd])
+        D = np.hstack([self.Du, self.Dd])
+        return scales_of(self.E, self.A, B, self.C, D)
+
+
+MATRICES = ("E", "A", "Bu", "Bd", "C", "Du", "Dd")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class UserCoordinates:
+    """The user's states ``x = X x_a + Xu u + Xd delta``, and back: ``x_a = R x``.
+
+    Shapes: ``X (n, n_a)``, ``Xu (n, n_u)``, ``Xd (n, n_d)``, ``R (n_a, n)``.
+    """
+
+    X: Matrix
+    Xu: Matrix
+    Xd: Matrix
+    R: Matrix
+
+    def __post_init__(self) -> None:
+        """Freeze the matrices."""
+        for name in ("X", "Xu", "Xd", "R"):
+            object.__setattr__(self, name, _finite_matrix(name, getattr(self, name)))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -97,6 +182,9 @@ class ReducedSystem:
 
     Shapes: ``A_a (n_a, n_a)``, ``B_1a (n_a, n_u)``, ``B_2a (n_a, n_d)``; ``C3 (n_y, n_a)``,
     ``C4 (n_y, n_u)``, ``C5 (n_y, n_d)``; ``Kx (n_b, n_a)``, ``Ku (n_b, n_u)``, ``Kd (n_b, n_d)``.
+
+    ``coordinates`` lead to the user's states; None where these are x_a and x_b themselves.
+    ``accuracy`` bounds the error of the entries, where the system is of size one.
     """
 
     A_a: Matrix
@@ -108,10 +196,12 @@ class ReducedSystem:
     Kx: Matrix
     Ku: Matrix
     Kd: Matrix
+    coordinates: UserCoordinates | None = None
+    accuracy: float = 0.0
 
     def __post_init__(self) -> None:
         """Freeze the matrices."""
-        for field in fields(self):
+        for field in fields(self)[:9]:
             matrix = _finite_matrix(field.name, getattr(self, field.name))
             object.__setattr__(self, field.name, matrix)
 
@@ -119,60 +209,27 @@ class ReducedSystem:
 def reduce(system: DescriptorSystem) -> ReducedSystem:
     """Eliminate the algebraic states (8)-(10).
 
-    An entry that is smaller than the rounding error of computing it is stored as zero, so that (11)
-    can be decided exactly and feedthrough is structure, not rounding.
+    A feedthrough that is smaller than what rounding of the data may make of zero is zero, so that
+    (11) can be decided and feedthrough is structure, not rounding.
 
     Raises
     ------
     AssumptionError
-        If ``A22`` is singular (Assumption 2).
+        If the pencil `s E - A` is singular, or has an index above 1 (Assumption 2), or there are
+        no dynamic states.
     """
-    dynamic = slice(None, system.n_a)
-    algebraic = slice(system.n_a, None)
-    A = system.A
-    Bu = system.Bu
-    Bd = system.Bd
-    C = system.C
-    A11 = A[dynamic, dynamic]
-    A12 = A[dynamic, algebraic]
-    A21 = A[algebraic, dynamic]
-    A22 = A[algebraic, algebraic]
-    B11 = Bu[dynamic]
-    B12 = Bd[dynamic]
-    B21 = Bu[algebraic]
-    B22 = Bd[algebraic]
-    C1 = C[:, dynamic]
-    C2 = C[:, algebraic]
-    n_y = len(C)
-    n_u = Bu.shape[1]
-    n_d = Bd.shape[1]
-    condition = _condition(A22)
-    if not condition < 1.0 / SINGULAR:
-        evidence = f"rank {rank(A22)} of {len(A22)}, condition {condition:.3g}"
-        verdict = _pencil_verdict(system)
-        raise AssumptionError(
-            f"Assumption 2 (3): A22 is singular ({evidence}), so x_b is not determined by the "
-            f"algebraic equation; {verdict}"
-        )
-    right = np.hstack([A21, B21, B22])
-    K = _algebraic_gain(A22, right, condition)
-    begin_u = system.n_a
-    begin_d = begin_u + n_u
-    Kx, Ku, Kd = np.split(K, [begin_u, begin_d], axis=1)
-
-    def substituted(direct: Matrix, left: Matrix, right: Matrix) -> Matrix:
-        """Return ``direct + left right``, a coefficient after x_b was replaced by (8)."""
-        total = direct + left @ right
-        magnitudes = np.abs(direct) + np.abs(left) @ np.abs(right)
-        return without_rounding(total, magnitudes, condition)
-
-    A_a = substituted(A11, A12, Kx)
-    B_1a = substituted(B11, A12, Ku)
-    B_2a = substituted(B12, A12, Kd)
-    C3 = substituted(C1, C2, Kx)
-    C4 = substituted(np.zeros((n_y, n_u)), C2, Ku)
-    C5 = substituted(np.zeros((n_y, n_d)), C2, Kd)
-    return ReducedSystem(A_a=A_a, B_1a=B_1a, B_2a=B_2a, C3=C3, C4=C4, C5=C5, Kx=Kx, Ku=Ku, Kd=Kd)
+    scales = system.scales
+    E = scales.scaled_E(system.E)
+    A = scales.scaled_E(system.A)
+    n = len(A)
+    known_rank = n if np.array_equal(system.E, np.eye(n)) else system.n_a
+    decomposition = decompose(E, known_rank)
+    _check_index(E, A, decomposition)
+    if system.n_a is not None:
+        return _reduced_partitioned(system, scales, system.n_a)
+    if len(decomposition.values) == n:
+        return _reduced_regular(system, scales, decomposition.growth)
+    return _reduced_singular(system, scales, decomposition)
 
 
 def algebraic_state(reduced: ReducedSystem, x_a: Vector, *, u: Vector, delta: Vector) -> Vector:
@@ -188,39 +245,162 @@ def algebraic_state(reduced: ReducedSystem, x_a: Vector, *, u: Vector, delta: Ve
 
 
 def pencil_index(system: DescriptorSystem) -> int:
-    """Compute the index of the pencil `s E - A`.
-
-    It is 0 without algebraic states and 1 where ``A22`` is regular. With `H = (s E - A)^-1 E` at a
-    point s that is no eigenvalue, the index is how often the range of H, H^2, ... shrinks.
+    """Compute the index of the pencil `s E - A`: 0 with a regular E, 1 where A22 is regular.
 
     Raises
     ------
     AssumptionError
         If the pencil is singular: `det(s E - A) = 0` at every s.
     """
-    E = system.E
+    scales = system.scales
+    E = scales.scaled_E(system.E)
+    A = scales.scaled_E(system.A)
+    return shuffle(E, A, decompose(E, system.n_a)).index
+
+
+def _reduced_partitioned(system: DescriptorSystem, scales: Scales, n_a: int) -> ReducedSystem:
+    """Reduce the paper's form, in its own coordinates."""
+    B = (system.Bu, system.Bd)
+    D = (system.Du, system.Dd)
+    return _reduced(eliminate(PartitionedMatrices(system.A, B, system.C, D, n_a), scales, 1.0))
+
+
+def _reduced_regular(system: DescriptorSystem, scales: Scales, growth: float) -> ReducedSystem:
+    """Reduce a system without algebraic states: x_a is x."""
     A = system.A
-    size = np.linalg.norm(A) or 1.0
-    points = size * np.array([0.37, 0.83, 1.71, 2.93])
-    pencils = [point * E - A for point in points]
-    conditions = [_condition(pencil) for pencil in pencils]
-    best = int(np.argmin(conditions))
-    if not conditions[best] < 1.0 / SINGULAR:
+    Bu = system.Bu
+    Bd = system.Bd
+    n, n_u = Bu.shape
+    if not np.array_equal(system.E, np.eye(n)):
+        E = scales.scaled_E(system.E)
+        right = np.hstack([A, Bu, Bd]) / scales.equations[:, np.newaxis]
+        rates = np.linalg.solve(E, right) * scales.states[:, np.newaxis]
+        A, Bu, Bd = np.split(rates, [n, n + n_u], axis=1)
+    D = (system.Du, system.Dd)
+    left = eliminate(PartitionedMatrices(A, (Bu, Bd), system.C, D, n), scales, growth)
+    identity = np.eye(n)
+    coordinates = UserCoordinates(
+        X=identity, Xu=np.zeros(Bu.shape), Xd=np.zeros(Bd.shape), R=identity
+    )
+    return _reduced(left, coordinates)
+
+
+def _reduced_singular(
+    system: DescriptorSystem, scales: Scales, decomposition: RankDecomposition
+) -> ReducedSystem:
+    """Reduce a system with any singular E, in units and coordinates where it is diag(I, 0)."""
+    n, n_u = system.Bu.shape
+    n_a = len(decomposition.values)
+    left = np.vstack([decomposition.U1.T / decomposition.values[:, np.newaxis], decomposition.U2.T])
+    V = np.hstack([decomposition.V1, decomposition.V2])
+    B = left @ scales.scaled_B(np.hstack([system.Bu, system.Bd]))
+    D = scales.scaled_D(np.hstack([system.Du, system.Dd]))
+    matrices = PartitionedMatrices(
+        A=left @ scales.scaled_E(system.A) @ V,
+        B=(B[:, :n_u], B[:, n_u:]),
+        C=scales.scaled_C(system.C) @ V,
+        D=(D[:, :n_u], D[:, n_u:]),
+        n_a=n_a,
+    )
+    units = Scales(
+        equations=np.concatenate([1.0 / decomposition.values, np.ones(n - n_a)]),
+        states=np.ones(n),
+        inputs=np.ones(B.shape[1]),
+        outputs=np.ones(len(D)),
+    )
+    eliminated = eliminate(matrices, units, decomposition.growth)
+    return _in_user_units(eliminated, scales, decomposition)
+
+
+def _in_user_units(
+    eliminated: Eliminated, scales: Scales, decomposition: RankDecomposition
+) -> ReducedSystem:
+    """Return u, delta, y and x to the user's units; x_a stays where the system is of size one."""
+    V1 = decomposition.V1
+    V2 = decomposition.V2
+    n_u = eliminated.B[0].shape[1]
+    units = (scales.inputs[:n_u], scales.inputs[n_u:])
+    states = scales.states[:, np.newaxis]
+    outputs = scales.outputs[:, np.newaxis]
+    X_v = []
+    for gain, error in zip(eliminated.Kv, eliminated.Kv_error, strict=True):
+        rounding = decomposition.growth * DATA * np.abs(gain).sum(axis=0)
+        known_up_to = np.abs(V2) @ error + rounding
+        of_input = V2 @ gain
+        X_v.append(np.where(np.abs(of_input) > known_up_to, of_input, 0.0))
+    coordinates = UserCoordinates(
+        X=states * (V1 + V2 @ eliminated.K),
+        Xu=states * X_v[0] / units[0],
+        Xd=states * X_v[1] / units[1],
+        R=V1.T / scales.states,
+    )
+    in_units = replace(
+        eliminated,
+        B=(eliminated.B[0] / units[0], eliminated.B[1] / units[1]),
+        C=outputs * eliminated.C,
+        D=(outputs * eliminated.D[0] / units[0], outputs * eliminated.D[1] / units[1]),
+        Kv=(eliminated.Kv[0] / units[0], eliminated.Kv[1] / units[1]),
+    )
+    return _reduced(in_units, coordinates)
+
+
+def _reduced(left: Eliminated, coordinates: UserCoordinates | None = None) -> ReducedSystem:
+    B_1a, B_2a = left.B
+    C4, C5 = left.D
+    Ku, Kd = left.Kv
+    return ReducedSystem(
+        A_a=left.A,
+        B_1a=B_1a,
+        B_2a=B_2a,
+        C3=left.C,
+        C4=C4,
+        C5=C5,
+        Kx=left.K,
+        Ku=Ku,
+        Kd=Kd,
+        coordinates=coordinates,
+        accuracy=DATA * len(left.A) * left.amplification,
+    )
+
+
+def _check_index(E: Matrix, A: Matrix, decomposition: RankDecomposition) -> None:
+    """Check that a scaled pencil has dynamic states, and index 0 or 1.
+
+    Raises
+    ------
+    AssumptionError
+        If it does not, with evidence and what to do.
+    """
+    n = len(A)
+    dynamic = len(decomposition.values)
+    if dynamic == 0:
         raise AssumptionError(
-            "PENCIL_SINGULAR: det(s E - A) = 0 at every s; the equations do not determine the "
-            "states"
+            f"Assumption 1 (1): E = 0 ({n} x {n}): there are no dynamic states, and all equations "
+            "are algebraic; needed a model with dynamics (a static one is the gain of a connection)"
         )
-    H = np.linalg.solve(pencils[best], E * points[best])
-    index = 0
-    while H.size:
-        basis, values = np.linalg.svd(H)[:2]
-        range_size = int((values > 1e-10).sum())
-        if range_size == len(H):
-            break
-        range_basis = basis[:, :range_size]
-        H = range_basis.T @ H @ range_basis
-        index += 1
-    return index
+    determined = determined_rank(decomposition, A)
+    if determined == n - dynamic:
+        return
+    A22 = decomposition.U2.T @ A @ decomposition.V2
+    condition = float(np.linalg.cond(A22))
+    evidence = f"rank {determined} of {n - dynamic}, condition {condition:.3g}"
+    problem = (
+        f"Assumption 2 (3): A22 is singular ({evidence}), so x_b is not determined by the "
+        "algebraic equation; "
+    )
+    try:
+        structure = shuffle(E, A, decomposition)
+    except AssumptionError as error:
+        raise AssumptionError(f"{problem}{error}") from error
+    index = structure.index
+    ranks = ", ".join(map(str, structure.ranks))
+    dynamics = "" if structure.finite else ", and no finite eigenvalue: no dynamics at all"
+    raise AssumptionError(
+        f"{problem}INDEX_{index}: the pencil s E - A has index {index}, needed 1 (ranks of E by "
+        f"shuffles: {ranks} of {n}){dynamics}; differentiate the algebraic equations that do not "
+        f"determine x_b {index - 1} time(s) and substitute them, or model what was neglected there "
+        "(a small mass, capacity or resistance)"
+    )
 
 
 def invariant_zeros(reduced: ReducedSystem) -> ComplexVector:
@@ -272,7 +452,7 @@ def disturbance_transfer(reduced: ReducedSystem, s: complex) -> ComplexMatrix:
     return np.asarray(transfer, dtype=np.complex128)
 
 
-def _finite_matrix(name: str, values: Matrix) -> Matrix:
+def _finite_matrix(name: str, values: ArrayLike) -> Matrix:
     try:
         matrix = frozen(values, 2)
     except ValueError as error:
@@ -291,25 +471,8 @@ def _check_shape(name: str, matrix: Matrix, fits: bool, needed: str) -> None:
         raise AssumptionError(f"{name} has shape {matrix.shape}; needed {needed}")
 
 
-def _condition(matrix: Matrix) -> float:
-    return float(np.linalg.cond(matrix)) if matrix.size else 1.0
-
-
-def _algebraic_gain(A22: Matrix, right: Matrix, condition: float) -> Matrix:
-    """Solve `A22 K = -right` (8), with zeros where there is nothing but rounding error."""
-    solution = np.linalg.solve(A22, right)
-    K: Matrix = (0.0 - solution).astype(np.float64)  # not -solution: no negative zeros
-    inverse: Matrix = np.linalg.inv(A22).astype(np.float64)
-    magnitudes = np.abs(inverse) @ np.abs(right)
-    return without_rounding(K, magnitudes, condition)
-
-
-def _pencil_verdict(system: DescriptorSystem) -> str:
-    try:
-        index = pencil_index(system)
-    except AssumptionError as error:
-        return str(error)
-    return (
-        f"INDEX_{index}: the pencil s E - A has index {index}, needed 1; differentiate the "
-        "algebraic equation first"
-    )
+def _diagonal_E(n_a: int, n: int) -> Matrix:
+    """Return the E of Assumption 1."""
+    diagonal = np.zeros(n)
+    diagonal[:n_a] = 1.0
+    return np.diag(diagonal)

@@ -14,7 +14,7 @@ from cosim.fmi.reading.dae import MANIFEST, NAME
 from cosim.theory.descriptor import DescriptorSystem
 from tests.fmi.compiled import compile_fmu, kept_folder
 
-SYSTEM = DescriptorSystem(
+SYSTEM = DescriptorSystem.partitioned(
     A=np.array(
         [
             [-1.0, 0.5, 1.0, 0.0],

@@ -184,7 +184,7 @@ def test_what_has_no_residual_form_is_refused(tmp_path):
     standard = "the layered standard for it is on top of FMI 3: use FMI 3"
     with pytest.raises(FmuError, match=f"x: FMI 2.0 has no residual form; {standard}"):
         export(descriptor(), tmp_path / "x.fmu", name="x", fmi="2")
-    whole = DescriptorSystem(A=A, Bu=SYSTEM.Bu, Bd=SYSTEM.Bd, C=C, n_a=4)
+    whole = DescriptorSystem.partitioned(A=A, Bu=SYSTEM.Bu, Bd=SYSTEM.Bd, C=C, n_a=4)
     reason = "there are no algebraic states, and so no residual form"
     with pytest.raises(AssumptionError, match=f"n_a = 4 of 4 states: {reason}"):
         descriptor_form(whole, np.zeros(4))

@@ -167,10 +167,10 @@ def test_lines_are_found_behind_matrices_of_several_lines():
             "A  = [[0, 1, 1], [0, -2, 1], [1, 0, 1]]",
             "A = [\n[0, 1, 1],\n[0, -2, 1],\n[1, 0, 1],\n]",
         ),
-        ("C  = [[2, 0, 1]]", "D = 1\nC = [[2, 0, 1]]"),
+        ("C  = [[2, 0, 1]]", "G = 1\nC = [[2, 0, 1]]"),
     )
     (line,) = report(text)
-    assert line.startswith(f"x.toml:{line_of(text, 'D = 1')}: models.academic.D: unknown key 'D'")
+    assert line.startswith(f"x.toml:{line_of(text, 'G = 1')}: models.academic.G: unknown key 'G'")
 
 
 def _many_problems(count):

@@ -13,7 +13,7 @@ THETA = (-0.1, -0.3)
 
 def academic() -> DescriptorSystem:
     """Return the system of the example."""
-    return DescriptorSystem(
+    return DescriptorSystem.partitioned(
         A=np.array([[0, 1, 1], [0, -2, 1], [1, 0, 1]]),
         Bu=np.array([[0], [2], [1]]),
         Bd=np.array([[1], [0], [0]]),
@@ -25,7 +25,7 @@ def academic() -> DescriptorSystem:
 def ordinary(A, B, C) -> DescriptorSystem:
     """Return a system without algebraic states and inputs: `x' = A x + B delta, y = C x`."""
     A = np.array(A)
-    return DescriptorSystem(
+    return DescriptorSystem.partitioned(
         A=A, Bu=np.zeros((len(A), 0)), Bd=np.array(B), C=np.array(C), n_a=len(A)
     )
 

@@ -71,7 +71,7 @@ halves = st.integers(-8, 8).map(lambda k: k / 2)
 def test_the_reduced_system_satisfies_the_descriptor_equations(A, B, C):
     """With x_b from (8) the algebraic rows vanish, and (9), (10) are the other rows."""
     A[3:, 3:] = np.eye(2) * 20.0 + A[3:, 3:]  # diagonally dominant: regular
-    system = DescriptorSystem(A=A, Bu=B[:, :2], Bd=B[:, 2:], C=C, n_a=3)
+    system = DescriptorSystem.partitioned(A=A, Bu=B[:, :2], Bd=B[:, 2:], C=C, n_a=3)
     reduced = reduce(system)
     x_a = np.array([1.0, -2.0, 0.5])
     u = np.array([0.25, 3.0])
@@ -98,7 +98,7 @@ def test_rounding_in_C5_is_zero_and_a_real_C5_is_kept():
         x_b = np.array([0.1, 0.3])  # C2 x_b = 0.3 * 0.1 - 0.1 * 0.3, not exactly 0 after a solve
         Bd = np.concatenate([[1.0], A[1:, 1:] @ x_b])[:, None]
         return reduce(
-            DescriptorSystem(
+            DescriptorSystem.partitioned(
                 A=A, Bu=np.zeros((3, 0)), Bd=Bd, C=np.array([[1.0, 0.3 + b, -0.1]]), n_a=1
             )
         ).C5
@@ -134,7 +134,7 @@ def test_the_index_is_counted():
     assert pencil_index(academic()) == 1
     for index, A in ((2, [[0.0, 1], [1, 0]]), (3, [[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])):
         n = len(A)
-        system = DescriptorSystem(
+        system = DescriptorSystem.partitioned(
             A=np.array(A), Bu=np.ones((n, 1)), Bd=np.ones((n, 1)), C=np.ones((1, n)), n_a=index - 1
         )
         assert pencil_index(system) == index
@@ -142,7 +142,7 @@ def test_the_index_is_counted():
 
 def test_a_singular_A22_is_refused_with_its_evidence():
     """Assumption 2: the message has rank, condition and index."""
-    system = DescriptorSystem(
+    system = DescriptorSystem.partitioned(
         A=np.array([[0.0, 1], [1, 0]]),
         Bu=np.ones((2, 1)),
         Bd=np.ones((2, 1)),
@@ -159,7 +159,7 @@ def test_a_singular_A22_is_refused_with_its_evidence():
 
 def test_a_singular_pencil_is_refused():
     """det(s E - A) = 0 at every s: the verdict names it."""
-    system = DescriptorSystem(
+    system = DescriptorSystem.partitioned(
         A=np.array([[1.0, 0], [0, 0]]),
         Bu=np.ones((2, 1)),
         Bd=np.ones((2, 1)),
@@ -200,7 +200,7 @@ def test_what_does_not_fit_is_refused(change, message):
         "n_a": 2,
     }
     with pytest.raises(AssumptionError, match=message):
-        DescriptorSystem(**(system | change))
+        DescriptorSystem.partitioned(**(system | change))
 
 
 def test_matrices_are_frozen():

@@ -193,7 +193,9 @@ def system_of_three_outputs() -> DescriptorSystem:
     )
     Bu = np.array([[1.0, 0], [0, 1], [0, 0], [1, 0], [0, 1]])
     C = np.array([[1.0, 0, 0, 0, 0], [0, 0, 1, 0, 0], [1, 0, 1, 0, 0]])
-    return DescriptorSystem(A=A, Bu=Bu, Bd=np.array([[1.0], [0], [0], [0], [0]]), C=C, n_a=4)
+    return DescriptorSystem.partitioned(
+        A=A, Bu=Bu, Bd=np.array([[1.0], [0], [0], [0], [0]]), C=C, n_a=4
+    )
 
 
 def test_several_inputs_and_outputs_converge_to_the_truth():
@@ -442,7 +444,7 @@ def test_a_fixed_mode_at_zero_beside_fast_ones_is_refused():
 
 def test_a_disturbance_that_reaches_the_output_is_refused_by_the_observer_only():
     """Assumption 4 is the observer's, not the plant's: reduce gives C5, design refuses it."""
-    system = DescriptorSystem(
+    system = DescriptorSystem.partitioned(
         A=np.array([[-1.0, 1], [1, -1]]),
         Bu=np.zeros((2, 0)),
         Bd=np.array([[1.0], [0.5]]),

@@ -25,6 +25,7 @@ from cosim.scenario.kinds.base import (
 )
 from cosim.scenario.recorded_metadata import component_record
 from cosim.scenario.schema import Flag, Number, NumberRow, Whole
+from cosim.theory.descriptor import DescriptorSystem
 
 if TYPE_CHECKING:
     from cosim.fmi.description import Description, InterfaceType
@@ -43,12 +44,22 @@ class PlantKind(Kind):
 
 
 class DescriptorKind(PlantKind, LinearKind):
-    """Plant generated from a descriptor model: E x' = A x + Bu u + Bd delta, y = C x."""
+    """Plant of a descriptor model: E x' = A x + Bu u + Bd delta, y = C x + Du u + Dd delta.
 
-    ports: ClassVar[str] = "u, delta -> y, x_a, x_b"
+    Where the model has n_a its states are x_a and x_b, else x.
+    """
+
+    ports: ClassVar[str] = "u, delta -> y, x (with n_a: x_a, x_b)"
     kind: Literal["descriptor"]
     model: str = Field(description="name of a table in [models]")
-    x_a0: NumberRow = Field(description="initial dynamic states")
+    x_a0: NumberRow | None = Field(
+        None, description="initial dynamic states, needed with a model that has n_a"
+    )
+    x0: NumberRow | None = Field(
+        None,
+        description="initial states, needed with any other model; E x0 is kept, algebraic entries "
+        "follow from it, u and delta",
+    )
     solver: str = Field("exact", description=f"one of: {', '.join(SOLVERS)}")
 
     @property
@@ -75,11 +86,48 @@ class DescriptorKind(PlantKind, LinearKind):
         return "me", instance.description
 
     def linear_model(self, name: str, context: BuildContext) -> LinearModel:
-        return descriptor_model(context.model(self.model), self.x_a0)
+        system = context.model(self.model)
+        return descriptor_model(system, self._initial(system))
 
     def descriptor_form(self, context: BuildContext) -> DescriptorModel:
         """Return the component as a linear model with its algebraic equations."""
-        return descriptor_form(context.model(self.model), self.x_a0)
+        system = context.model(self.model)
+        return descriptor_form(system, self._initial(system))
+
+    def _initial(self, system: DescriptorSystem) -> NumberRow:
+        """Return the initial states that the form of the model needs.
+
+        Raises
+        ------
+        UsageError
+            If they are missing, or those of the other form are there.
+        """
+        name, foreign = initial_keys(system)
+        check_foreign_initial(self.model, foreign, getattr(self, foreign))
+        values: NumberRow | None = getattr(self, name)
+        if values is None:
+            n = len(system.A) if system.n_a is None else system.n_a
+            raise UsageError(f"{name} is missing; needed {n} numbers, the states of {self.model!r}")
+        return values
+
+
+def initial_keys(system: DescriptorSystem) -> tuple[str, str]:
+    """Return the key of the initial states that the form of a model has, and that of the other."""
+    return ("x0", "x_a0") if system.n_a is None else ("x_a0", "x0")
+
+
+def check_foreign_initial(model: str, name: str, values: NumberRow | None) -> None:
+    """Refuse initial states of the other form.
+
+    Raises
+    ------
+    UsageError
+        If they are given.
+    """
+    if values is not None:
+        form = "has n_a: its states are x_a and x_b" if name == "x0" else "has the states x"
+        needed = "x_a0" if name == "x0" else "x0"
+        raise UsageError(f"{name}: the model {model!r} {form}; needed {needed}")
 
 
 class FmuKind(PlantKind, PeriodicKind):

@@ -1,0 +1,211 @@
+"""Descriptor systems with any square E, against the pencil s E - A itself."""
+
+import re
+
+import numpy as np
+import pytest
+
+from cosim.errors import AssumptionError
+from cosim.theory.descriptor import DescriptorSystem, pencil_index, reduce
+from tests.theory.academic import academic
+from tests.theory.scrambled import Matrices, index_one, mixing
+
+POINTS = (0.3 + 1.1j, 2.0j, -0.7 + 0.2j)
+
+
+def sizes(rng):
+    """Return n up to 12, and n_a of it."""
+    n = int(rng.integers(2, 13))
+    return {"n": n, "n_a": int(rng.integers(1, n + 1))}
+
+
+def in_any_units(seed):
+    """Return a scrambled system, every second one in other units, and its number of states."""
+    rng = np.random.default_rng(seed)
+    size = sizes(rng)
+    matrices = index_one(rng, **size).scrambled(rng)
+    return (matrices.in_other_units(rng) if seed % 2 else matrices), size["n_a"]
+
+
+def check_reduction(seed):
+    """Check eigenvalues, transfer functions and the user's states against the pencil."""
+    matrices, n_a = in_any_units(seed)
+    reduced = reduce(matrices.system)
+    assert reduced.A_a.shape == (n_a, n_a)
+    assert not reduced.C5.any()
+    B = np.hstack([reduced.B_1a, reduced.B_2a])
+    D = np.hstack([reduced.C4, reduced.C5])
+    coordinates = reduced.coordinates
+    for s in POINTS:
+        x_a = np.linalg.solve(s * np.eye(n_a) - reduced.A_a, B)
+        expected = matrices.transfer(s)
+        # each entry relative to the terms that it is made of
+        terms = np.abs(matrices.C) @ np.abs(matrices.states_at(s)) + np.abs(D)
+        assert (np.abs(reduced.C3 @ x_a + D - expected) <= 1e-10 * terms).all()
+        x = coordinates.X @ x_a + np.hstack([coordinates.Xu, coordinates.Xd])
+        states = matrices.states_at(s)
+        rows = np.abs(states).max(axis=0)
+        if seed % 2 == 0:
+            assert (np.abs(x - states) <= 1e-10 * rows).all()
+            assert np.abs(coordinates.R @ states - x_a).max() <= 1e-10 * np.abs(x_a).max()
+    if seed % 2 == 0:
+        eigenvalues = np.sort_complex(np.linalg.eigvals(reduced.A_a))
+        found = np.poly(eigenvalues)
+        size = np.abs(eigenvalues).max() ** np.arange(n_a + 1)
+        expected = np.poly(matrices.finite_eigenvalues(n_a))
+        assert (np.abs(found - expected) <= 1e-10 * 2.0**n_a * size).all()
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_a_scrambled_system_has_the_eigenvalues_and_transfers_of_its_pencil(seed):
+    """Any E of index 1, in units up to 1e6 apart: y, x and eigenvalues are those of s E - A.
+
+    Mixing has condition 10 on either side, so the data have it 100: 1e-10 is 1e4 roundings.
+    """
+    check_reduction(seed)
+
+
+@pytest.mark.campaign
+def test_scrambled_systems_at_length():
+    """The same for 2000 systems."""
+    for seed in range(100, 2100):
+        check_reduction(seed)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_direct_path_is_told_from_what_a_coordinate_change_leaves(seed):
+    """C5 = 0 stays 0 to the last bit in any coordinates and units; 1e-9 of size 1 stays there."""
+    rng = np.random.default_rng(seed)
+    n_a = int(rng.integers(1, 6))
+    plain = index_one(rng, n=n_a + 3, n_a=n_a)
+    direct = np.array([[1e-9], [0.0]])
+    small = Matrices(plain.E, plain.A, plain.Bu, plain.Bd, plain.C, plain.Du, direct)
+    for matrices, expected in ((plain, np.zeros((2, 1))), (small, direct)):
+        found = reduce(matrices.scrambled(rng).system).C5
+        np.testing.assert_allclose(found, expected, rtol=1e-3, atol=0.0)
+    found = reduce(plain.scrambled(rng).in_other_units(rng).system)
+    assert not found.C5.any()
+
+
+def test_rounding_in_the_data_of_the_partitioned_form_is_no_direct_path():
+    """C5 = 1.8e-16 of a disturbance of size 1: what a coordinate change leaves in B22."""
+    A = np.array([[-1.0, 0.5], [1.0, -2.0]])
+    for left, expected in ((3.6e-16, 0.0), (2e-9, 1e-9)):
+        Bd = np.array([[1.0], [left]])
+        C = np.array([[1.0, 1.0]])
+        system = DescriptorSystem.partitioned(A=A, Bu=np.zeros((2, 0)), Bd=Bd, C=C, n_a=1)
+        C5 = float(reduce(system).C5[0, 0])
+        np.testing.assert_allclose(C5, expected, rtol=1e-6, atol=0.0)
+
+
+def test_the_partitioned_form_and_the_general_one_are_the_same_system():
+    """E = diag(I, 0) as E: x is (x_a, x_b), and y, x answer alike."""
+    paper = academic()
+    partitioned = reduce(paper)
+    general = reduce(
+        DescriptorSystem.general(E=paper.E, A=paper.A, Bu=paper.Bu, Bd=paper.Bd, C=paper.C)
+    )
+    X = np.vstack([np.eye(2), partitioned.Kx])
+    T = general.coordinates.R @ X  # x_a of the one in terms of the other
+    inverse = np.linalg.inv(T)
+    np.testing.assert_allclose(inverse @ general.A_a @ T, partitioned.A_a, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(general.C3 @ T, partitioned.C3, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(general.coordinates.X @ T, X, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(general.coordinates.Xu[2:], partitioned.Ku, rtol=0, atol=1e-14)
+    assert partitioned.coordinates is None
+    assert not general.C5.any()
+    np.testing.assert_array_equal(general.C4, partitioned.C4)
+
+
+def test_a_regular_E_keeps_the_states():
+    """x_a is x, bit for bit with E = I; else x' = E^-1 A x + ..."""
+    A = np.array([[0.1, 1.0], [-2.0, -0.3]])
+    B = np.array([[0.0], [1.0]])
+    plain = reduce(DescriptorSystem.general(A=A, Bd=B, C=np.eye(2)))
+    np.testing.assert_array_equal(plain.A_a, A)
+    np.testing.assert_array_equal(plain.coordinates.X, np.eye(2))
+    E = np.array([[2.0, 1.0], [0.0, 4.0]])
+    mass = reduce(DescriptorSystem.general(E=E, A=A, Bd=B, C=np.eye(2)))
+    np.testing.assert_allclose(E @ mass.A_a, A, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(E @ mass.B_2a, B, rtol=0, atol=1e-15)
+
+
+def kronecker(rng, *, chains, n_a, singular):
+    """Return E and A of chains of algebraic integrators, mixed, with their index."""
+    blocks_E = [np.eye(n_a)]
+    blocks_A = [rng.normal(size=(n_a, n_a))]
+    for length in chains:
+        blocks_E.append(np.diag(np.ones(length - 1), 1))
+        blocks_A.append(np.eye(length))
+    if singular:  # one equation less for k + 1 states, one more for k
+        k = int(rng.integers(0, 3))
+        wide_E = np.eye(k, k + 1)
+        wide_A = np.eye(k, k + 1, 1)
+        blocks_E += [wide_E, wide_E.T]
+        blocks_A += [wide_A, wide_A.T]
+    rows = sum(len(block) for block in blocks_E)
+    E = np.zeros((rows, rows))
+    A = np.zeros((rows, rows))
+    row = 0
+    column = 0
+    for of_E, of_A in zip(blocks_E, blocks_A, strict=True):
+        m, n = of_E.shape
+        E[row : row + m, column : column + n] = of_E
+        A[row : row + m, column : column + n] = of_A
+        row += m
+        column += n
+    P = mixing(rows, rng)
+    Q = mixing(rows, rng)
+    return P @ E @ Q, P @ A @ Q
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_the_index_is_found_in_any_coordinates(seed):
+    """The longest chain of the Weierstrass form is the index; reduce refuses all but 1."""
+    rng = np.random.default_rng(seed)
+    chains = [int(k) for k in rng.integers(1, 5, size=int(rng.integers(1, 4)))]
+    singular = seed % 3 == 0
+    E, A = kronecker(rng, chains=chains, n_a=int(rng.integers(1, 5)), singular=singular)
+    system = DescriptorSystem.general(E=E, A=A, C=np.ones((1, len(A))))
+    if singular:
+        verdict = r"PENCIL_SINGULAR: .*reciprocal condition at 5 points: at most .*one is missing"
+        with pytest.raises(AssumptionError, match=verdict):
+            pencil_index(system)
+    else:
+        assert pencil_index(system) == max(chains)
+        verdict = rf"INDEX_{max(chains)}: .* needed 1 \(ranks of E by shuffles: .* of {len(A)}\)"
+    if singular or max(chains) > 1:
+        with pytest.raises(AssumptionError, match=verdict):
+            reduce(system)
+    else:
+        assert len(reduce(system).A_a) == len(A) - len(chains)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"E": np.zeros((2, 2))}, r"E = 0 \(2 x 2\): there are no dynamic states"),
+        (
+            {"E": [[0.0, 1.0], [0.0, 0.0]], "A": np.eye(2)},
+            r"INDEX_2: .*, and no finite eigenvalue: no dynamics at all; differentiate",
+        ),
+        ({"E": np.eye(3)}, r"E has shape \(3, 3\); needed \(2, 2\), the shape of A"),
+        ({"E": [[1.0, np.nan], [0.0, 0.0]]}, r"E\[0, 1\] is nan; needed a finite number"),
+        ({"Du": [[1.0, 2.0]]}, r"Du has shape \(1, 2\); needed \(1, 1\): one row per row of C"),
+        ({"Dd": [[1.0]]}, r"Dd has shape \(1, 1\); needed \(1, 0\)"),
+    ],
+)
+def test_a_general_system_that_does_not_fit_is_refused(change, message):
+    """The message names the matrix, or what the system lacks."""
+    matrices = {"A": [[-1.0, 1.0], [1.0, 1.0]], "Bu": [[1.0], [0.0]], "C": [[1.0, 0.0]]}
+    with pytest.raises(AssumptionError, match=message):
+        reduce(DescriptorSystem.general(**(matrices | change)))
+
+
+def test_another_E_than_the_partition_says_is_refused():
+    """n_a stands for diag(I, 0), and for nothing else."""
+    paper = academic()
+    matrices = {name: getattr(paper, name) for name in ("A", "Bu", "Bd", "C", "Du", "Dd")}
+    message = re.escape("Assumption 1 (1): E is not diag(I, 0) with n_a = 2")
+    with pytest.raises(AssumptionError, match=message):
+        DescriptorSystem(E=np.eye(3), n_a=2, **matrices)
