@@ -15,9 +15,10 @@ import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.blocks.estimator import estimate, optional_input
+from cosim.blocks.regressor import alpha_signals
 from cosim.core.contracts import Design
 from cosim.core.signals import Interface, Signal
-from cosim.native.expression import Program
+from cosim.native.alphas import Alpha, PastAlphas
 from cosim.native.identifier import IdentifierConstants
 from cosim.native.output_error import KnownInput, OutputErrorConstants
 from cosim.native.rayleigh import RayleighConstants
@@ -79,7 +80,7 @@ class IdentificationProblem:
         The regression as a function of theta.
     products : RegressorConstants
         Of the regressor that makes mu.
-    alphas : sequence of Program
+    alphas : sequence of Alpha
         The known factor of every component.
     box : SearchBox
         Where theta is searched.
@@ -92,7 +93,7 @@ class IdentificationProblem:
     row: Vector
     rayleigh: RayleighConstants
     products: RegressorConstants
-    alphas: Sequence[Program]
+    alphas: Sequence[Alpha]
     box: SearchBox
     stated: Matrix | None = None
 
@@ -114,7 +115,16 @@ class IdentificationProblem:
         searched = replace(self.rayleigh, lower=first, upper=last)
         return replace(self, rayleigh=searched)
 
+    def lagging(self, lag: float) -> PastAlphas:
+        """Return the alphas of the components, as late as delta, which lags so much [s]."""
+        past = self.products.alphas
+        return PastAlphas(alphas=self.alphas, ages=[lag], h=past.h, depth=past.samples)
+
     # --- signals ---
+
+    def alpha_signals(self) -> tuple[Signal, ...]:
+        """Return the input alpha, where there are signals among the alphas."""
+        return alpha_signals(self.alphas)
 
     def regressor_signal(self) -> Signal:
         """Return the input mu."""
@@ -261,9 +271,8 @@ class IdentificationProblem:
             capacity=schedule.steps,
             start=schedule.start,
             settled=schedule.settled,
-            lag=schedule.lag,
             products=self.products,
-            alphas=self.alphas,
+            lagging=self.lagging(schedule.lag),
             rayleigh=self.rayleigh,
             on_delta=on_delta,
             on_y=None,

@@ -56,7 +56,12 @@ class ExtendedKalmanIdentifier:
     def interface(self) -> Interface:
         """Inputs regressor, y and u, outputs theta and standard_error."""
         problem = self.problem
-        inputs = [problem.regressor_signal(), problem.y_signal(), *problem.u_signals()]
+        inputs = [
+            problem.regressor_signal(),
+            *problem.alpha_signals(),
+            problem.y_signal(),
+            *problem.u_signals(),
+        ]
         outputs = problem.theta_signals("theta", "standard_error")
         return sampling_interface(inputs, outputs)
 
@@ -118,7 +123,12 @@ class AugmentedKalmanIdentifier:
     def interface(self) -> Interface:
         """Inputs regressor, y and u, output theta."""
         problem = self.problem
-        inputs = [problem.regressor_signal(), problem.y_signal(), *problem.u_signals()]
+        inputs = [
+            problem.regressor_signal(),
+            *problem.alpha_signals(),
+            problem.y_signal(),
+            *problem.u_signals(),
+        ]
         return sampling_interface(inputs, problem.theta_signals("theta"))
 
     def design(self, h: float, held: Mask) -> Design:

@@ -73,7 +73,7 @@ class OutputErrorIdentifier:
         """Inputs regressor, delta, y, the samples and u; outputs theta and what belongs to it."""
         problem = self.problem
         y = problem.y_signal()
-        inputs = [problem.regressor_signal(), problem.delta_signal(), y]
+        inputs = [problem.regressor_signal(), *problem.alpha_signals(), problem.delta_signal(), y]
         if self.most:
             times = optional_input("sample_times", self.most)
             inputs.append(optional_input("samples", y.size * self.most))

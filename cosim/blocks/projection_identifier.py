@@ -34,7 +34,9 @@ class RayleighIdentifier:
     def interface(self) -> Interface:
         """Input regressor, output theta."""
         problem = self.problem
-        return sampling_interface([problem.regressor_signal()], problem.theta_signals("theta"))
+        return sampling_interface(
+            [problem.regressor_signal(), *problem.alpha_signals()], problem.theta_signals("theta")
+        )
 
     def design(self, h: float, held: Mask) -> Design:
         """Return the start time."""
@@ -72,7 +74,7 @@ class ProjectionIdentifier:
     def interface(self) -> Interface:
         """Inputs regressor and delta, outputs theta and amplitude."""
         problem = self.problem
-        inputs = [problem.regressor_signal(), problem.delta_signal()]
+        inputs = [problem.regressor_signal(), *problem.alpha_signals(), problem.delta_signal()]
         outputs = [*problem.theta_signals("theta"), problem.amplitude_signal()]
         return sampling_interface(inputs, outputs)
 

@@ -9,22 +9,23 @@ import numpy as np
 from cosim.arrays import Matrix, Vector
 from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
-from cosim.native.expression import Program
+from cosim.native.alphas import Alpha, PastAlphas, signals_among
 from cosim.native.step import LARGEST_MEMORY, RegressorConstants, RegressorStep
 from cosim.theory.regression import Term
 
 
 class Regressor:
-    """Delays delta and multiplies: input delta, output mu (25).
+    """Delays delta and multiplies: inputs delta and the signals among the alphas, output mu (25).
 
-    The output has no value (NaN) until the longest delay has passed.
+    The output has no value (NaN) until the longest delay has passed. Between communication points
+    an alpha that is a signal is a straight line.
 
     Parameters
     ----------
     terms : sequence of Term
         The expansion of the determinant.
-    alphas : sequence of Program
-        The known functions, one a group.
+    alphas : sequence of Alpha
+        The known factors, one a group.
     steps : sequence of int
         The delays in communication steps.
     delays : sequence of float
@@ -35,14 +36,14 @@ class Regressor:
     Raises
     ------
     UsageError
-        If a delay is too long to be kept.
+        If a delay is too long to be kept, or an alpha lags behind more than delta.
     """
 
     def __init__(
         self,
         terms: Sequence[Term],
         *,
-        alphas: Sequence[Program],
+        alphas: Sequence[Alpha],
         steps: Sequence[int],
         delays: Sequence[float],
         lag: float = 0.0,
@@ -61,23 +62,26 @@ class Regressor:
         factor = np.array(factors)
         sign = np.array(signs, np.float64)
         ages = [lag + delay for delay in delays]
-        self.constants = RegressorConstants(alphas, steps, ages, row, factor, sign)
+        h = max(delays) / max(steps)
+        past = PastAlphas(alphas=alphas, ages=ages, h=h)
+        self.constants = RegressorConstants(past, steps, row, factor, sign)
         self._kernel = RegressorStep(self.constants)
         # what lags has no value at the start
         delta = Signal("delta", role="input", optional=lag > 0.0)
+        inputs = (delta, *alpha_signals(alphas))
         mu = Signal("mu", len(terms), optional=True)
         # without a delay of 0 all that mu depends on has passed
-        feedthrough = {"mu": ("delta",)} if 0 in steps else {}
-        self.interface = Interface((delta,), (mu,), feedthrough, rollback=True)
+        fed = [signal.name for signal in inputs] if 0 in steps else []
+        self.interface = Interface(inputs, (mu,), {"mu": tuple(fed)}, rollback=True)
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Forget the past."""
         self._kernel.reset()
-        return self._kernel.outputs(t, float(u[0]))
+        return self._kernel.outputs(t, u)
 
     def outputs(self, t: float, u: Vector) -> Vector:
         """Return mu at the time reached."""
-        return self._kernel.outputs(t, float(u[0]))
+        return self._kernel.outputs(t, u)
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Take K samples."""
@@ -90,6 +94,15 @@ class Regressor:
     def restore(self, state: Vector) -> None:
         """Return to saved samples."""
         self._kernel.step.restore(state)
+
+
+def alpha_signals(alphas: Sequence[Alpha]) -> tuple[Signal, ...]:
+    """Return the input ``alpha`` of the alphas that are signals; none without them."""
+    signals = signals_among(alphas)
+    if not signals:
+        return ()
+    lags = any(signal.lag > 0.0 for signal in signals)
+    return (Signal("alpha", len(signals), optional=lags, role="input"),)
 
 
 def _alpha_rows(term: Term, rows: int) -> list[int]:

@@ -235,6 +235,10 @@ class Graph:
         """
         return self._variabilities.of(output)
 
+    def jumps(self, output: Port) -> list[Port]:
+        """Return the discrete outputs whose jumps are known to be in an output, itself first."""
+        return self._variabilities.jumps(output)
+
     def labels(self) -> list[str]:
         """Return the name of every column: ``component.signal`` or ``component.signal[i]``."""
         labels = []

@@ -61,6 +61,18 @@ class Variabilities:
         """Return the variability of an output; inherited where nothing behind it changes."""
         return self._by_output[self._ports.output(output).port]
 
+    def jumps(self, output: Port) -> list[Port]:
+        """Return the discrete outputs whose jumps are known to be in an output, itself first."""
+        discrete: list[Port] = []
+        reached = [self._ports.output(output).port]
+        for port in reached:  # grows on the way
+            if self.of(port) == "discrete":
+                discrete.append(port)
+                continue
+            fed = dict.fromkeys(self._fed_to(port))
+            reached += [source for source in fed if source not in reached]
+        return discrete
+
     def held_connections(self, names: list[str]) -> set[tuple[Port, Port]]:
         """Return the connections of components, as input and source, with a zero-order hold."""
         held: set[tuple[Port, Port]] = set()
@@ -199,14 +211,20 @@ class Variabilities:
 
         What inherits its variability is left out: there they meet continuous ones, which is said.
         """
-        interface = self._channels[output.component].interface
-        declared = interface.by_name[output.signal]
-        if declared.variability == "inherited" or not interface.knows(output.signal):
+        declared = self._channels[output.component].interface.by_name[output.signal]
+        if declared.variability == "inherited":
             return []
-        inputs = self._sources[output.component]
-        fed = [inputs[name] for name in interface.feeds(output.signal) if name in inputs]
-        ports = dict.fromkeys(chain.from_iterable(fed))
+        ports = dict.fromkeys(self._fed_to(output))
         return [port for port in ports if self.of(port) == "discrete"]
+
+    def _fed_to(self, output: Port) -> Iterator[Port]:
+        """Yield the outputs that are known to feed through to an output."""
+        interface = self._channels[output.component].interface
+        if not interface.knows(output.signal):
+            return
+        inputs = self._sources[output.component]
+        for name in interface.feeds(output.signal):
+            yield from inputs.get(name, ())
 
     def _starts_apart(self, output: Port) -> bool:
         """Return whether an output follows a delayed input, and does not begin with its value."""

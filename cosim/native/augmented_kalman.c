@@ -13,6 +13,7 @@ typedef struct {
     double *outputs; /* theta */
     int64_t state;
     double *time, *predicted, *spread, *innovation; /* (1), (n), (n, n), (outputs) a sample */
+    double *signals;                                /* (signals) a sample */
     double *delta;                                  /* smoothed */
     double *scratch;
     int64_t size;
@@ -24,6 +25,7 @@ static storage storage_of(const cosim_augmented_kalman *s)
 {
     const int64_t n = s->states, o = s->outputs, capacity = s->capacity;
     const int64_t width = s->projection ? s->projection->width : 0;
+    const int64_t input = s->terms + s->signals + 1; /* of the projection */
     storage m;
     double *next = s->memory;
     m.count = next++;
@@ -37,9 +39,11 @@ static storage storage_of(const cosim_augmented_kalman *s)
     m.predicted = next, next += capacity * n;
     m.spread = next, next += capacity * n * n;
     m.innovation = next, next += capacity * o;
+    m.signals = next, next += capacity * s->signals;
     m.delta = next, next += capacity;
     m.scratch = next;
-    next += longer(longer(n * (n + 2) + 3 * n, 4 * n + 2 * o * o + 3 * o), width + 2 * (s->terms + 1));
+    next += longer(longer(n * (n + 2) + 3 * n, 4 * n + 2 * o * o + 3 * o),
+                   width + input + 2 * (1 + s->signals));
     m.size = next - s->memory;
     return m;
 }
@@ -155,26 +159,37 @@ void cosim_augmented_kalman_smooth(const cosim_augmented_kalman *s, double *delt
     memcpy(delta, m.delta, (size_t)*m.count * sizeof *delta);
 }
 
+/* delta, and the signals among the alphas: what the regressor takes. */
+static void sample(const cosim_augmented_kalman *s, const storage *m, int64_t k, double *u)
+{
+    u[0] = m->delta[k];
+    memcpy(u + 1, m->signals + k * s->signals, (size_t)s->signals * sizeof *u);
+}
+
 /* Projection on the smoothed delta: all samples of it at once. */
 static void estimate(const cosim_augmented_kalman *s, const storage *m, double h)
 {
     const int64_t count = (int64_t)*m->count;
-    const int32_t terms = s->terms;
+    const int32_t terms = s->terms, signals = s->signals;
     cosim_identifier projection = *s->projection;
     const cosim_regressor *products = projection.products;
-    double *outputs = m->scratch, *input = outputs + projection.width, *next = input + terms + 1;
+    double *outputs = m->scratch, *input = outputs + projection.width;
+    double *u0 = input + terms + signals + 1, *u1 = u0 + 1 + signals;
     smooth(s, m);
     projection.period = (int32_t)count;
     cosim_identifier_start(&projection, outputs);
     products->memory[0] = 0.0; /* samples before now */
-    cosim_regressor_outputs(products, m->time[0], m->delta[0], input);
+    sample(s, m, 0, u1);
+    cosim_regressor_outputs(products, m->time[0], u1, input);
     for (int64_t k = 0; k < count; ++k) {
-        input[terms] = m->delta[k];
+        memcpy(u0, u1, (size_t)(1 + signals) * sizeof *u0);
+        memcpy(input + terms, u0 + 1, (size_t)signals * sizeof *input);
+        input[terms + signals] = u0[0];
         cosim_identifier_step(&projection, m->time[k], m->time[k] + h, h, input, input, outputs);
-        if (k + 1 < count)
-            cosim_regressor_step((void *)products, m->time[k], m->time[k + 1], h, m->delta + k,
-                                 m->delta + k + 1, next);
-        memcpy(input, next, (size_t)terms * sizeof *next);
+        if (k + 1 == count)
+            break;
+        sample(s, m, k + 1, u1);
+        cosim_regressor_step((void *)products, m->time[k], m->time[k + 1], h, u0, u1, input);
     }
     memcpy(m->outputs, outputs, (size_t)s->parameters * sizeof *outputs);
 }
@@ -185,9 +200,11 @@ int32_t cosim_augmented_kalman_step(void *self, double t0, double t1, double h, 
     (void)t1, (void)u1;
     const cosim_augmented_kalman *s = self;
     const storage m = storage_of(s);
-    const double *measured = u0 + s->terms;
+    const double *signals = u0 + s->terms, *measured = signals + s->signals;
     if ((int64_t)*m.count == s->capacity)
         return COSIM_FULL;
+    memcpy(m.signals + (int64_t)*m.count * s->signals, signals,
+           (size_t)s->signals * sizeof *signals);
     take_sample(s, &m, t0, measured, measured + s->outputs);
     const int is_last = (int64_t)*m.count == s->capacity;
     if (s->projection && (*m.count >= *m.next_estimate || is_last)) {

@@ -20,6 +20,7 @@ from typing import Any
 HERE = Path(__file__).resolve().parent
 SOURCES = (
     "adaptive.c",
+    "alphas.c",
     "augmented_kalman.c",
     "loops.c",
     "linear.c",

@@ -240,24 +240,54 @@ typedef struct {
 int32_t cosim_expression_step(void *self, double t0, double t1, double h, const double *u0,
                               const double *u1, double *y);
 
+/* --- alphas.c --- */
+
+/* Known factors alpha of a disturbance (4): expressions in t, or signals. */
+typedef struct {
+    int32_t count, signals;        /* alphas; elements of the input that the signals are */
+    const int32_t *element;        /* (count) of that input; -1: an expression */
+    const cosim_program *programs; /* (count) */
+} cosim_alphas;
+void cosim_alphas_at(const cosim_alphas *self, double t, const double *signals, double *values);
+
+/* The same at instants before now; those of signals by linear interpolation between samples. */
+typedef struct {
+    cosim_alphas alphas;
+    int32_t rows;         /* instants */
+    int32_t depth;        /* samples that are kept */
+    const double *age;    /* (rows) how long before now expressions are read [s] */
+    const int32_t *steps; /* (count, rows) how many communication steps signals are */
+    const double *part;   /* (count, rows) and what part of one, less than 1 */
+} cosim_past_alphas;
+/* The number of doubles of `ring`, the samples before now. */
+int64_t cosim_past_alphas_memory(const cosim_past_alphas *self);
+/* values (count, rows) at t, which `now` samples were before, where the signals are `signals`; no
+ * value (NaN) where the past is not long enough. */
+void cosim_past_alphas_at(const cosim_past_alphas *self, const double *ring, int64_t now, double t,
+                          const double *signals, double *values);
+void cosim_past_alphas_keep(const cosim_past_alphas *self, double *ring, int64_t now,
+                            const double *signals);
+
 /* --- estimate.c --- */
 
-/* The products mu of (21)-(25): mu_c = sign_c delta(t - D_row) prod alpha_b(t - D_i). */
+/* The products mu of (21)-(25): mu_c = sign_c delta(t - D_row) prod alpha_b(t - D_i). Its inputs are
+ * delta, and the signals among the alphas. */
 typedef struct {
-    /* delays, distinct alphas, q + 1, alpha factors of one term */
-    int32_t rows, groups, terms, factors;
-    const int32_t *steps;        /* (rows) delays in communication steps */
-    const double *delays;        /* (rows) how long before now the alphas are read [s] */
-    const cosim_program *alphas; /* (groups) */
-    const int32_t *row;          /* (terms) row of delta */
-    const int32_t *factor;       /* (terms, factors) group * rows + row */
-    const double *sign;          /* (terms) */
-    /* number of samples before now, ring of the longest delay, (groups, rows) of scratch */
+    /* delays, q + 1, alpha factors of one term */
+    int32_t rows, terms, factors;
+    const int32_t *steps;            /* (rows) delays in communication steps */
+    const cosim_past_alphas *alphas; /* the distinct ones, one a group, at t - D_j */
+    const int32_t *row;              /* (terms) row of delta */
+    const int32_t *factor;           /* (terms, factors) group * rows + row */
+    const double *sign;              /* (terms) */
+    /* number of samples before now, ring of the longest delay, (groups, rows) of scratch, ring of
+     * the alphas */
     double *memory;
 } cosim_regressor;
+int64_t cosim_regressor_memory(const cosim_regressor *self);
 int32_t cosim_regressor_step(void *self, double t0, double t1, double h, const double *u0,
                              const double *u1, double *y);
-void cosim_regressor_outputs(const cosim_regressor *self, double t, double delta, double *y);
+void cosim_regressor_outputs(const cosim_regressor *self, double t, const double *u, double *y);
 
 /* How theta of one group follows from the estimates: the recurrence
  * sum_k c_k f(t - D - k spacing) = 0. */
@@ -572,14 +602,15 @@ void cosim_kalman_correct(int32_t n, const double *row, double variance, double 
                           double *R, double *work);
 double cosim_kalman_variance(int32_t n, const double *R, int32_t state);
 
-/* The extended Kalman filter of x, the basis beta(t) and theta: inputs mu, which is not used, y and
- * u, of which a step takes those at its beginning; outputs theta and its standard errors. Over a step
+/* The extended Kalman filter of x, the basis beta(t) and theta: inputs mu, which is not used, the
+ * signals among the alphas, y and u, of which a step takes those at its beginning; outputs theta and
+ * its standard errors. Over a step
  * the transition is exact at the present theta, its derivative that of the exact one. */
 typedef struct {
     int32_t terms;                   /* of mu */
     const cosim_output_error *model; /* of one interval, without a predictor */
     const cosim_known_input *known;
-    const cosim_program *alphas;     /* (components) */
+    const cosim_alphas *alphas;      /* of the components */
     double deviation;                /* of the noise of the outputs, made white */
     double size;                     /* deviation of x and beta at first */
     const double *theta, *spread;    /* (parameters) at first, and its deviation */
@@ -604,14 +635,14 @@ typedef struct {
  * a moving window. A start is searched on a grid by y itself, and, once mu counts, by the Rayleigh
  * quotient and improved on delta. The search is repeated when the samples have become so many more,
  * and the best of all fits counts, so that no local minimum stays for long. Its inputs
- * are mu, delta, y and u, of which a step takes those at its beginning; its outputs are theta, its
- * standard errors, the deviation of the noise of each y, and the amplitudes at the beginning of the
+ * are mu, the signals among the alphas, delta, y and u, of which a step takes those at its beginning;
+ * its outputs are theta, its standard errors, the deviation of the noise of each y, and the amplitudes at the beginning of the
  * window. Where the noise of several y is not known, its covariance is that of the residual, and
  * estimated again with every fit to all samples: at least as often as they have become twice as many.
  * Where y is sampled at instants of its own, the samples stand between y and u in the inputs, and
  * count in the place of y.
  * Without on_y it ends with what was found on delta, its outputs are theta and the amplitudes;
- * without on_delta too with the quotient, its input is mu and its output theta. */
+ * without on_delta too with the quotient, its inputs are mu and the signals and its output theta. */
 typedef struct {
     int32_t period;
     int32_t width;    /* of the outputs */
@@ -621,9 +652,8 @@ typedef struct {
     int64_t capacity; /* samples */
     double start;     /* first instant of which mu counts [s] */
     double settled;   /* first instant of which delta counts [s] */
-    double lag;       /* of delta [s] */
     const cosim_regressor *products;
-    const cosim_program *alphas; /* (components) */
+    const cosim_past_alphas *lagging; /* those of the components, as late as delta; one row */
     const cosim_rayleigh *rayleigh;
     const cosim_output_error *on_delta, *on_y; /* NULL: not fitted */
     const cosim_known_input *known;            /* of on_y */
@@ -646,11 +676,12 @@ int32_t cosim_identifier_step(void *self, double t0, double t1, double h, const 
 /* --- augmented_kalman.c --- */
 
 /* The Kalman filter of x, delta and its derivative, which is a random walk: inputs mu, which is not
- * used, y and u, of which a step takes those at its beginning; output theta. Whenever the samples are
+ * used, the signals among the alphas, y and u, of which a step takes those at its beginning; output
+ * theta. Whenever the samples are
  * a tenth more, and at the last of the run, delta is smoothed over all of them, and theta is what the
  * projection makes of it; between, theta stays. */
 typedef struct {
-    int32_t terms;                               /* of mu */
+    int32_t terms, signals;                      /* of mu, among the alphas */
     int32_t states, inputs, outputs, parameters; /* states: x, delta, its derivative */
     int64_t capacity;                            /* samples */
     const double *Phi, *B0, *B1; /* (states, states), (states, inputs) for both ends of a step */

@@ -19,43 +19,62 @@ static int32_t longest_delay(const cosim_regressor *s)
     return longest;
 }
 
-void cosim_regressor_outputs(const cosim_regressor *s, double t, double delta, double *y)
+/* Its memory: number of samples before now, ring of delta, scratch, ring of the alphas. */
+typedef struct {
+    double *now, *delta, *alpha, *alphas;
+    int64_t size;
+} regressor_memory;
+
+static regressor_memory memory_of(const cosim_regressor *s)
 {
+    regressor_memory m;
+    int64_t next = 0;
+    m.now = cosim_place(s->memory, &next, 1);
+    m.delta = cosim_place(s->memory, &next, longest_delay(s));
+    m.alpha = cosim_place(s->memory, &next, s->alphas->alphas.count * s->rows);
+    m.alphas = cosim_place(s->memory, &next, cosim_past_alphas_memory(s->alphas));
+    m.size = next;
+    return m;
+}
+
+int64_t cosim_regressor_memory(const cosim_regressor *s) { return memory_of(s).size; }
+
+void cosim_regressor_outputs(const cosim_regressor *s, double t, const double *u, double *y)
+{
+    const regressor_memory m = memory_of(s);
     const int32_t longest = longest_delay(s);
-    const int64_t now = (int64_t)s->memory[0];
-    const double *ring = s->memory + 1;
-    double *alpha = s->memory + 1 + longest;
+    const int64_t now = (int64_t)*m.now;
 
     if (now < longest) {
         for (int32_t c = 0; c < s->terms; ++c)
             y[c] = cosim_no_value();
         return;
     }
-    for (int32_t b = 0; b < s->groups; ++b)
-        for (int32_t j = 0; j < s->rows; ++j)
-            alpha[b * s->rows + j] = cosim_evaluate(&s->alphas[b], t - s->delays[j]);
+    cosim_past_alphas_at(s->alphas, m.alphas, now, t, u + 1, m.alpha);
     for (int32_t c = 0; c < s->terms; ++c) {
         const int32_t steps = s->steps[s->row[c]];
-        double product = s->sign[c] * (steps == 0 ? delta : ring[(now - steps) % longest]);
+        double product = s->sign[c] * (steps == 0 ? u[0] : m.delta[(now - steps) % longest]);
         for (int32_t f = 0; f < s->factors; ++f)
-            product *= alpha[s->factor[c * s->factors + f]];
+            product *= m.alpha[s->factor[c * s->factors + f]];
         y[c] = one_nan(product);
     }
 }
 
-/* Only samples before t1 enter the ring, so that an input that is extrapolated first and corrected
+/* Only samples before t1 enter the rings, so that an input that is extrapolated first and corrected
  * later does no harm. */
 int32_t cosim_regressor_step(void *self, double t0, double t1, double h, const double *u0,
                              const double *u1, double *y)
 {
     (void)t0, (void)h;
     const cosim_regressor *s = self;
+    const regressor_memory m = memory_of(s);
     const int32_t longest = longest_delay(s);
-    const int64_t now = (int64_t)s->memory[0];
+    const int64_t now = (int64_t)*m.now;
     if (longest > 0)
-        s->memory[1 + now % longest] = u0[0];
-    s->memory[0] = (double)(now + 1);
-    cosim_regressor_outputs(s, t1, u1[0], y);
+        m.delta[now % longest] = u0[0];
+    cosim_past_alphas_keep(s->alphas, m.alphas, now, u0 + 1);
+    *m.now = (double)(now + 1);
+    cosim_regressor_outputs(s, t1, u1, y);
     return COSIM_OK;
 }
 

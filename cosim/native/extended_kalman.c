@@ -233,10 +233,10 @@ int32_t cosim_extended_kalman_step(void *self, double t0, double t1, double h, c
     const cosim_extended_kalman *s = self;
     const layout l = layout_of(s->model);
     const parts p = parts_of(s, l);
-    const double *measured = u0 + s->terms, *u = measured + s->model->outputs;
+    const double *signals = u0 + s->terms, *measured = signals + s->alphas->signals;
+    const double *u = measured + s->model->outputs;
     double *alpha = p.now;
-    for (int32_t i = 0; i < s->model->components; ++i)
-        alpha[i] = cosim_evaluate(&s->alphas[i], t0);
+    cosim_alphas_at(s->alphas, t0, signals, alpha);
     if (*p.count > 0.0)
         predict(s, l, &p, u, alpha);
     correct(s, l, &p, measured, u, alpha);

@@ -29,6 +29,7 @@ typedef struct {
     double *W, *deviations;                /* of its noise */
     double *delta_amplitudes, *delta_work; /* of delta */
     double *before; /* y and u of the last two samples */
+    double *pasts;          /* signals among the alphas, of the last samples */
     double *time, *betweens; /* of the last sample; number of samples between those of the grid */
     double *P, *gain; /* (modes, modes), (states, outputs) of the predictor for the next sample */
     double *grid_taken, *grid_work; /* samples in it; of the grid of starts */
@@ -94,6 +95,7 @@ static storage storage_of(const cosim_identifier *s)
     m.delta_amplitudes = cosim_place(s->memory, &next, columns_of(s->on_delta));
     m.delta_work = cosim_place(s->memory, &next, memory_of(s->on_delta));
     m.before = cosim_place(s->memory, &next, 2 * (n_outputs(s) + inputs));
+    m.pasts = cosim_place(s->memory, &next, cosim_past_alphas_memory(s->products->alphas));
     m.time = cosim_place(s->memory, &next, 1);
     m.betweens = cosim_place(s->memory, &next, 1);
     m.grid_taken = cosim_place(s->memory, &next, 1);
@@ -171,15 +173,13 @@ static void take_regressor(const cosim_identifier *s, const storage *m, double t
 {
     const cosim_regressor *products = s->products;
     const int32_t terms = s->rayleigh->terms;
+    const int64_t now = (int64_t)*m->count;
     double alpha[COSIM_MOST_TERMS]; /* (groups, rows), which are no more than the terms they make */
     double work[COSIM_MOST_TERMS];
     for (int32_t c = 0; c < terms; ++c)
         if (isnan(mu[c]))
             return;
-    for (int32_t b = 0; b < products->groups; ++b)
-        for (int32_t j = 0; j < products->rows; ++j)
-            alpha[b * products->rows + j] =
-                cosim_evaluate(&products->alphas[b], t - products->delays[j]);
+    cosim_past_alphas_at(products->alphas, m->pasts, now, t, mu + terms, alpha);
     for (int32_t c = 0; c < terms; ++c) {
         double factor = products->sign[c];
         for (int32_t f = 0; f < products->factors; ++f)
@@ -215,16 +215,21 @@ static int32_t take_between(const cosim_identifier *s, const storage *m, double 
     return status;
 }
 
-static void take_delta(const cosim_identifier *s, const storage *m, double t, const double *delta)
+/* The alphas of the sample, and those as late as delta; without these delta does not count. */
+static void take_delta(const cosim_identifier *s, const storage *m, double t, const double *signals,
+                       const double *delta)
 {
     const int32_t components = s->rayleigh->components;
     const int64_t k = (int64_t)*m->count;
-    for (int32_t i = 0; i < components; ++i) {
-        m->alpha[k * components + i] = cosim_evaluate(&s->alphas[i], t);
-        m->delta_alpha[k * components + i] =
-            s->lag == 0.0 ? m->alpha[k * components + i] : cosim_evaluate(&s->alphas[i], t - s->lag);
-    }
+    double *late = m->delta_alpha + k * components;
     m->delta[k] = t >= s->settled ? *delta : cosim_no_value();
+    cosim_alphas_at(&s->lagging->alphas, t, signals, m->alpha + k * components);
+    cosim_past_alphas_at(s->lagging, m->pasts, k, t, signals, late);
+    for (int32_t i = 0; i < components; ++i)
+        if (isnan(late[i])) {
+            late[i] = 0.0;
+            m->delta[k] = cosim_no_value();
+        }
     if (fabs(*delta) > *m->largest_delta)
         *m->largest_delta = fabs(*delta);
 }
@@ -340,15 +345,17 @@ static int32_t take_sample(const cosim_identifier *s, const storage *m, double t
                            const double *input)
 {
     int32_t status = COSIM_OK;
-    const double *delta = input + s->rayleigh->terms;
+    const cosim_past_alphas *pasts = s->products->alphas;
+    const double *signals = input + s->rayleigh->terms, *delta = signals + pasts->alphas.signals;
     if (t >= s->start)
         take_regressor(s, m, t, input);
     if (s->on_delta)
-        take_delta(s, m, t, delta);
+        take_delta(s, m, t, signals, delta);
     if (s->on_y)
         status = take_outputs(s, m, t, delta + 1);
     if (status)
         return status;
+    cosim_past_alphas_keep(pasts, m->pasts, (int64_t)*m->count, signals);
     *m->count += 1.0;
     *m->time = t;
     return COSIM_OK;

@@ -13,8 +13,8 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.errors import UsageError
+from cosim.native.alphas import PastAlphas
 from cosim.native.between import BetweenConstants
-from cosim.native.expression import Program
 from cosim.native.library import address, declare, library, pointer
 from cosim.native.output_error import (
     KnownInput,
@@ -25,7 +25,7 @@ from cosim.native.output_error import (
 from cosim.native.predictor import ModePredictorConstants
 from cosim.native.rayleigh import RayleighConstants, RayleighModel
 from cosim.native.start_grid import StartGridConstants, StartGridModel
-from cosim.native.step import NativeStep, RegressorConstants, program_array, regressor_struct
+from cosim.native.step import NativeStep, RegressorConstants, regressor_struct
 
 
 class IdentifierStruct(ctypes.Structure):
@@ -34,8 +34,8 @@ class IdentifierStruct(ctypes.Structure):
     _fields_ = (
         *((name, c_int32) for name in ("period", "width", "average", "weighs")),
         *((name, c_int64) for name in ("window", "capacity")),
-        *((name, c_double) for name in ("start", "settled", "lag")),
-        *((name, c_void_p) for name in ("products", "alphas", "rayleigh", "on_delta", "on_y")),
+        *((name, c_double) for name in ("start", "settled")),
+        *((name, c_void_p) for name in ("products", "lagging", "rayleigh", "on_delta", "on_y")),
         *((name, c_void_p) for name in ("known", "lower", "upper", "scale", "threshold")),
         *((name, c_void_p) for name in ("deviations", "grid", "between", "predictor", "memory")),
     )
@@ -57,12 +57,10 @@ class IdentifierConstants:
         Samples that may come.
     start, settled : float
         First instant of which mu, and of which delta counts [s].
-    lag : float
-        Of delta [s].
     products : RegressorConstants
         Of the regressor that makes mu.
-    alphas : sequence of Program
-        One a component.
+    lagging : PastAlphas
+        Those of the components, as late as delta; with as many samples as those of ``products``.
     rayleigh : RayleighConstants
     on_delta : OutputErrorConstants, optional
         The model of delta; without it theta is that of the Rayleigh quotient.
@@ -92,9 +90,8 @@ class IdentifierConstants:
     capacity: int
     start: float
     settled: float
-    lag: float
     products: RegressorConstants
-    alphas: Sequence[Program]
+    lagging: PastAlphas
     rayleigh: RayleighConstants
     on_delta: OutputErrorConstants | None
     on_y: OutputErrorConstants | None
@@ -159,7 +156,7 @@ class IdentifierStep:
             known, keep_known = known_input_struct(constants.known)
         ring = np.zeros(constants.products.memory)
         products, keep_products = regressor_struct(constants.products, ring)
-        programs = program_array(constants.alphas)
+        lagging, keep_lagging = constants.lagging.struct()
         vectors = [
             np.array(values, np.float64)
             for values in (
@@ -175,7 +172,7 @@ class IdentifierStep:
             None if on_y is None else on_y.struct,
             known,
         )
-        structs = (products, programs, rayleigh.struct, *stages)
+        structs = (products, lagging, rayleigh.struct, *stages)
         grid = None if constants.grid is None else StartGridModel(constants.grid)
         state = IdentifierStruct(
             constants.period,
@@ -186,7 +183,6 @@ class IdentifierStep:
             constants.capacity,
             constants.start,
             constants.settled,
-            constants.lag,
             *map(_address_of, structs),
             *map(pointer, vectors),
             _address_of(None if grid is None else grid.struct),
@@ -204,7 +200,7 @@ class IdentifierStep:
         memory = np.zeros(int(library.cosim_identifier_memory(byref(state))))
         state.memory = pointer(memory)
         self._small = int(library.cosim_identifier_state(byref(state)))
-        keep_models = (on_delta, on_y, rayleigh, keep_known, keep_products, *structs)
+        keep_models = (on_delta, on_y, rayleigh, keep_known, keep_products, keep_lagging, *structs)
         keep = (*keep_models, grid, *vectors, *keep_between, *keep_predictor)
         self._saved: WeakSet[IdentifierState] = WeakSet()
         function = address("cosim_identifier_step")

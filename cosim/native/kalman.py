@@ -11,7 +11,7 @@ import numpy as np
 
 from cosim.arrays import Matrix, Vector
 from cosim.errors import UsageError
-from cosim.native.expression import Program
+from cosim.native.alphas import Alpha, alphas_struct
 from cosim.native.identifier import IdentifierConstants, IdentifierStep
 from cosim.native.library import address, declare, library, pointer
 from cosim.native.output_error import (
@@ -20,7 +20,7 @@ from cosim.native.output_error import (
     OutputErrorModel,
     known_input_struct,
 )
-from cosim.native.step import LARGEST_MEMORY, NativeStep, program_array
+from cosim.native.step import LARGEST_MEMORY, NativeStep
 
 
 class ExtendedKalmanStruct(ctypes.Structure):
@@ -45,7 +45,7 @@ class ExtendedKalmanConstants:
     model : OutputErrorConstants
         Of one interval, without a predictor.
     known : KnownInput
-    alphas : sequence of Program
+    alphas : sequence of Alpha
         One a component.
     deviation : float
         Of the noise of the outputs.
@@ -60,7 +60,7 @@ class ExtendedKalmanConstants:
     terms: int
     model: OutputErrorConstants
     known: KnownInput
-    alphas: Sequence[Program]
+    alphas: Sequence[Alpha]
     deviation: float
     size: float
     theta: Vector
@@ -74,11 +74,11 @@ class ExtendedKalmanStep:
     def __init__(self, constants: ExtendedKalmanConstants) -> None:
         model = OutputErrorModel(constants.model, fitted_to=None)
         known, keep_known = known_input_struct(constants.known)
-        programs = program_array(constants.alphas)
+        alphas, keep_alphas = alphas_struct(constants.alphas)
         vectors = []
         for values in (constants.theta, constants.spread, constants.threshold):
             vectors.append(np.array(values, np.float64))
-        structs = (model.struct, known, programs)
+        structs = (model.struct, known, alphas)
         state = ExtendedKalmanStruct(
             constants.terms,
             *map(ctypes.addressof, structs),
@@ -88,7 +88,7 @@ class ExtendedKalmanStep:
         )
         memory = np.zeros(int(library.cosim_extended_kalman_memory(byref(state))))
         state.memory = pointer(memory)
-        keep = (model, *keep_known, *structs, *constants.alphas, *vectors)
+        keep = (model, *keep_known, *structs, *keep_alphas, *vectors)
         n_y = 2 * constants.model.generators.parameters
         function = address("cosim_extended_kalman_step")
         self.step = NativeStep(function, state, n_y=n_y, memory=memory, keep=keep)
@@ -112,7 +112,8 @@ class AugmentedKalmanStruct(ctypes.Structure):
     """cosim_augmented_kalman."""
 
     _fields_ = (
-        *((name, c_int32) for name in ("terms", "states", "inputs", "outputs", "parameters")),
+        *((name, c_int32) for name in ("terms", "signals")),
+        *((name, c_int32) for name in ("states", "inputs", "outputs", "parameters")),
         ("capacity", c_int64),
         *((name, c_void_p) for name in ("Phi", "B0", "B1", "C", "D", "W", "noise", "first_spread")),
         ("deviation", c_double),
@@ -177,10 +178,12 @@ class AugmentedKalmanStep:
             )
         projection: IdentifierStep | None = None
         terms = 0
+        signals = 0
         parameters = 0
         if constants.projection is not None:
             projection = IdentifierStep(constants.projection)
             terms = len(constants.projection.rayleigh.parts)
+            signals = constants.projection.lagging.signals
             parameters = constants.projection.rayleigh.generators.parameters
         arrays = []
         for values in (
@@ -197,6 +200,7 @@ class AugmentedKalmanStep:
         outputs, inputs = constants.D.shape
         state = AugmentedKalmanStruct(
             terms,
+            signals,
             n,
             inputs,
             outputs,

@@ -104,15 +104,32 @@ class ExpressionStruct(ctypes.Structure):
     _fields_ = (("count", c_int32), ("programs", c_void_p))
 
 
+class AlphasStruct(ctypes.Structure):
+    """cosim_alphas."""
+
+    _fields_ = (
+        *((name, c_int32) for name in ("count", "signals")),
+        *((name, c_void_p) for name in ("element", "programs")),
+    )
+
+
+class PastAlphasStruct(ctypes.Structure):
+    """cosim_past_alphas."""
+
+    _fields_ = (
+        *((name, c_int32) for name in ("count", "signals")),
+        *((name, c_void_p) for name in ("element", "programs")),
+        *((name, c_int32) for name in ("rows", "depth")),
+        *((name, c_void_p) for name in ("age", "steps", "part")),
+    )
+
+
 class RegressorStruct(ctypes.Structure):
     """cosim_regressor."""
 
     _fields_ = (
-        *((name, c_int32) for name in ("rows", "groups", "terms", "factors")),
-        *(
-            (name, c_void_p)
-            for name in ("steps", "delays", "alphas", "row", "factor", "sign", "memory")
-        ),
+        *((name, c_int32) for name in ("rows", "terms", "factors")),
+        *((name, c_void_p) for name in ("steps", "alphas", "row", "factor", "sign", "memory")),
     )
 
 
@@ -233,7 +250,7 @@ _SIGNATURES: dict[str, Signature] = {
     "cosim_runge_kutta_at": (_INT, (_POINTER, c_double, _POINTER)),
     "cosim_evaluate": (c_double, (POINTER(ProgramStruct), c_double)),
     "cosim_normal": (None, (c_int64, _POINTER, _POINTER)),
-    "cosim_regressor_outputs": (None, (_POINTER, c_double, c_double, _POINTER)),
+    "cosim_regressor_outputs": (None, (_POINTER, c_double, _POINTER, _POINTER)),
     "cosim_least_squares_start": (None, (_POINTER, _POINTER)),
     "cosim_messages_open": (None, (POINTER(MessagesStruct),)),
     "cosim_messages_close": (None, (POINTER(MessagesStruct),)),

@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Vector
+from cosim.native.alphas import PastAlphas, program_array, program_struct
 from cosim.native.expression import Program
 from cosim.native.library import (
     DelayStruct,
     ExpressionStruct,
     LeastSquaresStruct,
     LinearStruct,
-    ProgramStruct,
     RecoveryStruct,
     RegressorStruct,
     address,
@@ -261,7 +261,7 @@ def delay_step(steps: int, width: int) -> NativeStep:
 
 def evaluate(program: Program, t: float) -> float:
     """Evaluate an expression at the instant ``t`` [s]."""
-    struct = _program_struct(program)
+    struct = program_struct(program)
     value: float = library.cosim_evaluate(byref(struct), t)
     return value
 
@@ -300,31 +300,16 @@ def _contiguous(values: NDArray[Any]) -> NDArray[np.float64]:
     return np.ascontiguousarray(values, np.float64)
 
 
-def _program_struct(program: Program) -> ProgramStruct:
-    code = pointer(program.code)
-    constants = pointer(program.constants)
-    return ProgramStruct(len(program.code), code, constants)
-
-
-def program_array(programs: Sequence[Program]) -> ctypes.Array[ProgramStruct]:
-    """Return the structs of expressions, which must outlive them."""
-    structs = map(_program_struct, programs)
-    array_type = ProgramStruct * max(len(programs), 1)
-    return array_type(*structs)
-
-
 @dataclass(frozen=True, slots=True)
 class RegressorConstants:
     """The numbers of cosim_regressor.
 
     Parameters
     ----------
-    alphas : sequence of Program
-        The distinct known functions, one a group.
+    alphas : PastAlphas
+        The distinct known factors, one a group, a delay and the lag of delta ago.
     steps : sequence of int
         The delays in communication steps.
-    delays : sequence of float
-        How long before now the alphas are read [s]: the delays, and the lag of delta.
     row : array of int, shape (terms,)
         Row of delta.
     factor : array of int, shape (terms, factors)
@@ -333,9 +318,8 @@ class RegressorConstants:
         Sign of each term.
     """
 
-    alphas: Sequence[Program]
+    alphas: PastAlphas
     steps: Sequence[int]
-    delays: Sequence[float]
     row: NDArray[np.integer]
     factor: NDArray[np.integer]
     sign: NDArray[np.floating]
@@ -344,30 +328,31 @@ class RegressorConstants:
     def memory(self) -> int:
         """The number of doubles that change."""
         ring = max(self.steps)
-        scratch = len(self.alphas) * len(self.steps)
-        return 1 + ring + scratch
+        scratch = len(self.alphas.alphas) * len(self.steps)
+        return 1 + ring + scratch + self.alphas.memory
 
 
 def regressor_struct(
     constants: RegressorConstants, memory: Vector
 ) -> tuple[RegressorStruct, tuple[object, ...]]:
     """Return cosim_regressor, and what must outlive it."""
-    programs = program_array(constants.alphas)
+    alphas, keep_alphas = constants.alphas.struct()
     steps = int32(constants.steps)
-    delays = np.array(constants.delays, np.float64)
     row = int32(constants.row)
     factor = int32(constants.factor)
     sign = np.array(constants.sign, np.float64)
-    n_rows = len(constants.steps)
-    n_alphas = len(constants.alphas)
     n_terms, n_factors = np.shape(constants.factor)
-    timing = (pointer(steps), pointer(delays), ctypes.addressof(programs))
     products = (pointer(row), pointer(factor), pointer(sign))
     state = RegressorStruct(
-        n_rows, n_alphas, n_terms, n_factors, *timing, *products, pointer(memory)
+        len(constants.steps),
+        n_terms,
+        n_factors,
+        pointer(steps),
+        ctypes.addressof(alphas),
+        *products,
+        pointer(memory),
     )
-    keep = (programs, *constants.alphas, steps, delays, row, factor, sign, memory)
-    return state, keep
+    return state, (alphas, *keep_alphas, steps, row, factor, sign, memory)
 
 
 class RegressorStep:
@@ -383,11 +368,12 @@ class RegressorStep:
         """Forget the past."""
         self.step.memory[:] = 0.0
 
-    def outputs(self, t: float, delta: float) -> Vector:
-        """Compute mu at the time reached ``t`` [s], where the signal is ``delta``."""
+    def outputs(self, t: float, u: Vector) -> Vector:
+        """Compute mu at the time reached ``t`` [s], from delta and the signals among the alphas."""
         y = np.empty(self.step.n_y)
+        u = np.ascontiguousarray(u, np.float64)
         state = ctypes.addressof(self.step.state)
-        library.cosim_regressor_outputs(state, t, delta, pointer(y))
+        library.cosim_regressor_outputs(state, t, pointer(u), pointer(y))
         return y
 
 

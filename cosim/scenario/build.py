@@ -20,6 +20,7 @@ from cosim.core.clock import Clock, start_nanoseconds
 from cosim.core.connection_checks import check_connections
 from cosim.core.contracts import Component, Design, Plan, Recording
 from cosim.core.graph import Graph
+from cosim.core.port import Port
 from cosim.core.ports import Ports, layout_of
 from cosim.core.signals import Interface
 from cosim.errors import CosimError
@@ -304,6 +305,11 @@ class Builder:
         problems = check_connections(ports, connections, self._invalid, unread)
         for to, text in problems.items():
             origin = self.scenario.implied.get(to, to)
+            if origin is None:
+                where = "" if str(to) in text else f"'{to}': "
+                self.problems.append((("components", to.component), where + text))
+                self._invalid.add(to.component)
+                continue
             key = ("connections", str(origin))
             if key in invalid or (origin != to and origin in problems):
                 continue  # told of the connection that it follows from
@@ -344,6 +350,9 @@ class Builder:
         self.check()
         context = self.context
         graph = self.graph()
+        jumps = self._jumps(graph)
+        if jumps:
+            raise self.scenario.document.report(jumps)
         self._warn(graph)
         return Experiment(
             self.scenario,
@@ -358,6 +367,20 @@ class Builder:
             files=frozenset(context.files),
             identified=context.identified,
         )
+
+    def _jumps(self, graph: Graph) -> list[Problem]:
+        """Return the problems of inputs that must not jump."""
+        problems: list[Problem] = []
+        for to, connection in self.scenario.connections.items():
+            way_out = self.scenario.specs[to.component].continuous_inputs.get(to.signal)
+            if way_out is None:
+                continue
+            for source in connection.sources:
+                jumping = graph.jumps(source)
+                if jumping:
+                    text = f"{to.signal} '{source}' {_how(source, jumping)}; {way_out}"
+                    problems.append((("components", to.component), text))
+        return problems
 
     def _warn(self, graph: Graph) -> None:
         """Record the warnings of the components, knowing what drives them, and of the graph."""
@@ -405,6 +428,17 @@ class Builder:
             input_interpolation=settings.input_interpolation,
             periods=self._periods,
         )
+
+
+def _how(source: Port, jumping: Sequence[Port]) -> str:
+    """Return how a signal jumps."""
+    jumps = "is discrete and jumps"
+    if source.whole not in jumping:
+        jumps = f"jumps with {', '.join(map(str, jumping))}, which feeds through"
+    return (
+        f"{jumps}, and a signal that is interpolated linearly cannot: it would become a ramp of a "
+        "whole step"
+    )
 
 
 def parse(document: Document) -> Scenario:

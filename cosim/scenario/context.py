@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import ExitStack
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
+import numpy as np
+
 from cosim.arguments import check_path
+from cosim.arrays import Vector
 from cosim.blocks.field_data import FieldData
-from cosim.core.clock import Clock, nanoseconds
+from cosim.blocks.replay import Replay
+from cosim.core.clock import Clock, nanoseconds, seconds
 from cosim.core.contracts import Component, Recording
 from cosim.core.port import Port
 from cosim.core.recorded import find_channel
@@ -18,7 +22,7 @@ from cosim.core.signals import Interface
 from cosim.errors import CosimError, LogError, UsageError, nearest, option, quoted
 from cosim.scenario.identification.model import IdentifiedPlant
 from cosim.scenario.kinds import Kind
-from cosim.scenario.kinds.base import Spectrum
+from cosim.scenario.kinds.base import KnownSignal, Spectrum
 from cosim.scenario.models import system_of
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.problems import Key
@@ -289,13 +293,46 @@ class ScenarioBuildContext:
         ports = {port.whole for port in self._scenario.connections if port.component == name}
         return sorted(ports, key=str)
 
+    def known(self, source: Port) -> KnownSignal | None:
+        """Return an output, or an element of one, as a function of time, where that is known."""
+        spec = self.spec(source.component)
+        is_known = spec.is_function_of_time or spec.is_recorded
+        if not is_known or source.component in self._scenario.maps:
+            return None
+        component = self._source(source.component, spec)
+        found = source.find(component.interface.by_name)
+        if found is None:
+            raise DependsOnInvalid
+        signal, elements = found
+        column = component.interface.output_columns()[signal.name].start + elements.start
+        if spec.is_recorded or self._is_replayed(spec):
+            return _interpolated(component, column, self.clock)
+        return partial(_values_at, component, column)
+
+    def _is_replayed(self, spec: Kind) -> bool:
+        return self._recording is not None and not spec.computable
+
+    def _source(self, name: str, spec: Kind) -> Component:
+        """Return a component without inputs, beside that of the run."""
+        if self._recording is not None and self._is_replayed(spec):
+            return Replay(self._recording, name)
+        said = len(self.warnings)
+        try:
+            return spec.build(name, self)
+        except CosimError as error:  # the problem of that component, which reports it itself
+            raise DependsOnInvalid(str(error)) from error
+        finally:
+            del self.warnings[said:]
+
     def spectra(self, name: str) -> list[Spectrum]:
         """Return what is known of the signals of a component, by the tables of those it drives."""
         spectra = []
         for to, connection in self._scenario.connections.items():
             spec = self._scenario.specs.get(to.component)
             sources = {source.component for source in connection.sources}
-            spectrum = spec.spectrum() if spec is not None and name in sources else None
+            if spec is None or name not in sources:
+                continue
+            spectrum = spec.spectrum(to.component, self)
             if spectrum is not None:
                 self._read(f"components.{to.component}")
                 spectra.append(spectrum)
@@ -467,3 +504,23 @@ class ScenarioBuildContext:
 
     def _read(self, table: str) -> None:
         self.reads[self._current] |= {table}
+
+
+def _values_at(component: Component, column: int, t: Vector) -> Vector:
+    """Return an output of a component without inputs, whose outputs are functions of time."""
+    no_inputs = np.zeros((len(t) + 1, 0))
+    ends_of_steps = np.concatenate([t[:1], t])  # where the first one begins does not matter
+    values: Vector = component.advance(ends_of_steps, 0.0, no_inputs)[:, column]
+    return values
+
+
+def _interpolated(component: Component, column: int, clock: Clock) -> KnownSignal:
+    """Return an output of a recorded component, between its rows by linear interpolation."""
+    points = seconds(clock.start_ns + clock.step_ns * np.arange(clock.steps + 1, dtype=np.int64))
+    values = _values_at(component, column, points)
+
+    def at(t: Vector) -> Vector:
+        interpolated: Vector = np.interp(t, points, values)
+        return interpolated
+
+    return at

@@ -34,8 +34,9 @@ class Scenario:
     specs : mapping of component name to Kind
     connections : mapping of Port to Connection
         By input, or elements of it; those that kinds imply among them.
-    implied : mapping of Port to Port
-        Inputs that the file leaves open, and the ones that they share their sources with.
+    implied : mapping of Port to Port or None
+        Inputs that [connections] leaves open, and the ones that they share their sources with;
+        None: they follow from the component's own table.
     maps : mapping of component name to list of MapEntry
         Of the swapped components.
     tree : mapping
@@ -51,7 +52,7 @@ class Scenario:
     file: File
     specs: Mapping[str, Kind]
     connections: Mapping[Port, Connection]
-    implied: Mapping[Port, Port]
+    implied: Mapping[Port, Port | None]
     maps: Mapping[str, list[MapEntry]]
     tree: Mapping[str, Any]
     parse: Callable[[Document], Scenario] = field(repr=False, compare=False)
@@ -176,7 +177,8 @@ def read(
     specs, component_problems = _validate_components(file.components)
     connections, connection_problems = _connections(file)
     followed = _followed(specs, connections)
-    connections, implied = _with_implied(_replaced(document, specs), followed)
+    connections, implied, given_twice = _with_implied(_replaced(document, specs), followed)
+    connection_problems += given_twice
     for key, _ in connection_problems:
         invalid.add(key)
     problems += file_problems + map_problems + component_problems + connection_problems
@@ -276,26 +278,34 @@ def _followed(
 
 def _with_implied(
     specs: Mapping[str, Kind], connections: Mapping[Port, Connection]
-) -> tuple[dict[Port, Connection], dict[Port, Port]]:
-    """Add the connections that kinds imply for inputs that the file leaves open.
+) -> tuple[dict[Port, Connection], dict[Port, Port | None], list[Problem]]:
+    """Add the connections that kinds imply for inputs that [connections] leaves open.
 
     Returns
     -------
     connections : dict of Port to Connection
-    origins : dict of Port to Port
+    origins : dict of Port to Port or None
         Of each such input, also where the one that it follows has no connection either.
+    problems : list of Problem
+        Of inputs that are connected although their component's table says what drives them.
     """
-    given = {port.whole for port in connections}
+    given = {port.whole: port for port in connections}
     result = dict(connections)
-    origins: dict[Port, Port] = {}
+    origins: dict[Port, Port | None] = {}
+    problems: dict[Key, str] = {}
     for name, spec in specs.items():
         for to, implied in spec.implied_connections(name, connections, specs).items():
-            if to.whole in given:
-                continue
-            origins[to] = implied.origin
-            if implied.connection is not None:
-                result[to] = implied.connection
-    return result, origins
+            if to.whole not in given:
+                origins[to] = implied.origin
+                if implied.connection is not None:
+                    result[to] = implied.connection
+            elif implied.origin is None:
+                key = ("connections", str(given[to.whole]))
+                problems[key] = (
+                    f"'{to.whole}' is connected to what the table of {name!r} names; "
+                    "leave this connection out"
+                )
+    return result, origins, list(problems.items())
 
 
 def _connections(file: File) -> tuple[dict[Port, Connection], list[Problem]]:

@@ -24,6 +24,7 @@ from cosim.fmi.generated import GeneratedInstance
 from cosim.fmi.options import FmuOptions
 from cosim.fmi.reading.model_description import read
 from cosim.native import build
+from cosim.native.alphas import AlphaSignal, PastAlphas
 from cosim.native.expression import compile_expression
 from cosim.native.step import (
     LeastSquaresConstants,
@@ -222,17 +223,23 @@ def discrete(kernel, *, optional=False, size=1, step_ns=1_000_000):
     return DiscreteModel(interface, kernel, step_ns, "it is discrete")
 
 
-def regressor():
-    programs = [compile_expression("1 + 0.5*sin(t)")]
-    constants = RegressorConstants(
-        programs,
-        (0, 2),
-        (0.0, 0.002),
-        np.array([0, 1]),
-        np.array([[1], [0]]),
-        np.array([1.0, -1.0]),
+def products(alpha):
+    past = PastAlphas(alphas=[alpha], ages=(0.0, 0.0025), h=0.001)
+    return RegressorConstants(
+        past, (0, 2), np.array([0, 1]), np.array([[1], [0]]), np.array([1.0, -1.0])
     )
+
+
+def regressor():
+    constants = products(compile_expression("1 + 0.5*sin(t)"))
     return discrete(kernels.regressor(constants), size=2, optional=True)
+
+
+def regressor_with_signal():
+    kernel = kernels.regressor(products(AlphaSignal("schedule.y", 0)))
+    inputs = tuple(Signal(name, 1, role="input", optional=True) for name in ("delta", "alpha"))
+    interface = Interface(inputs, (Signal("y", 2, optional=True),), {"y": ("delta", "alpha")})
+    return DiscreteModel(interface, kernel, 1_000_000, "it is discrete")
 
 
 def identifier():
@@ -269,6 +276,7 @@ MODELS = {
     "plant": model,
     "static": lambda: static(np.array([[1.0, 2.0], [0.0, -1.0]])),
     "regressor": regressor,
+    "regressor-with-signal": regressor_with_signal,
     "identifier": identifier,
     "output-error": output_error,
     "sampled": sampled,

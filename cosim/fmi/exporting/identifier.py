@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.errors import UsageError, steps_text
-from cosim.fmi.exporting.kernels import ESTIMATION, Kernel, doubles, integers
-from cosim.native.expression import Program
+from cosim.fmi.exporting.kernels import ESTIMATION, Kernel, doubles, integers, past_alphas
 from cosim.native.identifier import IdentifierConstants, IdentifierStep
 from cosim.native.output_error import OutputErrorModel, known_input_struct
 from cosim.native.rayleigh import RayleighModel
@@ -31,7 +30,6 @@ NATIVES: Final = (
     "between.c",
     "predictor.c",
     "weights.c",
-    "linear.c",
     *ESTIMATION,
 )
 NOTHING: Final = "0"
@@ -52,16 +50,6 @@ class _Writer:
         else:
             line = integers(name, values.ravel())
         self.lines.append(f"static {line}")
-        return name
-
-    def programs(self, name: str, programs: Sequence[Program]) -> str:
-        """Write expressions; return the name of their array."""
-        entries = []
-        for k, program in enumerate(programs):
-            code = self.array(f"{name}{k}_code", np.array(program.code, np.int32))
-            constants = self.array(f"{name}{k}_constants", np.array(program.constants))
-            entries.append(f"{{{len(program.code)}, {code}, {constants}}}")
-        self.lines.append(f"static const cosim_program {name}[] = {{{', '.join(entries)}}};")
         return name
 
     def struct(
@@ -99,7 +87,8 @@ def output_error(constants: IdentifierConstants) -> Kernel:
     step = IdentifierStep(constants)
     writer = _Writer()
     pointers: list[Pointer] = [_regressor(writer, constants.products)]
-    pointers.append(writer.programs("component_alpha", constants.alphas))
+    writer.lines += past_alphas("lagging", constants.lagging)
+    pointers.append("&lagging")
     rayleigh = RayleighModel(constants.rayleigh)
     pointers.append(writer.struct("cosim_rayleigh", "rayleigh", rayleigh.struct, rayleigh.arrays))
     for name in ("on_delta", "on_y"):
@@ -154,11 +143,11 @@ def _between(writer: _Writer, constants: IdentifierConstants) -> str:
 
 
 def _regressor(writer: _Writer, constants: RegressorConstants) -> str:
-    numbers = [len(constants.steps), len(constants.alphas), *np.shape(constants.factor)]
+    writer.lines += past_alphas("group_alphas", constants.alphas)
+    numbers = [len(constants.steps), *np.shape(constants.factor)]
     entries = [str(number) for number in numbers]
     entries.append(writer.array("steps", np.array(constants.steps, np.int32)))
-    entries.append(writer.array("delays", np.array(constants.delays, np.float64)))
-    entries.append(writer.programs("group_alpha", constants.alphas))
+    entries.append("&group_alphas")
     entries.append(writer.array("row", np.array(constants.row, np.int32)))
     entries.append(writer.array("factor", np.array(constants.factor, np.int32)))
     entries.append(writer.array("sign", np.array(constants.sign, np.float64)))

@@ -14,6 +14,7 @@ import numpy as np
 
 from cosim.arrays import Matrix, Vector
 from cosim.core.signals import Interface
+from cosim.native.alphas import PastAlphas, elements_of
 from cosim.native.control import PidConstants
 from cosim.native.expression import Program
 from cosim.native.step import (
@@ -26,7 +27,7 @@ from cosim.native.window import WindowConstants
 
 # files of cosim/native that kernels need: those of controllers, those of the method
 CONTROL: Final = ("control.c", "linear.c")
-ESTIMATION: Final = ("estimate.c", "expression.c", "elementary.c")
+ESTIMATION: Final = ("estimate.c", "alphas.c", "expression.c", "linear.c", "elementary.c")
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,28 +127,20 @@ def integer(name: str, value: int) -> str:
 
 def regressor(constants: RegressorConstants) -> Kernel:
     """Write the regressor (21)-(25)."""
-    lines: list[str] = []
-    programs: list[str] = []
-    alphas: list[str] = []
-    for b, program in enumerate(constants.alphas):
-        lines += _program(f"alpha{b}", program)
-        programs.append(f"{{{len(program.code)}, alpha{b}_code, alpha{b}_constants}}")
-        alphas.append(f"alpha_{b} = {program.text}")
-    lines.append(f"static const cosim_program alphas[] = {{{', '.join(programs)}}};")
+    past = constants.alphas
+    lines = past_alphas("alphas", past)
     lines.append("static " + integers("steps", constants.steps))
-    lines.append("static " + doubles("delays", constants.delays))
     lines.append("static " + integers("row", constants.row))
     lines.append("static " + integers("factor", constants.factor))
     lines.append("static " + doubles("sign", constants.sign))
     n_steps = len(constants.steps)
-    n_alphas = len(constants.alphas)
     terms, factors = np.shape(constants.factor)
     lines.append(
         "const cosim_regressor kernel_constants = "
-        f"{{{n_steps}, {n_alphas}, {terms}, {factors}, "
-        "steps, delays, alphas, row, factor, sign, 0};"
+        f"{{{n_steps}, {terms}, {factors}, steps, &alphas, row, factor, sign, 0}};"
     )
-    ages = list(constants.delays)
+    ages = list(past.ages)
+    alphas = [f"alpha_{b} = {alpha.text}" for b, alpha in enumerate(past.alphas)]
     equations = (
         "mu_c(t) = sign_c delta(t - D_row) product of alpha_b(t - D_i - lag of delta); "
         f"alpha is read {ages} s before t; {'; '.join(alphas)}. "
@@ -159,7 +152,33 @@ def regressor(constants: RegressorConstants) -> Kernel:
         constants.memory,
         tuple(lines),
         equations,
+        affine=not past.signals,
     )
+
+
+def past_alphas(name: str, constants: PastAlphas) -> list[str]:
+    """Write alphas at instants before now."""
+    lines: list[str] = []
+    programs: list[str] = []
+    for i, alpha in enumerate(constants.alphas):
+        if isinstance(alpha, Program):
+            lines += _program(f"{name}{i}", alpha)
+            programs.append(f"{{{len(alpha.code)}, {name}{i}_code, {name}{i}_constants}}")
+        else:
+            programs.append("{0, 0, 0}")
+    lines.append(f"static const cosim_program {name}_programs[] = {{{', '.join(programs)}}};")
+    lines.append("static " + integers(f"{name}_element", elements_of(constants.alphas)))
+    lines.append("static " + doubles(f"{name}_age", constants.ages))
+    lines.append("static " + integers(f"{name}_steps", constants.steps))
+    lines.append("static " + doubles(f"{name}_part", constants.parts))
+    count = len(constants.alphas)
+    rows = len(constants.ages)
+    lines.append(
+        f"static const cosim_past_alphas {name} = "
+        f"{{{{{count}, {constants.signals}, {name}_element, {name}_programs}}, {rows}, "
+        f"{constants.samples}, {name}_age, {name}_steps, {name}_part}};"
+    )
+    return lines
 
 
 def _program(name: str, program: Program) -> tuple[str, str]:

@@ -24,6 +24,7 @@ from cosim.core.ports import Ports
 from cosim.core.recorded import RecordedSignals
 from cosim.errors import UsageError, nearest, quoted
 from cosim.log import open_log
+from cosim.native.alphas import signals_among
 from cosim.scenario.build import Experiment
 from cosim.scenario.identification.feedback import inputs_in_feedback
 from cosim.scenario.identification.irregular import interval_of
@@ -186,7 +187,10 @@ def identifier_record(log: CompleteRecording, identifier: str | None = None) -> 
     u = np.zeros((len(t), 0))
     if "u" in inputs:
         u = as_columns(log[f"{observer}.u"])
-    data = identified.data_set(t, y, u, held, in_feedback, samples)
+    signals = np.zeros((len(t), 0))
+    if signals_among(identified.alphas):
+        signals = as_columns(log[f"{identified.regressor}.alpha"])
+    data = identified.data_set(t, y, u, held, in_feedback, signals, samples)
     return IdentifierRecord(log, name, identified, data)
 
 

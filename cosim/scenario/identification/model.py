@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector
-from cosim.errors import UsageError
-from cosim.native.expression import Program
+from cosim.errors import AssumptionError, UsageError
+from cosim.native.alphas import Alpha, AlphaSignal, signals_among
 from cosim.native.step import evaluate_at
 from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.disturbance import Family
@@ -28,12 +28,15 @@ class IdentifiedPlant:
 
     Parameters
     ----------
-    observer : str
+    observer, regressor : str
     plant : DisturbedPlant
     families : sequence of Family
         Of the components of the disturbance.
-    alphas : sequence of Program
-        The known factor of each.
+    alphas : sequence of Alpha
+        The known factor of each; signals are recorded as the input ``alpha`` of the regressor.
+    check_alphas : callable
+        Checks what only the run computes of them: takes instants ``(N,)`` and their values
+        ``(N, components)``, and raises AssumptionError.
     offset : bool
         A constant on every output is unknown.
     bounds : mapping of index to (lower, upper)
@@ -53,9 +56,11 @@ class IdentifiedPlant:
     """
 
     observer: str
+    regressor: str
     plant: DisturbedPlant
     families: Sequence[Family]
-    alphas: Sequence[Program]
+    alphas: Sequence[Alpha]
+    check_alphas: Callable[[Vector, Matrix], None]
     offset: bool
     bounds: Mapping[int, tuple[float, float]]
     problem: str = ""
@@ -93,8 +98,26 @@ class IdentifiedPlant:
         return lower, upper
 
     def alpha(self, t: Vector) -> Matrix:
-        """Return the known factors at instants ``(N,)`` [s], shape ``(N, components)``."""
-        return evaluate_at(self.alphas, t)
+        """Return the known factors at any instants ``(N,)`` [s], shape ``(N, components)``.
+
+        Raises
+        ------
+        AssumptionError
+            If one is a signal, which is known of the run alone.
+        """
+        for signal in signals_among(self.alphas):
+            raise AssumptionError(f"alpha {signal.text!r} is a signal, known of the run alone")
+        return self._alpha_at(t, t, np.zeros((len(t), 0)))
+
+    def _alpha_at(self, t: Vector, points: Vector, signals: Matrix) -> Matrix:
+        """Return the known factors at instants, those that are signals by interpolation."""
+        columns = []
+        for alpha in self.alphas:
+            if isinstance(alpha, AlphaSignal):
+                columns.append(np.interp(t, points, signals[:, alpha.element]))
+            else:
+                columns.append(evaluate_at([alpha], t)[:, 0])
+        return np.ascontiguousarray(np.array(columns).T)
 
     def problem_of(self, data: Sequence[DataSet]) -> OutputErrorProblem:
         """Return what output error is to explain."""
@@ -109,6 +132,7 @@ class IdentifiedPlant:
         u: Matrix,
         held: Mask,
         in_feedback: Mask,
+        signals: Matrix,
         samples: SampleRows | None = None,
     ) -> DataSet:
         """Return what the observer took in as the data of output error.
@@ -122,13 +146,21 @@ class IdentifiedPlant:
             Which of u had a zero-order hold.
         in_feedback : Mask, shape (n_u,)
             Which of u depend on y.
+        signals : Matrix, shape (N, signals)
+            Those among the alphas.
         samples : SampleRows, optional
             What counts in the place of y.
+
+        Raises
+        ------
+        AssumptionError
+            If the alphas, as they were recorded, do not determine the regression.
         """
         points = t
         if samples is not None:
             t, y, u = samples.beside(t, u, held, y.shape[1])
-        alpha = evaluate_at(self.alphas, t)
+        alpha = self._alpha_at(t, points, signals)
+        self.check_alphas(t, alpha)
         return DataSet(t, y, u, alpha, held, np.isin(t, points), in_feedback | self.closed_loop)
 
 

@@ -44,7 +44,8 @@ class Assessor:
     def __init__(self, graph: Graph, identified: Mapping[str, IdentifiedPlant]) -> None:
         self._identifiers = []
         for name, plant in identified.items():
-            channels = graph.layout[name], graph.layout[plant.observer]
+            sources = (name, plant.observer, plant.regressor)
+            channels = tuple(graph.layout[source] for source in sources)
             held = graph.held[plant.observer]
             in_feedback = inputs_in_feedback(graph, plant.observer)
             self._identifiers.append(_IdentifierData(name, plant, channels, held, in_feedback))
@@ -60,17 +61,17 @@ class Assessor:
 
 
 class _IdentifierData:
-    """The data of one identifier: times, y and u of its observer, its last estimate."""
+    """The data of one identifier: y and u of its observer, the alphas, its last estimate."""
 
     def __init__(
         self,
         name: str,
         identified: IdentifiedPlant,
-        channels: tuple[Channel, Channel],
+        channels: tuple[Channel, ...],
         held: Mask,
         in_feedback: Mask,
     ) -> None:
-        own, observer = channels
+        own, observer, regressor = channels
         self.name = name
         self._identified = identified
         outputs = own.interface.output_columns()
@@ -83,6 +84,8 @@ class _IdentifierData:
         self._y = _shifted(inputs["y"], observer.inputs.start)
         u = inputs.get("u", slice(0, 0))
         self._u = _shifted(u, observer.inputs.start)
+        known = regressor.interface.input_columns().get("alpha", slice(0, 0))
+        self._alpha = _shifted(known, regressor.inputs.start)
         self._held = held[u]
         self._in_feedback = in_feedback
         self._sample_columns: tuple[slice, slice] | None = None
@@ -95,6 +98,7 @@ class _IdentifierData:
         self._times: list[Vector] = []
         self._outputs: list[Matrix] = []
         self._inputs: list[Matrix] = []
+        self._alphas: list[Matrix] = []
         self._last = np.zeros(0)
 
     def take(self, block: Block, signals: Matrix) -> None:
@@ -103,6 +107,7 @@ class _IdentifierData:
         self._times.append(block.time[first:].copy())
         self._outputs.append(signals[first:, self._y].copy())
         self._inputs.append(signals[first:, self._u].copy())
+        self._alphas.append(signals[first:, self._alpha].copy())
         if self._sample_columns is not None:
             times, samples = self._sample_columns
             self._sample_times.append(signals[first:, times].copy())
@@ -144,7 +149,8 @@ class _IdentifierData:
         samples = None
         if self._sample_columns is not None:
             samples = SampleRows(t, *map(np.concatenate, (self._sample_times, self._samples)))
-        whole = self._identified.data_set(t, y, u, self._held, self._in_feedback, samples)
+        alphas = np.concatenate(self._alphas)
+        whole = self._identified.data_set(t, y, u, self._held, self._in_feedback, alphas, samples)
         return whole.last(self._identified.window)
 
 

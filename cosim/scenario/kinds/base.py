@@ -6,11 +6,12 @@ from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeAlias, TypeVar
 
 from pydantic import Field
 
-from cosim.arrays import Mask, Matrix
+from cosim.arrays import Mask, Matrix, Vector
 from cosim.blocks.field_data import FieldData
 from cosim.blocks.renaming import Renaming
 from cosim.core.clock import Clock, whole_steps
@@ -32,6 +33,9 @@ if TYPE_CHECKING:
     from cosim.fmi.options import FmuOptions
 
 T = TypeVar("T")
+
+# a signal at instants of the run (N,) [s]
+KnownSignal: TypeAlias = Callable[[Vector], Vector]
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,18 +80,19 @@ class Spectrum:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImpliedConnection:
-    """A connection that the file does not write, for it follows from a connection that it does.
+    """A connection that [connections] does not write, for it follows from what the file does.
 
     Parameters
     ----------
     connection : Connection or None
         None: the origin has none either.
-    origin : Port
-        The input, or elements of it, whose connection it follows from.
+    origin : Port or None
+        The input, or elements of it, whose connection it follows from; None: it follows from the
+        component's own table.
     """
 
     connection: Connection | None
-    origin: Port
+    origin: Port | None
 
 
 def shared_connections(
@@ -182,6 +187,13 @@ class BuildContext(Protocol):
         """Return how far the signal that drives an input lags behind what it estimates [s]."""
         ...
 
+    def known(self, source: Port) -> KnownSignal | None:
+        """Return an output, or an element of one, as a function of time, where that is known.
+
+        None: only the run computes it.
+        """
+        ...
+
     def spectra(self, name: str) -> list[Spectrum]:
         """Return what is known of the signals of a component, by the tables of those it drives."""
         ...
@@ -226,10 +238,19 @@ class Kind(TomlTable):
         Inputs and outputs for people, such as ``u -> y``.
     is_static : bool
         Its outputs are functions of its inputs at the same instant, so that they lag as these do.
+    is_function_of_time : bool
+        It has no inputs, and its outputs are functions of time.
+    is_recorded : bool
+        It has no inputs, and its outputs are recorded.
+    continuous_inputs : mapping of input name to str
+        Inputs that must not jump, and what can be done about one that does.
     """
 
     ports: ClassVar[str]
     is_static: ClassVar[bool] = False
+    is_function_of_time: ClassVar[bool] = False
+    is_recorded: ClassVar[bool] = False
+    continuous_inputs: ClassVar[Mapping[str, str]] = MappingProxyType({})
     kind: str
     unit: PortUnits = Field(None, description=unit_of("y"))
 
@@ -296,7 +317,7 @@ class Kind(TomlTable):
         """Return how far an output lags behind what it estimates [s], as far as that is known."""
         return 0.0
 
-    def spectrum(self) -> Spectrum | None:
+    def spectrum(self, name: str, context: BuildContext) -> Spectrum | None:
         """Return what the table says of the signal that drives the component, if anything."""
         return None
 

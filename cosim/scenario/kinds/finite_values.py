@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Final, NamedTuple
 
 import numpy as np
 
+from cosim.arrays import Vector
 from cosim.core.clock import Clock, seconds
 from cosim.errors import UsageError
 from cosim.native.expression import compile_expression
@@ -24,13 +26,44 @@ def check_finite(text: str, clock: Clock) -> None:
     UsageError
         If it is not; names the first.
     """
-    points = min(clock.steps + 1, MOST_POINTS)
-    problem = _first_not_finite(text, clock.start_ns, clock.step_ns, points)
+    problem = _first_of_expression(text, clock.start_ns, clock.step_ns, _points(clock))
+    _refuse(text, problem)
+
+
+def check_finite_values(text: str, values: Callable[[Vector], Vector], clock: Clock) -> None:
+    """Check that a signal that is known before the run is finite at its communication points.
+
+    Parameters
+    ----------
+    text : str
+        Its name.
+    values : callable
+        Of the signal at instants of the run ``(N,)`` [s].
+    clock : Clock
+
+    Raises
+    ------
+    UsageError
+        If it is not; names the first.
+    """
+    times = _times(clock.start_ns, clock.step_ns, _points(clock))
+    _refuse(text, _first_not_finite(times, values(times)))
+
+
+def _refuse(text: str, problem: _Problem | None) -> None:
     if problem is not None:
         raise UsageError(
             f"alpha {text!r} is {problem.value:g} at t = {problem.time:g} s; needed a finite "
             "number at every communication point of the run"
         )
+
+
+def _points(clock: Clock) -> int:
+    return min(clock.steps + 1, MOST_POINTS)
+
+
+def _times(start_ns: int, step_ns: int, points: int) -> Vector:
+    return seconds(start_ns + step_ns * np.arange(points, dtype=np.int64))
 
 
 class _Problem(NamedTuple):
@@ -39,9 +72,12 @@ class _Problem(NamedTuple):
 
 
 @lru_cache(maxsize=64)  # source and regressor of a scenario share their alphas
-def _first_not_finite(text: str, start_ns: int, step_ns: int, points: int) -> _Problem | None:
-    times = seconds(start_ns + step_ns * np.arange(points, dtype=np.int64))
-    values = evaluate_at([compile_expression(text)], times)[:, 0]
+def _first_of_expression(text: str, start_ns: int, step_ns: int, points: int) -> _Problem | None:
+    times = _times(start_ns, step_ns, points)
+    return _first_not_finite(times, evaluate_at([compile_expression(text)], times)[:, 0])
+
+
+def _first_not_finite(times: Vector, values: Vector) -> _Problem | None:
     is_finite = np.isfinite(values)
     if is_finite.all():
         return None

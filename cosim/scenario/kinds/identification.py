@@ -31,6 +31,7 @@ from cosim.fmi.exporting.identifier import output_error
 from cosim.fmi.exporting.kernels import DiscreteModel
 from cosim.fmi.exporting.specifications import Exportable
 from cosim.scenario.identification.model import IdentifiedPlant, bounds_of
+from cosim.scenario.kinds.alphas import alpha_connections
 from cosim.scenario.kinds.base import (
     BuildContext,
     ExportableKind,
@@ -47,7 +48,7 @@ from cosim.scenario.kinds.identification_source import (
 )
 from cosim.scenario.kinds.identification_start import StartTable, start_time
 from cosim.scenario.kinds.methods import METHODS, IdentificationMethod
-from cosim.scenario.kinds.regressor import RegressorDesign
+from cosim.scenario.kinds.regressor import RegressorDesign, RegressorKind
 from cosim.scenario.kinds.stated_noise import stated_covariance
 from cosim.scenario.kinds.variants import foreign_keys
 from cosim.scenario.schema import Flag, Limit, Number, NumberRow, NumberRows
@@ -153,16 +154,28 @@ class IdentifierKind(PeriodicKind, ExportableKind):
     def implied_connections(
         self, name: str, connections: Mapping[Port, Connection], specs: Mapping[str, Kind]
     ) -> Mapping[Port, ImpliedConnection]:
-        """Return what drives the observer: a method takes the same signals.
+        """Return what drives the observer and the alphas: a method takes the same signals.
 
         Where y has samples at times of their own, these too.
         """
         implied: dict[Port, ImpliedConnection] = {}
+        if "alpha" in METHODS[self.method].inputs:
+            implied |= self._alphas(name, connections, specs)
         for signal, origin in self._origins(name, connections).items():
             implied |= shared_connections(Port(name, signal), origin, connections)
         if self.method == "output-error":
             implied |= sample_connections(name, connections, implied, specs)
         return implied
+
+    def _alphas(
+        self, name: str, connections: Mapping[Port, Connection], specs: Mapping[str, Kind]
+    ) -> dict[Port, ImpliedConnection]:
+        """Return what drives the alphas of the regressor that are signals."""
+        regressor = _driver(connections, Port(name, "regressor"))
+        spec = None if regressor is None else specs.get(regressor)
+        if not isinstance(spec, RegressorKind):
+            return {}
+        return alpha_connections(name, spec.alphas, regressor)
 
     def _origins(self, name: str, connections: Mapping[Port, Connection]) -> dict[str, Port]:
         """Return the inputs of regressor and observer that take the signals of the method."""
@@ -187,6 +200,8 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         self._check_parameters(source.regression)
         begin = start_time(self.start, source, context)
         problem = source.missing_model()
+        for note in source.unchecked(is_judged=not problem):
+            context.warn(name, note)
         if source.observer is None or problem:
             identified = None
         else:
@@ -228,6 +243,8 @@ class IdentifierKind(PeriodicKind, ExportableKind):
             plant=plant,
             families=families,
             alphas=source.regression.alphas,
+            regressor=source.regressor,
+            check_alphas=source.regression.check_recorded,
             offset=self.offset,
             bounds=bounds,
             stated=stated,

@@ -10,7 +10,7 @@ from cosim.core.connections import Connection
 from cosim.core.port import Port
 from cosim.core.signals import Interface
 from cosim.errors import UsageError
-from cosim.native.step import evaluate_at
+from cosim.native.alphas import signals_among
 from cosim.scenario.kinds.base import BuildContext, ImpliedConnection, Kind
 from cosim.scenario.kinds.field_data import FieldDataKind
 from cosim.scenario.kinds.observers import DesignedObserver, UnknownInputObserverKind
@@ -30,7 +30,7 @@ class IdentifierSource:
 
     Attributes
     ----------
-    identifier : str
+    identifier, regressor : str
     regression : RegressorDesign
     observer : ObserverSource or None
         None: what drives the regressor is no observer, or several.
@@ -50,6 +50,7 @@ class IdentifierSource:
                 "whose terms it identifies"
             )
         self.identifier = identifier
+        self.regressor = name
         self.regression: RegressorDesign = kind.design(name, context)
         self.observer = _observer_behind(name, context)
         self._context = context
@@ -62,23 +63,51 @@ class IdentifierSource:
     def check_step(self) -> None:
         """Refuse a communication step between whose ends an alpha is no straight line.
 
+        A signal that only the run computes is one.
+
         Raises
         ------
         AssumptionError
             If it is too long.
         """
         clock = self._context.clock
-        alphas = self.regression.alphas
+        known = self.regression.known
+        if not known.known:
+            return
         check_step(
-            lambda t: evaluate_at(alphas, t),
-            [alpha.text for alpha in alphas],
+            known,
+            known.names,
             start=clock.start_time,
             stop=clock.stop,
             h=clock.step_ns / 1e9,
         )
 
+    def unchecked(self, *, is_judged: bool) -> list[str]:
+        """Return what cannot be checked of the alphas before the run.
+
+        Parameters
+        ----------
+        is_judged : bool
+            Whether the estimates are judged at its end.
+        """
+        unknown = self.regression.known.unknown
+        if not unknown or len(self.regression.groups) < 2:
+            return []
+        names = ", ".join(repr(alpha.text) for alpha in unknown)
+        when = "at its end" if is_judged else "nowhere, as no model of y is there to judge by"
+        return [
+            f"alpha {names}: only the run computes it, so that the products of the alphas are "
+            f"checked for independence {when}"
+        ]
+
     def missing_model(self) -> str:
         """Return why there is no model of y that output error can fit; empty: there is one."""
+        for alpha in signals_among(self.regression.alphas):
+            if alpha.lag > 0.0:
+                return (
+                    f"alpha {alpha.text!r} lags behind by {alpha.lag:g} s, and y does not; needed "
+                    'an alpha without a lag, or method = "least-squares"'
+                )
         if self.observer is None:
             return (
                 "no observer drives the regressor alone; needed one, whose design model is that "
@@ -190,11 +219,12 @@ def sample_connections(
 
     Those of several elements stand one element behind the other, as the elements do in y.
     """
-    origin = Port(name, "y")
-    y = connections.get(origin)
-    if y is None and origin in implied:
-        y = implied[origin].connection
-        origin = implied[origin].origin
+    to = Port(name, "y")
+    y = connections.get(to)
+    origin: Port | None = to
+    if y is None and to in implied:
+        y = implied[to].connection
+        origin = implied[to].origin
     if y is None or y.matrix.ndim:
         return {}
     sampled = _sampled_outputs(y, specs)

@@ -20,23 +20,23 @@ IdentificationMethod: TypeAlias = Literal[
     "gradient",
 ]
 
-# The inputs are those beside the regressor, from what drives the observer.
+# The inputs are those beside the regressor: alphas that are signals, and what drives the observer.
 METHODS: Mapping[IdentificationMethod, Variant] = MappingProxyType(
     {
         "output-error": Variant(
-            inputs=frozenset({"delta", "y", "u"}),
+            inputs=frozenset({"alpha", "delta", "y", "u"}),
             own=without_default(
                 "offset", "window", "forgetting", "bounds", "deviation", "covariance"
             ),
         ),
         "least-squares": Variant(own=without_default("P0")),
         "projection": Variant(
-            inputs=frozenset({"delta"}),
+            inputs=frozenset({"alpha", "delta"}),
             own=without_default("window", "bounds"),
         ),
-        "rayleigh": Variant(),
+        "rayleigh": Variant(inputs=frozenset({"alpha"})),
         "augmented-kalman": Variant(
-            inputs=frozenset({"y", "u"}),
+            inputs=frozenset({"alpha", "y", "u"}),
             own={
                 "deviation": augmented_kalman.DEVIATION,
                 **without_default("covariance"),
@@ -45,7 +45,7 @@ METHODS: Mapping[IdentificationMethod, Variant] = MappingProxyType(
             },
         ),
         "extended-kalman": Variant(
-            inputs=frozenset({"y", "u"}),
+            inputs=frozenset({"alpha", "y", "u"}),
             own={
                 "deviation": extended_kalman.DEVIATION,
                 **without_default("covariance"),

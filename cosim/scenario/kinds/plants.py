@@ -246,6 +246,7 @@ class RecordingKind(PlantKind):
     """A component out of a recorded log."""
 
     ports: ClassVar[str] = "-> outputs of the recording"
+    is_recorded: ClassVar[bool] = True
     kind: Literal["recording"]
     log: str = Field(description="path of the .mcap")
     component: str = Field(description="name of the component in the log")

@@ -3,26 +3,40 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import ClassVar, Final, Literal
 
 import numpy as np
 from pydantic import Field
 
-from cosim.arrays import Vector
+from cosim.arrays import Matrix, Vector
 from cosim.blocks.regressor import Regressor
-from cosim.core.clock import whole_steps
+from cosim.core.clock import NANOSECONDS, Clock, whole_steps
+from cosim.core.connections import Connection
 from cosim.core.port import Port
 from cosim.errors import UsageError
 from cosim.fmi.exporting import kernels
 from cosim.fmi.exporting.kernels import DiscreteModel
 from cosim.fmi.exporting.specifications import Exportable
-from cosim.native.expression import Program, compile_expression
-from cosim.native.step import evaluate_at
-from cosim.scenario.kinds.base import BuildContext, ExportableKind, Spectrum, Wiring
-from cosim.scenario.kinds.finite_values import check_finite
-from cosim.scenario.kinds.jumps import check_continuous
+from cosim.native.alphas import Alpha
+from cosim.scenario.kinds.alphas import (
+    ALPHA,
+    KnownAlphas,
+    TermAlpha,
+    alpha_connections,
+    alphas_of,
+    known_alphas,
+    unchecked,
+)
+from cosim.scenario.kinds.base import (
+    BuildContext,
+    ExportableKind,
+    ImpliedConnection,
+    Kind,
+    Spectrum,
+    Wiring,
+)
 from cosim.scenario.kinds.terms import FamilyTerm, element_count, families_of
 from cosim.scenario.schema import NumberRow
 from cosim.theory import regression
@@ -33,6 +47,8 @@ ALPHA_WAY_OUT = (
     "which must jump together with the reconstructed disturbance"
 )
 
+SAMPLES: Final = 512  # of an alpha, where it is checked
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RegressorDesign:
@@ -42,8 +58,10 @@ class RegressorDesign:
     ----------
     families : sequence of Family
         Of the components of the disturbance.
-    alphas : sequence of Program
+    alphas : sequence of Alpha
         The known factor of each.
+    known : KnownAlphas
+        What is known of those of the groups before the run.
     groups : sequence of AlphaGroup
         The components that share an alpha.
     terms : sequence of Term
@@ -57,7 +75,8 @@ class RegressorDesign:
     """
 
     families: Sequence[Family]
-    alphas: Sequence[Program]
+    alphas: Sequence[Alpha]
+    known: KnownAlphas
     groups: Sequence[AlphaGroup]
     terms: Sequence[regression.Term]
     steps: Sequence[int]
@@ -65,9 +84,68 @@ class RegressorDesign:
     lag: float
 
     @property
-    def group_alphas(self) -> list[Program]:
+    def group_alphas(self) -> list[Alpha]:
         """The alpha of each group."""
         return [self.alphas[group.components[0]] for group in self.groups]
+
+    def times_before(self, clock: Clock) -> Matrix:
+        """Return the instants that the alphas are needed at, shape ``(N, rows)`` [s].
+
+        Of expressions on a grid that no period of them divides; of signals in the run.
+        """
+        ages = self.lag + np.array(self.delays)
+        grid = np.arange(SAMPLES) * math.sqrt(2.0) / 7.0
+        if not self.known.are_expressions:
+            first = clock.start_time + ages.max()
+            grid = np.linspace(min(first, clock.stop), clock.stop, SAMPLES)
+        return grid[:, np.newaxis] - ages
+
+    def check_products(self, alphas: Callable[[Vector], Matrix], times: Matrix) -> None:
+        """Check that the products of the alphas of the groups are independent.
+
+        Parameters
+        ----------
+        alphas : callable
+            Their values at instants ``(N,)`` [s], shape ``(N, groups)``.
+        times : Matrix, shape (N, rows)
+            At which they are needed [s].
+
+        Raises
+        ------
+        AssumptionError
+            If they are not.
+        """
+        names = [alpha.text for alpha in self.group_alphas]
+        sampled = alphas(times.ravel()).reshape(*times.shape, len(names))
+        regression.check_alpha_products(self.terms, sampled, names)
+
+    def check_recorded(self, t: Vector, alpha: Matrix) -> None:
+        """Check that the products are independent where only the run has computed them.
+
+        Parameters
+        ----------
+        t : Vector, shape (N,)
+            Instants of the run [s].
+        alpha : Matrix, shape (N, terms)
+            The known factor of every term.
+
+        Raises
+        ------
+        AssumptionError
+            If they are not.
+        """
+        if not self.known.unknown or len(self.groups) < 2:
+            return
+        ages = np.array(self.delays)
+        if not t[0] + ages.max() < t[-1]:
+            return
+        columns = [alpha[:, group.components[0]] for group in self.groups]
+
+        def recorded(times: Vector) -> Matrix:
+            return np.array([np.interp(times, t, column) for column in columns]).T
+
+        grid = np.linspace(t[0] + ages.max(), t[-1], SAMPLES)
+        self.check_products(recorded, grid[:, np.newaxis] - ages)
 
     def component(self) -> Regressor:
         """Return a component that makes the signals of the regression."""
@@ -84,6 +162,7 @@ class RegressorKind(ExportableKind):
     """From delta to the known signals mu of the regression (21)-(25)."""
 
     ports: ClassVar[str] = "delta -> mu"
+    continuous_inputs: ClassVar[Mapping[str, str]] = {ALPHA: ALPHA_WAY_OUT}
     kind: Literal["regressor"]
     terms: tuple[FamilyTerm, ...] = Field(
         min_length=1, description="list of { alpha, family } and settings of the family"
@@ -91,6 +170,17 @@ class RegressorKind(ExportableKind):
     delays: NumberRow = Field(
         description="D_j [s], one more than basis functions, whole communication steps"
     )
+
+    def implied_connections(
+        self, name: str, connections: Mapping[Port, Connection], specs: Mapping[str, Kind]
+    ) -> Mapping[Port, ImpliedConnection]:
+        """Return the connections of the alphas that are signals."""
+        return alpha_connections(name, self.alphas)
+
+    @property
+    def alphas(self) -> list[TermAlpha]:
+        """The known factors of its terms."""
+        return [term.alpha for term in self.terms]
 
     def build(self, name: str, context: BuildContext) -> Regressor:
         design = self.design(name, context)
@@ -111,13 +201,19 @@ class RegressorKind(ExportableKind):
         )
         return DiscreteModel(component.interface, kernel, context.step_ns, reason)
 
-    def spectrum(self) -> Spectrum | None:
-        """Return amplitude and bandwidth of alpha, for exponentials, whose rates are real."""
+    def spectrum(self, name: str, context: BuildContext) -> Spectrum | None:
+        """Return amplitude and bandwidth of alpha, for exponentials, whose rates are real.
+
+        None: they are others, or an alpha is not known before the run.
+        """
         if any(term.family != "exponential" for term in self.terms):
             return None
-        alphas = sorted({term.alpha for term in self.terms})
-        times: Vector = np.arange(512.0) * (math.sqrt(2.0) / 7.0)  # no period divides them
-        measured = [_rms_and_rate(compile_expression(alpha), times) for alpha in alphas]
+        distinct = {alpha.text: alpha for alpha in unchecked(self.alphas)}
+        names = sorted(distinct)
+        known = known_alphas([distinct[text] for text in names], context)
+        if known.unknown:
+            return None
+        measured = [_rms_and_rate(column, context.clock) for column in known.each]
         amplitude = math.sqrt(sum(rms**2 for rms, _ in measured))
         bandwidth = max(rate for _, rate in measured)
         if not (math.isfinite(amplitude) and 0.0 < bandwidth < math.inf):
@@ -125,7 +221,7 @@ class RegressorKind(ExportableKind):
         return Spectrum(
             amplitude,
             bandwidth,
-            source={"alpha": alphas},
+            source={"alpha": names},
             assumption="amplitude and bandwidth of delta are those of alpha: each exponential of "
             "size 1, and slower than alpha",
         )
@@ -141,26 +237,27 @@ class RegressorKind(ExportableKind):
                 "terms: found some of element 1 or more; needed all of element 0, as a regression "
                 "of several elements is not possible yet"
             )
-        groups = group_by_alpha([term.alpha for term in self.terms], families)
+        alphas = alphas_of(name, self.alphas, context, ALPHA_WAY_OUT)
+        groups = group_by_alpha([alpha.text for alpha in alphas], families)
         sizes = tuple(group.size for group in groups)
         regression.check_delays(self.delays, sum(sizes) + 1)
         terms = regression.expand(sizes)
         steps = self._steps(context)
-        for group in groups:
-            check_continuous(group.alpha, context.clock, ALPHA_WAY_OUT)
-            check_finite(group.alpha, context.clock)
-        programs = {group.alpha: compile_expression(group.alpha) for group in groups}
-        if len(groups) > 1:
-            self._check_alpha_products(terms, programs.values())
-        return RegressorDesign(
+        lag = context.lag(Port(name, "delta"))
+        known = known_alphas([alphas[group.components[0]] for group in groups], context)
+        design = RegressorDesign(
             families=families,
-            alphas=[programs[term.alpha] for term in self.terms],
+            alphas=alphas,
+            known=known,
             groups=groups,
             terms=terms,
             steps=steps,
             delays=self.delays,
-            lag=context.lag(Port(name, "delta")),
+            lag=lag,
         )
+        if len(groups) > 1 and not known.unknown:
+            design.check_products(known, design.times_before(context.clock))
+        return design
 
     def _steps(self, context: BuildContext) -> list[int]:
         """Return the delays in communication steps."""
@@ -169,28 +266,20 @@ class RegressorKind(ExportableKind):
             steps.append(whole_steps(delay, context.step_ns, f"delays[{j}]"))
         return steps
 
-    def _check_alpha_products(
-        self, terms: Sequence[regression.Term], alphas: Collection[Program]
-    ) -> None:
-        """Check the alphas at t - D_j, on a grid that no period of them divides."""
-        grid = np.arange(512) * math.sqrt(2.0) / 7.0
-        delays = np.array(self.delays)
-        times = grid[:, np.newaxis] - delays
-        values = evaluate_at(list(alphas), times.ravel())
-        sampled = values.reshape(*times.shape, len(alphas))
-        names = [alpha.text for alpha in alphas]
-        regression.check_alpha_products(terms, sampled, names)
 
-
-def _rms_and_rate(alpha: Program, times: Vector) -> tuple[float, float]:
+def _rms_and_rate(alpha: KnownAlphas, clock: Clock) -> tuple[float, float]:
     """Return the root mean square of alpha, and the rate of a sine with its derivatives [rad/s].
 
     That is the ratio of its second derivative to its first, from differences.
     """
+    times: Vector = np.arange(512.0) * (math.sqrt(2.0) / 7.0)  # no period divides them
     h = 1e-4
-    before = evaluate_at([alpha], times - h)[:, 0]
-    now = evaluate_at([alpha], times)[:, 0]
-    after = evaluate_at([alpha], times + h)[:, 0]
+    if not alpha.are_expressions:
+        h = clock.step_ns / NANOSECONDS
+        times = np.linspace(clock.start_time + h, clock.stop - h, SAMPLES)
+    before = alpha(times - h)[:, 0]
+    now = alpha(times)[:, 0]
+    after = alpha(times + h)[:, 0]
     first = (after - before) / (2.0 * h)
     second = (after - 2.0 * now + before) / h**2
     rms = float(np.sqrt(np.mean(now**2)))

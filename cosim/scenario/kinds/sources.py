@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import ClassVar, Literal
 
@@ -12,20 +12,25 @@ from pydantic import Field
 from cosim.arrays import Matrix, Vector
 from cosim.blocks import source
 from cosim.blocks.linear_source import LinearResponse, LinearSource
+from cosim.blocks.modulated_source import ModulatedSource, Modulation
+from cosim.blocks.regressor import alpha_signals
+from cosim.core.connections import Connection
 from cosim.core.contracts import Component
+from cosim.core.port import Port
 from cosim.core.signals import SignalType, Variability
 from cosim.errors import UsageError
+from cosim.native.alphas import Alpha, AlphaSignal
 from cosim.native.expression import FUNCTIONS, compile_expression
 from cosim.scenario.csv_file import read_csv
-from cosim.scenario.kinds.base import BuildContext, Kind
-from cosim.scenario.kinds.finite_values import check_finite
+from cosim.scenario.kinds.alphas import ALPHA, alpha_connections, alphas_of, naming
+from cosim.scenario.kinds.base import BuildContext, ImpliedConnection, Kind
 from cosim.scenario.kinds.jumps import (
     check_continuous,
     check_sampled,
     held_from_points,
     unseen_rows,
 )
-from cosim.scenario.kinds.terms import LINEAR, ValuedTerm, element_count, function_text, naming
+from cosim.scenario.kinds.terms import LINEAR, ValuedTerm, element_count, function_text
 from cosim.scenario.schema import (
     Flag,
     Number,
@@ -53,6 +58,7 @@ class ConstantKind(Kind):
     """y = value."""
 
     ports: ClassVar[str] = "-> y"
+    is_function_of_time: ClassVar[bool] = True
     kind: Literal["constant"]
     value: Flag | Number | NumberRow = Field(description="value, values, or true or false")
 
@@ -81,6 +87,7 @@ class RampKind(Kind):
     """y = offset + slope max(0, t - start_time)."""
 
     ports: ClassVar[str] = "-> y"
+    is_function_of_time: ClassVar[bool] = True
     kind: Literal["ramp"]
     slope: Number = Field(description="growth of y [1/s]")
     start_time: Number = Field(0.0, description="when it begins [s]")
@@ -96,6 +103,7 @@ class SineKind(Kind):
     """y = offset + amplitude sin(rate t + phase)."""
 
     ports: ClassVar[str] = "-> y"
+    is_function_of_time: ClassVar[bool] = True
     kind: Literal["sine"]
     amplitude: Number = Field(1.0, description="amplitude")
     rate: Number = Field(description="angular rate [rad/s]")
@@ -116,6 +124,7 @@ class ChirpKind(Kind):
     """y = offset + amplitude sin(rate t + sweep t^2 / 2)."""
 
     ports: ClassVar[str] = "-> y"
+    is_function_of_time: ClassVar[bool] = True
     kind: Literal["chirp"]
     amplitude: Number = Field(1.0, description="amplitude")
     rate: Number = Field(description="angular rate at t = 0 [rad/s]")
@@ -136,6 +145,7 @@ class ExpressionKind(Kind):
     """y = expressions in t."""
 
     ports: ClassVar[str] = "-> y"
+    is_function_of_time: ClassVar[bool] = True
     kind: Literal["expression"]
     y: str | tuple[str, ...] = Field(
         description='an expression, like "1 + 0.5*sin(2*t)", or several: numbers, t, pi, e, '
@@ -163,6 +173,7 @@ class TableKind(Kind):
     """y = given points, interpolated: arrays, or a CSV file with a header line."""
 
     ports: ClassVar[str] = "-> y"
+    is_function_of_time: ClassVar[bool] = True
     kind: Literal["table"]
     t: NumberRow | None = Field(
         None,
@@ -247,36 +258,76 @@ class DisturbanceKind(Kind):
     """y = sum of alpha(t) f(theta, t), the disturbance class (4)."""
 
     ports: ClassVar[str] = "-> y"
+    continuous_inputs: ClassVar[Mapping[str, str]] = {ALPHA: DISTURBANCE_WAY_OUT}
     kind: Literal["disturbance"]
     terms: tuple[ValuedTerm, ...] = Field(
         min_length=1, description="list of { alpha, family, theta, amplitude, phase, constants }"
     )
 
+    def implied_connections(
+        self, name: str, connections: Mapping[Port, Connection], specs: Mapping[str, Kind]
+    ) -> Mapping[Port, ImpliedConnection]:
+        """Return the connections of the alphas that are signals."""
+        return alpha_connections(name, [term.alpha for term in self.terms])
+
     def build(self, name: str, context: BuildContext) -> Component:
-        elements: list[list[str]] = [[] for _ in range(element_count(self.terms))]
-        responses = []
+        alphas = alphas_of(name, [term.alpha for term in self.terms], context, DISTURBANCE_WAY_OUT)
+        sum_of_terms = _TermSum(element_count(self.terms))
         theta: list[float] = []
-        for number, term in enumerate(self.terms):
+        for number, (term, alpha) in enumerate(zip(self.terms, alphas, strict=True)):
             with naming(number):
-                family = term.generator()
-                own = term.values(family)
-                constants = term.constant_values(family)
-                alpha = compile_expression(term.alpha)
-                check_continuous(term.alpha, context.clock, DISTURBANCE_WAY_OUT)
-                check_finite(term.alpha, context.clock)
-            theta += own
-            if family.name == LINEAR:
-                G = family.G(np.array(own))
-                beta = np.array(constants)
-                responses.append(
-                    LinearResponse(factor=alpha, G=G, c=family.c, beta=beta, element=term.element)
-                )
-            else:
-                function = function_text(family, own, constants)
-                elements[term.element].append(f"({term.alpha})*{function}")
+                theta += sum_of_terms.add(term, alpha)
         context.add_metadata(name, {"theta": theta})
-        texts = [" + ".join(element) or "0" for element in elements]
-        if responses:
-            programs = [compile_expression(text) for text in texts]
-            return LinearSource(programs, responses, unit=self.unit_name)
-        return source.Expression(texts, unit=self.unit_name)
+        return sum_of_terms.component(alphas, self.unit_name)
+
+
+class _TermSum:
+    """The elements of a disturbance, and behind them factors of the alphas that are signals.
+
+    Parameters
+    ----------
+    elements : int
+    """
+
+    def __init__(self, elements: int) -> None:
+        self._texts: list[list[str]] = [[] for _ in range(elements)]
+        self._responses: list[LinearResponse] = []
+        self._modulations: list[Modulation] = []
+
+    def add(self, term: ValuedTerm, alpha: Alpha) -> tuple[float, ...]:
+        """Add a term; return its parameters."""
+        family = term.generator()
+        own = term.values(family)
+        constants = term.constant_values(family)
+        element = term.element
+        factor = alpha.text
+        if isinstance(alpha, AlphaSignal):
+            self._modulations.append(Modulation(element, alpha.element))
+            element = len(self._texts)
+            factor = "1"
+            self._texts.append([])
+        if family.name == LINEAR:
+            response = LinearResponse(
+                factor=compile_expression(factor),
+                G=family.G(np.array(own)),
+                c=family.c,
+                beta=np.array(constants),
+                element=element,
+            )
+            self._responses.append(response)
+        else:
+            self._texts[element].append(f"({factor})*{function_text(family, own, constants)}")
+        return own
+
+    def component(self, alphas: Sequence[Alpha], unit: str | None) -> Component:
+        """Return what computes the sum."""
+        if not self._modulations:
+            return self._source(unit)
+        return ModulatedSource(self._source(None), self._modulations, alpha_signals(alphas), unit)
+
+    def _source(self, unit: str | None) -> Component:
+        texts = [" + ".join(element) or "0" for element in self._texts]
+        if not self._responses:
+            return source.Expression(texts, unit=unit)
+        programs = [compile_expression(text) for text in texts]
+        return LinearSource(programs, self._responses, unit=unit)

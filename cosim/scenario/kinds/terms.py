@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, Final
 
 from pydantic import Field
 
-from cosim.errors import AssumptionError, UsageError
+from cosim.errors import UsageError
+from cosim.scenario.kinds.alphas import ALPHA_KEY, TermAlpha, naming
 from cosim.scenario.schema import Number, NumberRow, NumberRows, TomlTable, Whole, matrix
 from cosim.theory.disturbance import (
     FAMILIES,
@@ -30,7 +30,7 @@ DEFAULTS: Final = {"amplitude": 1.0, "phase": 0.0}
 class FamilyTerm(TomlTable):
     """alpha(t) f(theta, t), one term of (4), by alpha and the family of f."""
 
-    alpha: str = Field("1", description="known function of t")
+    alpha: TermAlpha = Field("1", description=ALPHA_KEY)
     element: Whole = Field(
         0, ge=0, lt=MOST_ELEMENTS, description="which element of delta it belongs to"
     )
@@ -190,17 +190,6 @@ def families_of(terms: Sequence[FamilyTerm]) -> list[Family]:
         with naming(number):
             families.append(term.generator())
     return families
-
-
-@contextmanager
-def naming(number: int) -> Iterator[None]:
-    """Name the term that an error is about."""
-    try:
-        yield
-    except AssumptionError as error:
-        raise AssumptionError(f"terms[{number}]: {error}") from error
-    except UsageError as error:
-        raise UsageError(f"terms[{number}]: {error}") from error
 
 
 def function_text(family: Family, theta: Sequence[float], constants: Sequence[float]) -> str:

@@ -23,7 +23,7 @@ void kernel_outputs(double *memory, double t, const double *u, const double *las
 {
     (void)last;
     const cosim_regressor k = kernel(memory);
-    cosim_regressor_outputs(&k, t, u[0], y);
+    cosim_regressor_outputs(&k, t, u, y);
 }
 
 const char *kernel_step(double *memory, double t0, double t1, double h, const double *u0,
@@ -35,14 +35,15 @@ const char *kernel_step(double *memory, double t0, double t1, double h, const do
 }
 
 /* Every product has one factor delta, delayed or not: where it is not, the derivative is the
- * product for delta = 1. */
+ * product for delta = 1. The signals among the alphas are other inputs, which `affine` leaves out. */
 double kernel_by_input(double *memory, double *y, double t, const double *u, int32_t row,
                        int32_t input, int in_initialization)
 {
     (void)u, (void)input, (void)in_initialization;
+    const double one = 1.0;
     const cosim_regressor k = kernel(memory);
     if (k.steps[k.row[row]] != 0)
         return 0.0;
-    cosim_regressor_outputs(&k, t, 1.0, y);
+    cosim_regressor_outputs(&k, t, &one, y);
     return y[row] == y[row] ? y[row] : 0.0; /* NaN: there is no value yet */
 }

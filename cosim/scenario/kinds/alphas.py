@@ -1,0 +1,235 @@
+"""The known factor alpha of a term: an expression in t, or a signal of the scenario.
+
+A signal reaches what has the term by an input of its own, ``alpha``, that has an element for each
+signal that the terms name; its connections follow from the terms.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Annotated, Final, TypeAlias
+
+import numpy as np
+from pydantic import AfterValidator, Field
+
+from cosim.arrays import Matrix, Vector
+from cosim.core.connections import Connection
+from cosim.core.port import Port
+from cosim.errors import AssumptionError, CosimError, UsageError
+from cosim.native.alphas import Alpha, AlphaSignal
+from cosim.native.expression import Program, compile_expression
+from cosim.native.step import evaluate_at
+from cosim.scenario.kinds.base import BuildContext, ImpliedConnection, KnownSignal
+from cosim.scenario.kinds.finite_values import check_finite, check_finite_values
+from cosim.scenario.kinds.jumps import check_continuous
+from cosim.scenario.schema import TomlTable
+
+ALPHA: Final = "alpha"  # the input
+ALPHA_KEY: Final = 'known function of t, or a signal of the scenario, { from = "component.signal" }'
+
+
+def _check_signal(text: str) -> str:
+    """Check that a text names an output, or one element of it.
+
+    Raises
+    ------
+    ValueError
+        If it does not.
+    """
+    try:
+        port = Port.parse(text)
+    except CosimError as error:
+        raise ValueError(str(error)) from error
+    if isinstance(port.element, range):
+        raise ValueError(f"found {text!r}; needed one element of the output, such as [0]")
+    return text
+
+
+class SignalTable(TomlTable):
+    """A signal of the scenario, such as ``{ from = "schedule.y" }``."""
+
+    source: Annotated[str, AfterValidator(_check_signal)] = Field(
+        alias="from", description="output, or an element of one"
+    )
+
+
+TermAlpha: TypeAlias = str | SignalTable
+
+
+def signals_of(alphas: Iterable[TermAlpha]) -> list[Port]:
+    """Return the distinct signals among alphas, in their order.
+
+    An output that is named as a whole has one element.
+    """
+    distinct: dict[tuple[str, str, object], Port] = {}
+    for alpha in alphas:
+        if isinstance(alpha, SignalTable):
+            port = Port.parse(alpha.source)
+            distinct.setdefault(_identity(port), port)
+    return list(distinct.values())
+
+
+def _identity(port: Port) -> tuple[str, str, object]:
+    return port.component, port.signal, port.element or 0
+
+
+def alpha_connections(
+    to: str, alphas: Sequence[TermAlpha], origin: str | None = None
+) -> dict[Port, ImpliedConnection]:
+    """Return the connections of the input ``alpha`` that follow from terms.
+
+    Parameters
+    ----------
+    to : str
+        The component.
+    alphas : sequence of TermAlpha
+    origin : str, optional
+        The component whose terms they are; by default ``to``.
+    """
+    signals = signals_of(alphas)
+    connections = {}
+    for i, source in enumerate(signals):
+        element = i if len(signals) > 1 else None
+        follows = None if origin is None else Port(origin, ALPHA, element)
+        connection = Connection([source])
+        connections[Port(to, ALPHA, element)] = ImpliedConnection(connection, follows)
+    return connections
+
+
+def unchecked(alphas: Sequence[TermAlpha]) -> list[Alpha]:
+    """Return the known factors of terms, of signals without their lags.
+
+    Raises
+    ------
+    UsageError
+        If a text is no expression.
+    """
+    signals = signals_of(alphas)
+    places = {_identity(port): place for place, port in enumerate(signals)}
+    result: list[Alpha] = []
+    for number, alpha in enumerate(alphas):
+        if isinstance(alpha, SignalTable):
+            place = places[_identity(Port.parse(alpha.source))]
+            result.append(AlphaSignal(str(signals[place]), place))
+        else:
+            with naming(number):
+                result.append(compile_expression(alpha))
+    return result
+
+
+def alphas_of(
+    name: str, alphas: Sequence[TermAlpha], context: BuildContext, way_out: str
+) -> list[Alpha]:
+    """Return the known factors of the terms of a component.
+
+    Parameters
+    ----------
+    name : str
+        The component.
+    alphas : sequence of TermAlpha
+        Of its terms.
+    context : BuildContext
+    way_out : str
+        What can be done about one that jumps.
+
+    Raises
+    ------
+    UsageError
+        If one jumps, or is not finite at a communication point, as far as that is known.
+    """
+    result = unchecked(alphas)
+    is_alone = len(signals_of(alphas)) == 1
+    for number, alpha in enumerate(result):
+        with naming(number):
+            _check(alpha, context, way_out)
+        if isinstance(alpha, AlphaSignal):
+            to = Port(name, ALPHA, None if is_alone else alpha.element)
+            result[number] = replace(alpha, lag=context.lag(to))
+    return result
+
+
+def _check(alpha: Alpha, context: BuildContext, way_out: str) -> None:
+    """Check that alpha does not jump and is finite, as far as that is known before the run."""
+    if isinstance(alpha, Program):
+        check_continuous(alpha.text, context.clock, way_out)
+        check_finite(alpha.text, context.clock)
+        return
+    known = context.known(Port.parse(alpha.text))
+    if known is not None:
+        check_finite_values(alpha.text, known, context.clock)
+
+
+def known_alphas(alphas: Sequence[Alpha], context: BuildContext) -> KnownAlphas:
+    """Return what is known of alphas before the run."""
+    signals: dict[str, KnownSignal | None] = {}
+    for alpha in alphas:
+        if isinstance(alpha, AlphaSignal):
+            signals[alpha.text] = context.known(Port.parse(alpha.text))
+    return KnownAlphas(alphas, signals)
+
+
+class KnownAlphas:
+    """Alphas as functions of time, as far as they are known before the run.
+
+    Parameters
+    ----------
+    alphas : sequence of Alpha
+    signals : mapping of text to KnownSignal or None
+        Of those that are signals; None: not known.
+
+    Attributes
+    ----------
+    known : list of Alpha
+    unknown : list of AlphaSignal
+    """
+
+    def __init__(self, alphas: Sequence[Alpha], signals: Mapping[str, KnownSignal | None]) -> None:
+        self._signals = signals
+        self.known: list[Alpha] = []
+        self.unknown: list[AlphaSignal] = []
+        for alpha in alphas:
+            if isinstance(alpha, AlphaSignal) and signals[alpha.text] is None:
+                self.unknown.append(alpha)
+            else:
+                self.known.append(alpha)
+
+    @property
+    def names(self) -> list[str]:
+        """Those that are known, as they are written."""
+        return [alpha.text for alpha in self.known]
+
+    @property
+    def each(self) -> list[KnownAlphas]:
+        """Those that are known, one by one."""
+        return [KnownAlphas([alpha], self._signals) for alpha in self.known]
+
+    @property
+    def are_expressions(self) -> bool:
+        """Whether they are, so that there are values before the run and after it."""
+        return all(isinstance(alpha, Program) for alpha in self.known)
+
+    def __call__(self, t: Vector) -> Matrix:
+        """Return the values of those that are known at instants of the run ``(N,)`` [s]."""
+        columns = [self._values(alpha, t) for alpha in self.known]
+        return np.array(columns, np.float64).reshape(len(columns), len(t)).T
+
+    def _values(self, alpha: Alpha, t: Vector) -> Vector:
+        if isinstance(alpha, Program):
+            values: Vector = evaluate_at([alpha], t)[:, 0]
+            return values
+        known = self._signals[alpha.text]
+        assert known is not None
+        return known(t)
+
+
+@contextmanager
+def naming(number: int) -> Iterator[None]:
+    """Name the term that an error is about."""
+    try:
+        yield
+    except AssumptionError as error:
+        raise AssumptionError(f"terms[{number}]: {error}") from error
+    except UsageError as error:
+        raise UsageError(f"terms[{number}]: {error}") from error

@@ -1,0 +1,267 @@
+"""Alphas of terms that are signals of the scenario."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.arrays import Matrix
+from cosim.errors import ScenarioError
+from cosim.fmi.component import load
+from cosim.fmi.options import FmuOptions
+from cosim.native.expression import compile_expression
+from cosim.native.step import evaluate_at
+from cosim.scenario.document import find
+from cosim.scenario.exporting import export_component
+from cosim.scenario.recorded_metadata import recorded_identification, recorded_warnings
+from tests.scenario.signals import signals
+
+ALPHAS = ("1.35 + 0.25*sin(1.7*t)", "1.10 + 0.20*cos(2.3*t)")
+THETA = (-0.1, -0.3)
+H = 1.0 / 128.0  # instants and delays are exact, so that alphas are read at the very same ones
+RUN = {
+    "scenario.step": H,
+    "scenario.stop": 10.0,
+    "observer.filter_rate": 100.0,
+    "regressor.delays": [0.5, 1.0, 1.5],
+    "identifier.start": 2.0,
+    "identifier.period": 0.25,
+}
+EXPRESSION = f'[components.schedule]\nkind = "expression"\ny = ["{ALPHAS[0]}", "{ALPHAS[1]}"]\n'
+
+
+BOTH = ("schedule.y[0]", "schedule.y[1]")
+
+
+def scenario(
+    folder: Path,
+    source: str = EXPRESSION,
+    names: tuple[str, str] = BOTH,
+    connections: Mapping[str, str] = MappingProxyType({}),
+) -> str:
+    """Write the example with alphas that are signals of a component; return its path."""
+    text = find("academic").text
+    for alpha, name in zip(ALPHAS, names, strict=True):
+        text = text.replace(f'"{alpha}"', f'{{ from = "{name}" }}')
+    text = text.replace("[connections]", f"{source}\n[connections]", 1)
+    lines = [f'"{to}" = "{origin}"' for to, origin in connections.items()]
+    text = text.replace("[truth]", "\n".join([*lines, "", "[truth]"]), 1)
+    path = folder / "alphas.toml"
+    path.write_text(text, encoding="utf-8")
+    return str(path)
+
+
+def values(t: Any) -> Matrix:
+    """Return both alphas at instants."""
+    return evaluate_at([compile_expression(alpha) for alpha in ALPHAS], np.asarray(t))
+
+
+@pytest.mark.parametrize(
+    "method",
+    [
+        "output-error",
+        "least-squares",
+        "rayleigh",
+        "projection",
+        "extended-kalman",
+        "augmented-kalman",
+    ],
+)
+def test_a_signal_gives_the_bits_of_the_text(tmp_path, method):
+    """At instants that are communication points exactly an alpha is the same number either way."""
+    changes = {**RUN, "identifier.method": method}
+    by_signal = signals(scenario(tmp_path), set=changes)
+    by_text = signals("academic", set=changes)
+    for name in ("delta.y", "regressor.mu", "identifier.theta"):
+        np.testing.assert_array_equal(by_signal[name], by_text[name])
+    assert np.isfinite(by_signal["identifier.theta"][-1]).any()
+
+
+def table(folder: Path) -> str:
+    """Write both alphas at the communication points as a CSV file; return a source of it."""
+    t = np.arange(round(10.0 / H) + 1) * H
+    rows = np.column_stack([t, values(t)])
+    lines = ["t,first,second", *(",".join(map(repr, row)) for row in rows.tolist())]
+    (folder / "schedule.csv").write_text("\n".join(lines), encoding="utf-8")
+    return '[components.schedule]\nkind = "table"\nfile = "schedule.csv"\n'
+
+
+MEASURED = f"""[components.first]
+kind = "sine"
+amplitude = 0.25
+rate = 1.7
+
+[components.speed]
+kind = "sum"
+signs = [1.0, 1.0]
+
+[components.mean]
+kind = "constant"
+value = 1.35
+
+[components.second]
+kind = "sensor"
+
+[components.schedule]
+kind = "expression"
+y = "{ALPHAS[1]}"
+"""
+CONNECTIONS = {
+    "speed.u1": "first.y",
+    "speed.u2": "mean.y",
+    "second.u": "schedule.y",
+}
+
+
+def test_a_table_a_recorded_channel_and_a_computed_signal_identify_theta(tmp_path):
+    """Any source will do, and a replay takes a file and a recording from the log."""
+    changes = {**RUN, "scenario.stop": 8.0}
+    path = scenario(tmp_path, table(tmp_path))
+    log = cosim.run(path, set=changes, out=tmp_path / "table.mcap")
+    np.testing.assert_allclose(log["identifier.theta"][-1], THETA, atol=1e-6)
+    np.testing.assert_array_equal(log["regressor.alpha"], values(log.time("regressor.alpha")))
+
+    again = cosim.replay(log, set={"identifier.period": 0.5})
+    np.testing.assert_allclose(again["identifier.theta"][-1], THETA, atol=1e-6)
+
+    recording = (
+        '[components.schedule]\nkind = "recording"\nlog = "table.mcap"\ncomponent = "schedule"\n'
+    )
+    recorded = signals(scenario(tmp_path, recording), set=changes)
+    np.testing.assert_array_equal(recorded["identifier.theta"], log["identifier.theta"])
+
+    path = scenario(tmp_path, MEASURED, ("speed.y", "second.y"), CONNECTIONS)
+    run = cosim.run(path, set=changes)
+    np.testing.assert_allclose(run["identifier.theta"][-1], THETA, atol=1e-6)
+    said = [text for name, text in recorded_warnings(run) if name == "identifier"]
+    assert any("'speed.y', 'second.y': only the run" in text for text in said)
+
+
+def test_a_log_identifies_theta_from_the_recorded_alphas(tmp_path):
+    """Alphas of a log are those that the run computed, to the last bit."""
+    changes = {**RUN, "scenario.stop": 8.0, "identifier.method": "least-squares"}
+    log = cosim.run(scenario(tmp_path), set=changes, out=tmp_path / "signal.mcap")
+    text = cosim.run("academic", set=changes, out=tmp_path / "text.mcap")
+    by_signal = cosim.identify(log)
+    by_text = cosim.identify(text)
+    (record,) = by_signal.records
+    np.testing.assert_array_equal(record.data.alpha, values(record.data.t))
+    found = zip(by_signal.assessment.parameters, by_text.assessment.parameters, strict=True)
+    for one, other in found:
+        assert one.value == other.value
+
+
+def test_alphas_that_prove_proportional_after_the_run_are_named(tmp_path):
+    """The products of alphas that only the run computes are checked at its end."""
+    gain = '[components.twice]\nkind = "gain"\nK = 2.0\n'
+    path = scenario(tmp_path, gain, ("u.y", "twice.y"), {"twice.u": "u.y"})
+    changes = {**RUN, "scenario.stop": 4.0, "identifier.method": "least-squares"}
+    run = cosim.run(path, set=changes)
+    problem = recorded_identification(run)["identifier"].problem
+    assert "'u.y' and alpha 'twice.y' are proportional" in problem
+
+
+def test_terms_that_name_one_signal_share_their_alpha(tmp_path):
+    """Two exponentials under one alpha make three products, under two alphas six."""
+    one = EXPRESSION.replace(f', "{ALPHAS[1]}"', "")
+    run = signals(scenario(tmp_path, one, ("schedule.y", "schedule.y[0]")), set=RUN)
+    assert run["regressor.alpha"].ndim == 1
+    assert run["regressor.mu"].shape[1] == 3
+
+
+@pytest.mark.parametrize(
+    ("source", "names", "message"),
+    [
+        (EXPRESSION, ("schedul.y", "schedule.y[1]"), "no component 'schedul'; did you mean"),
+        (EXPRESSION, ("schedule.y", "schedule.y[1]"), "size 2 cannot drive size 1"),
+        (EXPRESSION, ("schedule.y[2]", "schedule.y[1]"), "has 2 elements, numbered from 0"),
+        (EXPRESSION, ("schedule.y[0:2]", "schedule.y[1]"), "needed one element of the output"),
+        (EXPRESSION, ("schedule", "schedule.y[1]"), "'schedule' is no port; needed COMPONENT.SIG"),
+        (
+            EXPRESSION + "discrete = true\n",
+            BOTH,
+            r"(?s)components.delta: alpha 'schedule.y\[0\]' is discrete and jumps.*a disturbance "
+            r"that jumps can be an expression.*components.regressor: alpha 'schedule.y\[0\]' is",
+        ),
+        (
+            EXPRESSION.replace(ALPHAS[1], "2.7 + 0.5*sin(1.7*t)"),
+            BOTH,
+            "components.regressor: .*are proportional; merge",
+        ),
+        (
+            EXPRESSION.replace(ALPHAS[1], "1/(t - 5)"),
+            BOTH,
+            r"alpha 'schedule.y\[1\]' is -?inf at t = 5 s",
+        ),
+        (
+            EXPRESSION.replace("1.7*t", "170*t"),
+            BOTH,
+            r"a straight line between two points is 0.\d+ of alpha 'schedule.y\[0\]' off",
+        ),
+    ],
+)
+def test_a_wrong_signal_is_refused_before_the_run(tmp_path, source, names, message):
+    """The error names the table whose term it is."""
+    with pytest.raises(ScenarioError, match=message):
+        cosim.run(scenario(tmp_path, source, names), set=RUN)
+
+
+def test_a_jump_that_feeds_through_is_refused(tmp_path):
+    """A sum with a step in it is interpolated, and jumps all the same."""
+    source = (
+        '[components.gear]\nkind = "step"\ntime = 1.0\n\n[components.speed]\nkind = "sum"\n'
+        "signs = [1.0, 1.0]\n\n" + EXPRESSION
+    )
+    connections = {"speed.u1": "gear.y", "speed.u2": "u.y"}
+    path = scenario(tmp_path, source, ("speed.y", "schedule.y[1]"), connections)
+    with pytest.raises(ScenarioError, match=r"alpha 'speed\.y' jumps with gear\.y, which feeds"):
+        cosim.run(path, set=RUN)
+
+
+def test_the_input_alpha_is_connected_by_the_terms_alone(tmp_path):
+    """A connection of the file would be a second source."""
+    path = scenario(tmp_path, connections={"regressor.alpha": "schedule.y"})
+    with pytest.raises(ScenarioError, match="connected to what the table of 'regressor' names"):
+        cosim.run(path, set=RUN)
+
+
+def test_an_exported_regressor_takes_the_signals_by_its_input_alpha(tmp_path):
+    """The FMU gives what the component gives, bit for bit."""
+    path = scenario(tmp_path)
+    changes = {**RUN, "scenario.stop": 4.0}
+    fmu = tmp_path / "regressor.fmu"
+    export_component(path, "regressor", fmu, set=changes, fmi="3")
+    run = signals(path, set=changes)
+    u = np.column_stack([run["observer.delta"], run["schedule.y"]])
+    t = run.time("regressor.mu")
+    with load(fmu, FmuOptions(interface_type="cs")) as opened:
+        first = opened.component.initialize(0.0, u[0])
+        rows = opened.component.advance(t, H, u)
+    np.testing.assert_array_equal(np.vstack([first, rows]), run["regressor.mu"])
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("fmi", ["2", "3"])
+def test_exported_regressor_and_identifier_give_the_same(tmp_path, fmi):
+    """In their places the FMUs get the same signals."""
+    text = Path(scenario(tmp_path)).read_text(encoding="utf-8")
+    text = text.replace("delays = [1.0, 2.0, 3.0]", "delays = [0.5, 1.0, 1.5]")
+    text = text.replace("period = 0.1 ", "start = 2.0\nperiod = 0.25 ")
+    path = tmp_path / "exported.toml"
+    path.write_text(text, encoding="utf-8")
+    changes = {"scenario.step": H, "scenario.stop": 4.0, "observer.filter_rate": 100.0}
+    swap = {}
+    for name in ("regressor", "identifier"):
+        swap[name] = tmp_path / f"{name}.fmu"
+        export_component(str(path), name, swap[name], set=changes, fmi=fmi)
+    run = signals(str(path), set=changes)
+    swapped = signals(str(path), set=changes, swap=swap)
+    np.testing.assert_array_equal(swapped["regressor.mu"], run["regressor.mu"])
+    np.testing.assert_array_equal(swapped["identifier.theta"][::32], run["identifier.theta"])
+    assert np.isfinite(run["identifier.theta"][-1]).all()
