@@ -17,12 +17,14 @@ if TYPE_CHECKING:
     from cosim.report.comparing import compare
     from cosim.report.estimator_comparison import compare_estimators
     from cosim.scenario.execution import load, replay, run
+    from cosim.scenario.experiment_design.ranking import design
     from cosim.scenario.field_file import read_field_data
     from cosim.scenario.identification.from_logs import identify
 
 _HOMES = {
     "compare": "cosim.report.comparing",
     "compare_estimators": "cosim.report.estimator_comparison",
+    "design": "cosim.scenario.experiment_design.ranking",
     "diff": "cosim.log.diff",
     "identify": "cosim.scenario.identification.from_logs",
     "linearize": "cosim.fmi.linearizing.linearize",
@@ -37,6 +39,7 @@ __all__ = [
     "__version__",
     "compare",
     "compare_estimators",
+    "design",
     "diff",
     "identify",
     "linearize",

@@ -16,6 +16,7 @@ import typer
 
 from cosim.cli.comparing import compare, diff
 from cosim.cli.contents import info, list_, plot, show
+from cosim.cli.designing import design
 from cosim.cli.fmus import cache, check, export, linearize
 from cosim.cli.identifying import identify
 from cosim.cli.running import replay, run
@@ -64,6 +65,7 @@ app.command()(replay)
 app.command()(diff)
 app.command()(compare)
 app.command()(identify)
+app.command()(design)
 app.command()(info)
 app.command()(check)
 app.command()(cache)

@@ -1,0 +1,1 @@
+"""Experiments of a scenario compared by the error of theta that they are to have."""

@@ -1,0 +1,496 @@
+"""What a user may choose, ranked by the error of theta that is to be expected."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, Literal, TypeAlias
+
+import numpy as np
+
+from cosim.arguments import mapping_argument, truth_argument
+from cosim.arrays import Vector
+from cosim.errors import AssumptionError, CosimError, UsageError
+from cosim.scenario.execution import load
+from cosim.scenario.experiment_design.subject import DesignSubject, subject_of
+from cosim.scenario.experiment_design.trial import Trial, trial_of
+from cosim.scenario.kinds.reconstruction import DEFAULT_ORDER, FILTERS
+from cosim.scenario.parsing import Scenario
+from cosim.theory.experiment_design.delay_search import search_delays
+from cosim.theory.experiment_design.predictions import PredictedEstimate, RegressionExperiment
+
+RegressionMethod: TypeAlias = Literal["rayleigh", "least-squares"]
+_Variant: TypeAlias = tuple[RegressionExperiment, tuple[int, ...], RegressionMethod]
+REGRESSION_METHODS: Final[tuple[RegressionMethod, ...]] = ("rayleigh", "least-squares")
+OUTPUT_ERROR: Final = "output-error"
+
+_LONGEST: Final = 0.25  # of the run: the longest delay that is tried
+_FILTER_KEYS: Final = {"filter", "q0"}.union(
+    *(variant.needed for variant in FILTERS.values()),
+    *(variant.own for variant in FILTERS.values()),
+)
+_FACTORS: Final = (0.1, 0.2, 0.5, 2.0, 5.0, 10.0)  # of the step
+_MOST_SAMPLES: Final = 100_000  # of a variant with another step
+_FEWEST_SAMPLES: Final = 200
+_HALF_WIDTHS: Final = (5, 10, 20, 50, 100, 200, 500)  # of windows, in samples
+_WIDEST: Final = 0.05  # of the run: half of the longest window
+_FASTEST: Final = 1.0  # filter_rate times step, of the fastest filter
+_SLOWEST: Final = 100.0  # filter_rate times the run, of the slowest filter
+_WINDOWS: Final = (0.5, 0.25, 0.125)  # of the run: of output error
+_INPUTS: Final = (0.0, 10.0)  # times the input of the scenario
+_MODEL_ERROR: Final = 1e-3  # of y, above which a model is not that of the plant
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RankedDesign:
+    """A choice, and the error of theta that is to be expected with it.
+
+    Parameters
+    ----------
+    choice : str
+        What is chosen: ``scenario`` for all as it is, ``delays``, ``filter``, ``step``, ``window``,
+        ``input``, or ``together``.
+    settings : mapping of dotted key to value
+        What the choice sets.
+    method : str
+        Of the estimator.
+    bias, standard_error, error : Vector, shape (P,)
+        Mean of the estimates less theta, their deviation, and both together as root mean square;
+        infinite where the estimator finds no theta.
+    ratio : float
+        The largest error over the Cramer-Rao bound of y with the scenario as it is.
+    """
+
+    choice: str
+    settings: Mapping[str, Any]
+    method: str
+    bias: Vector
+    standard_error: Vector
+    error: Vector
+    ratio: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return {
+            "choice": self.choice,
+            "settings": dict(self.settings),
+            "method": self.method,
+            "bias": self.bias.tolist(),
+            "standard_error": self.standard_error.tolist(),
+            "error": self.error.tolist(),
+            "ratio": self.ratio,
+        }
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ExperimentDesign:
+    """Choices for a scenario, ranked by the error of theta that is to be expected.
+
+    Parameters
+    ----------
+    scenario : str
+    identifier : str
+    theta : Vector, shape (P,)
+    deviations : Vector, shape (n_y,)
+        Of the noise of y.
+    noise_source : str
+    bound : Vector, shape (P,)
+        The least standard errors of theta from y, by output error, with the scenario as it is.
+    designs : tuple of RankedDesign
+        By choice; within a choice and a method the best first.
+    notes : tuple of str
+    """
+
+    scenario: str
+    identifier: str
+    theta: Vector
+    deviations: Vector
+    noise_source: str
+    bound: Vector
+    designs: tuple[RankedDesign, ...]
+    notes: tuple[str, ...]
+
+    def of(self, choice: str, method: str) -> tuple[RankedDesign, ...]:
+        """Return the designs of a choice and a method, the best first."""
+        return tuple(
+            design for design in self.designs if design.choice == choice and design.method == method
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return {
+            "scenario": self.scenario,
+            "identifier": self.identifier,
+            "theta": self.theta.tolist(),
+            "deviations": self.deviations.tolist(),
+            "noise": self.noise_source,
+            "bound": self.bound.tolist(),
+            "designs": [design.to_dict() for design in self.designs],
+            "notes": list(self.notes),
+        }
+
+
+def design(
+    scenario: str | Path | Scenario,
+    *,
+    noise: float | Sequence[float] | None = None,
+    theta: Sequence[float] | None = None,
+    longest: float | None = None,
+    input: bool = False,
+    set: Mapping[str, Any] | None = None,
+) -> ExperimentDesign:
+    """Rank what may be chosen for a scenario by the error of theta that is to be expected.
+
+    Parameters
+    ----------
+    scenario : str, Path or Scenario
+        A shipped name, a path, or what :func:`load` returned; with one identifier.
+    noise : float or sequence of float, optional
+        Deviation of the white noise of y, one or one an output; by default what the tables state.
+    theta : sequence of float, optional
+        The true one, in the order of the regressor's terms; by default that of the disturbance.
+    longest : float, optional
+        The longest delay that is tried [s]; by default a quarter of the run, or that of the
+        scenario.
+    input : bool
+        Rank other sizes of the input too.
+    set : mapping of dotted key to value, optional
+        As for :func:`run`.
+
+    Raises
+    ------
+    UsageError
+        If there is not one identifier behind one observer, the plant has no model, or the noise or
+        theta is not known.
+    ScenarioError
+        With every problem of the file.
+    """
+    input = truth_argument("input", input)
+    loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
+    edited = loaded.edit(set=mapping_argument("set", set))
+    subject = subject_of(edited, noise=noise, theta=theta)
+    ranking = _Ranking(subject, trial_of(subject, {}))
+    if longest is None:
+        longest = max(_LONGEST * ranking.trial.span, *subject.regressor_kind.delays)
+    if not ranking.trial.step <= longest < math.inf:
+        raise UsageError(f"longest: found {longest:g} s; needed at least one communication step")
+    return ranking.all_of(longest, with_input=input)
+
+
+@dataclass(eq=False)
+class _Ranking:
+    """The variants of a scenario.
+
+    Parameters
+    ----------
+    subject : DesignSubject
+    trial : Trial
+        The scenario as it is.
+    """
+
+    subject: DesignSubject
+    trial: Trial
+    bound: Vector = field(init=False)
+    predictions: dict[_Variant, PredictedEstimate | None] = field(default_factory=dict, init=False)
+
+    def __post_init__(self) -> None:
+        accuracy = self.trial.bound()
+        self.bound = accuracy.standard_error
+        self.residual = accuracy.residual
+        if not np.isfinite(self.bound).any():
+            raise AssumptionError(
+                f"{self.subject.scenario.name}: y does not determine theta, whatever is chosen: "
+                "the disturbance has no amplitude, or the run is too short"
+            )
+
+    def all_of(self, longest: float, *, with_input: bool) -> ExperimentDesign:
+        """Return the designs of every choice."""
+        trial = self.trial
+        filters = self._filters()
+        designs = self._output_error("scenario", trial, (math.inf,))
+        designs += self._of_methods("scenario", trial.regression, trial.steps, {})
+        for method in REGRESSION_METHODS:
+            designs += self._delays(method, longest)
+        designs += _best_first(self._as_they_are("filter", filters))
+        designs += _best_first(self._steps())
+        designs += self._output_error("window", trial, _WINDOWS)
+        for method in REGRESSION_METHODS:
+            designs += self._together(method, filters, longest)
+        if with_input:
+            designs += _best_first(self._inputs())
+        covariance = trial.covariance
+        return ExperimentDesign(
+            scenario=self.subject.scenario.name,
+            identifier=self.subject.identifier,
+            theta=trial.regression.theta,
+            deviations=np.sqrt(np.diag(covariance)),
+            noise_source=self.subject.noise_source,
+            bound=self.bound,
+            designs=tuple(designs),
+            notes=tuple(self._notes(designs, with_input=with_input)),
+        )
+
+    # --- choices ---
+
+    def _delays(self, method: RegressionMethod, longest: float) -> list[RankedDesign]:
+        found = self._best_delays(self.trial, method, longest)
+        if found is None:
+            return []
+        return self._ranked("delays", self.trial.regression, found, method, {})
+
+    def _filters(self) -> list[Trial]:
+        """Return variants of the filter of delta."""
+        name = self.subject.observer
+        table = self.subject.scenario.tree["components"][name]
+        kept = {key: value for key, value in table.items() if key not in _FILTER_KEYS}
+        h = self.trial.step
+        span = self.trial.span
+        variants: list[dict[str, Any]] = []
+        rate = _FASTEST / h
+        while rate * span >= _SLOWEST:
+            for filter_name in ("first-order", "consistent"):
+                variants.append({"filter": filter_name, "filter_rate": float(f"{rate:.3g}")})
+            rate /= math.sqrt(10.0)
+        for samples in _HALF_WIDTHS:
+            if samples * h <= _WIDEST * span:
+                half_width = round(samples * h, 9)
+                variants.append(
+                    {
+                        "filter": "savitzky-golay",
+                        "half_width": half_width,
+                        "order": DEFAULT_ORDER,
+                    }
+                )
+        trials = []
+        for variant in variants:
+            settings = {f"{name}.{key}": value for key, value in variant.items()}
+            trials += self._tried(settings, {name: {**kept, **variant}})
+        return trials
+
+    def _steps(self) -> list[RankedDesign]:
+        designs = []
+        for factor in _FACTORS:
+            h = float(f"{factor * self.trial.step:.12g}")
+            if not _FEWEST_SAMPLES <= self.trial.span / h <= _MOST_SAMPLES:
+                continue
+            edits = {"scenario.step": h}
+            for trial in self._tried(edits):
+                designs += self._output_error("step", trial, (math.inf,))
+                designs += self._of_methods("step", trial.regression, trial.steps, edits)
+        return designs
+
+    def _together(
+        self, method: RegressionMethod, filters: Iterable[Trial], longest: float
+    ) -> list[RankedDesign]:
+        """Choose a filter, delays for it, and a filter for these."""
+        steps = self.trial.steps
+        variants = [self.trial, *filters]
+
+        def error(trial: Trial) -> float:
+            return self._error_of(trial.regression, steps, method)
+
+        best = min(variants, key=error)
+        found = self._best_delays(best, method, longest)
+        if found is not None:
+            steps = found
+            best = min(variants, key=error)
+        return self._ranked("together", best.regression, steps, method, best.settings)
+
+    def _inputs(self) -> list[RankedDesign]:
+        designs = []
+        if not self.trial.data.u.size:
+            return []
+        for factor in _INPUTS:
+            regression = self.trial.with_input(factor)
+            settings = {"input": f"{factor:g} u"}
+            designs += self._of_methods("input", regression, self.trial.steps, settings)
+        return designs
+
+    # --- predictions ---
+
+    def _tried(
+        self, settings: Mapping[str, Any], edits: Mapping[str, Any] | None = None
+    ) -> list[Trial]:
+        """Return a variant; none where the scenario refuses it."""
+        try:
+            return [trial_of(self.subject, settings, edits)]
+        except CosimError:
+            return []
+
+    def _as_they_are(self, choice: str, trials: Iterable[Trial]) -> list[RankedDesign]:
+        designs = []
+        for trial in trials:
+            designs += self._of_methods(choice, trial.regression, trial.steps, trial.settings)
+        return designs
+
+    def _of_methods(
+        self,
+        choice: str,
+        regression: RegressionExperiment,
+        steps: tuple[int, ...],
+        settings: Mapping[str, Any],
+    ) -> list[RankedDesign]:
+        designs = []
+        for method in REGRESSION_METHODS:
+            predicted = self._predicted(regression, steps, method)
+            if predicted is None:
+                predicted = _no_estimate(len(self.bound))
+            designs.append(self._design(choice, settings, method, predicted))
+        return designs
+
+    def _ranked(
+        self,
+        choice: str,
+        regression: RegressionExperiment,
+        steps: tuple[int, ...],
+        method: RegressionMethod,
+        settings: Mapping[str, Any],
+    ) -> list[RankedDesign]:
+        predicted = self._predicted(regression, steps, method)
+        if predicted is None:
+            return []
+        delays = [round(count * regression.step, 9) for count in steps]
+        chosen = {**settings, f"{self.subject.regressor}.delays": delays}
+        return [self._design(choice, chosen, method, predicted)]
+
+    def _design(
+        self,
+        choice: str,
+        settings: Mapping[str, Any],
+        method: str,
+        predicted: PredictedEstimate,
+    ) -> RankedDesign:
+        return RankedDesign(
+            choice=choice,
+            settings=settings,
+            method=method,
+            bias=predicted.bias,
+            standard_error=predicted.standard_error,
+            error=predicted.error,
+            ratio=self._ratio(predicted),
+        )
+
+    def _output_error(
+        self, choice: str, trial: Trial, windows: Iterable[float]
+    ) -> list[RankedDesign]:
+        """Return the designs of output error, which reaches the bound."""
+        designs = []
+        for part in windows:
+            window = round(part * trial.span, 9)
+            settings = dict(trial.settings)
+            if math.isfinite(window):
+                settings[f"{self.subject.identifier}.window"] = window
+            covariance = trial.bound(window).covariance
+            predicted = PredictedEstimate(np.zeros(len(covariance)), covariance)
+            designs.append(self._design(choice, settings, OUTPUT_ERROR, predicted))
+        return designs
+
+    def _predicted(
+        self, regression: RegressionExperiment, steps: tuple[int, ...], method: RegressionMethod
+    ) -> PredictedEstimate | None:
+        """Return what a method is to find; None: nothing."""
+        key = (regression, steps, method)
+        if key not in self.predictions:
+            self.predictions[key] = self._computed(*key)
+        return self.predictions[key]
+
+    def _computed(
+        self, regression: RegressionExperiment, steps: tuple[int, ...], method: RegressionMethod
+    ) -> PredictedEstimate | None:
+        try:
+            if method == "rayleigh":
+                return regression.rayleigh(steps)
+            return regression.least_squares(steps, P0=self.subject.identifier_kind.P0)
+        except AssumptionError:
+            return None
+
+    def _ratio(self, predicted: PredictedEstimate) -> float:
+        is_known = np.isfinite(self.bound)
+        return float(np.max(predicted.error[is_known] / self.bound[is_known]))
+
+    def _error_of(
+        self, regression: RegressionExperiment, steps: tuple[int, ...], method: RegressionMethod
+    ) -> float:
+        predicted = self._predicted(regression, steps, method)
+        if predicted is None:
+            return math.inf
+        ratio = self._ratio(predicted)
+        return ratio if math.isfinite(ratio) else math.inf
+
+    def _best_delays(
+        self, trial: Trial, method: RegressionMethod, longest: float
+    ) -> tuple[int, ...] | None:
+        try:
+            found = search_delays(
+                lambda steps: self._error_of(trial.regression, steps, method),
+                count=trial.regression.delays_needed,
+                longest=math.floor(longest / trial.step + 1e-9),
+                start=trial.steps,
+            )
+        except AssumptionError:
+            return None
+        return found.steps
+
+    # --- words ---
+
+    def _notes(self, designs: Sequence[RankedDesign], *, with_input: bool) -> list[str]:
+        notes = [
+            "output error needs neither delays nor filter: they are of the estimators on the "
+            "regression, and only start it"
+        ]
+        for method in REGRESSION_METHODS:
+            notes += self._note_on_delays(designs, method)
+        if self.residual > _MODEL_ERROR:
+            notes.append(
+                f"the design model leaves {self.residual:.2g} of y without noise: what is "
+                "predicted holds for a plant that is like it"
+            )
+        for j in np.flatnonzero(~np.isfinite(self.bound)):
+            notes.append(f"theta[{j}] is not determined by y, and does not count in the ratio")
+        if with_input:
+            notes.append(self._note_on_input())
+        return notes
+
+    def _note_on_delays(
+        self, designs: Sequence[RankedDesign], method: RegressionMethod
+    ) -> list[str]:
+        by_choice = {one.choice: one for one in reversed(designs) if one.method == method}
+        if not {"scenario", "delays"} <= by_choice.keys():
+            return []
+        before = by_choice["scenario"]
+        after = by_choice["delays"]
+        listed = ", ".join(f"{delay:g}" for delay in self.subject.regressor_kind.delays)
+        best = min(one.ratio for one in designs if one.method == method)
+        if not after.ratio < before.ratio:
+            return [f"{method}: no delays are better than ({listed})"]
+        return [
+            f"{method}: the delays ({listed}) are not the best; others have "
+            f"{before.ratio / after.ratio:.3g} times less error, and the best choice of all stays "
+            f"at {best:.3g} times the bound that output error reaches"
+        ]
+
+    def _note_on_input(self) -> str:
+        if not self.trial.data.u.size:
+            return "input: the design model has none"
+        return (
+            "input: no input changes the bound: what a known u does to y through a linear plant is "
+            "known, and is subtracted; through the filter u leaks into delta hat, here "
+            f"{self.trial.leakage:.2g} of it, which is bias of the estimators on the regression"
+        )
+
+
+def _no_estimate(parameters: int) -> PredictedEstimate:
+    """Return what is predicted of an estimator that finds no theta."""
+    return PredictedEstimate(np.full(parameters, np.inf), np.zeros((parameters, parameters)))
+
+
+def _best_first(designs: Sequence[RankedDesign]) -> list[RankedDesign]:
+    """Return the best designs of every method, the best first."""
+    methods = (OUTPUT_ERROR, *REGRESSION_METHODS)
+    ordered = []
+    for method in methods:
+        own = [one for one in designs if one.method == method]
+        ordered += sorted(own, key=lambda one: one.ratio)
+    return ordered

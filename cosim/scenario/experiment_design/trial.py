@@ -1,0 +1,286 @@
+"""A variant of a scenario without noise of y: its signals, and what noise would leave in delta."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+
+from cosim.arrays import Matrix, Vector
+from cosim.core.clock import seconds
+from cosim.core.contracts import Component
+from cosim.core.graph import Graph
+from cosim.core.master import run
+from cosim.core.recorders import Memory
+from cosim.errors import UsageError
+from cosim.scenario.build import Builder
+from cosim.scenario.experiment_design.subject import DesignSubject
+from cosim.scenario.identification.feedback import inputs_in_feedback
+from cosim.scenario.identification.model import IdentifiedPlant
+from cosim.scenario.kinds.identification import IdentifierKind
+from cosim.scenario.kinds.identification_source import IdentifierSource
+from cosim.scenario.kinds.regressor import RegressorKind
+from cosim.theory.disturbed_plant import DataSet
+from cosim.theory.experiment_design.bound import AccuracyBound, accuracy_bound
+from cosim.theory.experiment_design.predictions import RegressionExperiment
+from cosim.theory.experiment_design.reconstruction_noise import ReconstructionNoise
+from cosim.theory.forced_response import simulate
+
+_SPAN_OF_NOISE: Final = 200_000  # samples that a response to noise is followed over, at most
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Trial:
+    """A variant of a scenario, simulated without noise of y.
+
+    Parameters
+    ----------
+    settings : mapping of dotted key to value
+        What a user sets for the variant.
+    identified : IdentifiedPlant
+        The model of y.
+    data : DataSet
+        What the observer takes in.
+    covariance : Matrix, shape (n_y, n_y)
+        Of the noise of y.
+    regression : RegressionExperiment
+        What the observer makes of it.
+    delta_of_u : Vector, shape (N,)
+        The part of delta hat that the input makes, which is an error; NaN: no value.
+    steps : tuple of int
+        The delays of the regressor in samples.
+    """
+
+    settings: Mapping[str, Any]
+    identified: IdentifiedPlant
+    data: DataSet
+    covariance: Matrix
+    regression: RegressionExperiment
+    delta_of_u: Vector
+    steps: tuple[int, ...]
+
+    @property
+    def step(self) -> float:
+        """Communication step [s]."""
+        return self.regression.step
+
+    @property
+    def span(self) -> float:
+        """Length of the run [s]."""
+        return float(self.data.t[-1] - self.data.t[0])
+
+    def bound(self, window: float = math.inf) -> AccuracyBound:
+        """Return the Cramer-Rao bound of theta from y, or from its last ``window`` seconds."""
+        data = self.data if window >= self.span else self.data.last(window)
+        return accuracy_bound(
+            self.identified.plant,
+            self.identified.families,
+            self.regression.theta,
+            data,
+            noise=self.covariance,
+            offset=self.identified.offset,
+        )
+
+    def with_input(self, factor: float) -> RegressionExperiment:
+        """Return the regression with an input ``factor`` times as large."""
+        delta = self.regression.delta + (factor - 1.0) * self.delta_of_u
+        return replace(self.regression, delta=delta)
+
+    @property
+    def leakage(self) -> float:
+        """Root mean square of what u leaves in delta hat, over that of delta hat, once settled."""
+        settled = slice(self.regression.settled, None)
+        of_u = np.nanmean(self.delta_of_u[settled] ** 2)
+        whole = np.nanmean(self.regression.delta[settled] ** 2)
+        return float(np.sqrt(of_u / whole)) if whole else 0.0
+
+
+def trial_of(
+    subject: DesignSubject, settings: Mapping[str, Any], edits: Mapping[str, Any] | None = None
+) -> Trial:
+    """Simulate a variant of a scenario without noise of y.
+
+    Parameters
+    ----------
+    subject : DesignSubject
+    settings : mapping of dotted key to value
+        What a user sets for it.
+    edits : mapping of dotted key to value, optional
+        What is set here, where the tables have keys that do not go with the settings.
+
+    Raises
+    ------
+    CosimError
+        If the variant is not valid, or cannot be simulated.
+    UsageError
+        If u depends on y, or y has values between the samples of a sensor.
+    """
+    scenario = subject.scenario.edit(set=settings if edits is None else edits)
+    observer = subject.observer
+    with ExitStack() as resources:
+        builder = Builder(scenario, resources)
+        builder.check()
+        graph = _upstream_graph(builder, subject)
+        _check(subject, builder, graph)
+        identified = _identified(subject, builder)
+        memory = Memory()
+        run(graph, builder.clock, memory)
+        t = seconds(memory.time_ns(observer))
+        inputs = graph.layout[observer].interface.input_columns()
+        rows = memory.rows(observer)
+        kind = scenario.specs[observer]
+        lag = kind.lag(observer, "delta", builder.context)
+        component = builder.components[observer]
+        u_columns = inputs.get("u", slice(0, 0))
+        held = graph.held[observer]
+        covariance = subject.covariance(len(identified.plant.C))
+        response = _ObserverResponse(component, t, inputs["y"])
+        u = rows[:, u_columns]
+        y = rows[:, inputs["y"]]
+        data = identified.data_set(t, y, u, held[u_columns], np.zeros(u.shape[1], np.bool_))
+        delta = memory[f"{observer}.delta"]
+        noise = response.to_noise(covariance, delta)
+        delta_of_u = response.to_input(data, identified, u_columns)
+        regressor = scenario.specs[subject.regressor]
+        assert isinstance(regressor, RegressorKind)
+        settled, start = _start(builder, subject.identifier, max(regressor.delays))
+    h = builder.clock.step_ns / 1e9
+    steps = tuple(round(delay / h) for delay in regressor.delays)
+    regression = RegressionExperiment(
+        delta=np.asarray(delta),
+        alpha=identified.alpha(t - lag),
+        names=tuple(str(term.alpha) for term in regressor.terms),
+        families=identified.families,
+        theta=np.array(subject.theta),
+        step=h,
+        noise=noise,
+        settled=settled,
+        start=start,
+    )
+    return Trial(
+        settings=settings,
+        identified=identified,
+        data=data,
+        covariance=covariance,
+        regression=regression,
+        delta_of_u=delta_of_u,
+        steps=steps,
+    )
+
+
+class _ObserverResponse:
+    """What an observer makes of inputs, beyond what it makes of none.
+
+    Parameters
+    ----------
+    component : Component
+        After a run.
+    t : Vector, shape (N,)
+        Communication points [s].
+    y : slice
+        Its columns of the inputs.
+    """
+
+    def __init__(self, component: Component, t: Vector, y: slice) -> None:
+        self._component = component
+        self._t = t[: _SPAN_OF_NOISE + 1]
+        self._y = y
+        self._delta = component.interface.output_columns()["delta"].start
+        self._of_nothing = self._driven(np.zeros((len(self._t), component.interface.n_u)))
+
+    def to_noise(self, covariance: Matrix, delta: Vector) -> ReconstructionNoise:
+        """Return the noise of delta, once it has values."""
+        factor = np.linalg.cholesky(covariance)
+        first = int(np.argmax(np.isfinite(self._of_nothing))) + 1
+        columns = []
+        for column in factor.T:
+            u = np.zeros((len(self._t), self._component.interface.n_u))
+            u[first, self._y] = column
+            columns.append((self._driven(u) - self._of_nothing)[first:])
+        return ReconstructionNoise(np.array(columns).T)
+
+    def to_input(self, data: DataSet, identified: IdentifiedPlant, u: slice) -> Vector:
+        """Return the part of delta that the known input makes, through the plant and at once."""
+        plant = identified.plant
+        at_rest = np.zeros(len(plant.A))
+        x = simulate(plant.A, plant.B, data.t, data.u, at_rest, data.is_held)
+        driven = np.zeros((len(data.t), self._component.interface.n_u))
+        driven[:, u] = data.u
+        driven[:, self._y] = x @ plant.C.T + data.u @ plant.D.T
+        part = driven[: len(self._t)]
+        delta = np.full(len(data.t), np.nan)
+        delta[: len(part)] = self._driven(part) - self._of_nothing
+        return delta
+
+    def _driven(self, u: Matrix) -> Vector:
+        component = self._component
+        component.initialize(float(self._t[0]), u[0])
+        initial = component.outputs(float(self._t[0]), u[0])
+        h = float(self._t[1] - self._t[0])
+        rows = component.advance(self._t, h, u)
+        return np.append(initial[self._delta], rows[:, self._delta])
+
+
+def _upstream_graph(builder: Builder, subject: DesignSubject) -> Graph:
+    """Return the graph of the observer and of what it follows."""
+    names = subject.upstream
+    connections = {
+        to: connection
+        for to, connection in builder.scenario.connections.items()
+        if to.component in names
+    }
+    settings = builder.scenario.file.scenario
+    step_ns = builder.context.step_ns
+    periods = {name: builder.scenario.specs[name].period_steps(name, step_ns) for name in names}
+    ordered = [name for name in builder.components if name in names]
+    return Graph(
+        {name: builder.components[name] for name in ordered},
+        connections,
+        coupling=settings.coupling,
+        input_interpolation=settings.input_interpolation,
+        periods=periods,
+    )
+
+
+def _check(subject: DesignSubject, builder: Builder, graph: Graph) -> None:
+    if inputs_in_feedback(graph, subject.observer).any():
+        raise UsageError(
+            f"the input u of {subject.observer!r} depends on its y, a closed loop, which carries "
+            "the noise of y into u; needed an input that does not"
+        )
+    source = IdentifierSource(subject.identifier, builder.context)
+    if source.most_samples():
+        raise UsageError(
+            f"y of {subject.observer!r} has values between the samples of a sensor; needed noise "
+            "at every communication point: no period, dropout or time_stamps, and a step as long "
+            "as the period"
+        )
+
+
+def _identified(subject: DesignSubject, builder: Builder) -> IdentifiedPlant:
+    """Return the model of y.
+
+    Raises
+    ------
+    UsageError
+        If there is none.
+    """
+    if subject.identifier in builder.context.identified:
+        return builder.context.identified[subject.identifier]
+    missing = IdentifierSource(subject.identifier, builder.context).missing_model()
+    raise UsageError(f"{subject.identifier!r}: {missing}")
+
+
+def _start(builder: Builder, identifier: str, longest: float) -> tuple[int, int | None]:
+    """Return when delta has settled, and the first point that counts where that is given."""
+    clock = builder.clock
+    start_time = float(builder.context.metadata[identifier]["start_time"])
+    start = round((start_time - clock.start_time) * 1e9 / clock.step_ns)
+    settled = start - round(longest * 1e9 / clock.step_ns)
+    kind = builder.scenario.specs[identifier]
+    assert isinstance(kind, IdentifierKind)
+    return settled, start if isinstance(kind.start, float) else None

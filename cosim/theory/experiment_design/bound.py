@@ -1,0 +1,103 @@
+"""The Cramer-Rao bound of theta from y: what no unbiased estimator is better than.
+
+Amplitudes, initial state and offset are unknown too, as for output error, which reaches the bound
+(L. Ljung, System Identification, 2nd ed., 1999, section 7.4). The inputs of a linear plant are no
+part of it: what they do to y is known, and is subtracted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cosim.arrays import Matrix, Vector
+from cosim.theory.assessment.record_information import DEPENDENT, RecordInformation, information_of
+from cosim.theory.disturbance import Family, generators
+from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel, sample_plant
+
+
+@dataclass(frozen=True, eq=False)
+class AccuracyBound:
+    """The least covariance of theta.
+
+    Parameters
+    ----------
+    covariance : Matrix, shape (P, P)
+        Infinite on the diagonal where the data do not determine theta.
+    residual : float
+        Root mean square of what the model leaves of y, over that of y; of data without noise it is
+        a model error.
+    """
+
+    covariance: Matrix
+    residual: float
+
+    @property
+    def standard_error(self) -> Vector:
+        """The least standard errors, shape (P,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+
+def accuracy_bound(
+    plant: DisturbedPlant,
+    families: Sequence[Family],
+    theta: Vector,
+    data: DataSet,
+    *,
+    noise: Matrix,
+    offset: bool = False,
+) -> AccuracyBound:
+    """Compute the Cramer-Rao bound of theta.
+
+    Parameters
+    ----------
+    plant : DisturbedPlant
+    families : sequence of Family
+        Of the terms of the disturbance.
+    theta : Vector, shape (P,)
+        The true one.
+    data : DataSet
+        y without noise, by which the amplitudes are known.
+    noise : Matrix, shape (n_y, n_y)
+        Covariance of the white noise of y.
+    offset : bool
+        An unknown constant is on every output.
+
+    Raises
+    ------
+    AssumptionError
+        If the data do not fit the plant, or there are too many unknowns.
+    """
+    matrices = generators(families)
+    white = NoiseModel(covariance=noise, a=np.zeros((len(noise), 0)))
+    record = sample_plant(plant, matrices, data, noise=white, offset=offset).record(data)
+    R = record.make(theta)
+    linear = record.model.linear
+    known = RecordInformation(np.zeros((len(R), 0)), R[:, :linear])
+    unknowns = known.inverse @ R[:, -1]
+    information = information_of(record, theta, unknowns[: matrices.order])
+    left = R[:, -1] - R[:, :linear] @ unknowns
+    whole = white.whitened(np.nan_to_num(data.y)[:, :, np.newaxis], data.measured)
+    size = float(np.linalg.norm(whole))
+    relative = float(np.linalg.norm(left)) / size if size else 0.0
+    return AccuracyBound(_covariance(information), relative)
+
+
+def _covariance(information: RecordInformation) -> Matrix:
+    """Return the covariance of theta for whitened noise of deviation 1."""
+    free = information.free
+    lengths = np.linalg.norm(free, axis=0)
+    whole = np.linalg.norm(information.slopes, axis=0)
+    determined = lengths > DEPENDENT * whole
+    scaled = free[:, determined] / lengths[determined]
+    values, vectors = np.linalg.eigh(scaled.T @ scaled)
+    covariance = np.diag(np.where(determined, 0.0, np.inf))
+    places = np.flatnonzero(determined)
+    if len(places):
+        with np.errstate(divide="ignore"):
+            inverse = (vectors / np.maximum(values, 0.0)) @ vectors.T
+        scale = np.outer(lengths[places], lengths[places])
+        covariance[np.ix_(places, places)] = inverse / scale
+    return covariance
