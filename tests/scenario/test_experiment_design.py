@@ -7,6 +7,7 @@ import pytest
 
 import cosim
 from cosim.errors import UsageError
+from cosim.scenario.document import find
 from cosim.scenario.experiment_design.subject import subject_of
 from cosim.scenario.experiment_design.trial import trial_of
 
@@ -211,3 +212,37 @@ def test_the_table_shows_the_best_of_every_choice(designed, capsys):
     for text in ("error of theta[1]", "as it is", "of bound", "regressor.delays=[0.0,"):
         assert text in out
     assert out.count("\nfilter\t") == 6
+
+
+def test_alphas_that_are_signals_are_those_of_the_run(tmp_path):
+    """The example with its alphas as signals: the same predictions, up to their interpolation."""
+    settings = {**FAST, "scenario.step": 1.0 / 64.0, "identifier.period": 0.25}
+    text = find("academic-noisy").text
+    alphas = ("1.35 + 0.25*sin(1.7*t)", "1.10 + 0.20*cos(2.3*t)")
+    source = f'[components.schedule]\nkind = "expression"\ny = ["{alphas[0]}", "{alphas[1]}"]\n'
+    for element, alpha in enumerate(alphas):
+        text = text.replace(f'"{alpha}"', f'{{ from = "schedule.y[{element}]" }}')
+    path = tmp_path / "signals.toml"
+    path.write_text(text.replace("[connections]", f"{source}\n[connections]", 1))
+    errors = []
+    for scenario in (path, "academic-noisy"):
+        trial = trial_of(subject_of(cosim.load(scenario).set(settings)), {})
+        errors.append([trial.regression.rayleigh(trial.steps).error, trial.bound().standard_error])
+    np.testing.assert_allclose(errors[0], errors[1], rtol=1e-3)
+
+
+def test_any_family_and_a_shared_alpha_can_be_designed_for():
+    """A damped sine and a constant under one alpha: theta is (decay, rate), four delays."""
+    terms = [{"family": "damped-sine"}, {"family": "constant"}]
+    values = [{**terms[0], "theta": [0.05, 1.3]}, {**terms[1], "constants": [0.5]}]
+    settings = {"regressor.terms": terms, "delta.terms": values, "observer.filter_rate": 20.0}
+    scenario = cosim.load("academic-noisy").set(
+        {**FAST, **settings, "regressor.delays": [0.0, 0.5, 1.0, 1.5], "truth": {}}
+    )
+    subject = subject_of(scenario)
+    assert subject.theta == (0.05, 1.3)
+    trial = trial_of(subject, {})
+    assert trial.bound().residual < 1e-10
+    predicted = trial.regression.rayleigh(trial.steps)
+    assert (predicted.error > trial.bound().standard_error).all()
+    assert (predicted.error < 0.1).all()

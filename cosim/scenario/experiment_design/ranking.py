@@ -199,6 +199,11 @@ class _Ranking:
         accuracy = self.trial.bound()
         self.bound = accuracy.standard_error
         self.residual = accuracy.residual
+        if not len(self.bound):
+            raise AssumptionError(
+                f"{self.subject.regressor}: the terms have no parameter: there is no theta to "
+                "design for"
+            )
         if not np.isfinite(self.bound).any():
             raise AssumptionError(
                 f"{self.subject.scenario.name}: y does not determine theta, whatever is chosen: "

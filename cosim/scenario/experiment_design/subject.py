@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any, Final
 
 import numpy as np
@@ -22,6 +23,7 @@ from cosim.scenario.kinds.regressor import RegressorKind
 from cosim.scenario.kinds.sensors import SensorKind
 from cosim.scenario.kinds.sources import DisturbanceKind, NoiseKind
 from cosim.scenario.kinds.stated_noise import stated_covariance
+from cosim.scenario.kinds.terms import FamilyTerm, ValuedTerm
 from cosim.scenario.parsing import Scenario
 
 NOISE_NEEDED: Final = (
@@ -41,7 +43,8 @@ class DesignSubject:
     identifier, regressor, observer : str
         Names of the components.
     upstream : frozenset of str
-        The components that the observer follows, and itself.
+        The components that the observer follows, and itself; with an alpha that is a signal those
+        of the regressor too.
     noise : Matrix, shape (n,) or (n_y, n_y)
         Deviations of the noise of y, one or one an output, or its covariance.
     noise_source : str
@@ -122,7 +125,7 @@ def subject_of(
     identifier = _only_identifier(scenario)
     regressor = _driver(scenario, identifier, "regressor", RegressorKind)
     observer = _driver(scenario, regressor, "delta", UnknownInputObserverKind)
-    upstream = _upstream(scenario, observer)
+    upstream = _upstream(scenario, {observer})
     _check_models(scenario, upstream)
     deviations, source = _noise(scenario, identifier, observer, noise)
     edits: dict[str, Any] = {}
@@ -133,6 +136,8 @@ def subject_of(
         if isinstance(kind, NoiseKind):
             edits[f"{name}.deviation"] = 0.0
     values = _theta(scenario, regressor, upstream, theta, edits)
+    if any(to.component == regressor and to.signal == "alpha" for to in scenario.connections):
+        upstream = _upstream(scenario, {observer, regressor})
     return DesignSubject(
         scenario=scenario.edit(set=edits),
         identifier=identifier,
@@ -164,10 +169,10 @@ def _driver(scenario: Scenario, component: str, signal: str, needed: type[Any]) 
     return name
 
 
-def _upstream(scenario: Scenario, observer: str) -> frozenset[str]:
-    """Return the components that the observer follows, directly or through others, and itself."""
+def _upstream(scenario: Scenario, components: Collection[str]) -> frozenset[str]:
+    """Return the components that some follow, directly or through others, and themselves."""
     found: set[str] = set()
-    front = {observer}
+    front = set(components)
     while front:
         found |= front
         sources = [scenario.sources_of(name) for name in front]
@@ -252,27 +257,28 @@ def _theta(
                 f"drives the plant; give {option('theta')}"
             )
         return tuple(map(float, given))
-    tables = scenario.tree["components"][name]["terms"]
-    places = _places(kind, tables)
+    makes = scenario.specs[name]
+    assert isinstance(makes, DisturbanceKind)
+    places = _places(kind.terms, makes.terms)
     if places is None:
         raise UsageError(
             f"the terms of {regressor!r} are not those of {name!r}, which makes the disturbance; "
             "needed the same alphas and families in both"
         )
-    counts = [len(_values(tables[place])) for place in places]
+    own = [_values(makes.terms[place]) for place in places]
     if given is None:
-        known = [value for place in places for value in _values(tables[place])]
-        return tuple(known)
+        return tuple(chain.from_iterable(own))
     values = list(map(float, given))
-    if len(values) != sum(counts) or not np.isfinite(values).all():
-        raise UsageError(f"theta: found {values}; needed {sum(counts)} finite numbers")
-    changed = deepcopy(list(tables))
+    needed = sum(map(len, own))
+    if len(values) != needed or not np.isfinite(values).all():
+        raise UsageError(f"theta: found {values}; needed {needed} finite numbers")
+    changed = deepcopy(list(scenario.tree["components"][name]["terms"]))
     at = 0
-    for place, count in zip(places, counts, strict=True):
-        own = values[at : at + count]
-        if count:
-            changed[place]["theta"] = own[0] if count == 1 else own
-        at += count
+    for place, replaced in zip(places, own, strict=True):
+        part = values[at : at + len(replaced)]
+        if part:
+            changed[place]["theta"] = part[0] if len(part) == 1 else part
+        at += len(part)
     edits[f"{name}.terms"] = changed
     return tuple(values)
 
@@ -283,17 +289,12 @@ def _disturbance(scenario: Scenario, upstream: frozenset[str]) -> str | None:
     return names[0] if len(names) == 1 else None
 
 
-def _places(kind: RegressorKind, tables: Sequence[Mapping[str, Any]]) -> list[int] | None:
-    """Return which term of the disturbance each term of the regressor is; None: they differ."""
-    left = list(range(len(tables)))
+def _places(terms: Sequence[FamilyTerm], others: Sequence[FamilyTerm]) -> list[int] | None:
+    """Return which of the other terms each term is; None: they differ."""
+    left = list(range(len(others)))
     places = []
-    for term in kind.terms:
-        same = [
-            place
-            for place in left
-            if tables[place].get("alpha", "1") == term.alpha
-            and tables[place]["family"] == term.family
-        ]
+    for term in terms:
+        same = [place for place in left if _shape(others[place]) == _shape(term)]
         if not same:
             return None
         left.remove(same[0])
@@ -301,6 +302,11 @@ def _places(kind: RegressorKind, tables: Sequence[Mapping[str, Any]]) -> list[in
     return None if left else places
 
 
-def _values(table: Mapping[str, Any]) -> list[float]:
-    theta = table.get("theta", [])
+def _shape(term: FamilyTerm) -> dict[str, Any]:
+    """Return what a term has without its parameters and constants."""
+    return {key: getattr(term, key) for key in FamilyTerm.model_fields}
+
+
+def _values(term: ValuedTerm) -> list[float]:
+    theta = () if term.theta is None else term.theta
     return [float(value) for value in np.atleast_1d(theta)]

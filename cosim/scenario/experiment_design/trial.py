@@ -10,13 +10,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from cosim.arrays import Matrix, Vector
+from cosim.arrays import Matrix, Vector, as_columns
 from cosim.core.clock import seconds
 from cosim.core.contracts import Component
 from cosim.core.graph import Graph
 from cosim.core.master import run
 from cosim.core.recorders import Memory
 from cosim.errors import UsageError
+from cosim.native.alphas import signals_among
 from cosim.scenario.build import Builder
 from cosim.scenario.experiment_design.subject import DesignSubject
 from cosim.scenario.identification.feedback import inputs_in_feedback
@@ -141,7 +142,10 @@ def trial_of(
         response = _ObserverResponse(component, t, inputs["y"])
         u = rows[:, u_columns]
         y = rows[:, inputs["y"]]
-        data = identified.data_set(t, y, u, held[u_columns], np.zeros(u.shape[1], np.bool_))
+        signals = _alpha_signals(subject, identified, memory)
+        open_loop = np.zeros(u.shape[1], np.bool_)
+        data = identified.data_set(t, y, u, held[u_columns], open_loop, signals)
+        alpha = identified.alpha_at(t - lag, t, signals)
         delta = memory[f"{observer}.delta"]
         noise = response.to_noise(covariance, delta)
         delta_of_u = response.to_input(data, identified, u_columns)
@@ -152,8 +156,8 @@ def trial_of(
     steps = tuple(round(delay / h) for delay in regressor.delays)
     regression = RegressionExperiment(
         delta=np.asarray(delta),
-        alpha=identified.alpha(t - lag),
-        names=tuple(str(term.alpha) for term in regressor.terms),
+        alpha=alpha,
+        names=tuple(alpha.text for alpha in identified.alphas),
         families=identified.families,
         theta=np.array(subject.theta),
         step=h,
@@ -244,6 +248,15 @@ def _upstream_graph(builder: Builder, subject: DesignSubject) -> Graph:
         input_interpolation=settings.input_interpolation,
         periods=periods,
     )
+
+
+def _alpha_signals(
+    subject: DesignSubject, identified: IdentifiedPlant, recording: Memory
+) -> Matrix:
+    """Return the alphas that are signals, shape (N, signals)."""
+    if not signals_among(identified.alphas):
+        return np.zeros((len(recording.time_ns(subject.observer)), 0))
+    return as_columns(recording[f"{subject.regressor}.alpha"])
 
 
 def _check(subject: DesignSubject, builder: Builder, graph: Graph) -> None:

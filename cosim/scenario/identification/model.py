@@ -107,10 +107,18 @@ class IdentifiedPlant:
         """
         for signal in signals_among(self.alphas):
             raise AssumptionError(f"alpha {signal.text!r} is a signal, known of the run alone")
-        return self._alpha_at(t, t, np.zeros((len(t), 0)))
+        return self.alpha_at(t, t, np.zeros((len(t), 0)))
 
-    def _alpha_at(self, t: Vector, points: Vector, signals: Matrix) -> Matrix:
-        """Return the known factors at instants, those that are signals by interpolation."""
+    def alpha_at(self, t: Vector, points: Vector, signals: Matrix) -> Matrix:
+        """Return the known factors at instants, those that are signals by interpolation.
+
+        Parameters
+        ----------
+        t : Vector, shape (N,)
+        points : Vector, shape (K,)
+            Instants of the signals.
+        signals : Matrix, shape (K, signals)
+        """
         columns = []
         for alpha in self.alphas:
             if isinstance(alpha, AlphaSignal):
@@ -159,7 +167,7 @@ class IdentifiedPlant:
         points = t
         if samples is not None:
             t, y, u = samples.beside(t, u, held, y.shape[1])
-        alpha = self._alpha_at(t, points, signals)
+        alpha = self.alpha_at(t, points, signals)
         self.check_alphas(t, alpha)
         return DataSet(t, y, u, alpha, held, np.isin(t, points), in_feedback | self.closed_loop)
 
