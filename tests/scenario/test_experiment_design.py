@@ -237,7 +237,7 @@ def test_any_family_and_a_shared_alpha_can_be_designed_for():
     values = [{**terms[0], "theta": [0.05, 1.3]}, {**terms[1], "constants": [0.5]}]
     settings = {"regressor.terms": terms, "delta.terms": values, "observer.filter_rate": 20.0}
     scenario = cosim.load("academic-noisy").set(
-        {**FAST, **settings, "regressor.delays": [0.0, 0.5, 1.0, 1.5], "truth": {}}
+        {**FAST, **settings, "regressor.delays": [0.0, 0.5, 1.0, 1.5]}
     )
     subject = subject_of(scenario)
     assert subject.theta == (0.05, 1.3)
