@@ -11,10 +11,11 @@ from cosim.blocks.averages import AveragedModel, Smoothed
 from cosim.blocks.plant import linear_model
 from cosim.core.linear import LinearModel
 from cosim.core.signals import Signal
-from cosim.theory.descriptor import ReducedSystem
+from cosim.theory.descriptor import ReducedSystem, StateMap, state_maps
 from cosim.theory.observer import (
     ObserverDesign,
     initial_state_map,
+    lagging_states,
     realize,
     realize_averages,
 )
@@ -30,8 +31,8 @@ def observer_model(
 ) -> LinearModel:
     """Write the observer as a model.
 
-    Inputs u and y; outputs the estimates x_a, delta, x_b and the states z, q. Where there is no u
-    or x_b, there is no such signal.
+    Inputs u and y; outputs the estimates x_a, delta, x_b, of the general form x, delta, and the
+    states z, q. Where there is no u or x_b, there is no such signal.
 
     Parameters
     ----------
@@ -49,16 +50,12 @@ def observer_model(
     system = realize(reduced, design)
     X0, Xu = initial_state_map(reduced, design, x_a0=x_a0, q0=q0)
     n_y, n_d = reduced.C5.shape
-    n_b = len(reduced.Kx)
     inputs = _inputs(reduced)
-    x_a, z = _of_state(reduced)
+    first, *others = [_estimate(state) for state in state_maps(reduced)]
     delta = Signal("delta", n_d, role="estimate")
-    estimates = [x_a, delta]
-    if n_b:
-        x_b = Signal("x_b", n_b, role="estimate")
-        estimates.append(x_b)
+    z = _observer_state(reduced)
     q = Signal("q", n_y, role="state")
-    outputs = (*estimates, z, q)
+    outputs = (first, delta, *others, z, q)
     states = (*z.elements, *q.elements)
     A = system.A
     B = system.B
@@ -75,22 +72,21 @@ def averaged_observer(
     x_a0: ArrayLike | None = None,
     constant: bool = False,
 ) -> AveragedModel:
-    """Write the observer with a delta to be averaged, and x_b too where it depends on delta.
+    """Write the observer with a delta to be averaged, and the states that depend on it.
 
-    Inputs u and y; outputs x_a, x_b where it does not depend on delta, z, then what lags. See
+    Inputs u and y; outputs the states that do not depend on delta, z, then what lags. See
     :func:`observer_model` for the parameters.
     """
     realization = realize_averages(reduced, design)
     n_a = len(reduced.A_a)
     X0, Xu = initial_state_map(reduced, design, x_a0=x_a0)
-    n_b = len(reduced.Kx)
-    x_a, z = _of_state(reduced)
-    direct = [x_a, z]
+    z = _observer_state(reduced)
     lagging = [Signal("delta", len(design.G), role="estimate")]
-    if reduced.Kd.any():
-        lagging.append(Signal("x_b", n_b, role="estimate"))
-    elif n_b:
-        direct.insert(1, Signal("x_b", n_b, role="estimate"))
+    direct: list[Signal] = []
+    for state in state_maps(reduced):
+        signals = lagging if state.of_delta.any() else direct
+        signals.append(_estimate(state))
+    direct.append(z)
     rate = Signal("rate", realization.width)
     level = Signal("level", realization.width)
     system = realization.system
@@ -113,12 +109,17 @@ def averaged_observer(
 def consistent_observer(model: AveragedModel, reduced: ReducedSystem, rate: float) -> Smoothed:
     """Build the observer with averages by a consistent filter.
 
-    Initially delta is 0, as with the filter (19), and x_b what (8) has without delta.
+    Initially delta is 0, as with the filter (19), and the states that depend on it are what they
+    are without it.
     """
-    n_d = reduced.Kd.shape[1]
-    start = np.zeros((model.width, model.width))
-    start[n_d:, :n_d] = -reduced.Kd[: model.width - n_d]
-    start[n_d:, n_d:] = np.eye(model.width - n_d)
+    n_d = reduced.C5.shape[1]
+    start = np.eye(model.width)
+    start[:n_d, :n_d] = 0.0
+    begin = n_d
+    for state in lagging_states(reduced):
+        end = begin + len(state.of_delta)
+        start[begin:end, :n_d] = -state.of_delta
+        begin = end
     return Smoothed(model, rate, start)
 
 
@@ -129,10 +130,12 @@ def _inputs(reduced: ReducedSystem) -> tuple[Signal, ...]:
     return (Signal("u", n_u, role="input"), y) if n_u else (y,)
 
 
-def _of_state(reduced: ReducedSystem) -> tuple[Signal, Signal]:
-    """Return the outputs x_a and z."""
-    n_a = len(reduced.A_a)
-    return Signal("x_a", n_a, role="estimate"), Signal("z", n_a, role="state")
+def _estimate(state: StateMap) -> Signal:
+    return Signal(state.name, len(state.of_x_a), role="estimate")
+
+
+def _observer_state(reduced: ReducedSystem) -> Signal:
+    return Signal("z", len(reduced.A_a), role="state")
 
 
 def _with_constant_state(model: LinearModel) -> LinearModel:

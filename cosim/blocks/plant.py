@@ -11,7 +11,7 @@ from cosim.arrays import Matrix, Vector
 from cosim.core.linear import DescriptorModel, LinearModel, feedthrough_of, initial_dependencies
 from cosim.core.signals import Interface, Role, Signal
 from cosim.errors import AssumptionError
-from cosim.theory.descriptor import DescriptorSystem, ReducedSystem, reduce
+from cosim.theory.descriptor import DescriptorSystem, ReducedSystem, reduce, state_maps
 
 
 def descriptor_model(system: DescriptorSystem, initial: ArrayLike) -> LinearModel:
@@ -36,28 +36,22 @@ def descriptor_model(system: DescriptorSystem, initial: ArrayLike) -> LinearMode
     n_y, n_d = reduced.C5.shape
     coordinates = reduced.coordinates
     if coordinates is None:
-        X0 = _initial_vector("x_a0", initial, n_a, "one number a dynamic state")
-        X = np.vstack([np.eye(n_a), reduced.Kx])
-        Xu = np.vstack([np.zeros((n_a, n_u)), reduced.Ku])
-        Xd = np.vstack([np.zeros((n_a, n_d)), reduced.Kd])
-        sizes = {"x_a": n_a, "x_b": len(reduced.Kx)}
+        X0 = initial_vector("x_a0", initial, n_a, "one number a dynamic state")
     else:
         n = len(coordinates.X)
-        X0 = coordinates.R @ _initial_vector("x0", initial, n, "one number a state")
-        X = coordinates.X
-        Xu = coordinates.Xu
-        Xd = coordinates.Xd
-        sizes = {"x": n}
+        X0 = coordinates.R @ initial_vector("x0", initial, n, "one number a state")
+    states = state_maps(reduced)
+    sizes = {state.name: len(state.of_x_a) for state in states}
+    D_states = [np.hstack([state.of_u, state.of_delta]) for state in states]
     D_y = np.hstack([reduced.C4, reduced.C5])
-    D_x = np.hstack([Xu, Xd])
     return linear_model(
         _signals({"u": n_u, "delta": n_d}, "input"),
         (Signal("y", n_y), *_signals(sizes, "state")),
         states=_state_names(reduced),
         A=reduced.A_a,
         B=np.hstack([reduced.B_1a, reduced.B_2a]),
-        C=np.vstack([reduced.C3, X]),
-        D=np.vstack([D_y, D_x]),
+        C=np.vstack([reduced.C3, *(state.of_x_a for state in states)]),
+        D=np.vstack([D_y, *D_states]),
         X0=X0,
     )
 
@@ -74,7 +68,14 @@ def _signals(sizes: Mapping[str, int], role: Role) -> tuple[Signal, ...]:
     return tuple(Signal(name, size, role=role) for name, size in sizes.items() if size)
 
 
-def _initial_vector(name: str, values: ArrayLike, size: int, needed: str) -> Vector:
+def initial_vector(name: str, values: ArrayLike, size: int, needed: str) -> Vector:
+    """Return given initial values as a vector.
+
+    Raises
+    ------
+    AssumptionError
+        If there are not ``size`` of them.
+    """
     vector = np.atleast_1d(np.asarray(values, dtype=np.float64))
     if vector.shape != (size,):
         raise AssumptionError(f"{name} has shape {vector.shape}; needed ({size},): {needed}")

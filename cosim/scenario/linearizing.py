@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -19,6 +19,9 @@ from cosim.units import Unit
 
 if TYPE_CHECKING:
     from cosim.fmi.linearizing.linearization import Linearization
+
+
+MOST_OF_ERROR: Final = 10.0  # how many times larger than its estimate an error may be
 
 
 class DesignModel(NamedTuple):
@@ -80,7 +83,7 @@ def design_model(linearization: Linearization, disturbances: Sequence[str]) -> D
         B_2a=linearization.B[:, unknown],
         C3=linearization.C,
         C4=C_4,
-        C5=linearization.D[:, unknown],
+        C5=_direct(linearization, unknown),
         Kx=np.zeros((0, n)),
         Ku=np.zeros((0, len(known) + constant)),
         Kd=np.zeros((0, len(unknown))),
@@ -92,6 +95,13 @@ def design_model(linearization: Linearization, disturbances: Sequence[str]) -> D
         "x_a": _unit(linearization, linearization.states),
     }
     return DesignModel(reduced, constant, units)
+
+
+def _direct(linearization: Linearization, unknown: Sequence[int]) -> Matrix:
+    """Return the direct paths from delta to y; what may be the error of a difference is none."""
+    D = linearization.D[:, unknown]
+    error = linearization.errors["D"] or 0.0
+    return np.where(np.abs(D) > MOST_OF_ERROR * error, D, 0.0)
 
 
 def _unit(linearization: Linearization, names: Sequence[str]) -> Unit:

@@ -6,56 +6,159 @@ disturbance is not decoupled. NOT_DETECTABLE: an invariant zero is not stable, a
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Final
+
 import numpy as np
 
-from cosim.arrays import Matrix
+from cosim.arrays import Matrix, Vector
 from cosim.errors import AssumptionError
 from cosim.theory.descriptor import ComplexVector, ReducedSystem
-from cosim.theory.geometry import rank
+from cosim.theory.geometry import RANK_TOLERANCE
+from cosim.theory.pencil import SINGULAR
 from cosim.theory.placement import modes
+from cosim.theory.scaling import rank_between
+
+MOST_SHOWN: Final = 12  # entries of a matrix in a message
 
 
-def decoupling_matrix(reduced: ReducedSystem) -> Matrix:
-    """Compute `G = (C3 B_2a)^+`, the factor of (15), after checking (11) and (14).
+@dataclass(frozen=True, eq=False)
+class Decoupling:
+    """How delta follows from ``w = y - C4 u`` and x_a.
 
-    Its shape is ``(n_d, n_y)``.
+    ::
+
+        delta = direct (w - C3 x_a) + G (w' - C3 A x_a - C3 B_1a u - C3 B_2a direct w)
+        A = A_a - B_2a direct C3
+
+    What reaches w directly is solved for without a derivative, by the pseudo-inverse of C5; it is
+    then a known signal. The rest follows from the derivative of ``outputs w``, the combinations
+    that delta does not reach directly.
+
+    Shapes: ``direct (n_d, n_y)``, ``G (n_d, n_y)``, ``outputs (n_y - r, n_y)`` with `r = rank C5`.
+    """
+
+    direct: Matrix
+    G: Matrix
+    outputs: Matrix
+
+
+@dataclass(frozen=True, eq=False)
+class _Split:
+    """C5 by its singular values: what is solved directly, and the other w and delta."""
+
+    direct: Matrix
+    outputs: Matrix
+    disturbances: Matrix
+
+    @property
+    def rank(self) -> int:
+        """How many disturbances reach w directly."""
+        return int(self.outputs.shape[1] - self.outputs.shape[0])
+
+
+def decouple(reduced: ReducedSystem, weights: Vector) -> Decoupling:
+    """Solve for delta (15), by one derivative of w at most.
+
+    Parameters
+    ----------
+    reduced : ReducedSystem
+        In units in which it is of size one: :func:`.descriptor.in_units`.
+    weights : Vector, shape (n_y,)
+        Of its outputs, where there are more than needed: what one is in the user's units.
 
     Raises
     ------
     AssumptionError
-        If the disturbance reaches y directly (Assumption 4), or is not decoupled by one derivative
-        of y (Assumption 5).
+        If there are fewer outputs than disturbances, some cannot be distinguished, or one is not
+        decoupled by one derivative of w (Assumption 5).
     """
     C3 = reduced.C3
-    C5 = reduced.C5
     B_2a = reduced.B_2a
-    n_y, n_d = C5.shape
-    if C5.any():
-        raise AssumptionError(
-            f"Assumption 4 (11): C5 = {C5.tolist()}, needed 0: the disturbance reaches y directly, "
-            "so it follows from y without a derivative; this observer cannot be used"
-        )
+    n_y, n_d = reduced.C5.shape
     if n_d > n_y:
         raise AssumptionError(
             f"Assumption 5 (14): {n_y} output(s) for {n_d} disturbances, needed at least {n_d} "
             "outputs: the disturbance is not decoupled (FEWER_OUTPUTS_THAN_DISTURBANCES)"
         )
-    directions = rank(B_2a)
+    tolerance = max(SINGULAR, reduced.accuracy)
+    _check_independent(reduced, tolerance)
+    split = _split(reduced, weights, tolerance)
+    C = split.outputs @ C3
+    B = B_2a @ split.disturbances
+    remaining = n_d - split.rank
+    reached = rank_between(C @ B, np.abs(C) @ np.abs(B), tolerance)
+    if reached < remaining:
+        raise AssumptionError(_relative_degree(reduced, split, reached, tolerance))
+    of_outputs = np.linalg.norm(split.outputs / weights, axis=1)
+    inverse = _left_inverse(C @ B, 1.0 / of_outputs)
+    G = split.disturbances @ inverse @ split.outputs
+    return Decoupling(split.direct, G, split.outputs)
+
+
+def _check_independent(reduced: ReducedSystem, tolerance: float) -> None:
+    """Check that all disturbances act in directions of their own.
+
+    Raises
+    ------
+    AssumptionError
+        If some do not.
+    """
+    n_d = reduced.B_2a.shape[1]
+    columns = np.vstack([reduced.B_2a, reduced.C5])
+    directions = rank_between(columns, np.abs(columns), max(RANK_TOLERANCE, tolerance))
     if directions < n_d:
+        matrix = "[B_2a; C5]" if reduced.C5.any() else "B_2a"
         raise AssumptionError(
-            f"Assumption 5 (14): rank B_2a = {directions} for {n_d} disturbances: some of them act "
-            "in the same direction and cannot be distinguished; merge them into one "
+            f"Assumption 5 (14): rank {matrix} = {directions} for {n_d} disturbances: some of them "
+            "act in the same direction and cannot be distinguished; merge them into one "
             "(DEPENDENT_DISTURBANCES)"
         )
-    reached = _rank_of_product(C3, B_2a)
-    if reached < n_d:
-        raise AssumptionError(
-            f"Assumption 5 (14): rank C3 B_2a = {reached}, needed rank B_2a = {n_d}: the "
-            "disturbance is not decoupled; it reaches y only through more integrators "
-            f"(RELATIVE_DEGREE): {_markov_parameters(reduced)}"
+
+
+def _split(reduced: ReducedSystem, weights: Vector, tolerance: float) -> _Split:
+    """Split w and delta by C5; where that is 0 both stay as they are, to the last bit."""
+    C5 = reduced.C5
+    n_y, n_d = C5.shape
+    if not C5.any():
+        return _Split(np.zeros((n_d, n_y)), np.eye(n_y), np.eye(n_d))
+    left, values, right = np.linalg.svd(C5)
+    r = int((values > tolerance).sum())
+    right = right.T
+    direct = right[:, :r] @ _left_inverse(left[:, :r] * values[:r], weights)
+    return _Split(direct, left[:, r:].T, right[:, r:])
+
+
+def _left_inverse(matrix: Matrix, weights: Vector) -> Matrix:
+    """Compute the least-squares inverse of independent columns, with a weight for each row.
+
+    A square matrix has one inverse, whatever the weights.
+    """
+    rows, columns = matrix.shape
+    if rows == columns:
+        weights = np.ones(rows)
+    inverse: Matrix = np.linalg.pinv(weights[:, np.newaxis] * matrix) * weights
+    if (weights == weights[:1]).all():
+        return inverse
+    # weights far apart cost digits, which one step of Newton's method gives back
+    return inverse + (np.eye(columns) - inverse @ matrix) @ inverse
+
+
+def _relative_degree(reduced: ReducedSystem, split: _Split, reached: int, tolerance: float) -> str:
+    """Return the verdict RELATIVE_DEGREE with its evidence."""
+    n_d = reduced.B_2a.shape[1]
+    if split.rank:
+        what = (
+            f"rank C5 = {split.rank} of {n_d} disturbances reach y directly; for the others "
+            f"rank C3 B_2a = {reached}, needed {n_d - split.rank}: they are"
         )
-    G = np.linalg.pinv(C3 @ B_2a)
-    return np.asarray(G, dtype=np.float64)
+    else:
+        what = f"rank C3 B_2a = {reached}, needed rank B_2a = {n_d}: the disturbance is"
+    return (
+        f"Assumption 5 (14): {what} not decoupled; it reaches y only through more integrators, so "
+        "measure an output that it reaches through one (a rate, a force), or fit it to y offline "
+        f"(RELATIVE_DEGREE): {_markov_parameters(reduced, split, tolerance)}"
+    )
 
 
 def check_detectable(fixed_modes: ComplexVector, magnitudes: Matrix) -> None:
@@ -104,30 +207,26 @@ def check_hurwitz(movable: ComplexVector, magnitudes: Matrix, fixed_modes: Compl
         )
 
 
-def _rank_of_product(C: Matrix, B: Matrix) -> int:
-    """Compute the rank of C B relative to the sizes of C and B.
-
-    Relative to C B itself, which may be all rounding, the rank would be meaningless.
-    """
-    values = np.linalg.svd(C @ B, compute_uv=False)
-    size_of_C = float(np.linalg.norm(C))
-    size_of_B = float(np.linalg.norm(B))
-    significant = values > 1e-12 * size_of_C * size_of_B
-    return int(significant.sum())
-
-
-def _markov_parameters(reduced: ReducedSystem) -> str:
+def _markov_parameters(reduced: ReducedSystem, split: _Split, tolerance: float) -> str:
     """List C A^k B up to the first power at which they have full rank together, or n_a - 1."""
+    C = split.outputs @ reduced.C3
+    A = reduced.A_a - reduced.B_2a @ split.direct @ reduced.C3
+    power = reduced.B_2a @ split.disturbances  # A^k B
+    magnitudes = np.abs(power)
     listed = []
-    power = reduced.B_2a  # A^k B
     stacked = np.zeros((0, power.shape[1]))
-    for k in range(len(reduced.A_a)):
-        markov = reduced.C3 @ power
-        listed.append(f"C A^{k} B = {markov.tolist()}")
+    terms = np.zeros(stacked.shape)
+    for k in range(len(A)):
+        markov = C @ power
+        size = np.abs(C) @ magnitudes
+        shown = f" = {markov.tolist()}" if markov.size <= MOST_SHOWN else ""
+        listed.append(f"C A^{k} B{shown} of rank {rank_between(markov, size, tolerance)}")
         stacked = np.vstack([stacked, markov])
-        if rank(stacked) == stacked.shape[1]:
+        terms = np.vstack([terms, size])
+        if rank_between(stacked, terms, tolerance) == stacked.shape[1]:
             break
-        power = reduced.A_a @ power
+        power = A @ power
+        magnitudes = np.abs(A) @ magnitudes
     return ", ".join(listed)
 
 

@@ -206,6 +206,60 @@ class ReducedSystem:
             object.__setattr__(self, field.name, matrix)
 
 
+@dataclass(frozen=True, eq=False)
+class StateMap:
+    """States that the user sees: ``of_x_a x_a + of_u u + of_delta delta``."""
+
+    name: str
+    of_x_a: Matrix
+    of_u: Matrix
+    of_delta: Matrix
+
+
+def state_maps(reduced: ReducedSystem) -> tuple[StateMap, ...]:
+    """Return x_a and, where there is any, x_b of the partitioned form; x of the general one."""
+    coordinates = reduced.coordinates
+    if coordinates is not None:
+        return (StateMap("x", coordinates.X, coordinates.Xu, coordinates.Xd),)
+    n_a, n_u = reduced.B_1a.shape
+    n_d = reduced.B_2a.shape[1]
+    x_a = StateMap("x_a", np.eye(n_a), np.zeros((n_a, n_u)), np.zeros((n_a, n_d)))
+    if not len(reduced.Kx):
+        return (x_a,)
+    return x_a, StateMap("x_b", reduced.Kx, reduced.Ku, reduced.Kd)
+
+
+def reduced_scales(reduced: ReducedSystem) -> Scales:
+    """Compute coarse sizes of the states x_a, the inputs (u, delta) and the outputs."""
+    A = reduced.A_a
+    B = np.hstack([reduced.B_1a, reduced.B_2a])
+    D = np.hstack([reduced.C4, reduced.C5])
+    return scales_of(np.eye(len(A)), A, B, reduced.C3, D).coarse()
+
+
+def in_units(reduced: ReducedSystem, scales: Scales) -> ReducedSystem:
+    """Return (9)-(10) in other units of x_a, u, delta and y, without the map to the user's."""
+    n_u = reduced.B_1a.shape[1]
+    n_d = reduced.B_2a.shape[1]
+    x = scales.states[:, np.newaxis]
+    y = scales.outputs[:, np.newaxis]
+    u = scales.inputs[:n_u]
+    delta = scales.inputs[n_u:]
+    no_states = np.zeros((0, len(x)))
+    return ReducedSystem(
+        A_a=reduced.A_a * scales.states / x,
+        B_1a=reduced.B_1a * u / x,
+        B_2a=reduced.B_2a * delta / x,
+        C3=reduced.C3 * scales.states / y,
+        C4=reduced.C4 * u / y,
+        C5=reduced.C5 * delta / y,
+        Kx=no_states,
+        Ku=np.zeros((0, n_u)),
+        Kd=np.zeros((0, n_d)),
+        accuracy=reduced.accuracy,
+    )
+
+
 def reduce(system: DescriptorSystem) -> ReducedSystem:
     """Eliminate the algebraic states (8)-(10).
 

@@ -5,6 +5,12 @@ Any number of inputs, disturbances and outputs. With `w = y - C4 u` and `G = (C3
     delta = G (w' - C3 A_a x_a - C3 B_1a u)
     F = B_2a G,    M = (I - F C3) A_a,    N = (I - F C3) B_1a
 
+What of delta reaches y directly (C5) needs no derivative: it is ``direct (w - C3 x_a)``. Put into
+(9) it leaves `A = A_a - B_2a direct C3` in place of A_a, w as one more known signal, and for the
+rest of delta the outputs that delta does not reach directly (:class:`.conditions.Decoupling`)::
+
+    x_a' = A x_a + B_1a u + B_2a direct w + B_2a (delta - direct (w - C3 x_a))
+
 The derivatives of y and u are needed only together, in w', so **one** filter on w gives what two
 filters on y and u give (19)::
 
@@ -22,15 +28,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from cosim.arrays import Matrix, Vector, frozen
 from cosim.errors import AssumptionError
-from cosim.theory.conditions import check_detectable, check_hurwitz, decoupling_matrix
-from cosim.theory.descriptor import ComplexVector, ReducedSystem
+from cosim.theory.conditions import check_detectable, check_hurwitz, decouple
+from cosim.theory.descriptor import (
+    ComplexVector,
+    ReducedSystem,
+    StateMap,
+    in_units,
+    reduced_scales,
+    state_maps,
+)
 from cosim.theory.geometry import orthogonal_complement, output_nulling, without_rounding
 from cosim.theory.placement import place
 
@@ -40,9 +53,11 @@ class ObserverDesign:
     """The matrices of the observer (16)-(18).
 
     Shapes: ``F (n_a, n_y)``, ``M (n_a, n_a)``, ``N (n_a, n_u)``, ``L (n_a, n_y)``,
-    ``G (n_d, n_y)``. ``eigenvalues`` are those of `M - L C3` [1/s], shape ``(n_a,)``,
-    ``fixed_modes`` those of them that no L can move; ``filter_rate`` is `lambda_f` (19) [rad/s],
-    None where there is no such filter.
+    ``G (n_d, n_y)``, ``H (n_a, n_y)``, ``direct (n_d, n_y)``, ``outputs (k, n_y)``. H w is what w
+    adds to z', ``outputs`` are the combinations of w that delta does not reach directly, which
+    L works on. ``eigenvalues`` are those of `M - L C3` [1/s], shape ``(n_a,)``, ``fixed_modes``
+    those of them that no L can move; ``filter_rate`` is `lambda_f` (19) [rad/s], None where there
+    is no such filter.
     """
 
     F: Matrix
@@ -50,13 +65,16 @@ class ObserverDesign:
     N: Matrix
     L: Matrix
     G: Matrix
+    H: Matrix
+    direct: Matrix
+    outputs: Matrix
     eigenvalues: ComplexVector
     fixed_modes: ComplexVector
     filter_rate: float | None
 
     def __post_init__(self) -> None:
         """Freeze the matrices."""
-        _freeze(self, ("F", "M", "N", "L", "G"))
+        _freeze(self, ("F", "M", "N", "L", "G", "H", "direct", "outputs"))
 
     @property
     def lambda_obs(self) -> float:
@@ -120,26 +138,62 @@ def design(
         leave `M - L C3` not Hurwitz, or the filter rate is not positive and finite.
     """
     _check_options(L, poles, filter_rate)
-    A_a = reduced.A_a
-    B_1a = reduced.B_1a
+    scales = reduced_scales(reduced)
+    given = None
+    if L is not None:
+        gain = _given_gain(L, reduced.C3.T.shape)
+        given = gain * scales.outputs / scales.states[:, np.newaxis]
+    scaled = _designed(in_units(reduced, scales), scales.outputs, given, poles)
+    n_u = reduced.B_1a.shape[1]
+    x = scales.states[:, np.newaxis]
+    u = scales.inputs[:n_u]
+    delta = scales.inputs[n_u:, np.newaxis]
+    y = scales.outputs
+    return replace(
+        scaled,
+        F=scaled.F * x / y,
+        M=scaled.M * x / scales.states,
+        N=scaled.N * x / u,
+        L=scaled.L * x / y,
+        G=scaled.G * delta / y,
+        H=scaled.H * x / y,
+        direct=scaled.direct * delta / y,
+        outputs=scaled.outputs / y,
+        filter_rate=None if filter_rate is None else float(filter_rate),
+    )
+
+
+def _designed(
+    reduced: ReducedSystem,
+    weights: Vector,
+    given: Matrix | None,
+    poles: Sequence[complex] | None,
+) -> ObserverDesign:
+    """Design an observer in units in which all is of size one; without its filter."""
     C3 = reduced.C3
-    G = decoupling_matrix(reduced)
-    F = reduced.B_2a @ G
-    M = A_a - F @ (C3 @ A_a)
-    size_of_correction = np.abs(F) @ (np.abs(C3) @ np.abs(A_a))
-    magnitudes = np.abs(A_a) + size_of_correction
-    N = B_1a - F @ (C3 @ B_1a)
-    V = _unobservable_subspace(M, C3)
+    decoupling = decouple(reduced, weights)
+    direct = decoupling.direct
+    F = reduced.B_2a @ decoupling.G
+    of_w = reduced.B_2a @ direct
+    A = reduced.A_a - of_w @ C3
+    M = A - F @ (C3 @ A)
+    N = reduced.B_1a - F @ (C3 @ reduced.B_1a)
+    H = of_w - F @ (C3 @ of_w)
+    size_of_A = np.abs(reduced.A_a) + np.abs(of_w) @ np.abs(C3)
+    magnitudes = size_of_A + np.abs(F) @ (np.abs(C3) @ size_of_A)
+    C = decoupling.outputs @ C3
+    V = _unobservable_subspace(M, C)
     W = orthogonal_complement(V)
     fixed_modes = _sorted_eigenvalues(V.T @ M @ V)
     check_detectable(fixed_modes, magnitudes)
     observable = W.T @ M @ W
-    C_observable = C3 @ W
-    if poles is not None:
-        gain = W @ place(observable, C_observable, poles, fixed_modes)
+    C_observable = C @ W
+    if given is not None:
+        gain = given - (given @ reduced.C5) @ direct
     else:
-        gain = _given_gain(L, C3.T.shape)
-    correction = W.T @ gain @ C_observable
+        assert poles is not None
+        gain = W @ place(observable, C_observable, poles, fixed_modes) @ decoupling.outputs
+    correction = W.T @ gain @ C3 @ W
     movable = _sorted_eigenvalues(observable - correction)
     size_of_feedback = np.abs(gain) @ np.abs(C3)
     check_hurwitz(movable, magnitudes + size_of_feedback, fixed_modes)
@@ -149,10 +203,13 @@ def design(
         M=M,
         N=N,
         L=gain,
-        G=G,
+        G=decoupling.G,
+        H=H,
+        direct=direct,
+        outputs=decoupling.outputs,
         eigenvalues=eigenvalues,
         fixed_modes=fixed_modes,
-        filter_rate=None if filter_rate is None else float(filter_rate),
+        filter_rate=None,
     )
 
 
@@ -168,19 +225,21 @@ class _LinearMap:
 class _ObserverSignals:
     """What all realizations have: x_a hat, z' (18), u of v, and the drift, a sum of two parts.
 
-    These are `C3 A_a x_a` and, of v, `C3 B_1a u`.
+    These are `C3 A x_a` and, of v, `C3 B_1a u + C3 B_2a direct w`. ``direct`` is what of delta
+    needs no derivative.
     """
 
     x_a: _LinearMap
     z_dot: _LinearMap
     U: Matrix
     drift_of_state: _LinearMap
-    drift_of_u: Matrix
+    drift_of_v: Matrix
+    direct: _LinearMap
 
     @property
     def drift(self) -> _LinearMap:
-        """The drift, `C3 A_a x_a + C3 B_1a u`."""
-        of_v = self.drift_of_state.of_v + self.drift_of_u
+        """The drift, `C3 A x_a + C3 B_1a u + C3 B_2a direct w`."""
+        of_v = self.drift_of_state.of_v + self.drift_of_v
         return _LinearMap(self.drift_of_state.of_x, of_v)
 
 
@@ -191,17 +250,23 @@ def _signals_of(reduced: ReducedSystem, observer: ObserverDesign, Z: Matrix) -> 
     U = np.eye(n_u, Y.shape[1])  # u of (u, y)
     F = observer.F
     L = observer.L
+    C3 = reduced.C3
     magnitudes = np.abs(F) @ np.abs(Y)
     x_a = _LinearMap(Z, without_rounding(F @ Y, magnitudes))
-    C3_A = reduced.C3 @ reduced.A_a
-    C3_B = reduced.C3 @ reduced.B_1a
+    of_w = reduced.B_2a @ observer.direct
+    C3_A = C3 @ (reduced.A_a - of_w @ C3)
+    C3_B = C3 @ reduced.B_1a
     drift_of_state = _LinearMap(C3_A @ x_a.of_x, C3_A @ x_a.of_v)
-    closed = observer.M - L @ reduced.C3
+    drift_of_v = C3_B @ U + (C3 @ of_w) @ Y
+    closed = observer.M - L @ C3
     from_u = observer.N @ U
     z_dot_of_x = closed @ x_a.of_x
-    z_dot_of_v = closed @ x_a.of_v + from_u + L @ Y
+    z_dot_of_v = closed @ x_a.of_v + from_u + (L + observer.H) @ Y
     z_dot = _LinearMap(z_dot_of_x, z_dot_of_v)
-    return _ObserverSignals(x_a, z_dot, U, drift_of_state, C3_B @ U)
+    direct_of_x = -observer.direct @ (C3 @ x_a.of_x)
+    direct_of_v = observer.direct @ (Y - C3 @ x_a.of_v)
+    direct = _LinearMap(direct_of_x, direct_of_v)
+    return _ObserverSignals(x_a, z_dot, U, drift_of_state, drift_of_v, direct)
 
 
 def realize(reduced: ReducedSystem, observer: ObserverDesign) -> StateSpace:
@@ -210,8 +275,8 @@ def realize(reduced: ReducedSystem, observer: ObserverDesign) -> StateSpace:
     Returns
     -------
     StateSpace
-        Inputs (u, y), states (z, q) with q of the size of y, outputs (x_a hat, delta hat, x_b hat,
-        z, q).
+        Inputs (u, y), states (z, q) with q of the size of y, outputs (x_a hat or x hat, delta hat,
+        x_b hat, z, q).
 
     Raises
     ------
@@ -229,18 +294,26 @@ def realize(reduced: ReducedSystem, observer: ObserverDesign) -> StateSpace:
     Y = _w_of_inputs(reduced)
     w_dot = _LinearMap(-rate * Q, rate * Y)
     delta = _reconstruction(observer.G, w_dot, signals)
-    x_b = _algebraic_map(reduced, x_a=signals.x_a, delta=delta, U=signals.U)
+    first, *others = [_state_estimate(state, signals, delta) for state in state_maps(reduced)]
+    estimates = [first, delta, *others]
     no_feedthrough = np.zeros((n_a + n_y, Y.shape[1]))
     A = np.vstack([signals.z_dot.of_x, w_dot.of_x])
     B = np.vstack([signals.z_dot.of_v, w_dot.of_v])
-    C = np.vstack([signals.x_a.of_x, delta.of_x, x_b.of_x, Z, Q])
-    D = np.vstack([signals.x_a.of_v, delta.of_v, x_b.of_v, no_feedthrough])
+    C = np.vstack([*(estimate.of_x for estimate in estimates), Z, Q])
+    D = np.vstack([*(estimate.of_v for estimate in estimates), no_feedthrough])
     return StateSpace(A, B, C, D)
+
+
+def delta_rows(reduced: ReducedSystem) -> slice:
+    """Return the outputs of :func:`realize` that are delta."""
+    first, *_ = state_maps(reduced)
+    begin = len(first.of_x_a)
+    return slice(begin, begin + reduced.B_2a.shape[1])
 
 
 @dataclass(frozen=True, eq=False)
 class AveragedRealization:
-    """An observer whose delta, and x_b where it depends on delta, are to be averaged.
+    """An observer whose delta, and the states that depend on it, are to be averaged.
 
     These are signals s that are known by parts: ``s = rate + level'``. Over a step the integral of
     s is that of ``rate`` plus the increment of ``level``.
@@ -248,40 +321,50 @@ class AveragedRealization:
     Parameters
     ----------
     system : StateSpace
-        Inputs (u, y), states z, outputs (x_a hat, x_b hat where it does not depend on delta, z),
-        then ``rate`` and ``level``, each ``width`` rows.
+        Inputs (u, y), states z, outputs (the states that do not depend on delta, z), then ``rate``
+        and ``level``, each ``width`` rows.
     width : int
-        Elements of delta, and of x_b where it depends on delta.
+        Elements of delta, and of the states that depend on it.
     """
 
     system: StateSpace
     width: int
 
 
+def lagging_states(reduced: ReducedSystem) -> list[StateMap]:
+    """Return the states that depend on delta, and so are averaged as it is."""
+    return [state for state in state_maps(reduced) if state.of_delta.any()]
+
+
 def realize_averages(reduced: ReducedSystem, observer: ObserverDesign) -> AveragedRealization:
     """Write the observer (18) and the parts of (20) and (8) that are averaged.
 
-    ``delta = G (w' - drift)`` has the rate `-G drift` and the level `G w`.
+    ``delta = direct (w - C3 x_a) + G (w' - drift)`` has the level `G w`, and the rest as rate.
     """
-    n_d = len(observer.G)
     n_a = len(reduced.A_a)
     signals = _signals_of(reduced, observer, np.eye(n_a))
     Y = _w_of_inputs(reduced)
     n_v = Y.shape[1]
     G = observer.G
-    rates = [_LinearMap(-G @ signals.drift.of_x, -G @ signals.drift.of_v)]
+    drift = signals.drift
+    direct_part = signals.direct
+    of_x = direct_part.of_x - G @ drift.of_x
+    of_v = direct_part.of_v - G @ drift.of_v
+    rates = [_LinearMap(of_x, of_v)]
     levels = [G @ Y]
-    direct = [signals.x_a]
-    width = n_d
-    if reduced.Kd.any():
-        rates.append(_algebraic_map(reduced, x_a=signals.x_a, delta=rates[0], U=signals.U))
-        levels.append(reduced.Kd @ levels[0])
-        width += len(reduced.Kd)
-    else:
-        direct.append(_known_part(reduced, signals))
-    direct.append(_LinearMap(np.eye(n_a), np.zeros((n_a, n_v))))
+    for state in lagging_states(reduced):
+        rates.append(_state_estimate(state, signals, rates[0]))
+        levels.append(state.of_delta @ levels[0])
+    width = sum(len(level) for level in levels)
+    no_delta = _LinearMap(np.zeros((len(G), n_a)), np.zeros((len(G), n_v)))
+    shown = [
+        _state_estimate(state, signals, no_delta)
+        for state in state_maps(reduced)
+        if not state.of_delta.any()
+    ]
+    shown.append(_LinearMap(np.eye(n_a), np.zeros((n_a, n_v))))
     no_state = np.zeros((width, n_a))
-    outputs = [*direct, *rates]
+    outputs = [*shown, *rates]
     C = np.vstack([*(output.of_x for output in outputs), no_state])
     D = np.vstack([*(output.of_v for output in outputs), *levels])
     system = StateSpace(signals.z_dot.of_x, signals.z_dot.of_v, C, D)
@@ -306,7 +389,7 @@ def initial_state_map(
         The design model and the design.
     x_a0 : ArrayLike, optional
         `x_a hat(0)`, shape ``(n_a,)``; by default the shortest one with
-        `C3 x_a hat(0) = y(0) - C4 u(0)`.
+        `C3 x_a hat(0) = y(0) - C4 u(0)`, as far as delta does not reach that directly.
     q0 : ArrayLike, optional
         Filter state q(0), shape ``(n_y,)``; by default `y(0) - C4 u(0)`, so that the filter starts
         without a transient.
@@ -326,7 +409,9 @@ def initial_state_map(
     Y = _w_of_inputs(reduced)
     if x_a0 is None:
         x_a = np.zeros(n)
-        from_w = np.linalg.pinv(reduced.C3)
+        states = reduced_scales(reduced).states
+        C = observer.outputs @ reduced.C3 * states
+        from_w = states[:, np.newaxis] * np.linalg.pinv(C) @ observer.outputs
     else:
         x_a = _initial_vector("x_a0", x_a0, n)
         from_w = np.zeros((n, n_y))
@@ -439,35 +524,26 @@ def _w_of_inputs(reduced: ReducedSystem) -> Matrix:
 
 
 def _reconstruction(G: Matrix, w_dot: _LinearMap, signals: _ObserverSignals) -> _LinearMap:
-    """Compute `delta = G (w' - C3 A_a x_a - C3 B_1a u)` (20)."""
+    """Compute `delta = direct (w - C3 x_a) + G (w' - C3 A_a x_a - C3 B_1a u)` (20)."""
     of_x = w_dot.of_x - signals.drift_of_state.of_x
-    of_v = w_dot.of_v - signals.drift_of_state.of_v - signals.drift_of_u
-    return _LinearMap(G @ of_x, G @ of_v)
+    of_v = w_dot.of_v - signals.drift_of_state.of_v - signals.drift_of_v
+    direct = signals.direct
+    return _LinearMap(G @ of_x + direct.of_x, G @ of_v + direct.of_v)
 
 
-def _known_part(reduced: ReducedSystem, signals: _ObserverSignals) -> _LinearMap:
-    """Compute `Kx x_a + Ku u`, what (8) has without delta."""
-    n_d = reduced.Kd.shape[1]
-    n_x = signals.x_a.of_x.shape[1]
-    n_v = signals.x_a.of_v.shape[1]
-    no_delta = _LinearMap(np.zeros((n_d, n_x)), np.zeros((n_d, n_v)))
-    return _algebraic_map(reduced, x_a=signals.x_a, delta=no_delta, U=signals.U)
-
-
-def _algebraic_map(
-    reduced: ReducedSystem, *, x_a: _LinearMap, delta: _LinearMap, U: Matrix
-) -> _LinearMap:
-    """Compute `x_b = Kx x_a + Ku u + Kd delta` (8)."""
-    Kx = reduced.Kx
-    Ku = reduced.Ku
-    Kd = reduced.Kd
+def _state_estimate(state: StateMap, signals: _ObserverSignals, delta: _LinearMap) -> _LinearMap:
+    """Compute states that the user sees, such as `x_b = Kx x_a + Ku u + Kd delta` (8)."""
+    x_a = signals.x_a
+    Kx = state.of_x_a
+    Ku = state.of_u
+    Kd = state.of_delta
     of_x = Kx @ x_a.of_x + Kd @ delta.of_x
     from_x_a = Kx @ x_a.of_v
-    from_u = Ku @ U
+    from_u = Ku @ signals.U
     from_delta = Kd @ delta.of_v
     of_v = from_x_a + from_u + from_delta
     size_from_x_a = np.abs(Kx) @ np.abs(x_a.of_v)
-    size_from_u = np.abs(Ku) @ U
+    size_from_u = np.abs(Ku) @ signals.U
     size_from_delta = np.abs(Kd) @ np.abs(delta.of_v)
     magnitudes = size_from_x_a + size_from_u + size_from_delta
     return _LinearMap(of_x, without_rounding(of_v, magnitudes))

@@ -39,6 +39,8 @@ def place(A: Matrix, C: Matrix, poles: Sequence[complex], fixed_modes: ComplexVe
     unsorted = np.asarray(poles, dtype=np.complex128)
     wanted = np.sort_complex(unsorted.reshape(-1))
     _check_poles(wanted, len(A), fixed_modes)
+    if not len(A):
+        return np.zeros((0, len(C)))
     left, values, right = np.linalg.svd(C, full_matrices=False)
     largest = values.max(initial=0.0)
     significant = values > RANK_TOLERANCE * largest

@@ -19,6 +19,7 @@ import numpy as np
 from cosim.arrays import Matrix, Vector
 
 MOST_SWEEPS: Final = 60  # each halves the exponents that are left
+COARSE: Final = 10.0  # binary digits of a coarse scale
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +35,15 @@ class Scales:
     states: Vector
     inputs: Vector
     outputs: Vector
+
+    def coarse(self) -> Scales:
+        """Return the scales in powers of 1024: what is of usual size keeps it, bit for bit."""
+        return Scales(
+            equations=_coarse(self.equations),
+            states=_coarse(self.states),
+            inputs=_coarse(self.inputs),
+            outputs=_coarse(self.outputs),
+        )
 
     def scaled_E(self, E: Matrix) -> Matrix:
         """Return E, or A, between scaled states and equations."""
@@ -128,6 +138,10 @@ def _difference(a: float, b: float) -> float:
 def _finite(values: Vector) -> Vector:
     """Return the values with 0 in place of -inf: of a row or column of zeros."""
     return np.where(np.isfinite(values), values, 0.0)
+
+
+def _coarse(powers: Vector) -> Vector:
+    return np.exp2(COARSE * np.rint(np.log2(powers) / COARSE))
 
 
 def _power(exponents: Vector) -> Vector:

@@ -193,10 +193,6 @@ REFUSED = {
         {"fmu": "cs.fmu", "disturbance": "delta"},
         r".*cs\.fmu: is for co-simulation only",
     ),
-    "a disturbance that reaches y": (
-        {**MODEL, "disturbance": "u"},
-        r"Assumption 4 \(11\): C5 = \[\[-1.0\]\], needed 0",
-    ),
 }
 REFUSED_TABLES = {
     "no disturbance": (

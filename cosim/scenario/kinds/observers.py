@@ -15,6 +15,7 @@ from pydantic import Field
 from cosim.arrays import Matrix, Vector
 from cosim.blocks.averages import AveragedModel
 from cosim.blocks.observer import averaged_observer, observer_model
+from cosim.blocks.plant import initial_vector
 from cosim.core.clock import NANOSECONDS, whole_steps
 from cosim.core.contracts import Component
 from cosim.core.linear import Linear, LinearModel
@@ -28,7 +29,7 @@ from cosim.scenario.kinds.base import (
     Spectrum,
     Wiring,
 )
-from cosim.scenario.kinds.plants import StartField
+from cosim.scenario.kinds.plants import StartField, check_foreign_initial
 from cosim.scenario.kinds.reconstruction import (
     DEFAULT_ORDER,
     FILTERS,
@@ -47,7 +48,7 @@ from cosim.scenario.kinds.variants import foreign_keys, variants_with
 from cosim.scenario.linearizing import DesignModel, design_model
 from cosim.scenario.schema import Number, NumberRow, NumberRows, TomlTable, Whole, matrix
 from cosim.theory import observer
-from cosim.theory.descriptor import reduce
+from cosim.theory.descriptor import MATRICES, ReducedSystem, UserCoordinates, reduce
 from cosim.theory.reconstruction.filters import (
     HIGHEST_ORDER,
     ConsistentFilter,
@@ -94,7 +95,7 @@ class DesignedObserver(NamedTuple):
 class UnknownInputObserverKind(ExportableKind):
     """Unknown-input observer with disturbance reconstruction (18)-(20)."""
 
-    ports: ClassVar[str] = "u, y -> x_a, delta, x_b, z, q"
+    ports: ClassVar[str] = "u, y -> x, delta, z, q (with n_a: x_a, x_b)"
     kind: Literal["unknown-input-observer"]
     model: str | FmuModel = Field(
         description="design model: name of a table in [models], "
@@ -105,7 +106,11 @@ class UnknownInputObserverKind(ExportableKind):
         None, description="eigenvalues of M - L C3 that L can move [1/s]"
     )
     x_a0: NumberRow | None = Field(
-        None, description="initial estimate; default: consistent with y(0)"
+        None, description="initial estimate of x_a; default: consistent with y(0)"
+    )
+    x0: NumberRow | None = Field(
+        None,
+        description="the same of x, where the model has no n_a: E x0 counts, the rest follows",
     )
     filter: FilterName = Field(
         "first-order",
@@ -178,15 +183,41 @@ class UnknownInputObserverKind(ExportableKind):
 
     def _filter_model(self, model: DesignModel, design: observer.ObserverDesign) -> LinearModel:
         linear = observer_model(
-            model.reduced, design, x_a0=self.x_a0, q0=self.q0, constant=model.constant
+            model.reduced,
+            design,
+            x_a0=self._initial(model.reduced),
+            q0=self.q0,
+            constant=model.constant,
         )
         return model.declare(linear)
 
     def _averaged_model(self, model: DesignModel, design: observer.ObserverDesign) -> AveragedModel:
-        averaged = averaged_observer(model.reduced, design, x_a0=self.x_a0, constant=model.constant)
+        x_a0 = self._initial(model.reduced)
+        averaged = averaged_observer(model.reduced, design, x_a0=x_a0, constant=model.constant)
         linear = model.declare(averaged.linear)
         lagging = model.declared(averaged.lagging)
         return replace(averaged, linear=linear, lagging=lagging)
+
+    def _initial(self, reduced: ReducedSystem) -> Vector | None:
+        """Return the initial estimate of x_a.
+
+        Raises
+        ------
+        UsageError
+            If it is given in the coordinates of another form of model.
+        AssumptionError
+            If it has the wrong size.
+        """
+        model = self.model if isinstance(self.model, str) else self.model.fmu
+        coordinates = reduced.coordinates
+        if coordinates is None:
+            check_foreign_initial(model, "x0", self.x0)
+            return None if self.x_a0 is None else np.array(self.x_a0, np.float64)
+        check_foreign_initial(model, "x_a0", self.x_a0)
+        if self.x0 is None:
+            return None
+        n = len(coordinates.X)
+        return np.asarray(coordinates.R @ initial_vector("x0", self.x0, n, "one number a state"))
 
     # --- reconstruction of delta ---
 
@@ -218,12 +249,13 @@ class UnknownInputObserverKind(ExportableKind):
         return FirstOrderFilter(self.filter_rate, step)
 
     def lag(self, name: str, output: str, context: BuildContext) -> float:
-        if output not in ("delta", "x_b"):
+        if output not in ("delta", "x_b", "x"):
             return 0.0
         lag = self.reconstruction(name, context).lag
-        if output == "x_b" and lag:
-            follows_delta = self._design_model(name, context).reduced.Kd.any()
-            return lag if follows_delta else 0.0
+        if output != "delta" and lag:
+            reduced = self._design_model(name, context).reduced
+            lagging = [state.name for state in observer.lagging_states(reduced)]
+            return lag if output in lagging else 0.0
         return lag
 
     def transient(self, name: str, context: BuildContext) -> observer.StateSpace:
@@ -272,7 +304,8 @@ class UnknownInputObserverKind(ExportableKind):
 
         def choose() -> dict[str, Any]:
             noise = self._noise(name, context, n_y)
-            return choice(model.reduced, noise, self._known(spectrum), step)
+            G = self.design(name, context).design.G
+            return choice(G, noise, self._known(spectrum), step)
 
         plain_request = json.loads(json.dumps(request))
         result = context.chosen(name, plain_request, choose)
@@ -285,7 +318,8 @@ class UnknownInputObserverKind(ExportableKind):
         """Return the numbers of the design model, as they are written or recorded."""
         if isinstance(self.model, str):
             system = context.model(self.model)
-            return system.A, system.Bu, system.Bd, system.C
+            letters = ("A", "Bu", "Bd", "C") if system.n_a is not None else MATRICES
+            return tuple(getattr(system, letter) for letter in letters)
         reduced = self._design_model(name, context).reduced
         return reduced.A_a, reduced.B_1a, reduced.B_2a, reduced.C3, reduced.C4
 
@@ -355,7 +389,7 @@ class UnknownInputObserverKind(ExportableKind):
             "reconstruction": plain_reconstruction(reconstruction),
             **gains,
         }
-        lags = {output: self.lag(name, output, context) for output in ("delta", "x_b")}
+        lags = {output: self.lag(name, output, context) for output in ("delta", "x_b", "x")}
         if lags["delta"]:
             metadata["lags"] = {output: lag for output, lag in lags.items() if lag}
         context.add_metadata(name, metadata)
@@ -385,6 +419,13 @@ class UnknownInputObserverKind(ExportableKind):
         if self.L is not None:
             rows = tuple(row if isinstance(row, tuple) else (row,) for row in self.L)
             L = matrix(rows, "L")
+            if model.reduced.coordinates is not None:
+                L = _gain_of_x_a(L, model.reduced.coordinates, len(model.reduced.C3))
+        if not model.reduced.B_2a.shape[1]:
+            raise UsageError(
+                f"the design model {self.model!r} has no disturbance, and this observer is for an "
+                "unknown one; needed a model with Bd, or with B and disturbances"
+            )
         design = observer.design(model.reduced, L=L, poles=self.poles, filter_rate=self.filter_rate)
         return DesignedObserver(model, design)
 
@@ -402,6 +443,23 @@ class UnknownInputObserverKind(ExportableKind):
         )
         linearization = context.linearization(name, model.fmu, request)
         return design_model(linearization, model.disturbances)
+
+
+def _gain_of_x_a(L: Matrix, coordinates: UserCoordinates, n_y: int) -> Matrix:
+    """Return a gain of the user's x as one of x_a.
+
+    Raises
+    ------
+    UsageError
+        If it does not have a row a state and a column an output.
+    """
+    needed = (len(coordinates.X), n_y)
+    if L.shape != needed:
+        raise UsageError(
+            f"(17): L has shape {L.shape}; needed {needed}: one row per state, one column per "
+            "output"
+        )
+    return np.asarray(coordinates.R @ L)
 
 
 def _plain_eigenvalues(eigenvalues: NDArray[Any]) -> list[float | str]:

@@ -20,7 +20,6 @@ from cosim.fmi.exporting.kernels import Kernel
 from cosim.native.step import DiscretizedDynamics, first_order_hold
 from cosim.scenario.kinds.variants import Variant, without_default
 from cosim.theory import observer
-from cosim.theory.conditions import decoupling_matrix
 from cosim.theory.descriptor import ReducedSystem
 from cosim.theory.reconstruction.filter_choice import Conditions, choose
 from cosim.theory.reconstruction.filters import (
@@ -89,7 +88,7 @@ def delta_transient(
     n_a = len(reduced.A_a)
     if isinstance(reconstruction, FirstOrderFilter):
         system = observer.realize(reduced, design)
-        return _autonomous(system.A, system.C[n_a])
+        return _autonomous(system.A, system.C[observer.delta_rows(reduced)][0])
     realization = observer.realize_averages(reduced, design)
     A = realization.system.A
     of_delta = realization.system.C[-2 * realization.width]
@@ -118,14 +117,13 @@ def noise_gains(
 ) -> Matrix:
     """Compute the deviation of delta for white noise of deviation 1 in each element of y."""
     n_y, n_u = reduced.C4.shape
-    n_a = len(reduced.A_a)
     n_d = len(design.G)
     of_y = slice(n_u, n_u + n_y)
     mask = np.full(n_u + n_y, held)
     if isinstance(reconstruction, FirstOrderFilter):
         system = observer.realize(reduced, design)
         discrete = first_order_hold(system.A, system.B, h, mask)
-        delta = slice(n_a, n_a + n_d)
+        delta = observer.delta_rows(reduced)
         gains = noise_gain(discrete, system.C[delta], system.D[delta])
         return gains[:, of_y]
     model = averaged_observer(reduced, design)
@@ -145,11 +143,15 @@ def noise_gains(
 
 
 def choice(
-    reduced: ReducedSystem, noise: Vector, known: tuple[float, float, str], step: float
+    G: Matrix, noise: Vector, known: tuple[float, float, str], step: float
 ) -> dict[str, Any]:
-    """Choose a window for the element of delta that has the most noise."""
+    """Choose a window for the element of delta that has the most noise; G is the design's."""
     amplitude, bandwidth, assumption = known
-    G = decoupling_matrix(reduced)
+    if not G.any():
+        raise AssumptionError(
+            "filter = 'auto' weighs the noise of a derivative; here delta follows from y directly, "
+            "without one: needed another filter"
+        )
     of_delta = np.sqrt(np.sum((G * noise) ** 2, axis=1))
     conditions = Conditions(float(of_delta.max()), amplitude, bandwidth, step)
     chosen = choose(conditions)
