@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -12,14 +14,18 @@ import pytest
 
 import cosim
 from cosim.arrays import Matrix
-from cosim.errors import ScenarioError
+from cosim.blocks.regressor import Regressor
+from cosim.errors import ScenarioError, UsageError
 from cosim.fmi.component import load
 from cosim.fmi.options import FmuOptions
+from cosim.native.alphas import AlphaSignal
 from cosim.native.expression import compile_expression
 from cosim.native.step import evaluate_at
+from cosim.scenario.build import Builder
 from cosim.scenario.document import find
 from cosim.scenario.exporting import export_component
 from cosim.scenario.recorded_metadata import recorded_identification, recorded_warnings
+from cosim.theory.regression import expand
 from tests.scenario.signals import signals
 
 ALPHAS = ("1.35 + 0.25*sin(1.7*t)", "1.10 + 0.20*cos(2.3*t)")
@@ -141,6 +147,110 @@ def test_a_table_a_recorded_channel_and_a_computed_signal_identify_theta(tmp_pat
     np.testing.assert_allclose(run["identifier.theta"][-1], THETA, atol=1e-6)
     said = [text for name, text in recorded_warnings(run) if name == "identifier"]
     assert any("'speed.y', 'second.y': only the run" in text for text in said)
+
+
+def test_field_data_in_the_place_of_the_source_identify_theta(tmp_path):
+    """A swap leaves the connections that follow from the terms."""
+    table(tmp_path)
+    columns = {"schedule.y": ["first", "second"]}
+    swap = {"schedule": tmp_path / "schedule.csv"}
+    changes = {**RUN, "scenario.stop": 8.0}
+    run = signals(scenario(tmp_path), set=changes, swap=swap, map=columns)
+    t = run.time("regressor.alpha")
+    np.testing.assert_allclose(run["regressor.alpha"], values(t), rtol=1e-15)
+    np.testing.assert_allclose(run["identifier.theta"][-1], THETA, atol=1e-6)
+
+
+def test_delayed_signals_are_straight_lines_between_samples():
+    """At t - lag - D the error is at most h^2/8 max |alpha''|; earlier there is no value."""
+    h = 0.01
+    lag = 0.1234
+    own_lag = 0.05
+    terms = expand((1,))
+    regressor = Regressor(
+        terms,
+        alphas=[AlphaSignal("speed.y", 0, own_lag)],
+        steps=(0, 30),
+        delays=(0.0, 0.3),
+        lag=lag,
+    )
+    t = np.arange(201) * h
+    late = values(t - own_lag)[:, :1]
+    u = np.hstack([np.ones((201, 1)), late])
+    mu = np.vstack([regressor.initialize(0.0, u[0]), regressor.advance(t, h, u)])
+    for column, term in enumerate(terms):
+        ((other,),) = term.parts
+        age = lag + (0.0, 0.3)[other]
+        exact = term.sign * values(t - age)[:, 0]
+        first = max(math.ceil((age - own_lag) / h), 30)
+        assert np.isnan(mu[:first, column]).all()
+        # |alpha''| <= 0.25 1.7^2
+        np.testing.assert_allclose(mu[first:, column], exact[first:], atol=0.25 * 1.7**2 * h**2 / 8)
+
+
+def test_an_alpha_that_lags_more_than_delta_is_refused():
+    """Its value is not there yet."""
+    with pytest.raises(
+        UsageError, match=r"'speed\.y' lags behind by 0\.5 s, and is needed 0\.1 s late"
+    ):
+        Regressor(
+            expand((1,)),
+            alphas=[AlphaSignal("speed.y", 0, 0.5)],
+            steps=(0, 30),
+            delays=(0.0, 0.3),
+            lag=0.1,
+        )
+
+
+SAMPLED = """[components.sensor]
+kind = "sensor"
+period = 0.0625
+delay = 0.03125
+jitter = 0.001
+seed = 3
+time_stamps = true
+"""
+
+
+def test_samples_between_communication_points_have_their_alphas(tmp_path):
+    """At the times of samples a signal is on its straight lines."""
+    source = EXPRESSION + SAMPLED
+    path = Path(scenario(tmp_path, source, connections={"sensor.u": "plant.y"}))
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace('"observer.y" = "plant.y"', '"observer.y" = "sensor.y"'))
+    log = cosim.run(str(path), set={**RUN, "scenario.stop": 8.0}, out=tmp_path / "log.mcap")
+    (record,) = cosim.identify(log).records
+    t = record.data.t
+    assert len(t) > len(log.time("plant.y")) + 100
+    # |alpha''| <= 0.25 1.7^2 and 0.2 2.3^2
+    largest = max(0.25 * 1.7**2, 0.2 * 2.3**2)
+    np.testing.assert_allclose(record.data.alpha, values(t), atol=largest * H**2 / 8)
+    np.testing.assert_allclose(log["identifier.theta"][-1], THETA, atol=1e-4)
+
+
+def test_a_filter_is_chosen_by_a_signal_that_is_known_before_the_run(tmp_path):
+    """The spectrum of an expression is known, that of what the run computes is not."""
+    changes = {**RUN, "observer.filter": "auto", "observer.noise": 1e-3}
+    del changes["observer.filter_rate"]
+    changes["identifier.start"] = 5.0
+    run = cosim.load(scenario(tmp_path)).set(changes)
+    with ExitStack() as resources:
+        chosen = Builder(run, resources).experiment().metadata["observer"]["choice"]
+    assert chosen["request"]["delta"] == {"alpha": list(BOTH)}
+
+    path = scenario(tmp_path, EXPRESSION, ("plant.y", "schedule.y[1]"))
+    with pytest.raises(ScenarioError, match="'auto' needs the amplitude and the bandwidth"):
+        cosim.run(path, set=changes)
+
+
+def test_an_alpha_that_lags_is_for_least_squares_alone(tmp_path):
+    """y does not lag, so that it does not fit an alpha that does."""
+    path = scenario(tmp_path, EXPRESSION, ("observer.delta", "schedule.y[1]"))
+    changes = {**RUN, "observer.filter": "consistent"}
+    with pytest.raises(ScenarioError, match=r"'observer\.delta' lags behind by 0\.01\d+ s, and y"):
+        cosim.run(path, set=changes)
+    changes |= {"identifier.method": "least-squares", "scenario.stop": 2.5}
+    assert np.isfinite(signals(path, set=changes)["regressor.mu"][-1]).all()
 
 
 def test_a_log_identifies_theta_from_the_recorded_alphas(tmp_path):

@@ -37,6 +37,7 @@ class FieldDataKind(PlantKind):
     """Samples of a file (.csv, .parquet) at their own times, straight lines between them."""
 
     ports: ClassVar[str] = "-> columns of the file, samples of each, sample_times"
+    is_recorded: ClassVar[bool] = True
     kind: Literal["field-data"]
     path: str = Field(description="path of a CSV file, or of one in Parquet (.parquet)")
     time: str | None = Field(

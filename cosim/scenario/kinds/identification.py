@@ -59,7 +59,9 @@ from cosim.theory.estimators.rayleigh import rayleigh_box, rayleigh_constants
 class IdentifierKind(PeriodicKind, ExportableKind):
     """Identifier of theta, by output error, least squares (33)-(35), or another method."""
 
-    ports: ClassVar[str] = "regressor, delta, y, u -> theta, standard_error, deviation, amplitude"
+    ports: ClassVar[str] = (
+        "regressor, alpha, delta, y, u -> theta, standard_error, deviation, amplitude"
+    )
     kind: Literal["identifier"]
     method: IdentificationMethod = Field(
         "output-error",

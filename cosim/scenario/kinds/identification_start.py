@@ -9,6 +9,7 @@ from pydantic import Field
 
 from cosim.core.clock import LARGEST_NS, Clock
 from cosim.errors import AssumptionError, UsageError
+from cosim.native.alphas import signals_among
 from cosim.scenario.kinds.base import BuildContext
 from cosim.scenario.kinds.identification_source import IdentifierSource
 from cosim.scenario.schema import Number, TomlTable
@@ -72,6 +73,8 @@ def _check_past(T_id: float, elapsed_ns: float, source: IdentifierSource, clock:
     """Check that the regressor has a value at T_id."""
     longest = max(source.regression.delays)
     window = source.window
+    signals_ns = source.regression.samples_of_signals * clock.step_ns
+    _check_past_of_signals(T_id, elapsed_ns, signals_ns, source)
     if elapsed_ns >= round((longest + window) * 1e9, 3):
         return
     since = f" after start_time, {clock.start_time} s" if clock.start_ns else ""
@@ -80,6 +83,18 @@ def _check_past(T_id: float, elapsed_ns: float, source: IdentifierSource, clock:
         f"start: found {T_id} s, needed at least the longest delay, {longest} s{plus}{since}: "
         "before it the regressor has no value"
     )
+
+
+def _check_past_of_signals(
+    T_id: float, elapsed_ns: float, needed_ns: int, source: IdentifierSource
+) -> None:
+    """Check that the alphas that are signals have a value so late as delta at T_id."""
+    if elapsed_ns < needed_ns:
+        names = ", ".join(repr(alpha.text) for alpha in signals_among(source.regression.alphas))
+        raise AssumptionError(
+            f"start: found {T_id} s, needed at least {needed_ns / 1e9:g} s after the start of the "
+            f"run, the longest delay and the lag of delta: alpha {names} has no earlier value"
+        )
 
 
 def _computed(start: StartTable, source: IdentifierSource) -> IdentificationStartTime:

@@ -88,6 +88,11 @@ class RegressorDesign:
         """The alpha of each group."""
         return [self.alphas[group.components[0]] for group in self.groups]
 
+    @property
+    def samples_of_signals(self) -> int:
+        """How many samples of the signals among the alphas are before the first mu."""
+        return self.component().constants.alphas.samples
+
     def times_before(self, clock: Clock) -> Matrix:
         """Return the instants that the alphas are needed at, shape ``(N, rows)`` [s].
 
@@ -161,7 +166,7 @@ class RegressorDesign:
 class RegressorKind(ExportableKind):
     """From delta to the known signals mu of the regression (21)-(25)."""
 
-    ports: ClassVar[str] = "delta -> mu"
+    ports: ClassVar[str] = "delta, alpha -> mu"
     continuous_inputs: ClassVar[Mapping[str, str]] = {ALPHA: ALPHA_WAY_OUT}
     kind: Literal["regressor"]
     terms: tuple[FamilyTerm, ...] = Field(
