@@ -14,6 +14,7 @@ import numpy as np
 from cosim.arrays import Matrix, Vector, as_columns
 from cosim.core.contracts import Recording
 from cosim.errors import LogError
+from cosim.report.compensation import CompensationSummary, summarize_compensation
 from cosim.report.recorded_rows import (
     beside_truth,
     element_names,
@@ -153,6 +154,7 @@ class Summary:
     values : tuple of ValueOutcome
     identifications : tuple of Identification
     reconstructions : tuple of DeltaReconstruction
+    compensations : tuple of CompensationSummary
     last : mapping of output name to its last value
         Only where there is no truth.
     loops : tuple of str
@@ -169,6 +171,7 @@ class Summary:
     values: tuple[ValueOutcome, ...] = ()
     identifications: tuple[Identification, ...] = ()
     reconstructions: tuple[DeltaReconstruction, ...] = ()
+    compensations: tuple[CompensationSummary, ...] = ()
     last: Mapping[str, float | list[float]] = field(default_factory=dict)
     loops: tuple[str, ...] = ()
 
@@ -183,12 +186,15 @@ def summarize(recording: Recording) -> Summary:
     truth = truth_of(recording)
     identifiers: dict[str, ComponentRecord] = {}
     reconstructions = []
+    compensations = []
     for name in recording.channels:
         record = component_record(recording, name)
         if record.is_identifier:
             identifiers[name] = record
         if record.reconstruction is not None:
             reconstructions.append(_reconstruction(recording, name, record, record.reconstruction))
+        if record.compensation is not None:
+            compensations.append(summarize_compensation(recording, name, record.compensation))
     since = max((record.start_time for record in identifiers.values()), default=0.0)
     recorded = recorded_identification(recording)
     identifications = []
@@ -217,6 +223,7 @@ def summarize(recording: Recording) -> Summary:
         values=tuple(values),
         identifications=tuple(identifications),
         reconstructions=tuple(reconstructions),
+        compensations=tuple(compensations),
         last=last,
         loops=tuple(first_order_loops(recording)),
     )

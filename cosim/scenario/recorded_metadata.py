@@ -114,6 +114,15 @@ class ReconstructionRecord(_Record):
     filter_rate: Number | None = None
 
 
+class CompensationRecord(_Record):
+    """What a compensator regulates, and when it uses its internal model."""
+
+    regulated: tuple[Whole, ...]
+    internal_model: bool
+    interval: NumberRows
+    largest_error: Number
+
+
 class ComponentRecord(_Record):
     """Metadata of a component; of an identifier with its unknowns.
 
@@ -135,6 +144,7 @@ class ComponentRecord(_Record):
     choice: ChoiceRecord | None = None
     lags: dict[Text, Number] = {}
     reconstruction: ReconstructionRecord | None = None
+    compensation: CompensationRecord | None = None
     noise_gain: NumberRow = ()
     noise_gain_held: NumberRow = ()
 

@@ -1,9 +1,14 @@
-"""Pole placement for observers: L with given eigenvalues of `A - L C`, (A, C) observable."""
+"""Pole placement for observers: L with given eigenvalues of `A - L C`, (A, C) observable.
+
+A state feedback K is the same by duality: `A' - C' K'`.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -17,7 +22,26 @@ from cosim.theory.geometry import RANK_TOLERANCE
 PLACED = 1e-6
 
 
-def place(A: Matrix, C: Matrix, poles: Sequence[complex], fixed_modes: ComplexVector) -> Matrix:
+@dataclass(frozen=True, slots=True)
+class PlacementWords:
+    """What messages call the design, its gain, and the rows of C."""
+
+    design: str
+    gain: str
+    rows: str
+
+
+OBSERVER: Final = PlacementWords("(17)", "L", "outputs")
+STATE_FEEDBACK: Final = PlacementWords("state feedback", "K", "inputs")
+
+
+def place(
+    A: Matrix,
+    C: Matrix,
+    poles: Sequence[complex],
+    fixed_modes: ComplexVector,
+    words: PlacementWords = OBSERVER,
+) -> Matrix:
     """Compute L of (17), shape ``(n, p)``, with the eigenvalues of `A - L C` at ``poles``.
 
     Parameters
@@ -28,6 +52,8 @@ def place(A: Matrix, C: Matrix, poles: Sequence[complex], fixed_modes: ComplexVe
         As many as A has rows [1/s].
     fixed_modes : ComplexVector
         The modes outside this pair [1/s], for the messages.
+    words : PlacementWords
+        For the messages.
 
     Raises
     ------
@@ -38,7 +64,7 @@ def place(A: Matrix, C: Matrix, poles: Sequence[complex], fixed_modes: ComplexVe
     """
     unsorted = np.asarray(poles, dtype=np.complex128)
     wanted = np.sort_complex(unsorted.reshape(-1))
-    _check_poles(wanted, len(A), fixed_modes)
+    _check_poles(wanted, len(A), fixed_modes, words)
     if not len(A):
         return np.zeros((0, len(C)))
     left, values, right = np.linalg.svd(C, full_matrices=False)
@@ -50,9 +76,9 @@ def place(A: Matrix, C: Matrix, poles: Sequence[complex], fixed_modes: ComplexVe
         gain_vector = _ackermann(A, rows[0], wanted)
         gain = gain_vector[:, None]
     else:
-        gain = _place_with_several_outputs(A, rows, wanted)
+        gain = _place_with_several_outputs(A, rows, wanted, words)
     closed = A - gain @ rows
-    _check_placed(A, closed, wanted)
+    _check_placed(A, closed, wanted, words)
     to_rows = left[:, :k].T
     L: Matrix = gain @ to_rows
     return L
@@ -69,24 +95,29 @@ def _mode(value: complex) -> str:
     return f"{value.real:+.6g}{imaginary}"
 
 
-def _check_poles(poles: ComplexVector, n: int, fixed_modes: ComplexVector) -> None:
+def _check_poles(
+    poles: ComplexVector, n: int, fixed_modes: ComplexVector, words: PlacementWords
+) -> None:
     if len(poles) != n:
         fixed = modes(fixed_modes)
         raise AssumptionError(
-            f"(17): {len(poles)} poles given; needed {n}, as many as L can place; fixed: {fixed}"
+            f"{words.design}: {len(poles)} poles given; needed {n}, as many as {words.gain} can "
+            f"place; fixed: {fixed}"
         )
     finite = np.isfinite(poles)
     stable = poles.real < 0.0
     if not (finite & stable).all():
         raise AssumptionError(
-            f"(17): poles {modes(poles)}; needed finite poles with negative real parts"
+            f"{words.design}: poles {modes(poles)}; needed finite poles with negative real parts"
         )
     conjugates = np.sort_complex(poles.conj())
     if not np.array_equal(poles, conjugates):
-        raise AssumptionError(f"(17): poles {modes(poles)}; complex poles come in conjugate pairs")
+        raise AssumptionError(
+            f"{words.design}: poles {modes(poles)}; complex poles come in conjugate pairs"
+        )
 
 
-def _check_placed(A: Matrix, closed: Matrix, wanted: ComplexVector) -> None:
+def _check_placed(A: Matrix, closed: Matrix, wanted: ComplexVector, words: PlacementWords) -> None:
     """Check the characteristic polynomial of ``closed = A - L C`` against that of the poles."""
     eigenvalues = np.linalg.eigvals(closed).astype(np.complex128)
     placed = np.sort_complex(eigenvalues)
@@ -96,8 +127,8 @@ def _check_placed(A: Matrix, closed: Matrix, wanted: ComplexVector) -> None:
     if not np.allclose(reached, needed, rtol=PLACED, atol=PLACED):
         open_loop = modes(np.linalg.eigvals(A).astype(np.complex128))
         raise AssumptionError(
-            f"(17): poles {modes(wanted)} cannot be placed accurately, found {modes(placed)}; "
-            f"choose poles further apart or closer to {open_loop}"
+            f"{words.design}: poles {modes(wanted)} cannot be placed accurately, found "
+            f"{modes(placed)}; choose poles further apart or closer to {open_loop}"
         )
 
 
@@ -123,7 +154,9 @@ def _ackermann(A: Matrix, c: Vector, poles: ComplexVector) -> Vector:
     return last
 
 
-def _place_with_several_outputs(A: Matrix, rows: Matrix, poles: ComplexVector) -> Matrix:
+def _place_with_several_outputs(
+    A: Matrix, rows: Matrix, poles: ComplexVector, words: PlacementWords
+) -> Matrix:
     """Compute the gain, shape ``(n, k)``, for k independent output rows (Tits and Yang)."""
     most_common = Counter(poles.tolist()).most_common(1)
     pole, multiplicity = most_common[0]
@@ -131,8 +164,8 @@ def _place_with_several_outputs(A: Matrix, rows: Matrix, poles: ComplexVector) -
     if multiplicity > k:
         repeated = modes([pole])
         raise AssumptionError(
-            f"(17): pole {repeated} is given {multiplicity} times; needed at most {k}, the number "
-            "of independent outputs"
+            f"{words.design}: pole {repeated} is given {multiplicity} times; needed at most {k}, "
+            f"the number of independent {words.rows}"
         )
     from scipy.signal import place_poles  # takes 0.5 s to import, and is rarely needed
 

@@ -300,6 +300,7 @@ def test_list_names_scenarios_and_kinds_with_their_parameters(call):
         "academic-as-printed",
         "academic-noisy",
         "closed-loop",
+        "compensation",
     }
     parameters = found["kinds"]["unknown-input-observer"]["parameters"]
     filter_rate, L = parameters["filter_rate"], parameters["L"]

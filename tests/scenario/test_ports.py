@@ -70,7 +70,7 @@ def interfaces(tmp_path_factory):
     file = tmp_path_factory.mktemp("parts") / "parts.toml"
     file.write_text(PARTS)
     interfaces = {}
-    for source in (file, "academic", "closed-loop"):
+    for source in ("compensation", file, "academic", "closed-loop"):
         scenario = cosim.load(source)
         with ExitStack() as resources:
             builder = Builder(scenario, resources)

@@ -157,6 +157,7 @@ STOPS = {
     "methods": BY_METHOD,
     "whole": {"online": ONLINE},
 }
+DESIGNED = {"compensation"}  # its gains are LAPACK's: a new run has others, its replay has not
 TUNABLES = "glibc.cpu.hwcaps=-FMA,-AVX2,-FMA4,-AVX,-AVX_Fast_Unaligned_Load"
 
 
@@ -188,7 +189,10 @@ def child(folder, scenarios, stops, variables):
     "length", ["short", "methods", pytest.param("whole", marks=pytest.mark.campaign)]
 )
 def test_runs_and_replays_have_the_same_bits_on_other_processors(length, tmp_path):
-    """Replays are equal, and new runs, without FMA and AVX in the C library, numpy and BLAS."""
+    """Replays are equal, and new runs, without FMA and AVX in the C library, numpy and BLAS.
+
+    But for new runs with gains of LAPACK's.
+    """
     everything = tmp_path / "everything.toml"
     everything.write_text(EVERYTHING, encoding="utf-8")
     scenarios = {name: name for name in shipped()} | {"everything": str(everything)}
@@ -198,11 +202,13 @@ def test_runs_and_replays_have_the_same_bits_on_other_processors(length, tmp_pat
     hashes = {}
     for name, scenario in scenarios.items():
         log = cosim.run(scenario, out=tmp_path / f"{name}.mcap", set=STOPS[length].get(name))
-        hashes[name] = [True, log.content_hash()]
+        hashes[name] = [True, "" if name in DESIGNED else log.content_hash()]
     other = {"GLIBC_TUNABLES": TUNABLES, "OPENBLAS_CORETYPE": "Nehalem"}
     other["NPY_DISABLE_CPU_FEATURES"] = numpy_features()
     found = child(tmp_path, scenarios, STOPS[length], other)
     library = [f(x / 7.0).hex() for f in (math.sin, math.exp) for x in range(1, 4000)]
     if found.pop("library") == library:
         pytest.skip("this processor has no instructions that its C library could leave out")
+    for name in DESIGNED & found.keys():
+        found[name][1] = ""
     assert found == hashes

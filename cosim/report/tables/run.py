@@ -11,6 +11,7 @@ from rich.table import Table
 
 from cosim.core.contracts import Recording
 from cosim.log import Log
+from cosim.report.compensation import CompensationSummary
 from cosim.report.guaranteed import interval_text, reach_text
 from cosim.report.recorded_rows import signal_of
 from cosim.report.summary import (
@@ -100,6 +101,8 @@ def _summary_table(summary: Summary, recording: Recording) -> Table:
     for identification in summary.identifications:
         single = len(summary.identifications) == 1
         _add_identification(table, identification, summary.start, single=single)
+    for compensation in summary.compensations:
+        _add_compensation(table, compensation)
     for loop in summary.loops:
         text = "step by step, so with an error of first order in the step; compare with --step"
         table.add_row("loop", "", "", f"{loop}: {text}")
@@ -231,6 +234,26 @@ def _add_parameter(table: Table, label: str, parameter: ParameterSummary) -> Non
         if parameter.half_width is not None:
             text = f"{text} ± {parameter.half_width:.2g}"
     table.add_row(label, text, "", f"{parameter.verdict}: {parameter.reason}")
+
+
+def _add_compensation(table: Table, compensation: CompensationSummary) -> None:
+    """Add when the internal model became active, and what is left of the regulated error."""
+    table.add_section()
+    label = f"internal model of {compensation.component}"
+    before = numbers_text(compensation.before)
+    if compensation.active_since is None:
+        text = f"not active: {compensation.reason}; regulated error {before} rms"
+        table.add_row(label, "", "", text)
+        return
+    text = "active from then on"
+    if compensation.theta:
+        first = ", ".join(f"{value:.6g}" for value in compensation.theta)
+        last = ", ".join(f"{value:.6g}" for value in compensation.last_theta)
+        text += f", with theta = {first}, at the end {last}"
+    table.add_row(label, f"{compensation.active_since:g} s", "", text)
+    after = numbers_text(compensation.after)
+    text = f"{before} rms before, {after} for t >= {compensation.since:.4g} s, as measured"
+    table.add_row("regulated error", "", "", text)
 
 
 def _add_wall_time(table: Table, wall: Mapping[str, float], *, simulated: float) -> None:

@@ -80,6 +80,7 @@ from cosim.scenario.kinds.arithmetic import (
     SwitchKind,
 )
 from cosim.scenario.kinds.base import BuildContext, ExportableKind, Kind, LinearKind
+from cosim.scenario.kinds.compensators import CompensatorKind
 from cosim.scenario.kinds.controllers import ControllerKind, DiscreteStateSpaceKind, PidKind
 from cosim.scenario.kinds.dynamics import (
     DelayKind,
@@ -137,6 +138,7 @@ KINDS: Mapping[str, type[Kind]] = {
     "unknown-input-observer": UnknownInputObserverKind,
     "regressor": RegressorKind,
     "identifier": IdentifierKind,
+    "compensator": CompensatorKind,
 }
 
 EXPORTABLE = tuple(name for name, kind in KINDS.items() if issubclass(kind, ExportableKind))

@@ -1,0 +1,316 @@
+"""The compensator: a controller that uses the estimates of observer and identifier."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from cosim.arrays import Matrix, Vector
+from cosim.blocks.compensator import Compensator, CompensatorOptions
+from cosim.core.contracts import Component
+from cosim.core.port import Port
+from cosim.errors import UsageError
+from cosim.native.alphas import Alpha, AlphaSignal
+from cosim.native.expression import Program
+from cosim.native.step import evaluate_at
+from cosim.scenario.kinds.alphas import unchecked
+from cosim.scenario.kinds.base import BuildContext, Kind, PortUnits, unit_of
+from cosim.scenario.kinds.identification import IdentifierKind
+from cosim.scenario.kinds.identification_source import IdentifierSource
+from cosim.scenario.kinds.observers import DesignedObserver, UnknownInputObserverKind
+from cosim.scenario.kinds.sensors import SensorKind
+from cosim.scenario.kinds.terms import FamilyTerm
+from cosim.scenario.schema import Flag, Number, NumberRow, NumberRows, Whole, matrix
+from cosim.theory.compensation.design import CompensatorGains, stabilize
+from cosim.theory.compensation.internal_model import (
+    InternalModel,
+    ParameterBox,
+    internal_model,
+)
+from cosim.theory.compensation.state_feedback import (
+    RegulatedPlant,
+    feedforward,
+    reference_gain,
+    regulated_plant,
+    state_feedback,
+)
+from cosim.theory.disturbance import Family
+from cosim.theory.observer import StateSpace, realize, realize_averages
+
+LARGEST_ERROR = 0.05
+
+
+class CompensatorKind(Kind):
+    """State feedback, feedforward of delta, and an internal model that the estimate switches on."""
+
+    ports: ClassVar[str] = "x_a, delta, y, theta, standard_error, r -> u, w, active, model_theta"
+    kind: Literal["compensator"]
+    K: NumberRows | None = Field(
+        None, description="state feedback u = -K x_a, a row for each input; or poles, or Q"
+    )
+    poles: NumberRow | None = Field(
+        None, description="eigenvalues of A - B K [1/s], as many as u can move"
+    )
+    Q: NumberRow | NumberRows | None = Field(
+        None, description="weight of x_a of the linear-quadratic regulator: its diagonal, or rows"
+    )
+    R: NumberRow | NumberRows | None = Field(
+        None, description="weight of u: its diagonal, or rows; default: 1 each"
+    )
+    regulated: tuple[Whole, ...] | None = Field(
+        None,
+        description="the elements of y that are regulated, from 0, at most as many as there are "
+        "inputs; default: all",
+    )
+    feedforward: Flag = Field(
+        False,
+        description="u counteracts delta: no steady error where it is constant, none at all where "
+        "it acts as u does; it amplifies noise as delta does",
+    )
+    internal_model: Flag = Field(
+        True,
+        description="whether an internal model of the disturbance rejects it once theta is known "
+        "well enough: its 95 % interval in the one given, its standard error small",
+    )
+    interval: tuple[tuple[Number, Number], ...] | None = Field(
+        None,
+        description="[lower, upper] for every theta: the loop with the internal model is proven to "
+        "be stable for all of it, or refused; it is used there alone",
+    )
+    terms: tuple[FamilyTerm, ...] | None = Field(
+        None,
+        description="list of { family } of the disturbance; default: those of the identifier that "
+        "drives theta",
+    )
+    decay_rate: Number | None = Field(
+        None,
+        description="at which the modes of the internal model decay [1/s], at the middle of the "
+        "interval; default: half the slowest one of the state feedback",
+    )
+    largest_error: Number = Field(
+        LARGEST_ERROR,
+        description="largest standard error of theta, relative to theta, with which the internal "
+        "model is used",
+    )
+    lower: Number | NumberRow | None = Field(
+        None, description="lower limit of u, one number or one an input; default: none"
+    )
+    upper: Number | NumberRow | None = Field(
+        None, description="upper limit of u, one number or one an input; default: none"
+    )
+    anti_windup: Flag = Field(
+        True, description="the internal model follows what the limits leave of u (back-calculation)"
+    )
+    unit: PortUnits = Field(None, description=unit_of("u"))
+
+    @property
+    def units(self) -> dict[str, str]:
+        """The units of the table by port; of ``u`` where there is one."""
+        if isinstance(self.unit, str):
+            return {"u": self.unit}
+        return self.unit or {}
+
+    def build(self, name: str, context: BuildContext) -> Component:
+        observer, kind = _observer(name, context)
+        designed = kind.design(observer, context)
+        if designed.model.constant:
+            raise UsageError(
+                f"the design model of {observer!r} has a constant input: it was linearized away "
+                "from an equilibrium; needed one at an equilibrium"
+            )
+        gains = self._gains(name, designed, context)
+        reduced = designed.model.reduced
+        regulated = self._regulated(len(reduced.C3))
+        plant = StateSpace(reduced.A_a, reduced.B_1a, reduced.C3, reduced.C4)
+        options = CompensatorOptions(
+            largest_error=self.largest_error,
+            lower=_limits("lower", self.lower, -math.inf, len(gains.K)),
+            upper=_limits("upper", self.upper, math.inf, len(gains.K)),
+            anti_windup=self.anti_windup,
+            regulated=regulated,
+            n_y=len(reduced.C3),
+        )
+        estimates = self._estimates(observer, kind, designed)
+        _warn_of_other_loops(name, observer, context)
+        context.add_metadata(name, {"compensation": self._record(gains, regulated)})
+        return Compensator(gains, plant, estimates, options)
+
+    def _regulated(self, n_y: int) -> tuple[int, ...]:
+        return tuple(range(n_y)) if self.regulated is None else self.regulated
+
+    def _gains(
+        self, name: str, designed: DesignedObserver, context: BuildContext
+    ) -> CompensatorGains:
+        reduced = designed.model.reduced
+        plant = regulated_plant(reduced, self._regulated(len(reduced.C3)))
+        K = self._state_feedback(plant)
+        F = np.zeros((len(K), 0))
+        if self.feedforward:
+            _need_driver(name, "delta", "feedforward = true", context)
+            F = feedforward(plant, K)
+        N = np.zeros((len(K), len(plant.C)))
+        if context.drivers(Port(name, "r")):
+            N = reference_gain(plant, K)
+        families = self._families(name, context)
+        model, box = self._model(families, len(plant.C))
+        internal = None
+        if self.internal_model:
+            self._check_internal_model(name, families, context)
+            internal = stabilize(plant, K, model, box, self.decay_rate)
+        return CompensatorGains(plant=plant, K=K, F=F, N=N, model=model, box=box, internal=internal)
+
+    def _state_feedback(self, plant: RegulatedPlant) -> Matrix:
+        K = _array("K", self.K)
+        Q = _array("Q", self.Q)
+        R = _array("R", self.R)
+        return state_feedback(plant.A, plant.B, K=K, poles=self.poles, Q=Q, R=R)
+
+    # --- the internal model ---
+
+    def _families(self, name: str, context: BuildContext) -> Sequence[Family]:
+        """Return the families given, or those of the identifier that drives theta."""
+        if self.terms is not None:
+            self._check_alphas(unchecked([term.alpha for term in self.terms]), context)
+            return [term.generator() for term in self.terms]
+        driver = context.driver(Port(name, "theta"))
+        kind = None if driver is None else context.spec(driver)
+        if driver is None or not isinstance(kind, IdentifierKind):
+            return []
+        regression = IdentifierSource(driver, context).regression
+        self._check_alphas(regression.alphas, context)
+        return regression.families
+
+    def _check_alphas(self, alphas: Sequence[Alpha], context: BuildContext) -> None:
+        """Refuse alphas that vary: the internal model is a system with constant coefficients."""
+        if not self.internal_model:
+            return
+        for alpha in alphas:
+            if isinstance(alpha, AlphaSignal) or _varies(alpha, context):
+                raise UsageError(
+                    f"internal_model: alpha = {alpha.text!r} varies, and the internal model is of "
+                    "disturbances with constant alphas; needed these, or internal_model = false "
+                    "with feedforward = true"
+                )
+
+    def _model(
+        self, families: Sequence[Family], outputs: int
+    ) -> tuple[InternalModel, ParameterBox]:
+        if not families:
+            none = InternalModel(np.zeros((0, 0)), (), np.zeros((0, outputs)))
+            return none, ParameterBox(np.zeros(0), np.zeros(0))
+        parameters = [name for family in families for name in family.parameters]
+        rows = self.interval or ()
+        if not self.internal_model and self.interval is None:
+            rows = tuple((0.0, 0.0) for _ in parameters)
+        if len(rows) != len(parameters):
+            raise UsageError(
+                f"interval: found {len(rows)} rows, needed {len(parameters)}, [lower, upper] of "
+                f"{', '.join(parameters)}"
+            )
+        ends: Matrix = np.array(rows, np.float64).reshape(-1, 2)
+        return internal_model(families, outputs), ParameterBox(ends[:, 0], ends[:, 1])
+
+    def _check_internal_model(
+        self, name: str, families: Sequence[Family], context: BuildContext
+    ) -> None:
+        if not families:
+            raise UsageError(
+                "internal_model: nothing says what the disturbance is; needed an identifier that "
+                "drives theta, or terms, or internal_model = false"
+            )
+        if any(family.parameters for family in families):
+            for signal in ("theta", "standard_error"):
+                _need_driver(name, signal, "internal_model = true", context)
+
+    def _estimates(
+        self, observer: str, kind: UnknownInputObserverKind, designed: DesignedObserver
+    ) -> StateSpace:
+        """Return the observer from (u, y) to x_a, and to delta where it is fed forward."""
+        model, design = designed
+        n_a = len(model.reduced.A_a)
+        if kind.filter == "first-order":
+            system = realize(model.reduced, design)
+            rows = n_a + len(design.G) * self.feedforward
+        elif self.feedforward:
+            raise UsageError(
+                f"feedforward: {observer!r} has filter = {kind.filter!r}, whose delta is of the "
+                'past; needed filter = "first-order", or feedforward = false'
+            )
+        else:
+            system = realize_averages(model.reduced, design).system
+            rows = n_a
+        return StateSpace(system.A, system.B, system.C[:rows], system.D[:rows])
+
+    def _record(self, gains: CompensatorGains, regulated: tuple[int, ...]) -> dict[str, Any]:
+        intervals = zip(gains.box.lower.tolist(), gains.box.upper.tolist(), strict=True)
+        return {
+            "regulated": list(regulated),
+            "internal_model": self.internal_model,
+            "feedforward": self.feedforward,
+            "interval": [list(interval) for interval in intervals],
+            "largest_error": self.largest_error,
+        }
+
+
+def _observer(name: str, context: BuildContext) -> tuple[str, UnknownInputObserverKind]:
+    driver = context.driver(Port(name, "x_a"))
+    kind = None if driver is None else context.spec(driver)
+    if driver is None or not isinstance(kind, UnknownInputObserverKind):
+        raise UsageError(
+            "'x_a' must be driven directly by a component of kind 'unknown-input-observer', on "
+            "whose design model the controller is designed"
+        )
+    return driver, kind
+
+
+def _need_driver(name: str, signal: str, key: str, context: BuildContext) -> None:
+    if not context.drivers(Port(name, signal)):
+        raise UsageError(f"{key} needs {signal!r}, and nothing drives it; connect it")
+
+
+def _varies(alpha: Program, context: BuildContext) -> bool:
+    clock = context.clock
+    times: Vector = np.linspace(clock.start_time, clock.stop, 1009)
+    values = evaluate_at([alpha], times)
+    return bool(np.ptp(values) > 0.0)
+
+
+def _warn_of_other_loops(name: str, observer: str, context: BuildContext) -> None:
+    """Warn where the loop is not the one that is certified."""
+    if context.driver(Port(observer, "u")) != name:
+        context.warn(
+            name,
+            f"something is between its u and the u of {observer!r}: the loop that was certified "
+            "is one without it",
+        )
+    for driver, kind in context.drivers(Port(name, "y")).items():
+        if isinstance(kind, SensorKind) and kind.most_in_a_step(driver, context):
+            context.warn(
+                name,
+                f"{driver!r} has samples between which y holds: the loop that was certified is one "
+                "with y at every communication point",
+            )
+
+
+def _limits(key: str, given: float | NumberRow | None, none: float, n_u: int) -> Vector:
+    values = none if given is None else given
+    limits = np.array(values, np.float64)
+    if limits.ndim == 0:
+        limits = np.full(n_u, float(limits))
+    if len(limits) != n_u:
+        raise UsageError(f"{key}: found {len(limits)} numbers, needed one, or one an input: {n_u}")
+    return limits
+
+
+def _array(name: str, given: NumberRow | NumberRows | None) -> Matrix | Vector | None:
+    """Return the rows of a matrix, or one row, as an array."""
+    if given is None:
+        return None
+    rows = [row for row in given if isinstance(row, tuple)]
+    if not rows:
+        return np.array(given, np.float64)
+    return matrix(tuple(rows), name)

@@ -1,0 +1,1 @@
+"""The controller that uses the estimates: state feedback, feedforward, an internal model."""

@@ -1,0 +1,66 @@
+"""When an estimate of theta is good enough for the internal model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from cosim.arrays import Mask, Vector
+
+HALF_WIDTH: Final = 1.959963984540054  # of a 95 % interval, in standard errors
+
+
+@dataclass(frozen=True, eq=False)
+class Activation:
+    """The conditions: the 95 % interval within the certified one, a small standard error.
+
+    Parameters
+    ----------
+    lower, upper : Vector, shape (P,)
+        The interval that the loop is certified for.
+    largest_error : float
+        Largest standard error, relative to theta.
+    """
+
+    lower: Vector
+    upper: Vector
+    largest_error: float
+
+    def allows(self, theta: Vector, error: Vector) -> bool:
+        """Return whether an estimate with its standard error is good enough; NaN: it is not."""
+        return bool((self._is_inside(theta, error) & self._is_small(theta, error)).all())
+
+    def reason(self, theta: Vector, error: Vector) -> str:
+        """Return why an estimate is not good enough; empty: it is."""
+        if self.allows(theta, error):
+            return ""
+        unmet = np.flatnonzero(~(self._is_inside(theta, error) & self._is_small(theta, error)))
+        j = int(unmet[0])
+        name = "theta" if len(theta) == 1 else f"theta[{j}]"
+        value = float(theta[j])
+        deviation = float(error[j])
+        if not np.isfinite(value) or not np.isfinite(deviation):
+            return f"{name} has no value with a standard error"
+        if self._is_inside(theta, error)[j]:
+            return (
+                f"the standard error of {name} = {value:.6g} is {deviation:.2g}, more than "
+                f"{self.largest_error:g} of it"
+            )
+        reach = HALF_WIDTH * deviation
+        lower = float(self.lower[j])
+        upper = float(self.upper[j])
+        return (
+            f"the 95 % interval of {name}, [{value - reach:.6g}, {value + reach:.6g}], is not "
+            f"within the certified [{lower:.6g}, {upper:.6g}]"
+        )
+
+    def _is_inside(self, theta: Vector, error: Vector) -> Mask:
+        reach = HALF_WIDTH * error
+        above = theta - reach >= self.lower
+        below = theta + reach <= self.upper
+        return above & below
+
+    def _is_small(self, theta: Vector, error: Vector) -> Mask:
+        return error <= self.largest_error * np.abs(theta)

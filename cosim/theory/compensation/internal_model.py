@@ -1,0 +1,174 @@
+"""The internal model of a disturbance class, built from theta (Francis and Wonham; Davison).
+
+A regulated output has no steady error under every disturbance of the class if the controller
+holds, for each regulated output, a copy of the system that makes the class, driven by the error::
+
+    w' = S(theta) w + b e,    S = diag(G_1', G_2', ...),    b = (c_1; c_2; ...)
+
+with the families' generators G and output rows c (:mod:`cosim.theory.disturbance`). A family is
+observable from its output, so that its transpose is controllable from the error. S is affine in
+theta, for G is. Families without parameters whose G is nilpotent (constant, ramp, polynomial)
+contain each other: of several the largest is kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from cosim.arrays import Matrix, Vector, frozen
+from cosim.errors import AssumptionError
+from cosim.theory.disturbance import Family
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterBox:
+    """An interval of every parameter: ``lower`` and ``upper``, shape ``(P,)``.
+
+    Raises
+    ------
+    AssumptionError
+        If they have not one size, are not finite, or a lower end is above its upper end.
+    """
+
+    lower: Vector
+    upper: Vector
+
+    def __post_init__(self) -> None:
+        """Freeze and check the ends."""
+        for name in ("lower", "upper"):
+            object.__setattr__(self, name, frozen(getattr(self, name), 1))
+        same = self.lower.shape == self.upper.shape
+        if not same or not np.isfinite(self.upper - self.lower).all():
+            raise AssumptionError(
+                f"interval of theta: found {self.text}; needed finite ends, two a parameter"
+            )
+        if (self.lower > self.upper).any():
+            raise AssumptionError(f"interval of theta: found {self.text}; needed lower <= upper")
+
+    @property
+    def center(self) -> Vector:
+        """The middle of every interval."""
+        return 0.5 * (self.lower + self.upper)
+
+    @property
+    def text(self) -> str:
+        """The intervals, for messages: ``[1.5, 2.5]``."""
+        pairs = zip(self.lower.tolist(), self.upper.tolist(), strict=False)
+        return ", ".join(f"[{lower:.6g}, {upper:.6g}]" for lower, upper in pairs)
+
+    def scaled(self, factor: float) -> ParameterBox:
+        """Return the box with the same center, ``factor`` times as wide."""
+        half = 0.5 * factor * (self.upper - self.lower)
+        return ParameterBox(self.center - half, self.center + half)
+
+    def halves(self) -> tuple[ParameterBox, ParameterBox]:
+        """Return both halves of the box, cut across its widest side relative to its center."""
+        width = self.upper - self.lower
+        size = np.maximum(np.abs(self.center), width)
+        relative = width / np.where(size > 0.0, size, 1.0)
+        axis = int(np.argmax(relative))
+        below = self.upper.copy()
+        above = self.lower.copy()
+        below[axis] = self.center[axis]
+        above[axis] = self.center[axis]
+        first = ParameterBox(self.lower, below)
+        return first, ParameterBox(above, self.upper)
+
+    def grid(self, points: int) -> list[Vector]:
+        """Return the points of a grid with so many on every side, the ends included."""
+        axes = []
+        for lower, upper in zip(self.lower, self.upper, strict=True):
+            count = points if lower < upper else 1
+            axis = np.linspace(lower, upper, count)
+            axes.append(axis.tolist())
+        return [np.array(point) for point in product(*axes)]
+
+
+@dataclass(frozen=True, eq=False)
+class InternalModel:
+    """`w' = S(theta) w + b e` for every regulated output.
+
+    Parameters
+    ----------
+    S0 : Matrix
+        S at theta = 0 [1/s], shape ``(n_w, n_w)``.
+    S1 : tuple of Matrix
+        Its derivatives with respect to the P parameters, each of that shape.
+    b : Matrix
+        Shape ``(n_w, p)`` for p regulated outputs.
+    """
+
+    S0: Matrix
+    S1: tuple[Matrix, ...]
+    b: Matrix
+
+    def __post_init__(self) -> None:
+        """Freeze the matrices."""
+        object.__setattr__(self, "S0", frozen(self.S0, 2))
+        object.__setattr__(self, "S1", tuple(frozen(slope, 2) for slope in self.S1))
+        object.__setattr__(self, "b", frozen(self.b, 2))
+
+    def S(self, theta: Vector) -> Matrix:
+        """Compute S [1/s], shape ``(n_w, n_w)``."""
+        total = self.S0.copy()
+        for value, slope in zip(theta, self.S1, strict=True):
+            total += value * slope
+        return total
+
+
+def internal_model(families: Sequence[Family], outputs: int) -> InternalModel:
+    """Build the internal model of a disturbance class, a copy for each of so many outputs.
+
+    Raises
+    ------
+    AssumptionError
+        If there is no family.
+    """
+    if not families:
+        raise AssumptionError("internal model: no families; needed those of the disturbance class")
+    kept = _distinct(families)
+    sizes = [family.v for family in kept]
+    ends = np.cumsum(sizes)
+    n = int(ends[-1])
+    S0 = np.zeros((n, n))
+    slopes = []
+    for family, end in zip(kept, ends, strict=True):
+        block = slice(end - family.v, end)
+        zero = np.zeros(len(family.parameters))
+        G0 = family.G(zero)
+        S0[block, block] = G0.T
+        for unit in np.eye(len(zero)):
+            slope = np.zeros((n, n))
+            slope[block, block] = (family.G(unit) - G0).T
+            slopes.append(slope)
+    b = np.concatenate([family.c for family in kept])
+    of_all = [_copied(slope, outputs) for slope in slopes]
+    return InternalModel(_copied(S0, outputs), tuple(of_all), _copied(b[:, np.newaxis], outputs))
+
+
+def _copied(block: Matrix, times: int) -> Matrix:
+    """Return the matrix with so many copies of a block on its diagonal."""
+    copies: Matrix = np.kron(np.eye(times), block).astype(np.float64)
+    return copies
+
+
+def _distinct(families: Sequence[Family]) -> list[Family]:
+    """Leave out the families without parameters that a larger one contains."""
+    fixed = [family for family in families if not family.parameters]
+    nilpotent = [family for family in fixed if _is_nilpotent(family)]
+    largest = max(nilpotent, key=lambda family: family.v, default=None)
+    kept = []
+    for family in families:
+        contained = family in nilpotent and family is not largest
+        if not contained and not (family is largest and family in kept):
+            kept.append(family)
+    return kept
+
+
+def _is_nilpotent(family: Family) -> bool:
+    G = family.G(np.zeros(0))
+    return not np.linalg.matrix_power(G, len(G)).any()

@@ -1,0 +1,291 @@
+"""State feedback and static feedforward: ``u = -K x + F delta + N r``.
+
+Regulated is ``e = C x + D u + Dd delta - r``, with the plant ``x' = A x + B u + Bd delta``. A
+constant delta leaves e = 0 where the equations
+
+    [A  B]  [X]       [Bd]
+    [C  D]  [U]   = - [Dd]
+
+have a solution; then F = U + K X, and in the same manner N. Where the disturbance is matched, that
+is Bd = B M, and neither D nor Dd is there, the solution is X = 0 and U = -M: delta is cancelled
+exactly, whatever its course.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import cast
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cosim.arrays import Matrix, Vector, frozen
+from cosim.errors import AssumptionError
+from cosim.theory.descriptor import ComplexVector, ReducedSystem, invariant_zeros
+from cosim.theory.geometry import orthogonal_complement, output_nulling, rank
+from cosim.theory.placement import STATE_FEEDBACK, modes, place
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RegulatedPlant:
+    """The plant, and of its outputs those that are regulated.
+
+    Shapes: ``A (n, n)``, ``B (n, n_u)``, ``Bd (n, n_d)``, ``C (p, n)``, ``D (p, n_u)``,
+    ``Dd (p, n_d)``; ``zeros`` are the transmission zeros from u to the regulated outputs [1/s].
+    """
+
+    A: Matrix
+    B: Matrix
+    Bd: Matrix
+    C: Matrix
+    D: Matrix
+    Dd: Matrix
+    zeros: ComplexVector
+
+    @property
+    def static_equations(self) -> Matrix:
+        """The matrix `[A, B; C, D]`, shape ``(n + p, n + n_u)``."""
+        of_x = np.hstack([self.A, self.B])
+        of_e = np.hstack([self.C, self.D])
+        return np.vstack([of_x, of_e])
+
+
+def regulated_plant(reduced: ReducedSystem, outputs: Sequence[int]) -> RegulatedPlant:
+    """Choose the regulated outputs of a plant, by their positions in y.
+
+    Raises
+    ------
+    AssumptionError
+        If there is none, an output is not there or named twice, there are more than inputs, or u
+        reaches them by a transfer without full rank.
+    """
+    n_y = len(reduced.C3)
+    n_u = reduced.B_1a.shape[1]
+    chosen = list(outputs)
+    in_range = all(0 <= output < n_y for output in chosen)
+    if not chosen or not in_range or len(set(chosen)) < len(chosen):
+        raise AssumptionError(
+            f"regulated = {chosen}; needed different elements of y, from 0 to {n_y - 1}"
+        )
+    if n_u < len(chosen):
+        raise AssumptionError(
+            f"{n_u} input(s) for {len(chosen)} regulated outputs; needed as many inputs: regulate "
+            "fewer elements of y, or add an input (FEWER_INPUTS_THAN_REGULATED_OUTPUTS)"
+        )
+    C = reduced.C3[chosen]
+    D = reduced.C4[chosen]
+    Dd = reduced.C5[chosen]
+    units = balancing(reduced.A_a)
+    from_u = replace(
+        reduced,
+        A_a=reduced.A_a * units / units[:, np.newaxis],
+        B_2a=reduced.B_1a / units[:, np.newaxis],
+        C3=C * units,
+        C4=D,
+        C5=D,
+        Kd=reduced.Ku,
+    )
+    try:
+        zeros = invariant_zeros(from_u)
+    except AssumptionError as error:
+        raise AssumptionError(
+            "the transfer from u to the regulated outputs does not have full rank, so that no "
+            "controller moves them independently; regulate others"
+        ) from error
+    return RegulatedPlant(
+        A=reduced.A_a, B=reduced.B_1a, Bd=reduced.B_2a, C=C, D=D, Dd=Dd, zeros=zeros
+    )
+
+
+def state_feedback(
+    A: Matrix,
+    B: Matrix,
+    *,
+    K: ArrayLike | None = None,
+    poles: Sequence[complex] | None = None,
+    Q: ArrayLike | None = None,
+    R: ArrayLike | None = None,
+) -> Matrix:
+    """Design the gain K of ``u = -K x``, shape ``(n_u, n)``.
+
+    Parameters
+    ----------
+    A, B : Matrix
+        Shapes ``(n, n)`` and ``(n, n_u)``.
+    K : ArrayLike, optional
+        The gain itself, shape ``(n_u, n)``.
+    poles : sequence of complex, optional
+        Eigenvalues of `A - B K` [1/s], as many as u can move.
+    Q, R : ArrayLike, optional
+        Weights of x and u of the linear-quadratic regulator: matrices, or their diagonals. R: 1 by
+        default. Exactly one of K, poles and Q.
+
+    Raises
+    ------
+    AssumptionError
+        If not exactly one is given or it does not fit, (A, B) is not stabilizable, or the loop is
+        not stable.
+    """
+    given = [name for name, value in (("K", K), ("poles", poles), ("Q", Q)) if value is not None]
+    if len(given) != 1:
+        found = " and ".join(given) or "none"
+        raise AssumptionError(f"state feedback: found {found}; needed one of K, poles and Q")
+    if R is not None and Q is None:
+        raise AssumptionError("state feedback: found R, the weight of u, without Q, that of x")
+    reachable = _stabilizable_part(A, B)
+    if poles is not None:
+        gain = _placed(A, B, poles, reachable)
+    elif Q is not None:
+        gain = _regulator(A, B, Q, R)
+    else:
+        gain = _given_gain(K, B.T.shape)
+    closed = np.linalg.eigvals(A - B @ gain)
+    unstable = closed[closed.real >= 0.0].astype(np.complex128)
+    if len(unstable):
+        raise AssumptionError(
+            f"state feedback: A - B K is not Hurwitz: eigenvalue {modes(unstable)}; needed another "
+            "K, or poles, or Q"
+        )
+    return frozen(gain, 2)
+
+
+def feedforward(plant: RegulatedPlant, K: Matrix) -> Matrix:
+    """Compute F of ``u = -K x + F delta``, shape ``(n_u, n_d)``: no error under a constant delta.
+
+    Raises
+    ------
+    AssumptionError
+        If the regulated outputs have a transmission zero at 0.
+    """
+    of_delta = np.vstack([plant.Bd, plant.Dd])
+    return _static_gain(plant, K, -of_delta, "feedforward of delta")
+
+
+def reference_gain(plant: RegulatedPlant, K: Matrix) -> Matrix:
+    """Compute N of ``u = -K x + N r``, shape ``(n_u, p)``: no error under a constant r.
+
+    Raises
+    ------
+    AssumptionError
+        If the regulated outputs have a transmission zero at 0.
+    """
+    p = len(plant.C)
+    no_motion = np.zeros((len(plant.A), p))
+    of_r = np.vstack([no_motion, np.eye(p)])
+    return _static_gain(plant, K, of_r, "reference r")
+
+
+def _static_gain(plant: RegulatedPlant, K: Matrix, right: Matrix, what: str) -> Matrix:
+    n = len(plant.A)
+    units = np.ones(n + plant.B.shape[1])
+    units[:n] = balancing(plant.A)
+    per_row = np.ones(n + len(plant.C))
+    per_row[:n] = 1.0 / units[:n]
+    rows = per_row[:, np.newaxis]
+    balanced = rows * plant.static_equations * units
+    if rank(balanced) < len(balanced):
+        raise AssumptionError(
+            f"{what}: u has no constant effect on the regulated outputs, which have a transmission "
+            "zero at 0; leave it out, or regulate others"
+        )
+    solution = np.linalg.lstsq(balanced, rows * right, rcond=None)[0]
+    X = units[:n, np.newaxis] * solution[:n]
+    gain = solution[n:] + K @ X
+    return frozen(gain, 2)
+
+
+def _stabilizable_part(A: Matrix, B: Matrix) -> Matrix:
+    """Return an orthonormal basis of what u does not reach; refuse it where it is not stable."""
+    unreached = _unreached(A, B)
+    left = np.linalg.eigvals(unreached.T @ A.T @ unreached).astype(np.complex128)
+    unstable = left[left.real >= 0.0]
+    if len(unstable):
+        raise AssumptionError(
+            f"state feedback: u does not reach the mode {modes(unstable)}, which is not stable; "
+            "needed another input (NOT_STABILIZABLE)"
+        )
+    return unreached
+
+
+def _unreached(A: Matrix, B: Matrix) -> Matrix:
+    """Return an orthonormal basis of the left subspace that u does not reach, shape ``(n, k)``."""
+    units = balancing(A)
+    columns = units[:, np.newaxis]
+    no_input = np.zeros((len(A), 0))
+    no_feedthrough = np.zeros((B.shape[1], 0))
+    balanced = A * units / columns
+    unreached = output_nulling(balanced.T, no_input, (B / columns).T, no_feedthrough)
+    basis, _ = np.linalg.qr(unreached / columns)
+    return np.asarray(basis, np.float64)
+
+
+def balancing(A: Matrix) -> Vector:
+    """Return units of the states in which the rows and columns of A are of one size, shape (n,)."""
+    from scipy.linalg import matrix_balance  # takes long to import, and is rarely needed
+
+    _, (scales, _) = matrix_balance(A, permute=False, separate=True)
+    return np.asarray(scales, np.float64)
+
+
+def _placed(A: Matrix, B: Matrix, poles: Sequence[complex], unreached: Matrix) -> Matrix:
+    """Place the poles on the part that u reaches, by duality with the observer."""
+    W = orthogonal_complement(unreached)
+    outside = unreached.T @ A.T @ unreached
+    fixed = np.linalg.eigvals(outside).astype(np.complex128)
+    reached = W.T @ A.T @ W
+    dual = place(reached, B.T @ W, poles, fixed, STATE_FEEDBACK)
+    gain: Matrix = dual.T @ W.T
+    return gain
+
+
+def _regulator(A: Matrix, B: Matrix, Q: ArrayLike, R: ArrayLike | None) -> Matrix:
+    """Design the linear-quadratic regulator."""
+    n, n_u = B.shape
+    state_weight = _weight("Q", Q, n)
+    input_weight = np.eye(n_u) if R is None else _weight("R", R, n_u)
+    if np.linalg.eigvalsh(input_weight).min() <= 0.0:
+        raise AssumptionError("state feedback: R is not positive definite; needed weights above 0")
+    from scipy.linalg import solve_continuous_are  # takes long to import, and is rarely needed
+
+    try:
+        P = solve_continuous_are(A, B, state_weight, input_weight)
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise AssumptionError(
+            f"state feedback: no regulator for these weights ({error}); needed Q that weighs every "
+            "mode which is not stable"
+        ) from error
+    gain = np.linalg.solve(input_weight, B.T @ P)
+    return np.asarray(gain, np.float64)
+
+
+def _weight(name: str, values: ArrayLike, size: int) -> Matrix:
+    """Return a weight as a symmetric matrix; a row is its diagonal."""
+    weight: Matrix = np.asarray(values, np.float64)
+    if weight.ndim == 1:
+        weight = weight * np.eye(len(weight))
+    fits = weight.shape == (size, size) and bool(np.isfinite(weight).all())
+    if not fits or not np.array_equal(weight, weight.T):
+        raise AssumptionError(
+            f"state feedback: {name} = {np.asarray(values).tolist()}; needed {size} numbers, its "
+            f"diagonal, or a symmetric matrix of {size} rows"
+        )
+    if np.linalg.eigvalsh(weight).min() < -1e-12 * np.abs(weight).max():
+        raise AssumptionError(f"state feedback: {name} is not positive semidefinite")
+    return weight
+
+
+def _given_gain(K: ArrayLike | None, shape: tuple[int, ...]) -> Matrix:
+    gain = np.atleast_2d(np.asarray(K, np.float64))
+    if gain.shape != shape or not np.isfinite(gain).all():
+        raise AssumptionError(
+            f"state feedback: K has shape {gain.shape}; needed {shape}, finite: a row for each "
+            "input, a column for each state"
+        )
+    return gain
+
+
+def slowest_rate(K: Matrix, plant: RegulatedPlant) -> float:
+    """Return the rate of the slowest mode of `A - B K` [1/s]."""
+    eigenvalues = cast(Vector, np.linalg.eigvals(plant.A - plant.B @ K).real)
+    return float(-eigenvalues.max())

@@ -1,0 +1,332 @@
+"""The compensator's gains and the proof that its loop is stable, against other tools."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.signal import StateSpace as ScipyStateSpace
+from scipy.signal import place_poles
+
+from cosim.errors import AssumptionError
+from cosim.theory.compensation.certificate import certify, largest_factor
+from cosim.theory.compensation.design import (
+    certified,
+    certify_compensator,
+    sampled_loop,
+    saturated_loop,
+    stabilize,
+)
+from cosim.theory.compensation.internal_model import ParameterBox, internal_model
+from cosim.theory.compensation.state_feedback import (
+    RegulatedPlant,
+    feedforward,
+    reference_gain,
+    regulated_plant,
+    state_feedback,
+)
+from cosim.theory.descriptor import DescriptorSystem, reduce
+from cosim.theory.disturbance import Exponential, Sine
+from tests.theory.compensated import designed, drive, growth, loop_matrix, sampled
+
+H = 1e-2
+
+
+class Held:
+    """A family without parameters: constant, or a ramp."""
+
+    name = "held"
+    parameters = ()
+
+    def __init__(self, order):
+        self.v = order
+        self.c = np.eye(order)[0]
+
+    def G(self, theta):
+        return np.eye(self.v, k=1)
+
+
+def random_plant(seed, n=4, m=2):
+    """Return a stable plant with as many regulated outputs as inputs."""
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(n, n)) - 3.0 * np.eye(n)
+    D = rng.normal(size=(m, m)) * (seed % 2)
+    return RegulatedPlant(
+        A=A,
+        B=rng.normal(size=(n, m)),
+        Bd=rng.normal(size=(n, 1)),
+        C=rng.normal(size=(m, n)),
+        D=D,
+        Dd=np.zeros((m, 1)),
+        zeros=np.zeros(0, np.complex128),
+    )
+
+
+# --- state feedback and feedforward ---
+
+
+def test_the_regulator_of_a_double_integrator_is_that_of_the_textbooks():
+    """With Q = I, R = 1 the gain is (1, sqrt 3)."""
+    K = state_feedback(np.eye(2, k=1), np.array([[0.0], [1.0]]), Q=[1.0, 1.0])
+    assert np.allclose(K, [[1.0, np.sqrt(3.0)]], rtol=1e-12)
+
+
+@pytest.mark.parametrize("m", [1, 2])
+def test_poles_are_placed(m):
+    """With one input also a double one; with several against scipy's placement."""
+    plant = random_plant(3, n=3, m=m)
+    wanted = [-1.0, -1.0, -4.0] if m == 1 else [-1.0, -2.0, -4.0]
+    K = state_feedback(plant.A, plant.B, poles=wanted)
+    reached = np.poly(np.linalg.eigvals(plant.A - plant.B @ K))
+    assert np.allclose(reached, np.poly(wanted), rtol=1e-8)
+    if m == 2:
+        other = place_poles(plant.A, plant.B, wanted).gain_matrix
+        assert np.allclose(np.poly(np.linalg.eigvals(plant.A - plant.B @ other)), reached)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_constant_disturbance_and_reference_leave_no_error(seed):
+    """The static gain of the closed loop, by scipy, is 0 from delta and 1 from r."""
+    plant = random_plant(seed)
+    K = state_feedback(plant.A, plant.B, Q=np.ones(4))
+    F = feedforward(plant, K)
+    N = reference_gain(plant, K)
+    B = np.hstack([plant.Bd + plant.B @ F, plant.B @ N])
+    D = np.hstack([plant.Dd + plant.D @ F, plant.D @ N])
+    closed = ScipyStateSpace(plant.A - plant.B @ K, B, plant.C - plant.D @ K, D)
+    static = closed.D - closed.C @ np.linalg.solve(closed.A, closed.B)
+    assert np.allclose(static, np.hstack([np.zeros((2, 1)), np.eye(2)]), atol=1e-12)
+
+
+def test_a_matched_disturbance_is_cancelled_exactly():
+    """Where Bd = B M and nothing feeds through, F = -M."""
+    plant = random_plant(2)
+    M = np.array([[0.7], [-1.3]])
+    matched = replace(plant, Bd=plant.B @ M)
+    K = state_feedback(plant.A, plant.B, Q=np.ones(4))
+    assert np.allclose(feedforward(matched, K), -M, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({}, "found none; needed one of K, poles and Q"),
+        ({"K": [[1.0, 1.0]], "Q": [1.0, 1.0]}, "found K and Q; needed one of"),
+        ({"K": [[1.0, 1.0]], "R": [1.0]}, "found R, the weight of u, without Q"),
+        ({"K": [[0.0, 0.0]]}, r"not Hurwitz: eigenvalue \+1"),
+        ({"K": [[1.0]]}, r"K has shape \(1, 1\); needed \(1, 2\)"),
+        ({"Q": [1.0]}, "Q = .*; needed 2 numbers"),
+        ({"Q": [-1.0, 1.0]}, "Q is not positive semidefinite"),
+        ({"Q": [1.0, 1.0], "R": [0.0]}, "R is not positive definite"),
+        ({"poles": [-1.0, -2.0, -3.0]}, "state feedback: 3 poles given; needed 2, as many as K"),
+    ],
+)
+def test_a_state_feedback_that_is_none_is_refused(options, message):
+    """With what was found and what was needed."""
+    A = np.array([[1.0, 1.0], [0.0, -1.0]])
+    with pytest.raises(AssumptionError, match=message):
+        state_feedback(A, np.array([[0.0], [1.0]]), **options)
+
+
+def test_an_unstable_mode_that_u_does_not_reach_is_refused():
+    """It is named; a stable one stays where it is."""
+    B = np.array([[0.0], [1.0]])
+    with pytest.raises(AssumptionError, match=r"reach the mode \+1.* \(NOT_STABILIZABLE\)"):
+        state_feedback(np.diag([1.0, 2.0]), B, poles=[-1.0])
+    K = state_feedback(np.diag([-1.0, 2.0]), B, poles=[-3.0])
+    assert np.allclose(K, [[0.0, 5.0]])
+
+
+def test_regulated_outputs_that_no_controller_holds_are_refused():
+    """More of them than inputs; one that is not there; a zero at 0 under a constant."""
+    reduced = drive()
+    with pytest.raises(AssumptionError, match="FEWER_INPUTS_THAN_REGULATED_OUTPUTS"):
+        regulated_plant(reduced, [0, 1])
+    with pytest.raises(AssumptionError, match=r"regulated = \[2\]; needed .* from 0 to 1"):
+        regulated_plant(reduced, [2])
+    velocity = regulated_plant(reduced, [1])
+    with pytest.raises(AssumptionError, match=r"feedforward of delta: .* zero at 0"):
+        feedforward(velocity, np.zeros((1, 4)))
+
+
+# --- the internal model ---
+
+
+def test_the_internal_model_has_the_modes_of_the_class_once_for_each_output():
+    """Of several polynomials the largest stays: it contains the others."""
+    families = [Held(1), Sine(), Held(2), Exponential(), Held(1)]
+    model = internal_model(families, 2)
+    eigenvalues = np.linalg.eigvals(model.S(np.array([1.5, -0.2])))
+    once = [0.0, 0.0, 1.5j, -1.5j, -0.2]
+    assert np.allclose(np.poly(eigenvalues), np.poly(2 * once), atol=1e-12)
+    assert model.b.shape == (10, 2)
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 10_000), rate=st.floats(0.1, 2.0))
+def test_the_gain_moves_the_modes_of_the_internal_model_and_no_others(seed, rate):
+    """Those slower than half the decay rate to their mirror image; the law of least effort."""
+    plant = random_plant(seed)
+    K = state_feedback(plant.A, plant.B, Q=np.ones(4))
+    model = internal_model([Sine(), Held(1)], 2)
+    box = ParameterBox(np.array([1.0]), np.array([2.0]))
+    gains = stabilize(plant, K, model, box, rate)
+    u_of_x = -K + gains.K_w @ gains.X
+    of_x = np.hstack([plant.A + plant.B @ u_of_x, -plant.B @ gains.K_w])
+    of_e = np.hstack([plant.C + plant.D @ u_of_x, -plant.D @ gains.K_w])
+    of_w = model.b @ of_e + np.hstack([np.zeros((6, 4)), model.S(box.center)])
+    closed = np.linalg.eigvals(np.vstack([of_x, of_w]))
+    moved = np.tile([-rate, -rate + 1.5j, -rate - 1.5j], 2)
+    kept = np.linalg.eigvals(plant.A - plant.B @ K)
+    expected = np.poly(np.concatenate([kept, moved]))
+    # double eigenvalues: compare characteristic polynomials, relative to their largest coefficient
+    assert np.abs(np.poly(closed) - expected).max() <= 1e-6 * np.abs(expected).max()
+
+
+def test_a_transmission_zero_at_a_mode_of_the_disturbance_is_refused():
+    """The zero is named with the theta where it meets the internal model, also inside a box."""
+    zero = 1.3
+    A = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-6.0, -11.0, -6.0]])
+    system = DescriptorSystem.partitioned(
+        A=A,
+        Bu=np.array([[0.0], [0.0], [1.0]]),
+        Bd=np.array([[0.0], [0.0], [1.0]]),
+        C=np.array([[zero**2, 0.0, 1.0]]),
+        n_a=3,
+    )
+    plant = regulated_plant(reduce(system), [0])
+    K = state_feedback(plant.A, plant.B, K=np.zeros((1, 3)))
+    model = internal_model([Sine()], 1)
+    box = ParameterBox(np.array([1.0]), np.array([2.0]))
+    with pytest.raises(AssumptionError, match=r"theta = 1\.3, .* \(TRANSMISSION_ZERO\)"):
+        stabilize(plant, K, model, box)
+    apart = ParameterBox(np.array([1.4]), np.array([2.0]))
+    assert stabilize(plant, K, model, apart).decay_rate > 0.0
+
+
+# --- the certificate ---
+
+
+@pytest.mark.parametrize("delta", [False, True])
+def test_the_loop_is_that_of_other_tools(delta):
+    """Written step by step with scipy's exponential."""
+    reduced = drive()
+    gains = designed(reduced, lower=1.0, upper=2.0, ff=delta)
+    system = sampled(reduced, H, delta=delta)
+    loop = sampled_loop(system, gains.K, gains.F, gains.model, gains.internal)
+    for theta in (1.0, 1.7):
+        expected = loop_matrix(reduced, gains, theta, H, delta=delta)
+        assert np.allclose(loop.Phi(np.array([theta])), expected, rtol=0.0, atol=1e-12)
+
+
+@settings(max_examples=5, deadline=None)
+@given(
+    middle=st.floats(0.8, 2.5),
+    width=st.floats(0.05, 1.2),
+    rate=st.floats(0.1, 1.5),
+    delta=st.booleans(),
+)
+def test_what_is_proven_is_stable_everywhere(middle, width, rate, delta):
+    """By the eigenvalues of a loop that was written with other tools; else it is refused.
+
+    What is refused is unstable at the theta that is named, or has an interval that is proven.
+    """
+    reduced = drive()
+    lower = max(middle - 0.5 * width * middle, 0.05)
+    upper = middle + 0.5 * width * middle
+    gains = designed(reduced, lower=lower, upper=upper, rate=rate, ff=delta)
+    system = sampled(reduced, H, delta=delta)
+    loop = sampled_loop(system, gains.K, gains.F, gains.model, gains.internal)
+    certificate = certify(loop, gains.box)
+    if certificate.proven:
+        for theta in np.linspace(lower, upper, 6):
+            assert growth(loop_matrix(reduced, gains, theta, H, delta=delta), H) < 0.0
+        return
+    if certificate.rate <= 0.0:
+        theta = certificate.theta
+        matrix = loop_matrix(reduced, gains, theta, H, delta=delta)
+        assert growth(matrix, H) == pytest.approx(-certificate.rate, abs=1e-6)
+    factor = largest_factor(loop, gains.box)
+    if factor > 0.0:
+        assert certify(loop, gains.box.scaled(factor)).proven
+
+
+def test_a_proof_with_one_cell_holds_for_a_theta_that_varies():
+    """Products of steps with random theta contract; the proof is of every sequence."""
+    reduced = drive()
+    gains = designed(reduced, lower=1.4, upper=1.6)
+    loop = sampled_loop(sampled(reduced, H), gains.K, gains.F, gains.model, gains.internal)
+    assert certify(loop, gains.box).cells == 1
+    rng = np.random.default_rng(5)
+    steps = [loop.Phi(np.array([theta])) for theta in rng.uniform(1.4, 1.6, 50)]
+    state = rng.normal(size=(len(steps[0]), 20))
+    largest = np.abs(state).max()
+    for index in rng.integers(0, 50, 20_00):
+        state = steps[index] @ state
+    assert np.abs(state).max() < 1e-2 * largest
+
+
+@pytest.mark.parametrize("scale", [(1e6, 1.0, 1e-3, 1.0), (1.0, 1e-4, 1.0, 1e3)])
+def test_the_proof_does_not_depend_on_the_units_of_the_states(scale):
+    """In other units the same loop is proven, in about as many cells."""
+    cells = []
+    for units in (np.ones(4), np.array(scale)):
+        reduced = drive(units)
+        weights = np.array([1.0, 10.0, 1.0, 1.0]) / units**2
+        gains = designed(reduced, lower=1.0, upper=2.0, Q=weights)
+        loop = sampled_loop(sampled(reduced, H), gains.K, gains.F, gains.model, gains.internal)
+        certificate = certify(loop, gains.box)
+        assert certificate.proven
+        cells.append(certificate.cells)
+    assert max(cells) <= 2 * min(cells)
+
+
+def test_an_interval_where_the_loop_is_unstable_is_refused_with_one_that_would_do():
+    """[0.5, 2.5] is not stable at 0.5, by the eigenvalues of another loop; a smaller one is."""
+    reduced = drive()
+    gains = designed(reduced, lower=0.5, upper=2.5)
+    rate = growth(loop_matrix(reduced, gains, 0.5, H), H)
+    assert rate > 0.1
+    message = rf"at theta = 0\.5 it grows at {rate:.3g} 1/s; the largest .* would do is \[0\.6"
+    with pytest.raises(AssumptionError, match=message):
+        certify_compensator(gains, sampled(reduced, H))
+    loop = sampled_loop(sampled(reduced, H), gains.K, gains.F, gains.model, gains.internal)
+    factor = largest_factor(loop, gains.box)
+    smaller = gains.box.scaled(factor)
+    again = designed(reduced, lower=smaller.lower, upper=smaller.upper)
+    certificate = certify_compensator(again, sampled(reduced, H))
+    assert certificate.rate > 0.0
+    wider = gains.box.scaled(1.1 * factor)
+    ends = [loop_matrix(reduced, gains, end, H) for end in (wider.lower, wider.upper)]
+    assert max(growth(matrix, H) for matrix in ends) > 0.0
+
+
+def test_two_sines_whose_intervals_overlap_are_refused():
+    """Where both have one rate, one copy of the mode is driven by nothing."""
+    reduced = drive()
+    gains = designed(reduced, lower=[1.0, 1.5], upper=[2.0, 2.5], families=(Sine(), Sine()))
+    with pytest.raises(AssumptionError, match="not stable for every theta"):
+        certify_compensator(gains, sampled(reduced, H))
+
+
+def test_the_internal_model_decays_at_a_limit_of_u():
+    """Whatever u does there, for every theta of the box: that is the anti-windup."""
+    reduced = drive()
+    gains = designed(reduced, lower=1.0, upper=2.0)
+    loop = saturated_loop(gains.model, gains.internal, H)
+    certificate = certified(loop, gains.box, "saturated")
+    S = gains.model.S(np.array([1.5]))
+    closed = S - gains.internal.B_w @ gains.internal.K_w
+    slowest = -np.linalg.eigvals(closed).real.max()
+    assert slowest == pytest.approx(gains.internal.decay_rate, rel=1e-9)
+    # the correction is held over a step: a difference of the order of the step
+    assert 0.0 < certificate.rate <= slowest * (1.0 + H)
+
+
+def test_a_sampled_loop_that_is_not_stable_is_refused_without_an_internal_model_too():
+    """A step as long as the time constants of the loop."""
+    reduced = drive()
+    gains = replace(designed(reduced, lower=1.0, upper=2.0, Q=(1e4, 1e5, 1.0, 1.0)), internal=None)
+    with pytest.raises(AssumptionError, match=r"sampled loop of state feedback is not stable"):
+        certify_compensator(gains, sampled(reduced, 0.5))
