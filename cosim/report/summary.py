@@ -33,6 +33,7 @@ from cosim.scenario.recorded_metadata import (
     first_order_loops,
     recorded_identification,
     recorded_start,
+    recorded_state_changes,
     run_metadata,
     truth_of,
 )
@@ -138,6 +139,16 @@ class Identification:
 
 
 @dataclass(frozen=True)
+class StateChange:
+    """An initial state that was made consistent with the inputs at the start."""
+
+    component: str
+    entry: str
+    before: float
+    after: float
+
+
+@dataclass(frozen=True)
 class Summary:
     """Everything that the table after a run shows.
 
@@ -159,6 +170,8 @@ class Summary:
         Only where there is no truth.
     loops : tuple of str
         Stages that advance step by step, with an error of first order in the step.
+    changed_states : tuple of StateChange
+        Initial states that are others than the scenario gives.
     """
 
     scenario: str
@@ -174,6 +187,7 @@ class Summary:
     compensations: tuple[CompensationSummary, ...] = ()
     last: Mapping[str, float | list[float]] = field(default_factory=dict)
     loops: tuple[str, ...] = ()
+    changed_states: tuple[StateChange, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
@@ -226,7 +240,14 @@ def summarize(recording: Recording) -> Summary:
         compensations=tuple(compensations),
         last=last,
         loops=tuple(first_order_loops(recording)),
+        changed_states=tuple(_changed_states(recording)),
     )
+
+
+def _changed_states(recording: Recording) -> Iterator[StateChange]:
+    for name, changes in recorded_state_changes(recording).items():
+        for change in changes:
+            yield StateChange(name, change.entry, change.before, change.after)
 
 
 def _last_values(recording: Recording) -> dict[str, float | list[float]]:

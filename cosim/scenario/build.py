@@ -32,6 +32,7 @@ from cosim.scenario.context import (
 )
 from cosim.scenario.document import Document
 from cosim.scenario.identification.model import IdentifiedPlant
+from cosim.scenario.initial_states import GivenStates
 from cosim.scenario.kinds import BuildContext, Kind
 from cosim.scenario.models import form_problems
 from cosim.scenario.parsing import Scenario, read
@@ -68,6 +69,8 @@ class Experiment:
         What is read beside the scenario.
     identified : mapping of identifier to IdentifiedPlant
         What its estimates are judged by.
+    given_states : mapping of component name to GivenStates
+        Initial states that the run may have to change.
     plan : Plan or None
         Of the graph, where it was prepared already.
     designs : mapping of component name to Design, or None
@@ -89,6 +92,7 @@ class Experiment:
     fmus: Mapping[str, MessageSource]
     files: frozenset[Path]
     identified: Mapping[str, IdentifiedPlant] = field(default_factory=dict)
+    given_states: Mapping[str, GivenStates] = field(default_factory=dict)
     plan: Plan | None = None
     designs: Mapping[str, Design] | None = None
     messages: Mapping[str, Sequence[Message]] = field(default_factory=dict)
@@ -159,6 +163,7 @@ class Builder:
         self._recording = recording
         self._replaced = replaced or {}
         self._periods: dict[str, int] = {}
+        self._given_states: dict[str, GivenStates] = {}
         self._invalid: set[str] = set()  # components whose connections are not checked
         self._check_models()
         for name, interface in self._replaced.items():
@@ -241,6 +246,9 @@ class Builder:
             period = spec.period_steps(name, self.context.step_ns)
             self.components[name] = spec.with_period(component, period)
             self._periods[name] = period
+            given = spec.given_states(self.context)
+            if given is not None:
+                self._given_states[name] = given
         except DependsOnInvalid:
             pass
         except (CosimError, ValueError) as error:
@@ -366,6 +374,7 @@ class Builder:
             fmus=context.fmus,
             files=frozenset(context.files),
             identified=context.identified,
+            given_states=self._given_states,
         )
 
     def _jumps(self, graph: Graph) -> list[Problem]:

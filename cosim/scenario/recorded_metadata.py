@@ -214,6 +214,14 @@ class IdentificationRecord(_Record):
     problem: Text = ""
 
 
+class StateChangeRecord(_Record):
+    """An initial state that was made consistent: its entry, as it was given, as it is."""
+
+    entry: Text
+    before: Number
+    after: Number
+
+
 @dataclass(frozen=True)
 class ReplayOrigin:
     """What a replay is made from.
@@ -242,6 +250,9 @@ _TIME: TypeAdapter[float] = TypeAdapter(Number)
 _ORIGIN: TypeAdapter[ReplayOrigin] = TypeAdapter(ReplayOrigin)
 _IDENTIFICATION: TypeAdapter[dict[str, IdentificationRecord]] = TypeAdapter(
     dict[str, IdentificationRecord]
+)
+_STATE_CHANGES: TypeAdapter[dict[str, tuple[StateChangeRecord, ...]]] = TypeAdapter(
+    dict[str, tuple[StateChangeRecord, ...]]
 )
 _COMPONENT: TypeAdapter[ComponentRecord] = TypeAdapter(ComponentRecord)
 _OF_IDENTIFIERS = ("start_time", "P0")
@@ -339,6 +350,18 @@ def recorded_identification(recording: Recording) -> dict[str, IdentificationRec
     """
     results = recording.results.get("identification", {})
     return _checked(_IDENTIFICATION, results, "results of the identification")
+
+
+def recorded_state_changes(recording: Recording) -> dict[str, tuple[StateChangeRecord, ...]]:
+    """Return the initial states that were made consistent, by component.
+
+    Raises
+    ------
+    LogError
+        If they cannot be understood.
+    """
+    results = recording.results.get("initial_states", {})
+    return _checked(_STATE_CHANGES, results, "results of the initial states")
 
 
 def first_order_loops(recording: Recording) -> list[str]:

@@ -18,6 +18,7 @@ from cosim.interrupts import uninterrupted
 from cosim.log import Attachment
 from cosim.scenario.build import Experiment, fingerprint
 from cosim.scenario.identification.run_verdicts import IDENTIFICATION, Assessor
+from cosim.scenario.initial_states import INITIAL_STATES, change_text, changed_states
 from cosim.units import Conversion
 
 if TYPE_CHECKING:
@@ -109,11 +110,23 @@ class MessageRecorder:
 
     def write(self, block: Block, signals: Matrix) -> None:
         """Record the messages of the block, and pass it on."""
+        if self._last is None:
+            self._record_initial_states(signals[0])
         self._record_messages()
         self._reached_ns = int(block.time_ns[-1])
         self._recorder.write(block, signals)
         self._last = signals[-1].copy()
         self._assessor.take(block, signals)
+
+    def _record_initial_states(self, row: Vector) -> None:
+        """Record which initial states are others than those that the scenario gives."""
+        experiment = self._experiment
+        changed = changed_states(experiment.graph, experiment.given_states, row)
+        for name, changes in changed.items():
+            self._recorder.message(self._reached_ns, "warning", name, change_text(changes))
+        if changed:
+            plain = {name: [one.model_dump() for one in changed[name]] for name in changed}
+            self._recorder.result({INITIAL_STATES: plain})
 
     def _record_messages(self) -> None:
         """Record the new messages of all FMUs."""

@@ -26,7 +26,12 @@ from cosim.report.summary import (
 )
 from cosim.report.tables.console import new_table, print_json, print_line, print_table
 from cosim.report.verification import Verification
-from cosim.scenario.recorded_metadata import component_record, recorded_warnings
+from cosim.scenario.initial_states import change_text
+from cosim.scenario.recorded_metadata import (
+    component_record,
+    recorded_state_changes,
+    recorded_warnings,
+)
 
 LONGEST_PRIMES = 4  # of a derivative
 
@@ -64,6 +69,8 @@ def print_summary(
         return
     for component, text in recorded_warnings(recording):
         print_line(f"warning: {component}: {text}", error=True)
+    for component, changes in recorded_state_changes(recording).items():
+        print_line(f"warning: {component}: {change_text(changes)}", error=True)
     table = _summary_table(summary, recording)
     table.add_section()
     _add_wall_time(table, wall, simulated=summary.end - summary.start)
@@ -95,6 +102,10 @@ def _summary_table(summary: Summary, recording: Recording) -> Table:
         table = _last_value_table(title, summary, recording)
     if summary.reason:
         table.add_row("stop reason", "", "", summary.reason)
+    for change in summary.changed_states:
+        text = f"x0 has {change.before:.6g}; consistent with u and delta at the start"
+        label = f"{change.component}.{change.entry}"
+        table.add_row(label, f"{change.after:.6g}", "", text)
     for reconstruction in summary.reconstructions:
         single = len(summary.reconstructions) == 1
         _add_reconstruction(table, reconstruction, single=single)

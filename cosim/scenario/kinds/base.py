@@ -22,6 +22,7 @@ from cosim.core.port import Port
 from cosim.core.signals import Interface
 from cosim.fmi.exporting.specifications import Exportable
 from cosim.scenario.identification.model import IdentifiedPlant
+from cosim.scenario.initial_states import GivenStates
 from cosim.scenario.schema import Number, TomlTable, UnitName
 from cosim.theory.descriptor import DescriptorSystem
 
@@ -368,6 +369,10 @@ class Kind(TomlTable):
 
     def linear_system(self, name: str, context: BuildContext) -> LinearSystem | None:
         """Return the component near its initial state; None: it is not linear."""
+        return None
+
+    def given_states(self, context: BuildContext) -> GivenStates | None:
+        """Return the initial states of which a run may keep a part only; None: there are none."""
         return None
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal
 
+import numpy as np
 from pydantic import Field, StrictStr
 
 from cosim.blocks.plant import descriptor_form, descriptor_model
@@ -16,6 +17,7 @@ from cosim.core.contracts import Component
 from cosim.core.linear import DescriptorModel, LinearModel
 from cosim.errors import UsageError, nearest
 from cosim.fmi.driving.solvers import SOLVERS, STEPPING
+from cosim.scenario.initial_states import GivenStates
 from cosim.scenario.kinds.base import (
     BuildContext,
     Kind,
@@ -25,7 +27,7 @@ from cosim.scenario.kinds.base import (
 )
 from cosim.scenario.recorded_metadata import component_record
 from cosim.scenario.schema import Flag, Number, NumberRow, Whole
-from cosim.theory.descriptor import DescriptorSystem
+from cosim.theory.descriptor import DescriptorSystem, reduce
 
 if TYPE_CHECKING:
     from cosim.fmi.description import Description, InterfaceType
@@ -93,6 +95,13 @@ class DescriptorKind(PlantKind, LinearKind):
         """Return the component as a linear model with its algebraic equations."""
         system = context.model(self.model)
         return descriptor_form(system, self._initial(system))
+
+    def given_states(self, context: BuildContext) -> GivenStates | None:
+        system = context.model(self.model)
+        coordinates = reduce(system).coordinates
+        if coordinates is None:
+            return None
+        return GivenStates("x", np.array(self._initial(system), np.float64), coordinates)
 
     def _initial(self, system: DescriptorSystem) -> NumberRow:
         """Return the initial states that the form of the model needs.
