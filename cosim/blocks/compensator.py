@@ -2,14 +2,15 @@
 
 At the communication point t_k, with x_hat, delta_hat, y and r there::
 
-    v       = -K x_hat + F delta_hat + N r                      before
-    v       = -(K - K_w X) x_hat + F delta_hat + N r - K_w w    with the internal model
+    v        = -K x_hat + F delta_hat + N r                  before
+    v        = -K x_hat + F delta_hat + N r - K_w (w - X x)  with the internal model
     u(t_k+1) = v within the limits
     w(t_k+1) = E w + Gamma e + H (u(t_k+1) - v),    e = y - r of the regulated outputs
 
-E, Gamma and H are those of ``w' = S(theta) w + b e - B_w (u - v)`` over a step, its inputs held.
-The step of delay between x_hat and u, which a digital controller has, opens the algebraic loop by
-which x_hat follows u. :mod:`cosim.theory.compensation.design` has the reasons.
+where x is x_hat less its steady state under delta_hat and r. E, Gamma and H are those of
+``w' = S(theta) w + b e - B_w (u - v)`` over a step, its inputs held. The step of delay between
+x_hat and u, which a digital controller has, opens the algebraic loop by which x_hat follows u.
+:mod:`cosim.theory.compensation.design` has the reasons.
 
 The internal model becomes active at the first point where the 95 % interval of every theta is in
 the interval that it is certified for, and its standard error small enough. It follows theta_hat
@@ -47,6 +48,10 @@ class CompensatorOptions:
 
     Parameters
     ----------
+    state : str
+        The input that is the estimate of the states.
+    R : Matrix, shape (n, n_x)
+        The states of the design model by those of the input.
     largest_error : float
         Largest standard error of theta, relative to theta, with which the internal model is used.
     lower, upper : Vector, shape (n_u,)
@@ -64,6 +69,8 @@ class CompensatorOptions:
         If they are not those of a controller.
     """
 
+    state: str
+    R: Matrix
     largest_error: float
     lower: Vector
     upper: Vector
@@ -107,7 +114,8 @@ class Compensator:
         self._columns = self.interface.input_columns()
         y = self._columns["y"].start
         self._regulated = [y + element for element in options.regulated]
-        known = ["x_a", "delta", "r"] if gains.F.size else ["x_a", "r"]
+        state = options.state
+        known = [state, "delta", "r"] if gains.F.gain.size else [state, "r"]
         self._known = self._elements(known)
 
     # --- before the run ---
@@ -127,7 +135,7 @@ class Compensator:
             observer=self._observer,
             regulated=self._options.regulated,
             h=h,
-            u_held=bool(held[self._columns["x_a"]].all()),
+            u_held=bool(held[self._columns[self._options.state]].all()),
             y_held=bool(held[self._columns["y"]].any()),
         )
         certificate = certify_compensator(self._gains, system)
@@ -145,18 +153,21 @@ class Compensator:
         H = np.zeros((n_w, n_u))
         if self._options.anti_windup:
             H = H - internal.B_w
-        correction = internal.K_w @ internal.X
-        slopes = np.reshape(gains.model.S1, (len(gains.model.S1), n_w, n_w))
         return {
-            "before": np.hstack([-gains.K, gains.F, gains.N]),
-            "after": np.hstack([correction - gains.K, gains.F, gains.N]),
+            "before": self._of_known(gains.before),
+            "after": self._of_known(gains.after(internal)),
             "K_w": -internal.K_w,
-            "X": internal.X,
+            "X": self._of_known(internal.X @ gains.deviation),
             "S0": gains.model.S0,
-            "S1": slopes,
+            "S1": np.reshape(gains.model.S1, (len(gains.model.S1), n_w, n_w)),
             "G": np.hstack([gains.model.b, H]),
             "theta": np.stack([gains.box.lower, gains.box.upper]),
         }
+
+    def _of_known(self, of_x_a: Matrix) -> Matrix:
+        """Return a gain of (x_a, delta, r) as one of the inputs."""
+        n = self._gains.K.shape[1]
+        return np.hstack([of_x_a[:, :n] @ self._options.R, of_x_a[:, n:]])
 
     def _shapes(self) -> dict[str, tuple[int, ...]]:
         return {**shapes_of(self._numbers()), "h": (1,), "certificate": (3,)}
@@ -196,10 +207,9 @@ class Compensator:
         return rows
 
     def _step(self, row: Vector) -> None:
-        x_hat = row[self._columns["x_a"]]
-        if self._gains.internal is not None:
-            self._follow(row, x_hat)
         known = row[self._known]
+        if self._gains.internal is not None:
+            self._follow(row, known)
         if not self._is_active:
             v = affine([(self._arrays["before"], known)])
             self._u = self._limited(v)
@@ -214,7 +224,7 @@ class Compensator:
         above = np.maximum(v, self._options.lower)
         return np.minimum(above, self._options.upper)
 
-    def _follow(self, row: Vector, x_hat: Vector) -> None:
+    def _follow(self, row: Vector, known: Vector) -> None:
         """Switch the internal model on, or follow theta, where the estimate is good enough."""
         theta = row[self._columns["theta"]] if self._theta.size else np.zeros(0)
         if self._is_active and np.array_equal(theta, self._theta):
@@ -223,7 +233,7 @@ class Compensator:
         if not self._activation.allows(theta, error):
             return
         if not self._is_active:
-            self._w = affine([(self._arrays["X"], x_hat)])
+            self._w = affine([(self._arrays["X"], known)])
         self._is_active = True
         self._theta = theta.copy()
         self._generator = self._discretized(theta)
@@ -256,13 +266,13 @@ class Compensator:
 
 
 def _interface(gains: CompensatorGains, options: CompensatorOptions) -> Interface:
-    n_u, n = gains.K.shape
+    n_u = len(gains.K)
     n_w, p = gains.model.b.shape
+    n_x = options.R.shape[1]
+    n_d = gains.plant.Bd.shape[1]
     inputs = [
-        Signal("x_a", n, role="input"),
-        Signal(
-            "delta", gains.plant.Bd.shape[1], role="input", optional=True, connection="optional"
-        ),
+        Signal(options.state, n_x, role="input"),
+        Signal("delta", n_d, role="input", optional=True, connection="optional"),
         Signal("y", options.n_y, role="input"),
     ]
     outputs = [Signal("u", n_u)]

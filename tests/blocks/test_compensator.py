@@ -8,9 +8,27 @@ import pytest
 
 from cosim.arrays import NAN
 from cosim.blocks.compensator import Compensator, CompensatorOptions
+from cosim.blocks.observer import observer_model
+from cosim.blocks.plant import descriptor_model
+from cosim.blocks.source import constant
+from cosim.core.clock import Clock
+from cosim.core.graph import Graph
+from cosim.core.linear import Linear
+from cosim.core.master import run
+from cosim.core.recorders import Memory
 from cosim.errors import AssumptionError, UsageError
 from cosim.testing import check_component
-from tests.theory.compensated import designed, drive, observer_of, plant_of
+from cosim.theory.descriptor import DescriptorSystem
+from cosim.theory.observer import design
+from tests.theory.compensated import (
+    FILTER_RATE,
+    designed,
+    drive,
+    growth,
+    loop_matrix,
+    observer_of,
+    plant_of,
+)
 
 H = 1e-2
 DRIVE = drive()
@@ -24,6 +42,8 @@ def compensator(*, internal=True, feedforward=False, upper=np.inf, interval=(1.0
     if not internal:
         gains = replace(gains, internal=None)
     given = {
+        "state": "x_a",
+        "R": np.eye(4),
         "largest_error": 0.05,
         "lower": np.array([-upper]),
         "upper": np.array([upper]),
@@ -151,3 +171,47 @@ def test_options_of_no_controller_are_refused(options, message):
     """With what was found."""
     with pytest.raises(UsageError, match=message):
         compensator(**options)
+
+
+def test_the_loop_grows_where_the_certificate_says_so():
+    """At theta = 0.5, at the rate of the eigenvalues of a loop written with other tools.
+
+    Only a design that claims to be certified there lets the internal model in.
+    """
+    system = DescriptorSystem.partitioned(
+        A=DRIVE.A_a, Bu=DRIVE.B_1a, Bd=DRIVE.B_2a, C=DRIVE.C3, n_a=4
+    )
+    designed_observer = design(DRIVE, poles=[-6.0, -8.0], filter_rate=FILTER_RATE)
+    component = compensator(interval=(1.4, 1.6))
+    honest = component.prepare(H, np.zeros(10, np.bool_), {})
+    forged = {**honest, "theta": np.array([[0.4], [1.6]])}
+    parts = {
+        "plant": Linear(descriptor_model(system, [0.1, 0.0, 0.0, 0.0])),
+        "observer": Linear(observer_model(DRIVE, designed_observer)),
+        "compensator": component,
+        "delta": constant([0.0]),
+        "theta": constant([0.5]),
+        "error": constant([0.0]),
+    }
+    connections = {
+        "plant.u": "compensator.u",
+        "plant.delta": "delta.y",
+        "observer.u": "compensator.u",
+        "observer.y": "plant.y",
+        "compensator.x_a": "observer.x_a",
+        "compensator.y": "plant.y",
+        "compensator.theta": "theta.y",
+        "compensator.standard_error": "error.y",
+    }
+    memory = Memory()
+    designs = {"compensator": forged}
+    run(Graph(parts, connections), Clock(60.0, H), memory, designs=designs)
+    assert memory["compensator.active"][-1] == 1.0
+    gains = cached(DRIVE, lower=1.4, upper=1.6, ff=False)
+    rate = growth(loop_matrix(DRIVE, gains, 0.5, H), H)
+    assert rate > 0.1
+    size = np.linalg.norm(memory["compensator.w"], axis=1)
+    # over whole periods of the growing mode, close to theta: its envelope alone
+    early = size[2500:4000].max()
+    late = size[4500:6000].max()
+    assert np.log(late / early) / 20.0 == pytest.approx(rate, rel=0.05)

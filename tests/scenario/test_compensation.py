@@ -9,8 +9,10 @@ import pytest
 import cosim
 from cosim.errors import UsageError
 from cosim.report.summary import summarize
+from cosim.report.tables.run import print_summary
 from cosim.scenario.build import Builder, parse
 from cosim.scenario.document import Document
+from tests.scenario.general_plant import GENERAL, PARTITIONED
 
 LOOP = """
 [scenario]
@@ -99,6 +101,56 @@ def test_an_actuator_at_its_limit_recovers_faster_with_anti_windup():
     assert late[False] > 20.0 * late[True]
 
 
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"feedforward": True},
+        {"scenario.input_interpolation": "zero-order"},
+        {"scenario.coupling": "jacobi"},
+        {"observer.filter": "consistent"},
+    ],
+)
+def test_a_reference_and_an_unmodelled_constant_leave_no_error(changes):
+    """The reference always; a constant beside the sine where delta is fed forward.
+
+    The internal model of the sine leaves the steady state alone, whatever the loop is like.
+    """
+    r = '[components.r]\nkind = "constant"\nvalue = 0.7\n[connections]\n"compensator.r" = "r.y"\n'
+    replaced = {"[connections]\n": r}
+    if "feedforward" in changes:
+        replaced["sin(1.6*t + 0.3)"] = "sin(1.6*t) + 0.4"
+    loop = scenario(replaced=replaced)
+    own = {key if "." in key else f"compensator.{key}": value for key, value in changes.items()}
+    run = cosim.run(loop, set={**own, "scenario.stop": 30.0, "scenario.step": 0.02})
+    assert run["plant.y"][-300:, 0] == pytest.approx(0.7, abs=2e-3)
+
+
+def test_a_general_model_has_the_same_controller():
+    """In other coordinates, and with u that feeds through to y: the same u, to rounding."""
+    runs = []
+    forms = [(PARTITIONED, "x_a0 = [0.0, 0.0]", "x_a"), (GENERAL, "x0 = [0.0, 0.0, 0.0]", "x")]
+    for model, initial, state in forms:
+        begin = LOOP.index("n_a = 4")
+        end = LOOP.index("[components.delta]")
+        text = LOOP[:begin] + model + LOOP[end:]
+        replaced = {
+            "x_a0 = [0.0, 0.0, 0.0, 0.0]": initial,
+            "poles = [-6.0, -8.0]": "poles = [-4.0]",
+            "Q = [1.0, 10.0, 1.0, 1.0]": "poles = [-2.0, -3.0]",
+            '"compensator.x_a" = "observer.x_a"': f'"compensator.{state}" = "observer.{state}"',
+        }
+        for old, new in replaced.items():
+            assert old in text
+            text = text.replace(old, new)
+        document = Document(text, "loop.toml", Path())
+        runs.append(cosim.run(parse(document), set={"scenario.stop": 10.0}))
+    first, second = runs
+    scale = np.abs(first["compensator.u"]).max()
+    assert np.allclose(first["compensator.u"], second["compensator.u"], rtol=0.0, atol=1e-9 * scale)
+    assert rms(first["plant.y"][-200:]) < 1e-3 * rms(first["plant.y"][:400])
+
+
 # --- the shipped scenario ---
 
 SHORT = {"scenario.step": 0.02, "scenario.stop": 26.0}
@@ -138,6 +190,15 @@ def test_the_report_says_when_the_internal_model_became_active(runs):
     assert summary.active_since is None
     assert summary.reason == "internal_model = false"
     assert summary.before[0] == pytest.approx(rms(runs["feedback"]["compensator.y"][:, 0]))
+
+
+def test_the_table_of_a_run_shows_it(runs, capsys):
+    """A row for the internal model, one for the error; where it is not active, why."""
+    for run in (runs["model"], runs["feedback"]):
+        print_summary(run, wall={"run": 1.0}, profile=None, as_json=False, quiet=False)
+    lines = [line for line in capsys.readouterr().out.splitlines() if "internal model" in line]
+    assert "active from then on, with theta = 1." in lines[0]
+    assert "not active: internal_model = false; regulated error 0." in lines[1]
 
 
 def test_the_report_says_why_the_internal_model_stayed_out():

@@ -7,6 +7,7 @@ from cosim.theory.compensation.design import CompensatorGains, ControlledPlant, 
 from cosim.theory.compensation.internal_model import ParameterBox, internal_model
 from cosim.theory.compensation.state_feedback import (
     feedforward,
+    no_gain,
     reference_gain,
     regulated_plant,
     state_feedback,
@@ -46,7 +47,7 @@ def designed(reduced, *, lower, upper, families=SINE, Q=WEIGHTS, ff=False, rate=
     return CompensatorGains(
         plant=plant,
         K=K,
-        F=feedforward(plant, K) if ff else np.zeros((1, 0)),
+        F=feedforward(plant, K) if ff else no_gain(plant, 0),
         N=reference_gain(plant, K),
         model=model,
         box=box,
@@ -110,10 +111,11 @@ def loop_matrix(reduced, gains, theta, h, *, delta=False):
         y = plant.C @ x + plant.D @ u
         estimates = observer.C @ o + observer.D @ np.concatenate([u, y])
         x_hat = estimates[:n]
-        new_u = -gains.K @ x_hat + gains.F @ estimates[n:]
+        new_u = -gains.K @ x_hat + gains.F.gain @ estimates[n:]
         new_w = w
         if theta is not None:
-            new_u = new_u - internal.K_w @ (w - internal.X @ x_hat)
+            deviation = x_hat - gains.F.states @ estimates[n:]
+            new_u = new_u - internal.K_w @ (w - internal.X @ deviation)
             new_w = model_over(w, y[:1], y[:1])
         new_x = plant_over(x, u, new_u)
         new_y = plant.C @ new_x + plant.D @ new_u

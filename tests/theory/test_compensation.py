@@ -90,8 +90,8 @@ def test_a_constant_disturbance_and_reference_leave_no_error(seed):
     """The static gain of the closed loop, by scipy, is 0 from delta and 1 from r."""
     plant = random_plant(seed)
     K = state_feedback(plant.A, plant.B, Q=np.ones(4))
-    F = feedforward(plant, K)
-    N = reference_gain(plant, K)
+    F = feedforward(plant, K).gain
+    N = reference_gain(plant, K).gain
     B = np.hstack([plant.Bd + plant.B @ F, plant.B @ N])
     D = np.hstack([plant.Dd + plant.D @ F, plant.D @ N])
     closed = ScipyStateSpace(plant.A - plant.B @ K, B, plant.C - plant.D @ K, D)
@@ -105,7 +105,7 @@ def test_a_matched_disturbance_is_cancelled_exactly():
     M = np.array([[0.7], [-1.3]])
     matched = replace(plant, Bd=plant.B @ M)
     K = state_feedback(plant.A, plant.B, Q=np.ones(4))
-    assert np.allclose(feedforward(matched, K), -M, rtol=1e-12)
+    assert np.allclose(feedforward(matched, K).gain, -M, rtol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -214,7 +214,7 @@ def test_the_loop_is_that_of_other_tools(delta):
     reduced = drive()
     gains = designed(reduced, lower=1.0, upper=2.0, ff=delta)
     system = sampled(reduced, H, delta=delta)
-    loop = sampled_loop(system, gains.K, gains.F, gains.model, gains.internal)
+    loop = sampled_loop(system, gains, gains.internal)
     for theta in (1.0, 1.7):
         expected = loop_matrix(reduced, gains, theta, H, delta=delta)
         assert np.allclose(loop.Phi(np.array([theta])), expected, rtol=0.0, atol=1e-12)
@@ -237,7 +237,7 @@ def test_what_is_proven_is_stable_everywhere(middle, width, rate, delta):
     upper = middle + 0.5 * width * middle
     gains = designed(reduced, lower=lower, upper=upper, rate=rate, ff=delta)
     system = sampled(reduced, H, delta=delta)
-    loop = sampled_loop(system, gains.K, gains.F, gains.model, gains.internal)
+    loop = sampled_loop(system, gains, gains.internal)
     certificate = certify(loop, gains.box)
     if certificate.proven:
         for theta in np.linspace(lower, upper, 6):
@@ -256,7 +256,7 @@ def test_a_proof_with_one_cell_holds_for_a_theta_that_varies():
     """Products of steps with random theta contract; the proof is of every sequence."""
     reduced = drive()
     gains = designed(reduced, lower=1.4, upper=1.6)
-    loop = sampled_loop(sampled(reduced, H), gains.K, gains.F, gains.model, gains.internal)
+    loop = sampled_loop(sampled(reduced, H), gains, gains.internal)
     assert certify(loop, gains.box).cells == 1
     rng = np.random.default_rng(5)
     steps = [loop.Phi(np.array([theta])) for theta in rng.uniform(1.4, 1.6, 50)]
@@ -275,7 +275,7 @@ def test_the_proof_does_not_depend_on_the_units_of_the_states(scale):
         reduced = drive(units)
         weights = np.array([1.0, 10.0, 1.0, 1.0]) / units**2
         gains = designed(reduced, lower=1.0, upper=2.0, Q=weights)
-        loop = sampled_loop(sampled(reduced, H), gains.K, gains.F, gains.model, gains.internal)
+        loop = sampled_loop(sampled(reduced, H), gains, gains.internal)
         certificate = certify(loop, gains.box)
         assert certificate.proven
         cells.append(certificate.cells)
@@ -291,7 +291,7 @@ def test_an_interval_where_the_loop_is_unstable_is_refused_with_one_that_would_d
     message = rf"at theta = 0\.5 it grows at {rate:.3g} 1/s; the largest .* would do is \[0\.6"
     with pytest.raises(AssumptionError, match=message):
         certify_compensator(gains, sampled(reduced, H))
-    loop = sampled_loop(sampled(reduced, H), gains.K, gains.F, gains.model, gains.internal)
+    loop = sampled_loop(sampled(reduced, H), gains, gains.internal)
     factor = largest_factor(loop, gains.box)
     smaller = gains.box.scaled(factor)
     again = designed(reduced, lower=smaller.lower, upper=smaller.upper)

@@ -22,6 +22,7 @@ from cosim.scenario.kinds.base import BuildContext, Kind, PortUnits, unit_of
 from cosim.scenario.kinds.identification import IdentifierKind
 from cosim.scenario.kinds.identification_source import IdentifierSource
 from cosim.scenario.kinds.observers import DesignedObserver, UnknownInputObserverKind
+from cosim.scenario.kinds.plants import PlantKind
 from cosim.scenario.kinds.sensors import SensorKind
 from cosim.scenario.kinds.terms import FamilyTerm
 from cosim.scenario.schema import Flag, Number, NumberRow, NumberRows, Whole, matrix
@@ -34,12 +35,16 @@ from cosim.theory.compensation.internal_model import (
 from cosim.theory.compensation.state_feedback import (
     RegulatedPlant,
     feedforward,
+    no_gain,
     reference_gain,
     regulated_plant,
     state_feedback,
+    weight_matrix,
 )
+from cosim.theory.descriptor import ReducedSystem, UserCoordinates, state_maps
 from cosim.theory.disturbance import Family
-from cosim.theory.observer import StateSpace, realize, realize_averages
+from cosim.theory.geometry import without_rounding
+from cosim.theory.observer import StateSpace, delta_rows, realize, realize_averages
 
 LARGEST_ERROR = 0.05
 
@@ -50,13 +55,16 @@ class CompensatorKind(Kind):
     ports: ClassVar[str] = "x_a, delta, y, theta, standard_error, r -> u, w, active, model_theta"
     kind: Literal["compensator"]
     K: NumberRows | None = Field(
-        None, description="state feedback u = -K x_a, a row for each input; or poles, or Q"
+        None,
+        description="state feedback u = -K x_a, of a model in the general form -K x, a row for "
+        "each input; or poles, or Q",
     )
     poles: NumberRow | None = Field(
         None, description="eigenvalues of A - B K [1/s], as many as u can move"
     )
     Q: NumberRow | NumberRows | None = Field(
-        None, description="weight of x_a of the linear-quadratic regulator: its diagonal, or rows"
+        None,
+        description="weight of x_a, or x, of the linear-quadratic regulator: its diagonal, or rows",
     )
     R: NumberRow | NumberRows | None = Field(
         None, description="weight of u: its diagonal, or rows; default: 1 each"
@@ -125,8 +133,16 @@ class CompensatorKind(Kind):
         gains = self._gains(name, designed, context)
         reduced = designed.model.reduced
         regulated = self._regulated(len(reduced.C3))
-        plant = StateSpace(reduced.A_a, reduced.B_1a, reduced.C3, reduced.C4)
+        state, *_ = state_maps(reduced)
+        if kind.lag(observer, state.name, context):
+            raise UsageError(
+                f"{state.name} of {observer!r} lags, as it depends on delta; needed filter = "
+                '"first-order"'
+            )
+        coordinates = reduced.coordinates
         options = CompensatorOptions(
+            state=state.name,
+            R=np.eye(len(reduced.A_a)) if coordinates is None else coordinates.R,
             largest_error=self.largest_error,
             lower=_limits("lower", self.lower, -math.inf, len(gains.K)),
             upper=_limits("upper", self.upper, math.inf, len(gains.K)),
@@ -134,8 +150,10 @@ class CompensatorKind(Kind):
             regulated=regulated,
             n_y=len(reduced.C3),
         )
-        estimates = self._estimates(observer, kind, designed)
-        _warn_of_other_loops(name, observer, context)
+        plant = StateSpace(reduced.A_a, reduced.B_1a, reduced.C3, reduced.C4)
+        estimates = self._estimates(observer, kind, designed, options.R)
+        for problem in _other_parts(name, observer, context):
+            context.warn(name, f"{problem}: the loop that was certified is one without it")
         context.add_metadata(name, {"compensation": self._record(gains, regulated)})
         return Compensator(gains, plant, estimates, options)
 
@@ -147,12 +165,12 @@ class CompensatorKind(Kind):
     ) -> CompensatorGains:
         reduced = designed.model.reduced
         plant = regulated_plant(reduced, self._regulated(len(reduced.C3)))
-        K = self._state_feedback(plant)
-        F = np.zeros((len(K), 0))
+        K = self._state_feedback(plant, reduced)
+        F = no_gain(plant, 0)
         if self.feedforward:
             _need_driver(name, "delta", "feedforward = true", context)
             F = feedforward(plant, K)
-        N = np.zeros((len(K), len(plant.C)))
+        N = no_gain(plant, len(plant.C))
         if context.drivers(Port(name, "r")):
             N = reference_gain(plant, K)
         families = self._families(name, context)
@@ -163,10 +181,16 @@ class CompensatorKind(Kind):
             internal = stabilize(plant, K, model, box, self.decay_rate)
         return CompensatorGains(plant=plant, K=K, F=F, N=N, model=model, box=box, internal=internal)
 
-    def _state_feedback(self, plant: RegulatedPlant) -> Matrix:
+    def _state_feedback(self, plant: RegulatedPlant, reduced: ReducedSystem) -> Matrix:
         K = _array("K", self.K)
         Q = _array("Q", self.Q)
         R = _array("R", self.R)
+        coordinates = reduced.coordinates
+        if coordinates is not None:
+            K = None if K is None else _gain_of_x_a(np.atleast_2d(K), coordinates)
+            if Q is not None:
+                weight = weight_matrix("Q", Q, len(coordinates.X))
+                Q = coordinates.X.T @ weight @ coordinates.X
         return state_feedback(plant.A, plant.B, K=K, poles=self.poles, Q=Q, R=R)
 
     # --- the internal model ---
@@ -227,14 +251,16 @@ class CompensatorKind(Kind):
                 _need_driver(name, signal, "internal_model = true", context)
 
     def _estimates(
-        self, observer: str, kind: UnknownInputObserverKind, designed: DesignedObserver
+        self,
+        observer: str,
+        kind: UnknownInputObserverKind,
+        designed: DesignedObserver,
+        R: Matrix,
     ) -> StateSpace:
         """Return the observer from (u, y) to x_a, and to delta where it is fed forward."""
         model, design = designed
-        n_a = len(model.reduced.A_a)
         if kind.filter == "first-order":
             system = realize(model.reduced, design)
-            rows = n_a + len(design.G) * self.feedforward
         elif self.feedforward:
             raise UsageError(
                 f"feedforward: {observer!r} has filter = {kind.filter!r}, whose delta is of the "
@@ -242,8 +268,14 @@ class CompensatorKind(Kind):
             )
         else:
             system = realize_averages(model.reduced, design).system
-            rows = n_a
-        return StateSpace(system.A, system.B, system.C[:rows], system.D[:rows])
+        n_x = R.shape[1]
+        C = [R @ system.C[:n_x]]
+        D = [R @ system.D[:n_x]]
+        if self.feedforward:
+            delta = delta_rows(model.reduced)
+            C.append(system.C[delta])
+            D.append(system.D[delta])
+        return StateSpace(system.A, system.B, np.vstack(C), np.vstack(D))
 
     def _record(self, gains: CompensatorGains, regulated: tuple[int, ...]) -> dict[str, Any]:
         intervals = zip(gains.box.lower.tolist(), gains.box.upper.tolist(), strict=True)
@@ -257,14 +289,36 @@ class CompensatorKind(Kind):
 
 
 def _observer(name: str, context: BuildContext) -> tuple[str, UnknownInputObserverKind]:
-    driver = context.driver(Port(name, "x_a"))
-    kind = None if driver is None else context.spec(driver)
-    if driver is None or not isinstance(kind, UnknownInputObserverKind):
+    for signal in ("x_a", "x"):
+        driver = context.driver(Port(name, signal))
+        kind = None if driver is None else context.spec(driver)
+        if driver is not None and isinstance(kind, UnknownInputObserverKind):
+            return driver, kind
+    raise UsageError(
+        "'x_a', or 'x' of a model in the general form, must be driven directly by a component of "
+        "kind 'unknown-input-observer', on whose design model the controller is designed"
+    )
+
+
+def _gain_of_x_a(K: Matrix, coordinates: UserCoordinates) -> Matrix:
+    """Return a gain of the user's x as one of x_a.
+
+    Raises
+    ------
+    UsageError
+        If it has not a column a state, or weighs states that follow u or delta at once.
+    """
+    n = len(coordinates.X)
+    if K.shape[1] != n:
+        raise UsageError(f"K: found {K.shape[1]} columns, needed {n}: one a state")
+    of_inputs = np.hstack([coordinates.Xu, coordinates.Xd])
+    size = np.abs(K) @ np.abs(of_inputs)
+    if without_rounding(K @ of_inputs, size, 1e3).any():
         raise UsageError(
-            "'x_a' must be driven directly by a component of kind 'unknown-input-observer', on "
-            "whose design model the controller is designed"
+            "K: weighs states that follow u or delta at once, an algebraic loop; needed a K of the "
+            "dynamic part of x, or poles, or Q"
         )
-    return driver, kind
+    return np.asarray(K @ coordinates.X, np.float64)
 
 
 def _need_driver(name: str, signal: str, key: str, context: BuildContext) -> None:
@@ -279,21 +333,27 @@ def _varies(alpha: Program, context: BuildContext) -> bool:
     return bool(np.ptp(values) > 0.0)
 
 
-def _warn_of_other_loops(name: str, observer: str, context: BuildContext) -> None:
-    """Warn where the loop is not the one that is certified."""
+def _other_parts(name: str, observer: str, context: BuildContext) -> list[str]:
+    """Return what the loop has beside plant, observer and compensator."""
+    problems = []
     if context.driver(Port(observer, "u")) != name:
-        context.warn(
-            name,
-            f"something is between its u and the u of {observer!r}: the loop that was certified "
-            "is one without it",
-        )
-    for driver, kind in context.drivers(Port(name, "y")).items():
-        if isinstance(kind, SensorKind) and kind.most_in_a_step(driver, context):
-            context.warn(
-                name,
-                f"{driver!r} has samples between which y holds: the loop that was certified is one "
-                "with y at every communication point",
-            )
+        problems.append(f"something is between its u and the u of {observer!r}")
+    measured = Port(observer, "y")
+    sensor = context.driver(measured)
+    if sensor is None:
+        return [*problems, f"several components drive the y of {observer!r}"]
+    plant: str | None = sensor
+    kind = context.spec(sensor)
+    if isinstance(kind, SensorKind):
+        if kind.delay or kind.jitter or kind.most_in_a_step(sensor, context):
+            problems.append(f"{sensor!r} delays or samples y")
+        plant = context.driver(Port(sensor, "u"))
+    of_plant = None if plant is None else context.spec(plant)
+    if plant is None or not isinstance(of_plant, PlantKind):
+        return [*problems, f"something is between the plant and the y of {observer!r}"]
+    if of_plant.follows_inputs and context.driver(Port(plant, "u")) != name:
+        problems.append(f"something is between its u and the u of {plant!r}")
+    return problems
 
 
 def _limits(key: str, given: float | NumberRow | None, none: float, n_u: int) -> Vector:

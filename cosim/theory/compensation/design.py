@@ -12,6 +12,9 @@ of S. The gain ``v = -K_w W`` needs the least effort that makes all of them deca
 modes of S that decay slower than half the decay rate to their mirror image about that, and no other
 mode of the loop. In w it is ``u = -K x - K_w W = -(K - K_w X) x - K_w w``.
 
+Where delta_hat or r is fed forward, x above is its deviation from the steady state under these:
+the internal model leaves what they do alone.
+
 * Bumpless: with ``w = X x_hat`` at the start W = 0, so that u goes on as it was.
 * Anti-windup: where the actuator gives u_a in place of u, ``w' = S w + b e - B_w (u_a - u)`` makes
   ``W' = (S - B_w K_w) W``: it decays, whatever the actuator does (back-calculation, Astrom and
@@ -41,6 +44,7 @@ from cosim.theory.compensation.certificate import (
 from cosim.theory.compensation.internal_model import InternalModel, ParameterBox
 from cosim.theory.compensation.state_feedback import (
     RegulatedPlant,
+    SteadyGain,
     balancing,
     slowest_rate,
 )
@@ -218,21 +222,58 @@ def _closest(s: complex, model: InternalModel, box: ParameterBox) -> tuple[Vecto
         cell = ParameterBox(lower, upper)
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CompensatorGains:
+    """The gains of a compensator ``u = -K x_hat + F delta_hat + N r``, and its internal model.
+
+    Parameters
+    ----------
+    plant : RegulatedPlant
+    K : Matrix, shape (n_u, n)
+    F, N : SteadyGain
+        Of delta_hat and r; F has no columns where delta is not fed forward.
+    model : InternalModel
+    box : ParameterBox
+        What theta the internal model is for.
+    internal : Stabilization or None
+        None: there is no internal model in the loop.
+    """
+
+    plant: RegulatedPlant
+    K: Matrix
+    F: SteadyGain
+    N: SteadyGain
+    model: InternalModel
+    box: ParameterBox
+    internal: Stabilization | None
+
+    @property
+    def before(self) -> Matrix:
+        """The gain of (x_hat, delta_hat, r) without the internal model."""
+        return np.hstack([-self.K, self.F.gain, self.N.gain])
+
+    @property
+    def deviation(self) -> Matrix:
+        """The deviation of x from its steady state, by (x, delta, r), shape ``(n, n + m)``."""
+        n = self.K.shape[1]
+        return np.hstack([np.eye(n), -self.F.states, -self.N.states])
+
+    def after(self, internal: Stabilization) -> Matrix:
+        """Return the gain of (x_hat, delta_hat, r) with the internal model."""
+        correction = internal.K_w @ internal.X @ self.deviation
+        total: Matrix = self.before + correction
+        return total
+
+
 def sampled_loop(
-    system: ControlledPlant,
-    K: Matrix,
-    F: Matrix,
-    model: InternalModel,
-    gains: Stabilization,
+    system: ControlledPlant, gains: CompensatorGains, internal: Stabilization
 ) -> SampledLoop:
     """Write the loop with the internal model over one communication step.
 
-    Its state is (x, observer, u, w), u that at the step's start. K and F are those of
-    ``u = -K x_hat + F delta_hat``; F has no columns where delta is not fed forward.
+    Its state is (x, observer, u, w), u that at the step's start.
     """
-    K_x = K - gains.K_w @ gains.X
-    n_w = len(gains.X)
-    fixed, error = _outer_loop(system, K_x, F, gains.K_w)
+    n_w = len(internal.X)
+    fixed, error = _outer_loop(system, gains, gains.after(internal), internal.K_w)
     select = np.zeros((n_w, len(fixed)))
     first = len(fixed) - n_w
     select[:, first:] = np.eye(n_w)
@@ -240,8 +281,8 @@ def sampled_loop(
         fixed=fixed,
         first=first,
         taken=np.vstack([select, error]),
-        model=model,
-        G=model.b,
+        model=gains.model,
+        G=gains.model.b,
         h=system.h,
     )
 
@@ -259,7 +300,7 @@ def saturated_loop(model: InternalModel, gains: Stabilization, h: float) -> Samp
     )
 
 
-def check_base_loop(system: ControlledPlant, K: Matrix, F: Matrix) -> float:
+def check_base_loop(system: ControlledPlant, gains: CompensatorGains) -> float:
     """Return the decay rate of the sampled loop without the internal model [1/s].
 
     Raises
@@ -267,10 +308,11 @@ def check_base_loop(system: ControlledPlant, K: Matrix, F: Matrix) -> float:
     AssumptionError
         If it is not stable.
     """
-    Phi, _ = _outer_loop(system, K, F, np.zeros((len(K), 0)))
+    no_model = np.zeros((len(gains.K), 0))
+    Phi, _ = _outer_loop(system, gains, gains.before, no_model)
     radius = float(np.abs(np.linalg.eigvals(Phi)).max())
     if radius >= 1.0:
-        what = "state feedback and feedforward" if F.shape[1] else "state feedback"
+        what = "state feedback and feedforward" if gains.F.gain.size else "state feedback"
         raise AssumptionError(
             f"the sampled loop of {what} is not stable: an eigenvalue of modulus {radius:.9g}, "
             "needed below 1; needed a shorter communication step, a slower design, a lower "
@@ -305,11 +347,12 @@ def certified(loop: SampledLoop, box: ParameterBox, what: str) -> Certificate:
 
 
 def _outer_loop(
-    system: ControlledPlant, K_x: Matrix, F: Matrix, K_w: Matrix
+    system: ControlledPlant, gains: CompensatorGains, of_estimates: Matrix, K_w: Matrix
 ) -> tuple[Matrix, Matrix]:
     """Write the loop over one step but for the internal model, whose rows are zero.
 
-    Returns the matrix, shape ``(n, n)``, and the regulated outputs at the start, ``(p, n)``.
+    ``of_estimates`` is the gain of (x_hat, delta_hat, r); r is 0. Returns the matrix, shape
+    ``(n, n)``, and the regulated outputs at the start, ``(p, n)``.
     """
     plant = system.plant
     observer = system.observer
@@ -326,9 +369,8 @@ def _outer_loop(
     y = plant.C @ x + plant.D @ u
     v = np.vstack([u, y])
     estimates = observer.C @ o + observer.D @ v
-    x_hat = estimates[: K_x.shape[1]]
-    delta_hat = estimates[K_x.shape[1] :]
-    new_u = F @ delta_hat - K_x @ x_hat - K_w @ w
+    used = gains.K.shape[1] + gains.F.gain.shape[1]
+    new_u = of_estimates[:, :used] @ estimates - K_w @ w
     new_x = of_plant.Ad @ x + of_plant.B0 @ u + of_plant.B1 @ new_u
     new_y = plant.C @ new_x + plant.D @ new_u
     new_v = np.vstack([new_u, new_y])
@@ -339,32 +381,6 @@ def _outer_loop(
 
 def _numbers(theta: Sequence[float] | Vector) -> str:
     return ", ".join(f"{value:.6g}" for value in theta)
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class CompensatorGains:
-    """The gains of a compensator ``u = -K x_hat + F delta_hat + N r``, and its internal model.
-
-    Parameters
-    ----------
-    plant : RegulatedPlant
-    K, F, N : Matrix
-        Shapes ``(n_u, n)``, ``(n_u, n_d)``, ``(n_u, p)``; F has no columns where delta is not fed
-        forward.
-    model : InternalModel
-    box : ParameterBox
-        What theta the internal model is for.
-    internal : Stabilization or None
-        None: there is no internal model in the loop.
-    """
-
-    plant: RegulatedPlant
-    K: Matrix
-    F: Matrix
-    N: Matrix
-    model: InternalModel
-    box: ParameterBox
-    internal: Stabilization | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -397,11 +413,11 @@ def certify_compensator(gains: CompensatorGains, system: ControlledPlant) -> Com
     AssumptionError
         If one is not.
     """
-    base_rate = check_base_loop(system, gains.K, gains.F)
+    base_rate = check_base_loop(system, gains)
     internal = gains.internal
     if internal is None:
         return CompensatorCertificate(base_rate, NAN, 0)
-    loop = sampled_loop(system, gains.K, gains.F, gains.model, internal)
+    loop = sampled_loop(system, gains, internal)
     certificate = certified(loop, gains.box, "the loop with the internal model")
     saturated = saturated_loop(gains.model, internal, system.h)
     certified(saturated, gains.box, "the internal model with u at a limit")

@@ -51,6 +51,28 @@ class RegulatedPlant:
         return np.vstack([of_x, of_e])
 
 
+@dataclass(frozen=True, eq=False)
+class SteadyGain:
+    """``u = -K x + gain v``: where v is constant, x goes to ``states v`` and the error to 0.
+
+    Shapes: ``gain (n_u, m)``, ``states (n, m)``.
+    """
+
+    gain: Matrix
+    states: Matrix
+
+    def __post_init__(self) -> None:
+        """Freeze the matrices."""
+        object.__setattr__(self, "gain", frozen(self.gain, 2))
+        object.__setattr__(self, "states", frozen(self.states, 2))
+
+
+def no_gain(plant: RegulatedPlant, m: int) -> SteadyGain:
+    """Return the gain of m signals that are not used."""
+    n, n_u = plant.B.shape
+    return SteadyGain(np.zeros((n_u, m)), np.zeros((n, m)))
+
+
 def regulated_plant(reduced: ReducedSystem, outputs: Sequence[int]) -> RegulatedPlant:
     """Choose the regulated outputs of a plant, by their positions in y.
 
@@ -150,7 +172,7 @@ def state_feedback(
     return frozen(gain, 2)
 
 
-def feedforward(plant: RegulatedPlant, K: Matrix) -> Matrix:
+def feedforward(plant: RegulatedPlant, K: Matrix) -> SteadyGain:
     """Compute F of ``u = -K x + F delta``, shape ``(n_u, n_d)``: no error under a constant delta.
 
     Raises
@@ -162,7 +184,7 @@ def feedforward(plant: RegulatedPlant, K: Matrix) -> Matrix:
     return _static_gain(plant, K, -of_delta, "feedforward of delta")
 
 
-def reference_gain(plant: RegulatedPlant, K: Matrix) -> Matrix:
+def reference_gain(plant: RegulatedPlant, K: Matrix) -> SteadyGain:
     """Compute N of ``u = -K x + N r``, shape ``(n_u, p)``: no error under a constant r.
 
     Raises
@@ -176,7 +198,7 @@ def reference_gain(plant: RegulatedPlant, K: Matrix) -> Matrix:
     return _static_gain(plant, K, of_r, "reference r")
 
 
-def _static_gain(plant: RegulatedPlant, K: Matrix, right: Matrix, what: str) -> Matrix:
+def _static_gain(plant: RegulatedPlant, K: Matrix, right: Matrix, what: str) -> SteadyGain:
     n = len(plant.A)
     units = np.ones(n + plant.B.shape[1])
     units[:n] = balancing(plant.A)
@@ -191,8 +213,7 @@ def _static_gain(plant: RegulatedPlant, K: Matrix, right: Matrix, what: str) -> 
         )
     solution = np.linalg.lstsq(balanced, rows * right, rcond=None)[0]
     X = units[:n, np.newaxis] * solution[:n]
-    gain = solution[n:] + K @ X
-    return frozen(gain, 2)
+    return SteadyGain(solution[n:] + K @ X, X)
 
 
 def _stabilizable_part(A: Matrix, B: Matrix) -> Matrix:
@@ -242,8 +263,8 @@ def _placed(A: Matrix, B: Matrix, poles: Sequence[complex], unreached: Matrix) -
 def _regulator(A: Matrix, B: Matrix, Q: ArrayLike, R: ArrayLike | None) -> Matrix:
     """Design the linear-quadratic regulator."""
     n, n_u = B.shape
-    state_weight = _weight("Q", Q, n)
-    input_weight = np.eye(n_u) if R is None else _weight("R", R, n_u)
+    state_weight = weight_matrix("Q", Q, n)
+    input_weight = np.eye(n_u) if R is None else weight_matrix("R", R, n_u)
     if np.linalg.eigvalsh(input_weight).min() <= 0.0:
         raise AssumptionError("state feedback: R is not positive definite; needed weights above 0")
     from scipy.linalg import solve_continuous_are  # takes long to import, and is rarely needed
@@ -259,20 +280,31 @@ def _regulator(A: Matrix, B: Matrix, Q: ArrayLike, R: ArrayLike | None) -> Matri
     return np.asarray(gain, np.float64)
 
 
-def _weight(name: str, values: ArrayLike, size: int) -> Matrix:
-    """Return a weight as a symmetric matrix; a row is its diagonal."""
+def weight_matrix(name: str, values: ArrayLike, size: int) -> Matrix:
+    """Return a weight as a symmetric matrix; a row is its diagonal.
+
+    Raises
+    ------
+    AssumptionError
+        If it has another size, or is not symmetric and positive semidefinite.
+    """
     weight: Matrix = np.asarray(values, np.float64)
     if weight.ndim == 1:
         weight = weight * np.eye(len(weight))
     fits = weight.shape == (size, size) and bool(np.isfinite(weight).all())
-    if not fits or not np.array_equal(weight, weight.T):
+    if not fits or not np.allclose(weight, weight.T, rtol=1e-12, atol=1e-14 * _size(weight)):
         raise AssumptionError(
             f"state feedback: {name} = {np.asarray(values).tolist()}; needed {size} numbers, its "
             f"diagonal, or a symmetric matrix of {size} rows"
         )
     if np.linalg.eigvalsh(weight).min() < -1e-12 * np.abs(weight).max():
         raise AssumptionError(f"state feedback: {name} is not positive semidefinite")
-    return weight
+    symmetric: Matrix = 0.5 * (weight + weight.T)
+    return symmetric
+
+
+def _size(weight: Matrix) -> float:
+    return float(np.abs(weight).max(initial=0.0))
 
 
 def _given_gain(K: ArrayLike | None, shape: tuple[int, ...]) -> Matrix:
