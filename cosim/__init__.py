@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from cosim.scenario.experiment_design.ranking import design
     from cosim.scenario.field_file import read_field_data
     from cosim.scenario.identification.from_logs import identify
+    from cosim.scenario.models import model_table
 
 _HOMES = {
     "compare": "cosim.report.comparing",
@@ -29,6 +30,7 @@ _HOMES = {
     "identify": "cosim.scenario.identification.from_logs",
     "linearize": "cosim.fmi.linearizing.linearize",
     "load": "cosim.scenario.execution",
+    "model_table": "cosim.scenario.models",
     "open_log": "cosim.log.reader",
     "read_field_data": "cosim.scenario.field_file",
     "replay": "cosim.scenario.execution",
@@ -44,6 +46,7 @@ __all__ = [
     "identify",
     "linearize",
     "load",
+    "model_table",
     "open_log",
     "read_field_data",
     "replay",

@@ -181,13 +181,13 @@ def linearize(
     from cosim.fmi.linearizing.linearize import linearize_file
     from cosim.fmi.linearizing.request import LinearizationRequest
     from cosim.report.tables.fmu import print_linearization
-    from cosim.scenario.linearizing import model_table
+    from cosim.scenario.linearizing import model_toml
 
     if as_toml and as_json:
         raise UsageError("--toml and --json: give one of them")
-    if bool(disturbances) != as_toml:
+    if disturbances and not as_toml:
         raise UsageError(
-            "--toml and --disturbance NAME go together: "
+            "--disturbance NAME goes with --toml: "
             "a table of [models] separates known inputs from unknown ones"
         )
     request = LinearizationRequest(
@@ -198,9 +198,9 @@ def linearize(
         method="central differences" if differences else None,
     )
     linearization = linearize_file(fmu, request)
-    if disturbances:
+    if as_toml:
         for note in linearization.notes:
             typer.echo(printable(f"note: {note}"), err=True)
-        typer.echo(model_table(linearization, disturbances), nl=False)
+        typer.echo(model_toml(linearization, disturbances or []), nl=False)
     else:
         print_linearization(linearization, as_json=as_json)

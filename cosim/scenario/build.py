@@ -69,6 +69,8 @@ class Experiment:
         What is read beside the scenario.
     identified : mapping of identifier to IdentifiedPlant
         What its estimates are judged by.
+    models : mapping of name to plain values
+        Of those that were read from files: file, hash and matrices.
     given_states : mapping of component name to GivenStates
         Initial states that the run may have to change.
     plan : Plan or None
@@ -92,6 +94,7 @@ class Experiment:
     fmus: Mapping[str, MessageSource]
     files: frozenset[Path]
     identified: Mapping[str, IdentifiedPlant] = field(default_factory=dict)
+    models: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     given_states: Mapping[str, GivenStates] = field(default_factory=dict)
     plan: Plan | None = None
     designs: Mapping[str, Design] | None = None
@@ -374,6 +377,7 @@ class Builder:
             fmus=context.fmus,
             files=frozenset(context.files),
             identified=context.identified,
+            models=context.models,
             given_states=self._given_states,
         )
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 import numpy as np
 
 from cosim.arguments import check_path
-from cosim.arrays import Vector
+from cosim.arrays import Matrix, Vector
 from cosim.blocks.field_data import FieldData
 from cosim.blocks.replay import Replay
 from cosim.core.clock import Clock, nanoseconds, seconds
@@ -23,10 +23,15 @@ from cosim.errors import CosimError, LogError, UsageError, nearest, option, quot
 from cosim.scenario.identification.model import IdentifiedPlant
 from cosim.scenario.kinds import Kind
 from cosim.scenario.kinds.base import KnownSignal, Spectrum
-from cosim.scenario.models import system_of
+from cosim.scenario.model_file import missing_text, read_model_file
+from cosim.scenario.models import LETTERS, system_of, system_of_file
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.problems import Key
-from cosim.scenario.recorded_metadata import LinearizationRecord, component_record
+from cosim.scenario.recorded_metadata import (
+    LinearizationRecord,
+    component_record,
+    recorded_models,
+)
 from cosim.scenario.swap import ports_in
 from cosim.theory.descriptor import DescriptorSystem
 
@@ -113,6 +118,8 @@ class ScenarioBuildContext:
         self._field_data: dict[str, FieldData] = {}
         self._designs: dict[str, tuple[Any, frozenset[str]]] = {}
         self._choices: dict[str, Mapping[str, Any]] = {}
+        self._systems: dict[str, DescriptorSystem] = {}
+        self.models: dict[str, dict[str, Any]] = {}
         self.files: set[Path] = set()
         self.identified: dict[str, IdentifiedPlant] = {}
 
@@ -162,7 +169,35 @@ class ScenarioBuildContext:
         if name not in models:
             raise UsageError(f"there is no model {name!r} in [models]; {nearest(name, models)}")
         self._read(f"models.{name}")
-        return system_of(name, models[name])
+        table = models[name]
+        if table.file is None:
+            return system_of(name, table)
+        if name not in self._systems:
+            self._systems[name] = system_of_file(table, self._matrices(name, table.file))
+        return self._systems[name]
+
+    def _matrices(self, name: str, path: str) -> Mapping[str, Matrix]:
+        """Return the matrices of a model's file, and record them; a replay takes them from there.
+
+        Raises
+        ------
+        UsageError
+            If the file cannot be read, or is not to be opened; see :meth:`file`.
+        LogError
+            If the recorded matrices cannot be understood.
+        """
+        if self._recording is not None:
+            record = recorded_models(self._recording).get(name)
+            if record is not None and record.file == path:
+                self.models[name] = record.model_dump(mode="json")
+                return record.arrays
+        found = read_model_file(self.file(path), LETTERS)
+        missing = [letter for letter in ("A", "C") if letter not in found.matrices]
+        if missing:
+            raise UsageError(missing_text(path, found, missing))
+        matrices = {letter: rows.tolist() for letter, rows in found.matrices.items()}
+        self.models[name] = {"file": path, "sha256": found.sha256, "matrices": matrices}
+        return found.matrices
 
     def spec(self, name: str) -> Kind:
         """Return the table of another component, and record that it was read."""

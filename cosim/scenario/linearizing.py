@@ -144,26 +144,30 @@ def _columns(linearization: Linearization, name: str) -> list[int]:
     return columns
 
 
-def model_table(linearization: Linearization, disturbances: Sequence[str]) -> str:
-    """Write a linearization as a table of [models].
-
-    Direct feedthrough to y goes by way of algebraic states.
+def model_toml(linearization: Linearization, disturbances: Sequence[str]) -> str:
+    """Write a linearization as a table of [models], in the general form.
 
     Raises
     ------
     UsageError
-        If a disturbance is none of the inputs, or no states, outputs, known inputs or disturbances
-        are there.
+        If a disturbance is none of the inputs, or no states or outputs are there.
     """
     known, unknown = split(linearization, disturbances)
     _check_not_empty(linearization, "state", linearization.states)
     _check_not_empty(linearization, "output", linearization.outputs)
-    _check_not_empty(linearization, "known input", known)
-    _check_not_empty(linearization, "disturbance", unknown)
-    A, B, C = _with_algebraic_states(linearization)
-    matrices = {"A": A, "Bu": B[:, known], "Bd": B[:, unknown], "C": C}
-    lines = [*_header(linearization, known, unknown), f"n_a = {len(linearization.states)}"]
-    lines += [f"{name} = {_rows(matrix)}" for name, matrix in matrices.items()]
+    B = linearization.B
+    matrices = {
+        "A": linearization.A,
+        "Bu": B[:, known],
+        "Bd": B[:, unknown],
+        "C": linearization.C,
+        "Du": linearization.D[:, known],
+        "Dd": _direct(linearization, unknown),
+    }
+    lines = _header(linearization, known, unknown)
+    for name, matrix in matrices.items():
+        if matrix.any() or (matrix.size and not name.startswith("D")):
+            lines.append(f"{name} = {_rows(matrix)}")
     return "\n".join(lines) + "\n"
 
 
@@ -173,24 +177,6 @@ def _check_not_empty(linearization: Linearization, what: str, columns: Sequence[
         raise UsageError(
             f"{linearization.name}: a table of [models] needs a {what}; inputs: {inputs}"
         )
-
-
-def _with_algebraic_states(linearization: Linearization) -> tuple[Matrix, Matrix, Matrix]:
-    """Return A, B and C with states x_b = D (u, delta) of the outputs with feedthrough.
-
-    There ``y = C x + x_b``, ``0 = -x_b + D (u, delta)``.
-    """
-    D = linearization.D
-    feedthrough = np.flatnonzero(D.any(axis=1))
-    n = len(linearization.states)
-    n_b = len(feedthrough)
-    top = np.hstack([linearization.A, np.zeros((n, n_b))])
-    bottom = np.hstack([np.zeros((n_b, n)), -np.eye(n_b)])
-    selected = np.eye(len(linearization.outputs))[:, feedthrough]
-    A = np.vstack([top, bottom])
-    B = np.vstack([linearization.B, D[feedthrough]])
-    C = np.hstack([linearization.C, selected])
-    return A, B, C
 
 
 def _header(
@@ -211,7 +197,9 @@ def _header(
             f"# for deviations from this point: it lacks c = {c.tolist()} of x' = ... + c "
             f"and d = {d.tolist()} of y = ... + d"
         )
-    lines.append(f"# x: {x}; u: {u}; delta: {delta}; y: {y}")
+    names = {"x": x, "u": u, "delta": delta, "y": y}
+    listed = "; ".join(f"{signal}: {listing}" for signal, listing in names.items() if listing)
+    lines.append(f"# {listed}")
     return lines
 
 

@@ -1,14 +1,15 @@
-"""Models of [models]: from the matrices of a table to a descriptor system."""
+"""Models of [models]: from the matrices of a table or a file to a descriptor system."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Final
 
 from cosim.arrays import Matrix
-from cosim.errors import UsageError
+from cosim.errors import AssumptionError, UsageError
 from cosim.scenario.schema import ModelTable, matrix
 from cosim.theory.descriptor import DescriptorSystem
+from cosim.theory.foreign_model import disturbance_columns, state_space_matrices
 
 LETTERS: Final = ("E", "A", "B", "Bu", "Bd", "C", "D", "Du", "Dd")
 PARTITIONED: Final = ("A", "Bu", "Bd", "C")
@@ -18,28 +19,21 @@ SPLIT_B: Final = ("Bu", "Bd", "Du", "Dd")
 
 def form_problems(table: ModelTable) -> Iterator[tuple[str, str]]:
     """Yield what is wrong with the keys of a model: the key, "" for the table, and the problem."""
-    given: list[str] = [
-        name for name in (*LETTERS, "disturbances") if getattr(table, name) is not None
-    ]
+    given = [name for name in (*LETTERS, "disturbances") if getattr(table, name) is not None]
+    if table.file is not None:
+        for name in given:
+            if name != "disturbances":
+                yield name, "found it beside file; needed all matrices in one of them"
+        if table.n_a is not None:
+            yield "n_a", "found it beside file, which has the general form; needed no n_a"
+        return
     if table.n_a is not None:
         yield from _problems_of_partitioned(given)
         return
-    for name in ("A", "C"):
-        if name not in given:
-            yield "", f"'{name}' is missing; needed A and C (E, B or Bu and Bd, D as there are)"
-    split = [name for name in SPLIT_B if name in given]
-    whole = [name for name in WHOLE_B if name in given]
-    if "B" in whole and split:
-        yield split[0], f"found it beside B; needed B and D, or Bu, Bd, Du and Dd: {_cure(split)}"
-    elif "B" in given:
-        yield from _problems_of_columns(table)
-    else:
-        for name in whole:
-            needed = "B" if name == "disturbances" else "B; with Bu and Bd it is Du and Dd"
-            yield name, f"found it without B; needed {needed}"
-    for name, B in (("Du", "Bu"), ("Dd", "Bd")):
-        if name in given and B not in given and "B" not in given:
-            yield name, f"found it without {B}; needed {B}, of zeros where it acts on y alone"
+    yield from _problems_of_general(given)
+    if table.B is not None:
+        columns = max(map(len, table.B), default=0)
+        yield from _problems_of_columns(table.disturbances or (), columns)
 
 
 def _problems_of_partitioned(given: Sequence[str]) -> Iterator[tuple[str, str]]:
@@ -48,19 +42,33 @@ def _problems_of_partitioned(given: Sequence[str]) -> Iterator[tuple[str, str]]:
             yield "", f"'{name}' is missing; needed {', '.join(PARTITIONED)} with n_a"
     for name in given:
         if name not in PARTITIONED:
-            yield (
-                name,
-                (
-                    "found it beside n_a, which stands for E = diag(I, 0) and has A, Bu, Bd and C "
-                    f"only; needed no {name}, or the general form: E in place of n_a"
-                ),
+            text = (
+                "found it beside n_a, which stands for E = diag(I, 0) and has A, Bu, Bd and C "
+                f"only; needed no {name}, or the general form: E in place of n_a"
             )
+            yield name, text
 
 
-def _problems_of_columns(table: ModelTable) -> Iterator[tuple[str, str]]:
-    assert table.B is not None
-    columns = max(map(len, table.B), default=0)
-    unknown = table.disturbances or ()
+def _problems_of_general(given: Sequence[str]) -> Iterator[tuple[str, str]]:
+    for name in ("A", "C"):
+        if name not in given:
+            yield "", f"'{name}' is missing; needed A and C (E, B or Bu and Bd, D as there are)"
+    split = [name for name in SPLIT_B if name in given]
+    whole = [name for name in WHOLE_B if name in given]
+    if "B" in given and split:
+        cure = f"leave {', '.join(split)} out, or split B"
+        yield split[0], f"found it beside B; needed B and D, or Bu, Bd, Du and Dd: {cure}"
+        return
+    if "B" not in given:
+        for name in whole:
+            needed = "B" if name == "disturbances" else "B; with Bu and Bd it is Du and Dd"
+            yield name, f"found it without B; needed {needed}"
+    for name, B in (("Du", "Bu"), ("Dd", "Bd")):
+        if name in given and B not in given:
+            yield name, f"found it without {B}; needed {B}, of zeros where it acts on y alone"
+
+
+def _problems_of_columns(unknown: Sequence[int], columns: int) -> Iterator[tuple[str, str]]:
     for column in unknown:
         if not 0 <= column < columns:
             yield "disturbances", f"found {column}; B has the columns 0 to {columns - 1}"
@@ -68,12 +76,8 @@ def _problems_of_columns(table: ModelTable) -> Iterator[tuple[str, str]]:
         yield "disturbances", f"found {list(unknown)}; needed each column once"
 
 
-def _cure(names: Sequence[str]) -> str:
-    return f"leave {', '.join(names)} out, or split B"
-
-
 def system_of(name: str, table: ModelTable) -> DescriptorSystem:
-    """Build the descriptor system of a table.
+    """Build the descriptor system of a table that has its matrices.
 
     Raises
     ------
@@ -84,8 +88,7 @@ def system_of(name: str, table: ModelTable) -> DescriptorSystem:
     ValueError
         If the rows of a matrix have different lengths.
     """
-    for key, text in form_problems(table):
-        raise UsageError(f"{key}: {text}" if key else text)
+    _check(form_problems(table))
     matrices: dict[str, Matrix] = {}
     for letter in LETTERS:
         rows = getattr(table, letter)
@@ -94,6 +97,66 @@ def system_of(name: str, table: ModelTable) -> DescriptorSystem:
     if table.n_a is not None:
         return DescriptorSystem.partitioned(n_a=table.n_a, **matrices)
     return general_system(matrices, table.disturbances or ())
+
+
+def system_of_file(table: ModelTable, matrices: Mapping[str, Matrix]) -> DescriptorSystem:
+    """Build the descriptor system of a table whose matrices are in a file.
+
+    Raises
+    ------
+    UsageError
+        If these do not make up a form.
+    AssumptionError
+        If they do not fit together.
+    """
+    given = list(matrices)
+    if table.disturbances is not None:
+        given.append("disturbances")
+    _check(_problems_of_general(given))
+    unknown = table.disturbances or ()
+    if "B" in matrices:
+        _check(_problems_of_columns(unknown, matrices["B"].shape[1]))
+    return general_system(matrices, unknown)
+
+
+def model_table(
+    system: object, disturbances: Iterable[int | str] = ()
+) -> dict[str, list[list[float]] | list[int]]:
+    """Return a model of another package as a table for [models].
+
+    Parameters
+    ----------
+    system : object
+        With A, B, C and D, such as a StateSpace of python-control or scipy.signal, in continuous
+        time.
+    disturbances : iterable of int or str
+        The inputs that are unknown, by column of B or by name.
+
+    Raises
+    ------
+    AssumptionError
+        If it is no such model, or an input is not there.
+
+    Examples
+    --------
+    >>> import cosim, scipy.signal
+    >>> model = scipy.signal.StateSpace([[-1.0]], [[1.0, 1.0]], [[1.0]], [[0.0, 0.0]])
+    >>> cosim.model_table(model, disturbances=[1])["disturbances"]
+    [1]
+    """
+    table: dict[str, list[list[float]] | list[int]] = {}
+    for name, values in state_space_matrices(system).items():
+        if values.size or name in ("A", "C"):
+            table[name] = values.tolist()
+    unknown = disturbance_columns(system, disturbances)
+    if unknown:
+        table["disturbances"] = list(unknown)
+    return table
+
+
+def _check(problems: Iterable[tuple[str, str]]) -> None:
+    for key, text in problems:
+        raise UsageError(f"{key}: {text}" if key else text)
 
 
 def general_system(
@@ -109,6 +172,14 @@ def general_system(
         If they do not fit together.
     """
     split = {name: matrices[name] for name in SPLIT_B if name in matrices}
+    if "D" in matrices:
+        n_y = len(matrices["C"])
+        needed = (n_y, matrices["B"].shape[1])
+        if matrices["D"].shape != needed:
+            raise AssumptionError(
+                f"D has shape {matrices['D'].shape}; needed {needed}: one row per row of C, one "
+                "column per column of B"
+            )
     for name in ("B", "D"):
         if name in matrices:
             columns = range(matrices[name].shape[1])

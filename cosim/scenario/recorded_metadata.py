@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar
 
+import numpy as np
 from pydantic import (
     BaseModel,
     BeforeValidator,
@@ -17,6 +18,7 @@ from pydantic import (
     ValidationError,
 )
 
+from cosim.arrays import Matrix
 from cosim.core.contracts import Recording
 from cosim.core.recorded import find_signal
 from cosim.errors import LogError
@@ -214,6 +216,19 @@ class IdentificationRecord(_Record):
     problem: Text = ""
 
 
+class ModelRecord(_Record):
+    """A model that was read from a file: its path, its hash and its matrices."""
+
+    file: Text
+    sha256: Text
+    matrices: dict[Text, NumberRows]
+
+    @property
+    def arrays(self) -> dict[str, Matrix]:
+        """The matrices as arrays."""
+        return {name: np.array(rows, np.float64) for name, rows in self.matrices.items()}
+
+
 class StateChangeRecord(_Record):
     """An initial state that was made consistent: its entry, as it was given, as it is."""
 
@@ -251,6 +266,7 @@ _ORIGIN: TypeAdapter[ReplayOrigin] = TypeAdapter(ReplayOrigin)
 _IDENTIFICATION: TypeAdapter[dict[str, IdentificationRecord]] = TypeAdapter(
     dict[str, IdentificationRecord]
 )
+_MODELS: TypeAdapter[dict[str, ModelRecord]] = TypeAdapter(dict[str, ModelRecord])
 _STATE_CHANGES: TypeAdapter[dict[str, tuple[StateChangeRecord, ...]]] = TypeAdapter(
     dict[str, tuple[StateChangeRecord, ...]]
 )
@@ -350,6 +366,22 @@ def recorded_identification(recording: Recording) -> dict[str, IdentificationRec
     """
     results = recording.results.get("identification", {})
     return _checked(_IDENTIFICATION, results, "results of the identification")
+
+
+def recorded_models(recording: Recording) -> dict[str, ModelRecord]:
+    """Return the models that were read from files, by name.
+
+    Raises
+    ------
+    LogError
+        If they cannot be understood.
+    """
+    models = _of_run(recording, "models", "{}", _MODELS)
+    for name, record in models.items():
+        for letter, rows in record.matrices.items():
+            if len({len(row) for row in rows}) != 1:
+                raise LogError(f"models: {name}.{letter} has rows of different lengths, or none")
+    return models
 
 
 def recorded_state_changes(recording: Recording) -> dict[str, tuple[StateChangeRecord, ...]]:

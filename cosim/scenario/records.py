@@ -180,6 +180,8 @@ def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:
         "first_order_loops": json.dumps(loops),
         "warnings": json.dumps(experiment.warnings),
     }
+    if experiment.models:
+        run["models"] = json.dumps(experiment.models)
     if experiment.origin is not None:
         run["replay"] = json.dumps(asdict(experiment.origin))
     connections = {}

@@ -108,6 +108,11 @@ class ModelTable(TomlTable):
     disturbances: tuple[Whole, ...] | None = Field(
         None, description="columns of B that are unknown, counted from 0; default: none"
     )
+    file: str | None = Field(
+        None,
+        description="path of a MAT-file (.mat) with the matrices of the general form by name, "
+        "in place of them",
+    )
 
 
 class ConnectionTable(TomlTable):

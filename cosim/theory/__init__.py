@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     )
     from cosim.theory.estimators.output_error import OutputErrorFit, fit_output_error
     from cosim.theory.excitation import describe_excitation, information
+    from cosim.theory.foreign_model import descriptor_system
     from cosim.theory.observer import (
         IdentificationStartTime,
         ObserverDesign,
@@ -61,6 +62,7 @@ _HOMES = {
     "coefficients": "cosim.theory.disturbance",
     "DataSet": "cosim.theory.disturbed_plant",
     "describe_excitation": "cosim.theory.excitation",
+    "descriptor_system": "cosim.theory.foreign_model",
     "DescriptorSystem": "cosim.theory.descriptor",
     "design": "cosim.theory.observer",
     "disturbance_transfer": "cosim.theory.descriptor",
@@ -121,6 +123,7 @@ __all__ = [
     "chi",
     "coefficients",
     "describe_excitation",
+    "descriptor_system",
     "design",
     "disturbance_transfer",
     "eta",

@@ -715,14 +715,18 @@ def test_linearize_prints_a_table_for_a_scenario(call):
     )
     assert code == 0
     assert "[models.academic_plant]" in out
-    assert "Bd = [[1.0], [0.0], [0.0]]" in out
+    assert "Bd = [[1.0], [0.0]]\n" in out
+    assert "Du = [[-1.0]]\n" in out
+    assert "Dd" not in out
+    code, out, _ = call("linearize", "plant.fmu", "--output", "y", "--toml")
+    assert code == 0
+    assert "Bu = [[-1.0, 1.0], [1.0, 0.0]]" in out
 
 
 @pytest.mark.parametrize(
     ("options", "text"),
     [
-        (["--toml"], "--toml and --disturbance NAME go together"),
-        (["--disturbance", "delta"], "--toml and --disturbance NAME go together"),
+        (["--disturbance", "delta"], "--disturbance NAME goes with --toml"),
         (["--toml", "--json", "--disturbance", "delta"], "--toml and --json: give one of them"),
         (["--set", "u=fast"], "start value of 'u': found 'fast', needed a number"),
         (["--set", "=3"], "--set '=3': found no name, needed NAME=VALUE"),

@@ -109,7 +109,7 @@ def test_a_plant_without_disturbance_has_no_such_port(tmp_path):
         ),
         (
             FEEDTHROUGH.replace("D = [[0.5, 2.0]]", "D = [[0.5]]"),
-            r"models\.m: Dd has shape \(1, 0\); needed \(1, 1\)",
+            r"models\.m: D has shape \(1, 1\); needed \(1, 2\): one row per row of C, one column",
         ),
         ("A = [[1, 2]]\nC = [[1]]", r"models\.m: A has shape \(1, 2\); needed \(n, n\)"),
         (

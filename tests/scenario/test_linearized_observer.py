@@ -12,7 +12,7 @@ import cosim
 from cosim.errors import ScenarioError, UsageError
 from cosim.fmi.linearizing.linearize import linearize
 from cosim.scenario.exporting import export_component
-from cosim.scenario.linearizing import model_table, split
+from cosim.scenario.linearizing import model_toml, split
 from tests.fmi.pendulum import jacobian, pendulum
 
 pytestmark = pytest.mark.usefixtures("without_verdicts")
@@ -230,15 +230,17 @@ def test_what_is_no_table_of_a_design_model_is_refused(name, folder):
 def test_a_table_of_a_scenario_is_the_same_model(folder):
     """The printed [models] table, in the place of the shipped one.
 
-    y = x1 - u by way of an algebraic state gives the same theta.
+    y = x1 - u by its D gives the same theta; the plant's x is the x_a of the matrices.
     """
-    table = model_table(linearize(folder / "plant.fmu", outputs=["y"]), ["delta"])
+    table = model_toml(linearize(folder / "plant.fmu", outputs=["y"]), ["delta"])
     text = (folder / "academic.toml").read_text()
     before, _, rest = text.partition("[models.academic]")
     named = table.replace("[models.academic_plant]", "[models.academic]")
-    (folder / "table.toml").write_text(
-        before + named + "\n[components.u]" + rest.partition("[components.u]")[2]
+    rest = "\n[components.u]" + rest.partition("[components.u]")[2]
+    rest = rest.replace("x_a0 =", "x0 =").replace(
+        '"observer.x_a" = "plant.x_a"', '"observer.x" = "plant.x"'
     )
+    (folder / "table.toml").write_text(before + named + rest)
     assert "# x: x_a[0], x_a[1]; u: u; delta: delta; y: y" in table
     matrices = cosim.run(folder / "academic.toml")
     run = cosim.run(folder / "table.toml")
@@ -246,9 +248,9 @@ def test_a_table_of_a_scenario_is_the_same_model(folder):
 
 
 def test_a_table_names_its_operating_point_and_what_it_lacks(folder):
-    """The constants are named; without a known input there is no table."""
+    """The constants are named; what is not there is left out: known inputs, disturbances."""
     linearization = linearize(folder / "pendulum.fmu", outputs=["y"], start={"torque": 1.0})
-    table = model_table(linearization, ["wind"])
+    table = model_toml(linearization, ["wind"])
     assert (
         "# pendulum linearized at t = 0.0 s, theta = 0.5, omega = 0.0, torque = 1.0, wind = 0.0"
         in table
@@ -259,11 +261,10 @@ def test_a_table_names_its_operating_point_and_what_it_lacks(folder):
         "and d = [0.0] of y = ... + d" in table
     )
     assert f"Bu = {jacobian(0.5, 0.0, 1.0)[1][:, :1].tolist()}" in table
-    with pytest.raises(
-        UsageError,
-        match="pendulum: a table of \\[models\\] needs a known input; inputs: torque, wind",
-    ):
-        model_table(linearization, ["torque", "wind"])
+    assert "Bu" not in model_toml(linearization, ["torque", "wind"])
+    calm = model_toml(linearization, [])
+    assert "Bd" not in calm
+    assert "delta" not in calm
 
 
 def test_disturbances_are_named_by_elements_or_by_ports_that_exist(tmp_path):

@@ -1,0 +1,166 @@
+"""The matrices in a MAT-file of version 5 to 7, as MATLAB and Octave write it with ``save -v7``.
+
+::
+
+    file     = header (128 bytes), elements
+    element  = type, length (8 bytes, or both in the first 4 and up to 4 of data), data
+    matrix   = elements: flags, dimensions, name, real part, imaginary part;
+               of a sparse one: flags, dimensions, name, rows, column starts, real part, ...
+
+Everything is checked against the bytes that are there: a damaged file is an error, no crash, which
+it may be with ``scipy.io.loadmat``.
+
+MATLAB, MAT-File Format (R2019b), chapter 1.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Final, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.arrays import Matrix, frozen
+from cosim.errors import UsageError
+
+Numbers: TypeAlias = NDArray[Any]  # of the type that the file has
+
+HEADER: Final = 128  # bytes
+LARGEST: Final = 2**28  # bytes of a matrix
+MATRIX: Final = 14  # types of elements
+COMPRESSED: Final = 15
+NUMBERS: Final = {
+    1: "i1",
+    2: "u1",
+    3: "i2",
+    4: "u2",
+    5: "i4",
+    6: "u4",
+    7: "f4",
+    9: "f8",
+    12: "i8",
+    13: "u8",
+}
+SPARSE: Final = 5  # classes of matrices
+NUMERIC: Final = range(6, 16)
+CLASSES: Final = {1: "a cell array", 2: "a struct", 3: "an object", 4: "text"}
+IS_COMPLEX: Final = 0x08
+
+
+@dataclass(frozen=True)
+class OtherVariable:
+    """A variable that is no matrix of real numbers: what it is."""
+
+    what: str
+
+
+def read_variables(content: bytes) -> dict[str, Matrix | OtherVariable]:
+    """Return the variables of a MAT-file by name.
+
+    Raises
+    ------
+    UsageError
+        If it is none of version 5 to 7, or damaged.
+    """
+    order = {b"IM": "<", b"MI": ">"}.get(content[126:HEADER])
+    if order is None:
+        raise UsageError("it has not the header of a MAT-file of version 5 to 7")
+    variables = {}
+    try:
+        for kind, data in _elements(content[HEADER:], order):
+            if kind == COMPRESSED:
+                kind, data = next(_elements(_decompressed(data), order))
+            if kind == MATRIX:
+                name, value = _variable(data, order)
+                variables[name] = value
+    except (ValueError, IndexError, StopIteration, struct.error, zlib.error) as error:
+        raise UsageError(f"it is damaged: {error or 'it ends too early'}") from error
+    return variables
+
+
+def _elements(content: bytes, order: str) -> Iterator[tuple[int, bytes]]:
+    """Yield type and data of the elements one behind the other."""
+    position = 0
+    while position < len(content):
+        if position + 8 > len(content):
+            raise ValueError("it ends within an element")
+        kind, length = struct.unpack_from(f"{order}II", content, position)
+        small = kind >> 16
+        if small:
+            kind &= 0xFFFF
+            begin = position + 4
+            length = small
+            position += 8
+        else:
+            begin = position + 8
+            position = begin + length
+            if kind != COMPRESSED:
+                position += -length % 8  # data end at a multiple of 8 bytes
+        if begin + length > len(content):
+            raise ValueError(f"an element of {length} bytes goes beyond its end")
+        yield kind, content[begin : begin + length]
+
+
+def _decompressed(data: bytes) -> bytes:
+    stream = zlib.decompressobj()
+    content = stream.decompress(data, LARGEST)
+    if not stream.eof:
+        raise ValueError("a compressed variable is too large, or ends too early")
+    return content
+
+
+def _variable(data: bytes, order: str) -> tuple[str, Matrix | OtherVariable]:
+    """Return name and value of a matrix element."""
+    elements = _elements(data, order)
+    flags = _numbers(next(elements), order)
+    dimensions = _numbers(next(elements), order).tolist()
+    _, name = next(elements)
+    array_class = int(flags[0]) & 0xFF
+    is_complex = bool(int(flags[0]) >> 8 & IS_COMPLEX)
+    return name.decode("ascii"), _value(elements, order, array_class, dimensions, is_complex)
+
+
+def _value(
+    elements: Iterator[tuple[int, bytes]],
+    order: str,
+    array_class: int,
+    dimensions: list[int],
+    is_complex: bool,
+) -> Matrix | OtherVariable:
+    if array_class not in (SPARSE, *NUMERIC):
+        return OtherVariable(CLASSES.get(array_class, "an object"))
+    if len(dimensions) != 2:
+        return OtherVariable(f"an array of {len(dimensions)} dimensions")
+    if is_complex:
+        return OtherVariable("a matrix of complex numbers")
+    rows, columns = dimensions
+    if min(dimensions) < 0 or rows * columns * 8 > LARGEST:
+        raise ValueError(f"a matrix of {rows} x {columns} is too large")
+    if array_class in NUMERIC:
+        values = _numbers(next(elements), order)
+        return frozen(values.reshape((rows, columns), order="F"), 2)
+    of_rows = _numbers(next(elements), order).astype(np.int64)
+    starts = _numbers(next(elements), order).astype(np.int64)
+    values = _numbers(next(elements), order)
+    counts = np.diff(starts)
+    if len(starts) != columns + 1 or starts[0] != 0 or (counts < 0).any():
+        raise ValueError("the columns of a sparse matrix do not fit together")
+    used = int(starts[-1])
+    matrix = np.zeros((rows, columns))
+    of_columns = np.repeat(np.arange(columns), counts)
+    is_inside = (of_rows[:used] >= 0) & (of_rows[:used] < rows)
+    if len(values) < used or len(of_rows) < used or not is_inside.all():
+        raise ValueError("the entries of a sparse matrix do not fit together")
+    matrix[of_rows[:used], of_columns] = values[:used]
+    return frozen(matrix, 2)
+
+
+def _numbers(element: tuple[int, bytes], order: str) -> Numbers:
+    kind, data = element
+    if kind not in NUMBERS:
+        raise ValueError(f"found an element of type {kind}; needed numbers")
+    return np.frombuffer(data, order + NUMBERS[kind])
