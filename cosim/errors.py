@@ -69,7 +69,23 @@ class ClockError(UsageError):
 
 
 class AssumptionError(UsageError):
-    """An assumption of the method that does not hold for the given system."""
+    """An assumption of the method that does not hold for the given system.
+
+    Parameters
+    ----------
+    evidence : str
+        What was found and what was needed.
+    verdict : str
+        The name of what is wrong, such as ``INDEX_2``; empty: it has none.
+    cure : str
+        The way out; the message ends with it. Empty: the evidence has it.
+    """
+
+    def __init__(self, evidence: str, verdict: str = "", cure: str = "") -> None:
+        super().__init__(f"{evidence}; {cure}" if cure else evidence)
+        self.evidence = evidence
+        self.verdict = verdict
+        self.cure = cure
 
 
 class StartError(AssumptionError):

@@ -17,8 +17,11 @@ from cosim.theory.descriptor import ComplexVector, ReducedSystem
 from cosim.theory.geometry import RANK_TOLERANCE
 from cosim.theory.pencil import SINGULAR
 from cosim.theory.placement import modes
-from cosim.theory.scaling import rank_between
+from cosim.theory.scaling import rank_between, values_between
 
+_MEASURE: Final = (
+    "measure an output that one integrator leads to (a rate, a force), or fit it to y offline"
+)
 MOST_SHOWN: Final = 12  # entries of a matrix in a message
 
 
@@ -36,11 +39,13 @@ class Decoupling:
     that delta does not reach directly.
 
     Shapes: ``direct (n_d, n_y)``, ``G (n_d, n_y)``, ``outputs (n_y - r, n_y)`` with `r = rank C5`.
+    ``values`` are the singular values of C3 B_2a for the rest of delta, its terms of size one.
     """
 
     direct: Matrix
     G: Matrix
     outputs: Matrix
+    values: Vector
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,24 +81,40 @@ def decouple(reduced: ReducedSystem, weights: Vector) -> Decoupling:
     C3 = reduced.C3
     B_2a = reduced.B_2a
     n_y, n_d = reduced.C5.shape
-    if n_d > n_y:
-        raise AssumptionError(
-            f"Assumption 5 (14): {n_y} output(s) for {n_d} disturbances, needed at least {n_d} "
-            "outputs: the disturbance is not decoupled (FEWER_OUTPUTS_THAN_DISTURBANCES)"
-        )
+    check_outputs(n_y, n_d)
     tolerance = max(SINGULAR, reduced.accuracy)
     _check_independent(reduced, tolerance)
     split = _split(reduced, weights, tolerance)
     C = split.outputs @ C3
     B = B_2a @ split.disturbances
     remaining = n_d - split.rank
-    reached = rank_between(C @ B, np.abs(C) @ np.abs(B), tolerance)
+    values = values_between(C @ B, np.abs(C) @ np.abs(B))
+    reached = int((values > tolerance).sum())
     if reached < remaining:
-        raise AssumptionError(_relative_degree(reduced, split, reached, tolerance))
+        raise AssumptionError(
+            _relative_degree(reduced, split, reached, tolerance), "RELATIVE_DEGREE", _MEASURE
+        )
     of_outputs = np.linalg.norm(split.outputs / weights, axis=1)
     inverse = _left_inverse(C @ B, 1.0 / of_outputs)
     G = split.disturbances @ inverse @ split.outputs
-    return Decoupling(split.direct, G, split.outputs)
+    return Decoupling(split.direct, G, split.outputs, values)
+
+
+def check_outputs(n_y: int, n_d: int) -> None:
+    """Check that there are enough outputs for the disturbances.
+
+    Raises
+    ------
+    AssumptionError
+        If there are not.
+    """
+    if n_d > n_y:
+        raise AssumptionError(
+            f"Assumption 5 (14): {n_y} output(s) for {n_d} disturbances, needed at least {n_d} "
+            "outputs: the disturbance is not decoupled (FEWER_OUTPUTS_THAN_DISTURBANCES)",
+            "FEWER_OUTPUTS_THAN_DISTURBANCES",
+            f"measure {n_d - n_y} more output(s), or merge disturbances that act together",
+        )
 
 
 def _check_independent(reduced: ReducedSystem, tolerance: float) -> None:
@@ -111,8 +132,9 @@ def _check_independent(reduced: ReducedSystem, tolerance: float) -> None:
         matrix = "[B_2a; C5]" if reduced.C5.any() else "B_2a"
         raise AssumptionError(
             f"Assumption 5 (14): rank {matrix} = {directions} for {n_d} disturbances: some of them "
-            "act in the same direction and cannot be distinguished; merge them into one "
-            "(DEPENDENT_DISTURBANCES)"
+            "act in the same direction and cannot be distinguished (DEPENDENT_DISTURBANCES)",
+            "DEPENDENT_DISTURBANCES",
+            "merge them into one",
         )
 
 
@@ -155,8 +177,7 @@ def _relative_degree(reduced: ReducedSystem, split: _Split, reached: int, tolera
     else:
         what = f"rank C3 B_2a = {reached}, needed rank B_2a = {n_d}: the disturbance is"
     return (
-        f"Assumption 5 (14): {what} not decoupled; it reaches y only through more integrators, so "
-        "measure an output that it reaches through one (a rate, a force), or fit it to y offline "
+        f"Assumption 5 (14): {what} not decoupled; only more integrators lead to y "
         f"(RELATIVE_DEGREE): {_markov_parameters(reduced, split, tolerance)}"
     )
 
@@ -180,7 +201,9 @@ def check_detectable(fixed_modes: ComplexVector, magnitudes: Matrix) -> None:
         eigenvalue = _eigenvalues_text(unstable[:1], magnitudes)
         raise AssumptionError(
             f"M - L C is not Hurwitz: eigenvalue {eigenvalue}; the invariant zero at "
-            f"{modes(unstable[:1])} cannot be moved by L (NOT_DETECTABLE); another output is needed"
+            f"{modes(unstable[:1])} cannot be moved by L (NOT_DETECTABLE)",
+            "NOT_DETECTABLE",
+            "measure another output",
         )
 
 
@@ -202,8 +225,9 @@ def check_hurwitz(movable: ComplexVector, magnitudes: Matrix, fixed_modes: Compl
     if len(unstable):
         eigenvalues = _eigenvalues_text(unstable, magnitudes)
         raise AssumptionError(
-            f"M - L C is not Hurwitz: eigenvalue {eigenvalues}; another L moves it: "
-            f"{len(movable)} eigenvalue(s) can be placed, fixed: {modes(fixed_modes)}"
+            f"M - L C is not Hurwitz: eigenvalue {eigenvalues}",
+            cure=f"another L moves it: {len(movable)} eigenvalue(s) can be placed, fixed: "
+            f"{modes(fixed_modes)}",
         )
 
 

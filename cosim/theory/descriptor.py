@@ -33,7 +33,7 @@ from cosim.errors import AssumptionError
 from cosim.theory.elimination import DATA, Eliminated, PartitionedMatrices, eliminate
 from cosim.theory.geometry import output_nulling, rank
 from cosim.theory.pencil import RankDecomposition, decompose, determined_rank, shuffle
-from cosim.theory.scaling import Scales, scales_of
+from cosim.theory.scaling import Scales, scales_of, state_space_scales
 
 ComplexVector: TypeAlias = NDArray[np.complex128]  # shape (n,)
 ComplexMatrix: TypeAlias = NDArray[np.complex128]  # shape (n, m)
@@ -231,10 +231,9 @@ def state_maps(reduced: ReducedSystem) -> tuple[StateMap, ...]:
 
 def reduced_scales(reduced: ReducedSystem) -> Scales:
     """Compute coarse sizes of the states x_a, the inputs (u, delta) and the outputs."""
-    A = reduced.A_a
     B = np.hstack([reduced.B_1a, reduced.B_2a])
     D = np.hstack([reduced.C4, reduced.C5])
-    return scales_of(np.eye(len(A)), A, B, reduced.C3, D).coarse()
+    return state_space_scales(reduced.A_a, B, reduced.C3, D).coarse()
 
 
 def in_units(reduced: ReducedSystem, scales: Scales) -> ReducedSystem:
@@ -430,7 +429,8 @@ def _check_index(E: Matrix, A: Matrix, decomposition: RankDecomposition) -> None
     if dynamic == 0:
         raise AssumptionError(
             f"Assumption 1 (1): E = 0 ({n} x {n}): there are no dynamic states, and all equations "
-            "are algebraic; needed a model with dynamics (a static one is the gain of a connection)"
+            "are algebraic",
+            cure="needed a model with dynamics (a static one is the gain of a connection)",
         )
     determined = determined_rank(decomposition, A)
     if determined == n - dynamic:
@@ -445,15 +445,17 @@ def _check_index(E: Matrix, A: Matrix, decomposition: RankDecomposition) -> None
     try:
         structure = shuffle(E, A, decomposition)
     except AssumptionError as error:
-        raise AssumptionError(f"{problem}{error}") from error
+        evidence = f"{problem}{error.evidence}"
+        raise AssumptionError(evidence, error.verdict, error.cure) from error
     index = structure.index
     ranks = ", ".join(map(str, structure.ranks))
     dynamics = "" if structure.finite else ", and no finite eigenvalue: no dynamics at all"
     raise AssumptionError(
         f"{problem}INDEX_{index}: the pencil s E - A has index {index}, needed 1 (ranks of E by "
-        f"shuffles: {ranks} of {n}){dynamics}; differentiate the algebraic equations that do not "
-        f"determine x_b {index - 1} time(s) and substitute them, or model what was neglected there "
-        "(a small mass, capacity or resistance)"
+        f"shuffles: {ranks} of {n}){dynamics}",
+        f"INDEX_{index}",
+        f"differentiate the algebraic equations that do not determine x_b {index - 1} time(s) and "
+        "substitute them, or model what was neglected there (a small mass, capacity or resistance)",
     )
 
 

@@ -35,7 +35,7 @@ from numpy.typing import ArrayLike
 
 from cosim.arrays import Matrix, Vector, frozen
 from cosim.errors import AssumptionError
-from cosim.theory.conditions import check_detectable, check_hurwitz, decouple
+from cosim.theory.conditions import Decoupling, check_detectable, check_hurwitz, decouple
 from cosim.theory.descriptor import (
     ComplexVector,
     ReducedSystem,
@@ -163,13 +163,37 @@ def design(
     )
 
 
-def _designed(
-    reduced: ReducedSystem,
-    weights: Vector,
-    given: Matrix | None,
-    poles: Sequence[complex] | None,
-) -> ObserverDesign:
-    """Design an observer in units in which all is of size one; without its filter."""
+@dataclass(frozen=True, eq=False)
+class ErrorDynamics:
+    """The dynamics of the error (16) before a gain is chosen, where all is of size one.
+
+    ``V`` is a basis of the states that L does not reach, ``fixed_modes`` [1/s] are their modes;
+    ``magnitudes`` are of every entry of M the sum of the absolute values of its terms.
+    """
+
+    decoupling: Decoupling
+    F: Matrix
+    M: Matrix
+    N: Matrix
+    H: Matrix
+    V: Matrix
+    fixed_modes: ComplexVector
+    magnitudes: Matrix
+
+
+def error_dynamics(reduced: ReducedSystem) -> ErrorDynamics:
+    """Compute the error dynamics of an observer for any gain, in units of size one.
+
+    Raises
+    ------
+    AssumptionError
+        If the disturbance is not decoupled (14).
+    """
+    scales = reduced_scales(reduced)
+    return _error_dynamics(in_units(reduced, scales), scales.outputs)
+
+
+def _error_dynamics(reduced: ReducedSystem, weights: Vector) -> ErrorDynamics:
     C3 = reduced.C3
     decoupling = decouple(reduced, weights)
     direct = decoupling.direct
@@ -181,31 +205,46 @@ def _designed(
     H = of_w - F @ (C3 @ of_w)
     size_of_A = np.abs(reduced.A_a) + np.abs(of_w) @ np.abs(C3)
     magnitudes = size_of_A + np.abs(F) @ (np.abs(C3) @ size_of_A)
-    C = decoupling.outputs @ C3
-    V = _unobservable_subspace(M, C)
-    W = orthogonal_complement(V)
+    V = _unobservable_subspace(M, decoupling.outputs @ C3)
     fixed_modes = _sorted_eigenvalues(V.T @ M @ V)
-    check_detectable(fixed_modes, magnitudes)
+    return ErrorDynamics(decoupling, F, M, N, H, V, fixed_modes, magnitudes)
+
+
+def _designed(
+    reduced: ReducedSystem,
+    weights: Vector,
+    given: Matrix | None,
+    poles: Sequence[complex] | None,
+) -> ObserverDesign:
+    """Design an observer in units in which all is of size one; without its filter."""
+    C3 = reduced.C3
+    error = _error_dynamics(reduced, weights)
+    decoupling = error.decoupling
+    M = error.M
+    C = decoupling.outputs @ C3
+    W = orthogonal_complement(error.V)
+    fixed_modes = error.fixed_modes
+    check_detectable(fixed_modes, error.magnitudes)
     observable = W.T @ M @ W
     C_observable = C @ W
     if given is not None:
-        gain = given - (given @ reduced.C5) @ direct
+        gain = given - (given @ reduced.C5) @ decoupling.direct
     else:
         assert poles is not None
         gain = W @ place(observable, C_observable, poles, fixed_modes) @ decoupling.outputs
     correction = W.T @ gain @ C3 @ W
     movable = _sorted_eigenvalues(observable - correction)
     size_of_feedback = np.abs(gain) @ np.abs(C3)
-    check_hurwitz(movable, magnitudes + size_of_feedback, fixed_modes)
+    check_hurwitz(movable, error.magnitudes + size_of_feedback, fixed_modes)
     eigenvalues = np.sort_complex(np.concatenate([movable, fixed_modes]))
     return ObserverDesign(
-        F=F,
+        F=error.F,
         M=M,
-        N=N,
+        N=error.N,
         L=gain,
         G=decoupling.G,
-        H=H,
-        direct=direct,
+        H=error.H,
+        direct=decoupling.direct,
         outputs=decoupling.outputs,
         eigenvalues=eigenvalues,
         fixed_modes=fixed_modes,

@@ -159,6 +159,18 @@ def _algebraic_rows(decomposition: RankDecomposition, A: Matrix, tolerance: floa
     return np.asarray(rows[independent], np.float64)
 
 
+def regularity(E: Matrix, A: Matrix) -> float:
+    """Return the largest reciprocal condition of `s E - A` at a few points s."""
+    size_of_E = float(np.linalg.norm(E, 2)) or 1.0
+    unit = float(np.linalg.norm(A, 2)) / size_of_E or 1.0
+    best = 0.0
+    for point in POINTS:
+        values = np.linalg.svd(point * unit * E - A, compute_uv=False)
+        if values[0] > 0.0:
+            best = max(best, float(values[-1] / values[0]))
+    return best
+
+
 def _check_regular(E: Matrix, A: Matrix) -> None:
     """Check that `s E - A` is regular at one point at least.
 
@@ -167,16 +179,12 @@ def _check_regular(E: Matrix, A: Matrix) -> None:
     AssumptionError
         If it is not.
     """
-    size_of_E = float(np.linalg.norm(E, 2)) or 1.0
-    unit = float(np.linalg.norm(A, 2)) / size_of_E
-    best = 0.0
-    for point in POINTS:
-        values = np.linalg.svd(point * unit * E - A, compute_uv=False)
-        if values[0] > 0.0:
-            best = max(best, float(values[-1] / values[0]))
+    best = regularity(E, A)
     if best <= rounding_of(len(A)):
         raise AssumptionError(
             "PENCIL_SINGULAR: det(s E - A) = 0 at every s (reciprocal condition at "
             f"{len(POINTS)} points: at most {best:.1g}); the equations do not determine the "
-            "states: one follows from the others or contradicts them, and one is missing"
+            "states: one follows from the others or contradicts them, and one is missing",
+            "PENCIL_SINGULAR",
+            "take out the dependent equation and add the one that is missing",
         )

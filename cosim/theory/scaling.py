@@ -7,6 +7,9 @@ Rows (equations, outputs) and columns (states, inputs) of::
 
 are divided by powers of two until the largest entry of each is about one. T is a time, of which
 E x' is as large as A x. The powers round nothing.
+
+Where E is the identity and is to stay so, a state and its equation have one scale:
+:func:`state_space_scales`.
 """
 
 from __future__ import annotations
@@ -94,10 +97,53 @@ def scales_of(E: Matrix, A: Matrix, B: Matrix, C: Matrix, D: Matrix) -> Scales:
     )
 
 
-def rank_between(matrix: Matrix, magnitudes: Matrix, tolerance: float) -> int:
-    """Compute the rank of a product whose terms have these magnitudes.
+def state_space_scales(A: Matrix, B: Matrix, C: Matrix, D: Matrix) -> Scales:
+    """Compute the scales of `x' = A x + B u, y = C x + D u`: of an equation that of its state.
 
-    Relative to the product itself, which may be all rounding, the rank would be meaningless. Units
+    A state is scaled so that what drives it is as large as what it drives; the unit of time is that
+    of the largest rate.
+
+    Shapes: ``A (n, n)``, ``B (n, m)``, ``C (p, n)``, ``D (p, m)``.
+    """
+    n, m = B.shape
+    of_A = _exponents(A)
+    coupling = of_A.copy()
+    np.fill_diagonal(coupling, -np.inf)
+    of_B = _exponents(B)
+    of_C = _exponents(C)
+    of_D = _exponents(D)
+    states = np.zeros(n)
+    inputs = np.zeros(m)
+    outputs = np.zeros(len(C))
+    for _ in range(MOST_SWEEPS):
+        between = states - states[:, np.newaxis]
+        rate = _finite(np.array([_largest(of_A + between)]))[0]
+        A_now = coupling + between - rate
+        B_now = of_B + inputs - states[:, np.newaxis] - rate
+        C_now = of_C + states - outputs[:, np.newaxis]
+        D_now = of_D + inputs - outputs[:, np.newaxis]
+        driven = np.hstack([A_now, B_now]).max(axis=1, initial=-np.inf)
+        drives = np.vstack([A_now, C_now]).max(axis=0, initial=-np.inf)
+        of_inputs = _finite(np.vstack([B_now, D_now]).max(axis=0, initial=-np.inf))
+        of_outputs = _finite(np.hstack([C_now, D_now]).max(axis=1, initial=-np.inf))
+        of_states = 0.5 * (_finite(driven) - _finite(drives))
+        states += 0.5 * of_states
+        inputs -= 0.5 * of_inputs
+        outputs += 0.5 * of_outputs
+        if (np.abs(np.concatenate([of_states, of_inputs, of_outputs])) < 0.5).all():
+            break
+    return Scales(_power(states), _power(states), _power(inputs), _power(outputs))
+
+
+def rank_between(matrix: Matrix, magnitudes: Matrix, tolerance: float) -> int:
+    """Count the singular values of a product beyond ``tolerance``; see :func:`values_between`."""
+    return int((values_between(matrix, magnitudes) > tolerance).sum())
+
+
+def values_between(matrix: Matrix, magnitudes: Matrix) -> Vector:
+    """Compute the singular values of a product in units where its terms are of size one.
+
+    Relative to the product itself, which may be all rounding, its rank would be meaningless. Units
     of rows and columns do not matter.
 
     Parameters
@@ -105,18 +151,16 @@ def rank_between(matrix: Matrix, magnitudes: Matrix, tolerance: float) -> int:
     matrix : Matrix, shape (p, m)
     magnitudes : Matrix, shape (p, m)
         Of each entry the sum of the absolute values of its terms.
-    tolerance : float
-        Of singular values, where magnitudes are of size one.
     """
     if not matrix.size:
-        return 0
+        return np.zeros(0)
     p, m = matrix.shape
     no_states = np.zeros((0, 0))
     scales = scales_of(
         no_states, no_states, np.zeros((0, m)), np.zeros((p, 0)), np.asarray(magnitudes)
     )
     values = np.linalg.svd(scales.scaled_D(matrix), compute_uv=False)
-    return int((values > tolerance).sum())
+    return np.asarray(values, np.float64)
 
 
 def _exponents(matrix: Matrix) -> Matrix:

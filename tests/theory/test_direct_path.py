@@ -188,8 +188,8 @@ DOUBLE = ([[0.0, 1.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]], [[1.0, 0.0, 0.0
             [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]],
             [[0.0, 0.0], [0.0, 1.0]],
             r"rank C5 = 1 of 2 disturbances reach y directly; for the others rank C3 B_2a = 0, "
-            r"needed 1: they are not decoupled; .*measure an output .*RELATIVE_DEGREE\): "
-            r"C A\^0 B = .* of rank 0, C A\^1 B = .* of rank 1$",
+            r"needed 1: they are not decoupled; .*RELATIVE_DEGREE\): "
+            r"C A\^0 B = .* of rank 0, C A\^1 B = .* of rank 1; measure an output",
         ),
         (
             [[1.0, 2.0], [0.0, 0.0], [0.0, 0.0]],

@@ -264,7 +264,8 @@ ZERO_AT_ONE = ([[0.0, 1], [-2, -3]], [[0.0], [1]], [[-1.0, 1]])
             {"L": [1, 0]},
             r"rank C3 B_2a = 0, needed rank B_2a = 1: the disturbance is not decoupled; .*"
             r"RELATIVE_DEGREE.*"
-            r"C A\^0 B = \[\[0\.0\]\] of rank 0, C A\^1 B = \[\[1\.0\]\] of rank 1$",
+            r"C A\^0 B = \[\[0\.0\]\] of rank 0, C A\^1 B = \[\[1\.0\]\] of rank 1; "
+            r"measure an output",
         ),
         (
             ([[-1.0, 0], [0, -2]], np.eye(2), [[1.0, 1]]),
