@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from cosim.fmi.binary.messages import Message
     from cosim.fmi.component import Fmu
     from cosim.fmi.linearizing.linearization import Linearization
+    from cosim.fmi.linearizing.moving import MovingLinearization
     from cosim.fmi.linearizing.request import LinearizationRequest
     from cosim.fmi.options import FmuOptions
 
@@ -497,6 +498,30 @@ class ScenarioBuildContext:
             for note in linearization.notes:
                 self.warn(name, note)
         return self._linearized[name]
+
+    def moving_linearization(
+        self, name: str, path: str, request: LinearizationRequest
+    ) -> MovingLinearization:
+        """Return an FMU that is linearized on the way; it is freed at the end of the run.
+
+        Raises
+        ------
+        UsageError
+            If only descriptions are read, or it is not to be opened; see :meth:`file`.
+        FmuError
+            If it cannot be linearized as is asked for.
+        RunError
+            If it does not reach its operating point.
+        """
+        from cosim.fmi.linearizing.linearize import open_for_linearization
+        from cosim.fmi.linearizing.moving import MovingLinearization
+        from cosim.fmi.reading.model_description import read
+
+        self._need_run(path)
+        archive = read(self.file(path))
+        opened = self._resources.enter_context(open_for_linearization(archive, request.start))
+        self.fmus[name] = opened
+        return MovingLinearization(opened.instance, request)
 
     def _need_run(self, fmu: str) -> None:
         """Refuse what needs the code of an FMU, where nothing is to run.

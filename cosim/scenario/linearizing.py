@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from cosim.arrays import Matrix
+from cosim.arrays import Matrix, Vector
 from cosim.core.linear import LinearModel
 from cosim.core.signals import Signal
 from cosim.errors import UsageError, nearest
@@ -19,6 +19,7 @@ from cosim.units import Unit
 
 if TYPE_CHECKING:
     from cosim.fmi.linearizing.linearization import Linearization
+    from cosim.fmi.linearizing.moving import MovingLinearization
 
 
 MOST_OF_ERROR: Final = 10.0  # how many times larger than its estimate an error may be
@@ -100,8 +101,68 @@ def design_model(linearization: Linearization, disturbances: Sequence[str]) -> D
 def _direct(linearization: Linearization, unknown: Sequence[int]) -> Matrix:
     """Return the direct paths from delta to y; what may be the error of a difference is none."""
     D = linearization.D[:, unknown]
-    error = linearization.errors["D"] or 0.0
+    return _beyond_error(D, linearization.errors["D"] or 0.0)
+
+
+def _beyond_error(D: Matrix, error: float) -> Matrix:
     return np.where(np.abs(D) > MOST_OF_ERROR * error, D, 0.0)
+
+
+class MovingModel:
+    """An FMU as the design model of an observer, linearized wherever its estimate is.
+
+    Parameters
+    ----------
+    fmu : MovingLinearization
+    known, unknown : sequence of int
+        Columns of u and of delta among the inputs.
+
+    Attributes
+    ----------
+    x, delta : Vector
+        Its own, at the operating point.
+    """
+
+    def __init__(
+        self, fmu: MovingLinearization, known: Sequence[int], unknown: Sequence[int]
+    ) -> None:
+        self._fmu = fmu
+        self._known = list(known)
+        self._unknown = list(unknown)
+        self.x = fmu.x
+        self.delta = fmu.u[self._unknown]
+
+    def local(self, t: float, x: Vector, u: Vector, delta: Vector) -> ReducedSystem:
+        """Linearize at a point; the last input is the constant 1.
+
+        Raises
+        ------
+        FmuError, RunError
+            If the FMU cannot be linearized there.
+        """
+        inputs = np.zeros_like(self._fmu.u)
+        inputs[self._known] = u
+        inputs[self._unknown] = delta
+        at = self._fmu.at(t, x, inputs)
+        n = len(x)
+        A = at.jacobian[:n, :n]
+        B = at.jacobian[:n, n:]
+        C = at.jacobian[n:, :n]
+        D = at.jacobian[n:, n:]
+        c = at.dx - A @ x - B @ inputs
+        d = at.y - C @ x - D @ inputs
+        error = 0.0 if at.error is None else float(at.error[n:, n:].max(initial=0.0))
+        return ReducedSystem(
+            A_a=A,
+            B_1a=np.column_stack([B[:, self._known], c]),
+            B_2a=B[:, self._unknown],
+            C3=C,
+            C4=np.column_stack([D[:, self._known], d]),
+            C5=_beyond_error(D[:, self._unknown], error),
+            Kx=np.zeros((0, n)),
+            Ku=np.zeros((0, len(self._known) + 1)),
+            Kd=np.zeros((0, len(self._unknown))),
+        )
 
 
 def _unit(linearization: Linearization, names: Sequence[str]) -> Unit:

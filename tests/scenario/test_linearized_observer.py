@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.errors import ScenarioError, UsageError
+from cosim.errors import RunError, ScenarioError, UsageError
 from cosim.fmi.linearizing.linearize import linearize
 from cosim.scenario.exporting import export_component
 from cosim.scenario.linearizing import model_toml, split
@@ -296,3 +296,130 @@ def test_a_disturbance_may_be_a_whole_port(tmp_path):
     linearization = linearize(path, outputs=["y"])
     assert split(linearization, ["f"]) == ([], [0, 1])
     assert split(linearization, ["f[2]"]) == ([0], [1])
+
+
+# --- linearized anew along the estimate ---
+
+
+def far_swing(folder):
+    """Write a swing of 1.3 rad, of which y and the height are measured; the start is not known."""
+    path = swing(folder, 2.5, outputs=["y", "reach"])
+    text = path.read_text()
+    text = text.replace('"observer.y" = "plant.y"', '"observer.y" = ["plant.y", "plant.reach"]')
+    text = text.replace("poles = [-5.0]", "poles = [-4.0, -5.0]")
+    far = folder / "far.toml"
+    far.write_text(text)
+    return far
+
+
+ANEW = {"observer.relinearize": True, "observer.x_a0": [0.0, 0.0], "observer.filter_rate": 1e3}
+COARSE = {"scenario.step": 8e-3, "scenario.stop": 4.0}
+
+
+def late_errors(run):
+    """Return the largest errors of angle and wind in the second half."""
+    late = run.time("observer.delta") > 2.0
+    angle = np.abs(run["observer.x_a"][late, 0] - run["plant.angle"][late]).max()
+    wind = np.abs(run["observer.delta"][late] - run["wind.y"][late]).max()
+    return angle, wind
+
+
+def test_linearized_anew_the_estimates_converge_where_those_of_one_model_stay_wrong(folder):
+    """The angle by three orders, the wind to what its filter lags."""
+    scenario = far_swing(folder)
+    fixed = late_errors(cosim.run(scenario, set={**ANEW, **COARSE, "observer.relinearize": False}))
+    anew = late_errors(cosim.run(scenario, set={**ANEW, **COARSE}))
+    # of second order in the step of 8 ms: some (8e-3)^2
+    assert anew[0] < 1e-4
+    assert fixed[0] > 1000.0 * anew[0]
+    # the derivative of y belongs to a time half a step and 1/filter_rate earlier, 5 ms: times
+    # y'', at most 17.1 rad/s^2 here
+    assert anew[1] < 5e-3 * 17.2
+    assert fixed[1] > 10.0 * anew[1]
+
+
+def test_differences_do_where_the_fmu_has_no_derivatives(folder):
+    """Both ways lead to the same estimates."""
+    pendulum(folder / "plain.fmu", derivatives=False, level=False)
+    short = {**ANEW, "scenario.step": 5e-3, "scenario.stop": 0.2, "observer.poles": [-5.0]}
+    scenario = swing(folder, 2.5)
+    exact = cosim.run(scenario, set=short)
+    differences = cosim.run(scenario, set={**short, "observer.model.fmu": "plain.fmu"})
+    np.testing.assert_allclose(differences["observer.x_a"], exact["observer.x_a"], atol=1e-8)
+    np.testing.assert_allclose(differences["observer.delta"], exact["observer.delta"], atol=1e-6)
+
+
+def test_a_replay_takes_it_from_the_log(folder, tmp_path):
+    """Bits that depend on the processor are not promised: the outputs are those of the run."""
+    shutil.copy(swing(folder, 2.5), tmp_path)
+    shutil.copy(folder / "pendulum.fmu", tmp_path)
+    short = {**ANEW, "scenario.step": 5e-3, "scenario.stop": 0.2}
+    log = cosim.run(tmp_path / "swing.toml", set=short, out=tmp_path / "run.mcap")
+    (tmp_path / "pendulum.fmu").unlink()
+    again = cosim.replay(log, out=tmp_path / "again.mcap")
+    assert cosim.diff(log, again).equal
+    with pytest.raises(UsageError, match=r"observer\.filter_rate"):
+        cosim.replay(log, set={"observer.filter_rate": 500.0})
+
+
+def test_a_run_stops_where_the_disturbance_does_not_reach_the_outputs_any_more(folder):
+    """d/dt power = torque omega' + ...: of a torque that passes zero it knows nothing there."""
+    path = swing(folder, 0.5, outputs=["power", "angle"])
+    text = path.read_text()
+    text = text.replace('"observer.y" = "plant.y"', '"observer.y" = ["plant.power", "plant.angle"]')
+    text = text.replace(
+        'kind = "constant"\nvalue = 4.0', 'kind = "ramp"\noffset = 4.0\nslope = -8.0'
+    )
+    text = text.replace("poles = [-5.0]", "poles = [-4.0, -5.0]")
+    fading = folder / "fading.toml"
+    fading.write_text(text)
+    message = r"observer.*linearized at the estimate x_a = \[\S+, \S+\] at t = 0\.5 s: .*C3 B"
+    with pytest.raises(RunError, match=message):
+        cosim.run(fading, set={**ANEW, "scenario.step": 5e-3, "scenario.stop": 1.0})
+
+
+ANEW_REFUSED = {
+    "a model of matrices": (
+        {"observer.relinearize": True},
+        "relinearize: found the model 'academic', which is linear; needed",
+    ),
+    "another filter": (
+        {"observer.relinearize": True, "observer.model": MODEL, "observer.filter": "consistent"},
+        "relinearize: found filter = 'consistent'; needed filter = \"first-order\"",
+    ),
+    "a state of the filter": (
+        {"observer.relinearize": True, "observer.model": MODEL, "observer.q0": [0.0]},
+        "q0: with relinearize = true q is that of the model of the moment; leave it out",
+    ),
+    "output error": (
+        {"observer.relinearize": True, "observer.model": MODEL},
+        "'observer' is linearized anew along its estimate, so that there is no one model of y",
+    ),
+    "a compensator": (
+        {
+            "observer.relinearize": True,
+            "observer.model": MODEL,
+            "components.c": {"kind": "compensator", "poles": [-1.0, -2.0]},
+            "connections.c.x_a": "observer.x_a",
+        },
+        "'observer' is linearized anew on the way, and a loop is proven stable with one observer",
+    ),
+    "a start of another size": (
+        {"observer.relinearize": True, "observer.model": MODEL, "observer.x_a0": [0.0]},
+        "x_a0: found 1 numbers; needed 2, one a state of the FMU",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", ANEW_REFUSED)
+def test_what_cannot_be_linearized_anew_is_refused(name, folder):
+    """One clear error each, with the way out: see ANEW_REFUSED."""
+    changes, message = ANEW_REFUSED[name]
+    with pytest.raises(ScenarioError, match=message):
+        cosim.run(folder / "academic.toml", set=changes)
+
+
+def test_an_observer_that_is_linearized_anew_is_not_exported(folder):
+    """An FMU has no other FMU in it."""
+    with pytest.raises(UsageError, match="needs the FMU of its model"):
+        export_component(str(far_swing(folder)), "observer", folder / "x.fmu", set=ANEW)

@@ -112,12 +112,18 @@ def linearize_file(path: str | Path, request: LinearizationRequest) -> Lineariza
 
 def linearize_archive(archive: Archive, request: LinearizationRequest) -> Linearization:
     """Linearize an .fmu for model exchange whose description is read; raises as `linearize`."""
-    with _open(archive, request.start) as opened:
+    with open_for_linearization(archive, request.start) as opened:
         return linearize_instance(opened.instance, request)
 
 
-def _open(archive: Archive, start: Starts) -> Fmu:
-    """Open an FMU for model exchange with its structural parameters, which size its arrays."""
+def open_for_linearization(archive: Archive, start: Starts) -> Fmu:
+    """Open an FMU for model exchange with its structural parameters, which size its arrays.
+
+    Raises
+    ------
+    FmuError
+        If it is for co-simulation only, or cannot be loaded.
+    """
     description = archive.description
     if "me" not in description.capabilities:
         raise FmuError(
@@ -162,7 +168,7 @@ def _linearize(instance: ModelExchangeInstance, request: LinearizationRequest) -
     at = request.at
     if not (math.isfinite(at) and at >= 0.0):
         raise FmuError(f"{description.name}: linearized at t = {at} s; needed a time from 0 on")
-    method = _choose_method(description, request.method)
+    method = choose_method(description, request.method)
     selection = Selection.of(
         description, states=request.states, inputs=request.inputs, outputs=request.outputs
     )
@@ -207,7 +213,14 @@ def _with_error_of_states(
     return error + change
 
 
-def _choose_method(description: Description, method: Method | None) -> Method:
+def choose_method(description: Description, method: Method | None) -> Method:
+    """Return how an instance is linearized.
+
+    Raises
+    ------
+    FmuError
+        If there is no such method, or the FMU has no directional derivatives.
+    """
     directional, differences = METHODS
     has_derivatives = description.capabilities["me"].directional_derivatives
     if method is None:

@@ -180,6 +180,27 @@ class OperatingPoint:
         displaced._read()
         return displaced
 
+    def moved(self, t: float, x: Vector, u: Vector) -> OperatingPoint:
+        """Return another point by its time and the selected states and inputs.
+
+        The instance is there then, at this point no more.
+
+        Raises
+        ------
+        FmuError
+            If something is not finite there.
+        RunError
+            If the instance fails.
+        """
+        moved = copy(self)
+        moved.t = t
+        moved._x = self._x.copy()
+        moved._x[self._state_columns] = x
+        moved._u = self._u.copy()
+        moved._u[self._input_columns] = u
+        moved._read()
+        return moved
+
     def _check_finite(self, what: str, values: Vector) -> None:
         if not np.isfinite(values).all():
             raise FmuError(

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from cosim.fmi.component import Fmu
     from cosim.fmi.description import Description, InterfaceType
     from cosim.fmi.linearizing.linearization import Linearization
+    from cosim.fmi.linearizing.moving import MovingLinearization
     from cosim.fmi.linearizing.request import LinearizationRequest
     from cosim.fmi.options import FmuOptions
 
@@ -174,6 +175,12 @@ class BuildContext(Protocol):
 
     def linearization(self, name: str, path: str, request: LinearizationRequest) -> Linearization:
         """Linearize an FMU for a component and record the result; a replay takes it from there."""
+        ...
+
+    def moving_linearization(
+        self, name: str, path: str, request: LinearizationRequest
+    ) -> MovingLinearization:
+        """Return an FMU that is linearized on the way; it is freed at the end of the run."""
         ...
 
     def add_identified(self, name: str, identified: IdentifiedPlant) -> None:

@@ -293,6 +293,11 @@ def _observer(name: str, context: BuildContext) -> tuple[str, UnknownInputObserv
         driver = context.driver(Port(name, signal))
         kind = None if driver is None else context.spec(driver)
         if driver is not None and isinstance(kind, UnknownInputObserverKind):
+            if kind.relinearize:
+                raise UsageError(
+                    f"{driver!r} is linearized anew on the way, and a loop is proven stable with "
+                    "one observer; needed relinearize = false"
+                )
             return driver, kind
     raise UsageError(
         "'x_a', or 'x' of a model in the general form, must be driven directly by a component of "

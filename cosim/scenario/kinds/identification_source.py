@@ -113,6 +113,11 @@ class IdentifierSource:
                 "no observer drives the regressor alone; needed one, whose design model is that "
                 "of y"
             )
+        if self.observer.is_relinearized:
+            return (
+                f"{self.observer.name!r} is linearized anew along its estimate, so that there is "
+                'no one model of y; needed relinearize = false, or method = "least-squares"'
+            )
         model = self.observer.design.model
         n_d = model.reduced.C5.shape[1]
         if n_d == 1 and not model.constant:
@@ -171,6 +176,11 @@ class ObserverSource:
         self.filter_rate = kind.filter_rate
         self._kind = kind
         self._context = context
+
+    @property
+    def is_relinearized(self) -> bool:
+        """Whether its model is linearized anew on the way."""
+        return self._kind.relinearize
 
     @property
     def design(self) -> DesignedObserver:

@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from cosim.arrays import Matrix, Vector
 from cosim.blocks.averages import AveragedModel
 from cosim.blocks.observer import averaged_observer, observer_model
 from cosim.blocks.plant import initial_vector
+from cosim.blocks.relinearized_observer import RelinearizedObserver
 from cosim.core.clock import NANOSECONDS, whole_steps
 from cosim.core.contracts import Component
 from cosim.core.linear import Linear, LinearModel
@@ -45,8 +46,8 @@ from cosim.scenario.kinds.reconstruction import (
     recorded_noise,
 )
 from cosim.scenario.kinds.variants import foreign_keys, variants_with
-from cosim.scenario.linearizing import DesignModel, design_model
-from cosim.scenario.schema import Number, NumberRow, NumberRows, TomlTable, Whole, matrix
+from cosim.scenario.linearizing import DesignModel, MovingModel, design_model, split
+from cosim.scenario.schema import Flag, Number, NumberRow, NumberRows, TomlTable, Whole, matrix
 from cosim.theory import observer
 from cosim.theory.descriptor import MATRICES, ReducedSystem, UserCoordinates, reduce
 from cosim.theory.reconstruction.filters import (
@@ -55,6 +56,9 @@ from cosim.theory.reconstruction.filters import (
     FirstOrderFilter,
     SavitzkyGolay,
 )
+
+if TYPE_CHECKING:
+    from cosim.fmi.linearizing.request import LinearizationRequest
 
 # filter_rate x step above which a zero-order hold distorts the derivative by more than 2.5 %
 HOLD_LIMIT = 0.05
@@ -83,6 +87,18 @@ class FmuModel(TomlTable):
     def disturbances(self) -> tuple[str, ...]:
         """The names of the unknown inputs."""
         return (self.disturbance,) if isinstance(self.disturbance, str) else self.disturbance
+
+    @property
+    def request(self) -> LinearizationRequest:
+        """What the FMU is linearized for."""
+        from cosim.fmi.linearizing.request import LinearizationRequest
+
+        inputs = None
+        if self.inputs is not None:
+            inputs = (*self.inputs, *self.disturbances)
+        return LinearizationRequest(
+            at=self.at, start=self.start, inputs=inputs, outputs=self.outputs
+        )
 
 
 class DesignedObserver(NamedTuple):
@@ -145,18 +161,55 @@ class UnknownInputObserverKind(ExportableKind):
     bandwidth: Number | None = Field(
         None, description="highest rate of delta [rad/s], for auto; default: that of alpha"
     )
+    relinearize: Flag = Field(
+        False,
+        description="with an FMU as model and a first-order filter: linearized and designed anew "
+        "at every communication point, at the estimates there. The last bits of that depend on the "
+        "processor, so that a replay takes the observer's outputs from the log",
+    )
+
+    @property
+    def computable(self) -> bool:
+        """Designs on the way need the FMU, and linear algebra that is not the same everywhere."""
+        return not self.relinearize
 
     def build(self, name: str, context: BuildContext) -> Component:
         model, design = self.design(name, context)
         reconstruction = self.reconstruction(name, context)
         self._record(name, context, model, design, reconstruction)
+        if self.relinearize:
+            return self._relinearized(name, context)
         if isinstance(reconstruction, FirstOrderFilter):
             return Linear(self._filter_model(model, design))
         averaged = self._averaged_model(model, design)
         return averaging_observer(averaged, model.reduced, reconstruction)
 
+    def _relinearized(self, name: str, context: BuildContext) -> RelinearizedObserver:
+        """Return the observer that is designed anew on the way."""
+        assert isinstance(self.model, FmuModel)
+        model, _ = self.design(name, context)
+        request = self.model.request
+        linearization = context.linearization(name, self.model.fmu, request)
+        moving = context.moving_linearization(name, self.model.fmu, request)
+        known, unknown = split(linearization, self.model.disturbances)
+        local = MovingModel(moving, known, unknown)
+        first = local.local(0.0, moving.x, moving.u[known], local.delta)
+        linear = observer_model(first, self._design_on(first), constant=True)
+        x_a0 = None if self.x_a0 is None else np.array(self.x_a0, np.float64)
+        if x_a0 is not None and x_a0.shape != local.x.shape:
+            raise UsageError(
+                f"x_a0: found {len(x_a0)} numbers; needed {len(local.x)}, one a state of the FMU"
+            )
+        interface = model.declare(linear).interface
+        context.warn(
+            name,
+            "eigenvalues, noise gains, bias and T_id are those of the operating point; where it is "
+            "linearized anew they are others",
+        )
+        return RelinearizedObserver(local, self._design_on, interface, x_a0)
+
     def linear_system(self, name: str, context: BuildContext) -> LinearSystem | None:
-        if self.filter != "first-order":
+        if self.filter != "first-order" or self.relinearize:
             return None
         model = self.linear_model(name, context)
         return LinearSystem(model.A, model.B, model.C, model.D, error=0.0)
@@ -168,6 +221,11 @@ class UnknownInputObserverKind(ExportableKind):
 
     def exportable(self, name: str, context: BuildContext, wiring: Wiring) -> Exportable:
         reconstruction = self.reconstruction(name, context)
+        if self.relinearize:
+            raise UsageError(
+                f"{name!r}: relinearize = true needs the FMU of its model, which an exported "
+                "observer has not; needed relinearize = false"
+            )
         if isinstance(reconstruction, FirstOrderFilter):
             return self.linear_model(name, context)
         model, design = self.design(name, context)
@@ -279,6 +337,23 @@ class UnknownInputObserverKind(ExportableKind):
                     f"{key}: found it with filter = {self.filter!r}, which has none; needed "
                     f"filter = {filters}, or no {key}"
                 )
+        if self.relinearize:
+            self._check_relinearized()
+
+    def _check_relinearized(self) -> None:
+        if isinstance(self.model, str):
+            raise UsageError(
+                f"relinearize: found the model {self.model!r}, which is linear; needed "
+                'model = { fmu = "x.fmu", disturbance = "d" }'
+            )
+        if self.filter != "first-order":
+            raise UsageError(
+                f'relinearize: found filter = {self.filter!r}; needed filter = "first-order"'
+            )
+        if self.q0 is not None:
+            raise UsageError(
+                "q0: with relinearize = true q is that of the model of the moment; leave it out"
+            )
 
     def _chosen(self, name: str, context: BuildContext) -> SavitzkyGolay:
         """Choose a window by the noise, or take the recorded choice."""
@@ -415,33 +490,34 @@ class UnknownInputObserverKind(ExportableKind):
 
     def _designed(self, name: str, context: BuildContext) -> DesignedObserver:
         model = self._design_model(name, context)
-        L = None
-        if self.L is not None:
-            rows = tuple(row if isinstance(row, tuple) else (row,) for row in self.L)
-            L = matrix(rows, "L")
-            if model.reduced.coordinates is not None:
-                L = _gain_of_x_a(L, model.reduced.coordinates, len(model.reduced.C3))
         if not model.reduced.B_2a.shape[1]:
             raise UsageError(
                 f"the design model {self.model!r} has no disturbance, and this observer is for an "
                 "unknown one; needed a model with Bd, or with B and disturbances"
             )
-        design = observer.design(model.reduced, L=L, poles=self.poles, filter_rate=self.filter_rate)
-        return DesignedObserver(model, design)
+        return DesignedObserver(model, self._design_on(model.reduced))
+
+    def _design_on(self, reduced: ReducedSystem) -> observer.ObserverDesign:
+        """Design the observer on a model of this form.
+
+        Raises
+        ------
+        UsageError, AssumptionError
+            If that cannot be.
+        """
+        L = None
+        if self.L is not None:
+            rows = tuple(row if isinstance(row, tuple) else (row,) for row in self.L)
+            L = matrix(rows, "L")
+            if reduced.coordinates is not None:
+                L = _gain_of_x_a(L, reduced.coordinates, len(reduced.C3))
+        return observer.design(reduced, L=L, poles=self.poles, filter_rate=self.filter_rate)
 
     def _design_model(self, name: str, context: BuildContext) -> DesignModel:
-        from cosim.fmi.linearizing.request import LinearizationRequest
-
         model = self.model
         if isinstance(model, str):
             return DesignModel(reduce(context.model(model)))
-        inputs = None
-        if model.inputs is not None:
-            inputs = (*model.inputs, *model.disturbances)
-        request = LinearizationRequest(
-            at=model.at, start=model.start, inputs=inputs, outputs=model.outputs
-        )
-        linearization = context.linearization(name, model.fmu, request)
+        linearization = context.linearization(name, model.fmu, model.request)
         return design_model(linearization, model.disturbances)
 
 
