@@ -12,6 +12,8 @@ from scipy.signal import place_poles
 from cosim.errors import AssumptionError
 from cosim.theory.compensation.certificate import certify, largest_factor
 from cosim.theory.compensation.design import (
+    CompensatorGains,
+    ControlledPlant,
     certified,
     certify_compensator,
     sampled_loop,
@@ -22,13 +24,15 @@ from cosim.theory.compensation.internal_model import ParameterBox, internal_mode
 from cosim.theory.compensation.state_feedback import (
     RegulatedPlant,
     feedforward,
+    no_gain,
     reference_gain,
     regulated_plant,
     state_feedback,
 )
 from cosim.theory.descriptor import DescriptorSystem, reduce
 from cosim.theory.disturbance import Exponential, Sine
-from tests.theory.compensated import designed, drive, growth, loop_matrix, sampled
+from cosim.theory.observer import StateSpace, design, realize
+from tests.theory.compensated import designed, drive, growth, loop_matrix, plant_of, sampled
 
 H = 1e-2
 
@@ -163,7 +167,7 @@ def test_the_internal_model_has_the_modes_of_the_class_once_for_each_output():
     assert model.b.shape == (10, 2)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(seed=st.integers(0, 10_000), rate=st.floats(0.1, 2.0))
 def test_the_gain_moves_the_modes_of_the_internal_model_and_no_others(seed, rate):
     """Those slower than half the decay rate to their mirror image; the law of least effort."""
@@ -330,3 +334,39 @@ def test_a_sampled_loop_that_is_not_stable_is_refused_without_an_internal_model_
     gains = replace(designed(reduced, lower=1.0, upper=2.0, Q=(1e4, 1e5, 1.0, 1.0)), internal=None)
     with pytest.raises(AssumptionError, match=r"sampled loop of state feedback is not stable"):
         certify_compensator(gains, sampled(reduced, 0.5))
+
+
+def test_feedforward_that_makes_the_loop_unstable_is_named():
+    """Where u reaches y through one integrator, delta_hat answers to u with its filter's lag.
+
+    Here by G C3 B = 3, of which F makes 6, more than 1: the loop is unstable at any step.
+    """
+    reduced = reduce(
+        DescriptorSystem.partitioned(
+            A=np.array([[-1.0, 1.0], [-1.0, -2.0]]),
+            Bu=np.array([[3.0], [-5.0]]),
+            Bd=np.array([[1.0], [0.0]]),
+            C=np.array([[1.0, 0.0]]),
+            n_a=2,
+        )
+    )
+    plant = regulated_plant(reduced, [0])
+    K = state_feedback(plant.A, plant.B, Q=np.ones(2))
+    model = internal_model([Sine()], 1)
+    box = ParameterBox(np.array([1.0]), np.array([1.0]))
+    observer = realize(reduced, design(reduced, poles=[-4.0], filter_rate=50.0))
+    outputs = StateSpace(observer.A, observer.B, observer.C[:3], observer.D[:3])
+    system = ControlledPlant(plant=plant_of(reduced), observer=outputs, regulated=(0,), h=H)
+    gains = CompensatorGains(
+        plant=plant,
+        K=K,
+        F=feedforward(plant, K),
+        N=no_gain(plant, 1),
+        model=model,
+        box=box,
+        internal=None,
+    )
+    with pytest.raises(
+        AssumptionError, match=r"state feedback and feedforward .* delta_hat answers"
+    ):
+        certify_compensator(gains, system)

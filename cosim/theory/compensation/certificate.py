@@ -141,7 +141,7 @@ def certify(loop: SampledLoop, box: ParameterBox) -> Certificate:
         if radius >= 1.0 or cells + len(waiting) > MOST_CELLS or not _is_divisible(cell):
             center = tuple(cell.center.tolist())
             return Certificate(False, cells, _rate(radius, loop), center)
-        waiting.extend(cell.halves())
+        waiting.extend(cell.halves(_steepest(loop, cell)))
     return Certificate(True, cells, _rate(slowest, loop), where)
 
 
@@ -182,6 +182,15 @@ def _on_grid(loop: SampledLoop, box: ParameterBox) -> tuple[float, Vector]:
 
 def _rate(radius: float, loop: SampledLoop) -> float:
     return -math.log(max(radius, 1e-300)) / loop.h
+
+
+def _steepest(loop: SampledLoop, cell: ParameterBox) -> int:
+    """Return the parameter whose interval changes the internal model most."""
+    widths = cell.upper - cell.lower
+    changes = []
+    for width, slope in zip(widths, loop.model.S1, strict=True):
+        changes.append(width * _norm(slope))
+    return int(np.argmax(changes))
 
 
 def _is_divisible(cell: ParameterBox) -> bool:

@@ -308,17 +308,30 @@ def check_base_loop(system: ControlledPlant, gains: CompensatorGains) -> float:
     AssumptionError
         If it is not stable.
     """
-    no_model = np.zeros((len(gains.K), 0))
-    Phi, _ = _outer_loop(system, gains, gains.before, no_model)
-    radius = float(np.abs(np.linalg.eigvals(Phi)).max())
-    if radius >= 1.0:
-        what = "state feedback and feedforward" if gains.F.gain.size else "state feedback"
-        raise AssumptionError(
-            f"the sampled loop of {what} is not stable: an eigenvalue of modulus {radius:.9g}, "
-            "needed below 1; needed a shorter communication step, a slower design, a lower "
-            "filter_rate of the observer"
+    radius = _base_radius(system, gains, gains.before)
+    if radius < 1.0:
+        return -math.log(max(radius, 1e-300)) / system.h
+    of_delta = slice(gains.K.shape[1], gains.K.shape[1] + gains.F.gain.shape[1])
+    without = gains.before.copy()
+    without[:, of_delta] = 0.0
+    what = "state feedback"
+    cure = "a shorter communication step, a slower state feedback, or other poles of the observer"
+    if gains.F.gain.size and _base_radius(system, gains, without) < 1.0:
+        what = "state feedback and feedforward"
+        cure = (
+            "feedforward = false: delta_hat answers to u itself, as its filter takes the "
+            "derivative of y later than the part of it that u makes"
         )
-    return -math.log(max(radius, 1e-300)) / system.h
+    raise AssumptionError(
+        f"the sampled loop of {what} is not stable: an eigenvalue of modulus {radius:.9g}, needed "
+        f"below 1; needed {cure}"
+    )
+
+
+def _base_radius(system: ControlledPlant, gains: CompensatorGains, of_estimates: Matrix) -> float:
+    no_model = np.zeros((len(gains.K), 0))
+    Phi, _ = _outer_loop(system, gains, of_estimates, no_model)
+    return float(np.abs(np.linalg.eigvals(Phi)).max())
 
 
 def certified(loop: SampledLoop, box: ParameterBox, what: str) -> Certificate:

@@ -65,12 +65,8 @@ class ParameterBox:
         half = 0.5 * factor * (self.upper - self.lower)
         return ParameterBox(self.center - half, self.center + half)
 
-    def halves(self) -> tuple[ParameterBox, ParameterBox]:
-        """Return both halves of the box, cut across its widest side relative to its center."""
-        width = self.upper - self.lower
-        size = np.maximum(np.abs(self.center), width)
-        relative = width / np.where(size > 0.0, size, 1.0)
-        axis = int(np.argmax(relative))
+    def halves(self, axis: int) -> tuple[ParameterBox, ParameterBox]:
+        """Return both halves of the box, cut across the interval of a parameter."""
         below = self.upper.copy()
         above = self.lower.copy()
         below[axis] = self.center[axis]
