@@ -128,14 +128,24 @@ def _check_independent(reduced: ReducedSystem, tolerance: float) -> None:
     n_d = reduced.B_2a.shape[1]
     columns = np.vstack([reduced.B_2a, reduced.C5])
     directions = rank_between(columns, np.abs(columns), max(RANK_TOLERANCE, tolerance))
-    if directions < n_d:
-        matrix = "[B_2a; C5]" if reduced.C5.any() else "B_2a"
+    if directions == n_d:
+        return
+    matrix = "[B_2a; C5]" if reduced.C5.any() else "B_2a"
+    problem = f"Assumption 5 (14): rank {matrix} = {directions} for {n_d} disturbances: "
+    without_effect = np.flatnonzero(~columns.any(axis=0))
+    if len(without_effect):
         raise AssumptionError(
-            f"Assumption 5 (14): rank {matrix} = {directions} for {n_d} disturbances: some of them "
-            "act in the same direction and cannot be distinguished (DEPENDENT_DISTURBANCES)",
+            f"{problem}delta[{without_effect[0]}] acts on no state and no output "
+            "(DEPENDENT_DISTURBANCES)",
             "DEPENDENT_DISTURBANCES",
-            "merge them into one",
+            "leave it out",
         )
+    raise AssumptionError(
+        f"{problem}some of them act in the same direction and cannot be distinguished "
+        "(DEPENDENT_DISTURBANCES)",
+        "DEPENDENT_DISTURBANCES",
+        "merge them into one",
+    )
 
 
 def _split(reduced: ReducedSystem, weights: Vector, tolerance: float) -> _Split:

@@ -8,7 +8,9 @@ import numpy as np
 import scipy.linalg
 
 from cosim.arrays import Matrix
-from cosim.theory.descriptor import DescriptorSystem
+from cosim.errors import AssumptionError
+from cosim.theory.descriptor import DescriptorSystem, ReducedSystem
+from cosim.theory.observer import design
 
 
 @dataclass(frozen=True)
@@ -98,3 +100,12 @@ def index_one(
         Du=rng.normal(size=(n_y, n_u)),
         Dd=np.zeros((n_y, n_d)),
     )
+
+
+def movable(reduced: ReducedSystem) -> int:
+    """Return how many poles of an observer can be placed, as the message for none says."""
+    try:
+        design(reduced, poles=[])
+    except AssumptionError as error:
+        return int(str(error).split("needed ")[1].split(",")[0])
+    return 0
