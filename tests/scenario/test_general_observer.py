@@ -125,7 +125,11 @@ def test_a_gain_is_one_of_the_users_states(tmp_path):
 
 @pytest.mark.parametrize(
     "name",
-    ["first-order", "savitzky-golay", pytest.param("consistent", marks=pytest.mark.campaign)],
+    [
+        "first-order",
+        pytest.param("consistent", marks=pytest.mark.campaign),
+        pytest.param("savitzky-golay", marks=pytest.mark.campaign),
+    ],
 )
 def test_an_exported_observer_is_the_component(direct, tmp_path, name):
     """The same arithmetic in the FMU, feedthrough of y to delta included."""
