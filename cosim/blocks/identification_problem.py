@@ -27,6 +27,7 @@ from cosim.theory.disturbance import SearchBox
 from cosim.theory.disturbed_plant import DisturbedPlant, NoiseModel, discretize, white_noise
 from cosim.theory.estimators.output_error import presence_threshold
 from cosim.theory.estimators.projection import reconstruction_model
+from cosim.theory.interchangeable import interchangeable
 from cosim.theory.predictor import stationary_predictor, unstable_modes
 
 OF_Y: Final = ("Ad", "B0", "B1", "K", "L", "C", "D", "W")
@@ -119,6 +120,20 @@ class IdentificationProblem:
         """Return the alphas of the components, as late as delta, which lags so much [s]."""
         past = self.products.alphas
         return PastAlphas(alphas=self.alphas, ages=[lag], h=past.h, depth=past.samples)
+
+    def interchangeable(self, lower: Vector, upper: Vector) -> tuple[int, ...]:
+        """Return for every term the last one before it that is interchangeable with it, or -1.
+
+        Parameters
+        ----------
+        lower, upper : Vector, shape (P,)
+            Bounds of theta.
+        """
+        texts = [alpha.text for alpha in self.alphas]
+        bounds = {j: (float(lower[j]), float(upper[j])) for j in range(len(lower))}
+        return interchangeable(
+            self.rayleigh.generators, self.plant, lambda i, k: texts[i] == texts[k], bounds
+        )
 
     # --- signals ---
 

@@ -22,7 +22,12 @@ from cosim.native.output_error import OutputErrorConstants
 from cosim.native.predictor import ModePredictorConstants
 from cosim.native.start_grid import StartGridConstants
 from cosim.theory.disturbed_plant import needs_predictor
-from cosim.theory.estimators.start_grid import start_grid
+from cosim.theory.estimators.start_grid import (
+    COLUMNS,
+    MOST_POINTS_ONLINE,
+    axis_points,
+    start_grid,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,6 +152,8 @@ class OutputErrorIdentifier:
 
     def _grid(self, on_y: OutputErrorConstants, lower: Vector, upper: Vector) -> StartGridConstants:
         schedule = self.schedule
+        box = self.problem.box
+        points = axis_points(on_y.generators, box.graded, most=MOST_POINTS_ONLINE, columns=COLUMNS)
         forgetting = on_y.forgetting
         if schedule.window:
             forgetting = 1.0 - 1.0 / schedule.window
@@ -154,8 +161,11 @@ class OutputErrorIdentifier:
             replace(on_y, forgetting=forgetting),
             lower,
             upper,
-            points=self.problem.rayleigh.points,
+            points=points,
             average=max(1, schedule.average // 10),
+            graded=box.graded,
+            alike=self.problem.interchangeable(self.lower, self.upper),
+            even=box.even,
         )
 
     def _between(self, design: Design, held: Mask) -> BetweenConstants | None:

@@ -5,11 +5,11 @@
 
 #define LATER 1.4  /* a search that missed a component is repeated at so many times more samples */
 #define AGAIN 2.0  /* and one that found all */
-#define STARTS 4   /* points of the grid that y is fitted from */
+#define STARTS 8   /* points of the grid that y is fitted from */
 #define ROWS_A_TERM 2 /* rows of a regression before the first search */
-#define ITERATIONS 40 /* of a fit */
-#define START_ITERATIONS 10 /* of one from a start; others are not worth their time */
-#define NEAR 0.5            /* longest steps between a start and the minimum that it leads to */
+#define ITERATIONS 120 /* of a fit */
+#define START_ITERATIONS 20 /* of one from a start; but for the lowest others are not worth their time */
+#define NEAR 0.05            /* longest steps between a start and the minimum that it leads to */
 #define ROUNDING_OF_THETA 0x1p-20 /* relative to its longest step */
 #define MARGIN 25.0   /* variances by which other minima must be worse */
 #define ROUNDING 0x1p-44 /* of a simulated output, relative to the largest one */
@@ -32,9 +32,9 @@ typedef struct {
     double *pasts;          /* signals among the alphas, of the last samples */
     double *time, *betweens; /* of the last sample; number of samples between those of the grid */
     double *P, *gain; /* (modes, modes), (states, outputs) of the predictor for the next sample */
-    double *grid_taken, *grid_work; /* samples in it; of the grid of starts */
     int64_t state;
-    double *grid_search, *grid_squares, *covariance, *least, *factor; /* scratch */
+    double *grid_work; /* of the grid of starts; scratch from here on, but for the samples */
+    double *grid_search, *covariance, *least, *factor; /* scratch */
     double *at_point, *pair; /* y at a communication point, and two residuals; scratch */
     double *residual, *alpha;
     double *delta, *delta_alpha;
@@ -58,11 +58,6 @@ static int64_t columns_of(const cosim_output_error *model)
 static int64_t memory_of(const cosim_output_error *model)
 {
     return model ? cosim_output_error_memory(model) : 0;
-}
-
-static int64_t state_of(const cosim_output_error *model)
-{
-    return model ? cosim_output_error_state(model) : 0;
 }
 
 static storage storage_of(const cosim_identifier *s)
@@ -98,7 +93,6 @@ static storage storage_of(const cosim_identifier *s)
     m.pasts = cosim_place(s->memory, &next, cosim_past_alphas_memory(s->products->alphas));
     m.time = cosim_place(s->memory, &next, 1);
     m.betweens = cosim_place(s->memory, &next, 1);
-    m.grid_taken = cosim_place(s->memory, &next, 1);
     const cosim_predictor *modes = s->predictor ? &s->predictor->modes : NULL;
     const int64_t n_modes = modes ? modes->states : 0, outputs = modes ? modes->outputs : 0;
     const int64_t states = modes ? s->on_y->states : 0;
@@ -106,11 +100,10 @@ static storage storage_of(const cosim_identifier *s)
     m.P = cosim_place(s->memory, &next, n_modes * n_modes);
     m.gain = cosim_place(s->memory, &next, states * outputs);
     const cosim_output_error *on_grid = s->grid ? s->grid->model : NULL;
-    m.grid_work = cosim_place(s->memory, &next, state_of(on_grid)); /* its scratch follows */
     m.state = next;
-    next += memory_of(on_grid) - state_of(on_grid);
-    m.grid_search = cosim_place(s->memory, &next, s->grid ? cosim_start_grid_memory(s->grid) : 0);
-    m.grid_squares = cosim_place(s->memory, &next, s->grid ? cosim_start_grid_points(s->grid) : 0);
+    m.grid_work = cosim_place(s->memory, &next, memory_of(on_grid));
+    m.grid_search =
+        cosim_place(s->memory, &next, s->grid ? cosim_start_grid_memory(s->grid, 1) : 0);
     m.at_point = cosim_place(s->memory, &next, n_outputs(s));
     m.pair = cosim_place(s->memory, &next, 2 * n_outputs(s));
     m.covariance = cosim_place(s->memory, &next, n_outputs(s) * n_outputs(s));
@@ -554,20 +547,14 @@ static int32_t starts_on_grid(const cosim_identifier *s, const storage *m, doubl
     estimation e;
     if (*m->count < (double)ROWS_A_TERM * unknowns * model.average)
         return 0;
-    if (s->weighs) {
+    if (s->weighs)
         model.W = m->W;
-        *m->grid_taken = 0.0;
-    }
     prepare_fit_of_y(s, m, theta, &e);
     cosim_record record = e.experiment.record;
     record.first = 0;
-    if (*m->grid_taken == 0.0)
-        cosim_output_error_start(&model, theta, m->grid_work);
-    cosim_output_error_take(&model, theta, &record, (int64_t)*m->grid_taken, record.end,
-                            m->grid_work);
-    *m->grid_taken = (double)record.end;
-    cosim_start_grid_squares(s->grid, m->grid_work, m->grid_search, m->grid_squares);
-    return cosim_start_grid_best(s->grid, m->grid_squares, STARTS, theta);
+    cosim_output_error_start(&model, theta, m->grid_work);
+    cosim_output_error_take(&model, theta, &record, 0, record.end, m->grid_work);
+    return cosim_start_grid_search(s->grid, 1, m->grid_work, m->grid_search, STARTS, theta);
 }
 
 /* --- the best of several fits --- */
@@ -652,6 +639,18 @@ static int32_t fit_starts(const cosim_identifier *s, const storage *m, int32_t c
     return fitted;
 }
 
+/* Iterate on, where a fit from a start has not come to its end. */
+static void go_on(const cosim_identifier *s, const storage *m, candidate *c)
+{
+    double theta[COSIM_MOST_PARAMETERS];
+    estimation e;
+    memcpy(theta, c->theta, sizeof theta);
+    prepare_last_fit(s, m, theta, &e);
+    const int32_t status = cosim_output_error_fit(&e.fit);
+    if (status != COSIM_NO_VALUE)
+        *c = candidate_of(s, theta, &e, status);
+}
+
 /* `best`: the best fit from all starts, and from what it was. Returns whether there is one. */
 static int search(const cosim_identifier *s, const storage *m, int found, candidate *best)
 {
@@ -665,6 +664,12 @@ static int search(const cosim_identifier *s, const storage *m, int found, candid
     fitted = fit_starts(s, m, count, starts, fits, fitted);
     if (!fitted)
         return 0;
+    candidate *lowest = fits;
+    for (int32_t i = 1; i < fitted; ++i)
+        if (fits[i].squares < lowest->squares)
+            lowest = &fits[i];
+    if (!lowest->is_minimum)
+        go_on(s, m, lowest);
     *best = fits[0];
     for (int32_t i = 1; i < fitted; ++i)
         if (is_better(&fits[i], best))
@@ -706,6 +711,8 @@ static void estimate(const cosim_identifier *s, const storage *m)
         found = search(s, m, found, &best);
         if (found) {
             memcpy(m->theta, best.theta, (size_t)P * sizeof *m->theta);
+            if (s->grid)
+                cosim_start_grid_order(s->grid, m->theta);
             prepare_last_fit(s, m, m->theta, &e);
             found = fit_weighed(s, m, &e, WEIGHINGS) == COSIM_OK;
         }

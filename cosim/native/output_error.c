@@ -53,7 +53,7 @@ typedef struct {
     double *R_squared;             /* (columns, columns) of rows with the squares of their weights */
     double *block, *block_squared; /* (BLOCK + outputs, columns) */
     double *scratch;
-    int64_t state, size; /* doubles up to the block, and all */
+    int64_t size;
 } parts;
 
 /* Whether rows weigh differently, so that the errors of theta need R_squared too. */
@@ -88,7 +88,6 @@ static parts parts_of(const cosim_output_error *s, layout l, double *work)
     p.sums = cosim_place(work, &next, s->outputs * M);
     p.pairs = cosim_place(work, &next, s->outputs * s->outputs);
     p.R_squared = cosim_place(work, &next, squared * M);
-    p.state = next;
     p.block = cosim_place(work, &next, (BLOCK + s->outputs) * M);
     p.block_squared = cosim_place(work, &next, (BLOCK + s->outputs) * squared);
     p.scratch = cosim_place(work, &next, exponential > rows ? exponential : rows);
@@ -99,11 +98,6 @@ static parts parts_of(const cosim_output_error *s, layout l, double *work)
 int64_t cosim_output_error_memory(const cosim_output_error *s)
 {
     return parts_of(s, layout_of(s), NULL).size;
-}
-
-int64_t cosim_output_error_state(const cosim_output_error *s)
-{
-    return parts_of(s, layout_of(s), NULL).state;
 }
 
 int32_t cosim_output_error_columns(const cosim_output_error *s) { return layout_of(s).columns; }
@@ -1244,6 +1238,7 @@ int32_t cosim_output_error_fit(cosim_fit *fit)
     const int32_t P = fit->parameters;
     gauss_newton g = {0};
     double accepted[COSIM_MOST_PARAMETERS], freedom = 0.0, best = INFINITY;
+    double part = 1.0; /* of a step that is tried first: what was left of the last ones, and more */
     int32_t halvings = 0;
     memcpy(accepted, fit->theta, (size_t)P * sizeof *accepted);
     for (fit->iterations = 1; fit->iterations <= fit->most_iterations; ++fit->iterations) {
@@ -1266,9 +1261,13 @@ int32_t cosim_output_error_fit(cosim_fit *fit)
                 return COSIM_OK;
             }
             limit_step(fit, &g);
+            part = part < 0.25 ? 4.0 * part : 1.0;
+            for (int32_t j = 0; j < P; ++j)
+                g.step[j] *= part;
         } else if (++halvings > HALVINGS) {
             break;
         } else {
+            part *= 0.5;
             for (int32_t j = 0; j < P; ++j)
                 g.step[j] *= 0.5;
         }

@@ -18,7 +18,7 @@ from cosim.native.library import declare, int32, library, pointer
 
 MOST_COLUMNS: Final = 48  # COSIM_MOST_COLUMNS
 MOST_PARAMETERS: Final = 16  # COSIM_MOST_PARAMETERS
-MOST_ITERATIONS: Final = 40
+MOST_ITERATIONS: Final = 120
 
 NO_INFORMATION: Final = 1  # COSIM_NO_VALUE
 NOT_CONVERGED: Final = 4  # COSIM_NOT_CONVERGED

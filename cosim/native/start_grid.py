@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Sequence
 from ctypes import byref, c_int32, c_int64, c_void_p
 from dataclasses import dataclass
 from typing import Any, Final
@@ -15,7 +16,7 @@ from cosim.errors import UsageError
 from cosim.native.library import declare, int32, library, pointer
 from cosim.native.output_error import OutputErrorConstants, OutputErrorModel
 
-MOST_STARTS: Final = 8  # COSIM_MOST_STARTS
+MOST_STARTS: Final = 16  # COSIM_MOST_STARTS
 
 
 class StartGridStruct(ctypes.Structure):
@@ -23,7 +24,10 @@ class StartGridStruct(ctypes.Structure):
 
     _fields_ = (
         ("components", c_int32),
-        *((name, c_void_p) for name in ("model", "size", "count", "points", "theta")),
+        *(
+            (name, c_void_p)
+            for name in ("model", "size", "count", "points", "alike", "even", "theta")
+        ),
     )
 
 
@@ -37,6 +41,10 @@ class StartGridConstants:
         With a component for each point of a component, one beside the other.
     size, count, points : tuple of int
         Basis functions of one point, parameters, and points of every component.
+    alike : tuple of int
+        For every component the last one before that is interchangeable with it, or -1.
+    even : tuple of bool
+        For every parameter, whether its negative makes the same signals.
     theta : Vector, shape (sum of points_i count_i,)
         The points of one component behind those of the other.
     """
@@ -45,6 +53,8 @@ class StartGridConstants:
     size: tuple[int, ...]
     count: tuple[int, ...]
     points: tuple[int, ...]
+    alike: tuple[int, ...]
+    even: tuple[bool, ...]
     theta: Vector
 
 
@@ -58,32 +68,37 @@ class StartGridModel:
             int32(constants.size),
             int32(constants.count),
             int32(constants.points),
+            int32(constants.alike),
+            np.array(constants.even, np.uint8),
             np.array(constants.theta, np.float64),
         ]
         self.arrays = arrays
         self.struct = StartGridStruct(
             len(constants.size), ctypes.addressof(self.model.struct), *map(pointer, arrays)
         )
-        self.memory = int(library.cosim_start_grid_memory(byref(self.struct)))
         self.points = int(library.cosim_start_grid_points(byref(self.struct)))
 
-    def squares(self, R: Matrix) -> Vector:
-        """Compute the least squares of every combination from R of the model, shape (points,)."""
-        R = np.ascontiguousarray(R, np.float64)
-        scratch = np.zeros(self.memory)
-        squares = np.empty(self.points)
-        library.cosim_start_grid_squares(
-            byref(self.struct), pointer(R), pointer(scratch), pointer(squares)
-        )
-        return squares
-
-    def best(self, squares: Vector, most: int) -> Matrix:
-        """Return the points that no neighbor betters, the best first, shape (at most most, P).
+    def squares(self, triangles: Sequence[Matrix]) -> Vector:
+        """Compute the least squares of every combination, where they are few, shape (points,).
 
         Parameters
         ----------
-        squares : Vector, shape (points,)
-            Of one record, or the sum over several.
+        triangles : sequence of Matrix
+            R of the model of each record; the squares are summed.
+        """
+        squares = np.empty(self.points)
+        R, memory = self._work_of(triangles)
+        addresses = (pointer(R), pointer(memory), pointer(squares))
+        library.cosim_start_grid_squares(byref(self.struct), len(triangles), *addresses)
+        return squares
+
+    def search(self, triangles: Sequence[Matrix], most: int) -> Matrix:
+        """Return the best combinations, the best first, shape (at most most, P).
+
+        Parameters
+        ----------
+        triangles : sequence of Matrix
+            R of the model of each record.
         most : int
             1 to MOST_STARTS.
 
@@ -94,19 +109,28 @@ class StartGridModel:
         """
         if not 1 <= most <= MOST_STARTS:
             raise UsageError(f"most: found {most} starts; needed 1 to {MOST_STARTS}")
-        squares = np.ascontiguousarray(squares, np.float64)
+        R, memory = self._work_of(triangles)
         theta = np.zeros((most, self._parameters))
-        count = library.cosim_start_grid_best(
-            byref(self.struct), pointer(squares), most, pointer(theta)
+        count = library.cosim_start_grid_search(
+            byref(self.struct), len(triangles), pointer(R), pointer(memory), most, pointer(theta)
         )
         return theta[:count]
+
+    def _work_of(self, triangles: Sequence[Matrix]) -> tuple[Matrix, Vector]:
+        """Return the triangles one behind the other, and the memory of a search."""
+        R = np.ascontiguousarray(np.concatenate(list(triangles)), np.float64)
+        size = int(library.cosim_start_grid_memory(byref(self.struct), len(triangles)))
+        return R, np.zeros(size)
 
 
 declare(
     {
-        "cosim_start_grid_memory": (c_int64, (c_void_p,)),
+        "cosim_start_grid_memory": (c_int64, (c_void_p, c_int32)),
         "cosim_start_grid_points": (c_int64, (c_void_p,)),
-        "cosim_start_grid_squares": (None, (c_void_p, c_void_p, c_void_p, c_void_p)),
-        "cosim_start_grid_best": (c_int32, (c_void_p, c_void_p, c_int32, c_void_p)),
+        "cosim_start_grid_squares": (None, (c_void_p, c_int32, c_void_p, c_void_p, c_void_p)),
+        "cosim_start_grid_search": (
+            c_int32,
+            (c_void_p, c_int32, c_void_p, c_void_p, c_int32, c_void_p),
+        ),
     }
 )

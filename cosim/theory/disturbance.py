@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from types import MappingProxyType
 from typing import ClassVar, Protocol, final
 
@@ -65,6 +66,13 @@ class Family(Protocol):
     def even(self) -> tuple[bool, ...]:
         """For each parameter, whether its negative makes the same signals."""
 
+    @property
+    def graded(self) -> tuple[bool, ...]:
+        """For each parameter, whether a start is searched in steps that grow with it.
+
+        So of exponents, whose effect is that of their logarithm, but not of rates.
+        """
+
     def search(self, span: float, shortest: float) -> tuple[tuple[float, float], ...]:
         """Return for each parameter the range in which a start is searched.
 
@@ -91,6 +99,7 @@ class Exponential:
     name: ClassVar[str] = "exponential"
     parameters: ClassVar[tuple[str, ...]] = ("theta",)
     even: ClassVar[tuple[bool, ...]] = (False,)
+    graded: ClassVar[tuple[bool, ...]] = (True,)
     constants: ClassVar[tuple[str, ...]] = ("amplitude",)
     formula: ClassVar[str] = "{amplitude} exp({theta} t)"
     v: ClassVar[int] = 1
@@ -125,6 +134,7 @@ class Sine:
     name: ClassVar[str] = "sine"
     parameters: ClassVar[tuple[str, ...]] = ("rate",)
     even: ClassVar[tuple[bool, ...]] = (True,)
+    graded: ClassVar[tuple[bool, ...]] = (False,)
     constants: ClassVar[tuple[str, ...]] = ("amplitude", "phase")
     formula: ClassVar[str] = "{amplitude} sin({rate} t + {phase})"
     v: ClassVar[int] = 2
@@ -165,6 +175,7 @@ class DampedSine:
     name: ClassVar[str] = "damped-sine"
     parameters: ClassVar[tuple[str, ...]] = ("decay", "rate")
     even: ClassVar[tuple[bool, ...]] = (False, True)
+    graded: ClassVar[tuple[bool, ...]] = (True, False)
     constants: ClassVar[tuple[str, ...]] = ("amplitude", "phase")
     formula: ClassVar[str] = "{amplitude} exp(-{decay} t) sin({rate} t + {phase})"
     v: ClassVar[int] = 2
@@ -215,6 +226,7 @@ class Polynomial:
     name: str = "polynomial"
     parameters: ClassVar[tuple[str, ...]] = ()
     even: ClassVar[tuple[bool, ...]] = ()
+    graded: ClassVar[tuple[bool, ...]] = ()
 
     @property
     def v(self) -> int:
@@ -266,6 +278,7 @@ class TExponential:
     name: ClassVar[str] = "t-exponential"
     parameters: ClassVar[tuple[str, ...]] = ("theta",)
     even: ClassVar[tuple[bool, ...]] = (False,)
+    graded: ClassVar[tuple[bool, ...]] = (True,)
     constants: ClassVar[tuple[str, ...]] = ("level", "slope")
     formula: ClassVar[str] = "({level} + {slope} t) exp({theta} t)"
     v: ClassVar[int] = 2
@@ -362,11 +375,14 @@ def generators(families: Sequence[Family]) -> Generators:
 class SearchBox:
     """The theta among which a start is searched, and the longest step of an iteration.
 
-    Shapes: ``lower``, ``upper`` and ``step`` ``(n_theta,)``.
+    Shapes: ``lower``, ``upper`` and ``step`` ``(n_theta,)``; ``graded`` and ``even`` are those of
+    the families, one behind the other, by default of none.
     """
 
     lower: Vector
     upper: Vector
+    graded: tuple[bool, ...] = ()
+    even: tuple[bool, ...] = ()
 
     @property
     def step(self) -> Vector:
@@ -391,7 +407,13 @@ def search_box(families: Sequence[Family], *, span: float, shortest: float) -> S
         for low, high in family.search(span, shortest):
             lower.append(low)
             upper.append(high)
-    return SearchBox(np.array(lower), np.array(upper))
+    graded = tuple(chain.from_iterable(family.graded for family in families))
+    return SearchBox(np.array(lower), np.array(upper), graded, even_parameters(families))
+
+
+def even_parameters(families: Sequence[Family]) -> tuple[bool, ...]:
+    """Return for each parameter of components whether its negative makes the same signals."""
+    return tuple(chain.from_iterable(family.even for family in families))
 
 
 @dataclass(frozen=True)

@@ -83,6 +83,11 @@ class LinearFamily:
         return (False,) * len(self.parameters)
 
     @property
+    def graded(self) -> tuple[bool, ...]:
+        """That a start is searched in equal steps."""
+        return (False,) * len(self.parameters)
+
+    @property
     def constants(self) -> tuple[str, ...]:
         """The names of the states at t = 0."""
         return tuple(f"beta_{k}" for k in range(1, self.v + 1))

@@ -50,6 +50,8 @@ class Harmonics:
     count: int
     name: ClassVar[str] = "harmonics"
     parameters: ClassVar[tuple[str, ...]] = ()
+    even: ClassVar[tuple[bool, ...]] = ()
+    graded: ClassVar[tuple[bool, ...]] = ()
 
     @property
     def v(self):
@@ -81,6 +83,8 @@ class Constant:
 
     name: ClassVar[str] = "constant"
     parameters: ClassVar[tuple[str, ...]] = ()
+    even: ClassVar[tuple[bool, ...]] = ()
+    graded: ClassVar[tuple[bool, ...]] = ()
     v: ClassVar[int] = 1
 
     @property
@@ -290,11 +294,11 @@ def test_the_grid_of_starts_takes_many_components():
     )
     record = sampled.record(data)
     samples = type(record)(grid.model, record.residual, record.alpha)
-    squares = grid.squares(samples.make(np.zeros(0)))
-    starts = grid.best(squares, 3)
+    triangle = samples.make(np.zeros(0))
+    starts = grid.search([triangle], 3)
     np.testing.assert_allclose(starts[0], [-0.55], rtol=1e-12)
-    with pytest.raises(UsageError, match="most: found 9 starts; needed 1 to 8"):
-        grid.best(squares, 9)
+    with pytest.raises(UsageError, match="most: found 17 starts; needed 1 to 16"):
+        grid.search([triangle], 17)
 
 
 def test_the_quotient_of_many_rows_is_that_of_the_determinants():

@@ -109,7 +109,7 @@ def test_every_point_is_a_least_squares_of_its_own(offset):
     record = sampled(offset)
     grid = StartGridModel(start_grid(record.model.constants, LOWER, UPPER, points=9, average=8))
     beside = ResponseRecord(grid.model, record.residual, record.alpha)
-    squares = grid.squares(beside.make(np.zeros(0))).reshape(9, 9).T
+    squares = grid.squares([beside.make(np.zeros(0))]).reshape(9, 9).T
     axes = [LOWER[j] + (np.arange(9) + 0.5) / 9 * (UPPER - LOWER)[j] for j in (0, 1)]
     expected = [[least_squares(record, (a, b), 8, offset) for b in axes[1]] for a in axes[0]]
     # rounding of R, relative to all of y, over what is left of it

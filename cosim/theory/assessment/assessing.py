@@ -153,7 +153,7 @@ def _white(problem: OutputErrorProblem, start: Vector | None) -> _Examined:
     """Fit for white noise, from a start or a search."""
     noise = first_noise(problem)
     if start is None:
-        start = problem.search_start(noise)
+        start = problem.in_order(problem.search_start(noise))
     return _fitted(problem, start, noise, is_known=problem.stated is not None)
 
 

@@ -12,10 +12,11 @@ from cosim.arrays import Matrix, Vector
 from cosim.errors import AssumptionError, quoted
 from cosim.native.output_error import Generators
 from cosim.theory.covariance import is_covariance
-from cosim.theory.disturbance import Family, generators
+from cosim.theory.disturbance import Family, even_parameters, generators
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel, check_sizes
 from cosim.theory.estimators.output_error import OutputErrorFit, bound_vectors, fit_output_error
-from cosim.theory.estimators.start_grid import search_start
+from cosim.theory.estimators.start_grid import interchangeable_terms, search_start
+from cosim.theory.interchangeable import in_order
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +72,16 @@ class OutputErrorProblem:
     def generators(self) -> Generators:
         """Those of all terms."""
         return generators(self.families)
+
+    @cached_property
+    def interchangeable(self) -> tuple[int, ...]:
+        """For every term the last one before it that is interchangeable with it, or -1."""
+        return interchangeable_terms(self.data, self.plant, self.generators, self.bounds)
+
+    def in_order(self, theta: Vector) -> Vector:
+        """Return the one of all theta of the same model that is told, shape (P,)."""
+        even = even_parameters(self.families)
+        return in_order(theta, self.generators, self.interchangeable, even)
 
     @property
     def outputs(self) -> int:

@@ -32,7 +32,7 @@ from cosim.theory.bounded.worst_case import (
     interval_around,
     irregular_response,
 )
-from cosim.theory.disturbance import Family, generators
+from cosim.theory.disturbance import Family, even_parameters, generators
 from cosim.theory.disturbed_plant import (
     DataSet,
     DisturbedPlant,
@@ -252,10 +252,7 @@ def _magnitudes(
 
     What they have on the other side of 0 is the same signals.
     """
-    even: list[bool] = []
-    for family in families:
-        even += family.even
-    crosses = np.array(even, np.bool_) & (lower < 0.0) & (upper > 0.0)
+    crosses = np.array(even_parameters(families), np.bool_) & (lower < 0.0) & (upper > 0.0)
     largest = np.maximum(-lower, upper)
     positive = crosses & (theta >= 0.0)
     negative = crosses & (theta < 0.0)

@@ -3,8 +3,10 @@
 For given theta y is linear in all other unknowns. So the responses to every component at every
 point of a grid of its own theta are columns of one regression: a single pass over the samples makes
 the triangle R of all of them, and the least squares of any combination of points follow from a
-choice of its columns, without the samples. Rows are means of successive samples. Unlike the
-regression (25) this needs neither delays nor a transient that is over.
+choice of its columns, without the samples. Where there are too many combinations to try each, the
+components are added one by one at their best points, then chosen anew two by two. Rows are means of
+successive samples. Unlike the regression (25) this needs neither delays nor a transient that is
+over.
 
 A minimum of the grid may lead to a local minimum of output error, whose residual cannot tell: a
 wrong model would leave one of the same size. So several are fitted from, and the best fit counts,
@@ -15,14 +17,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import product
+from itertools import chain, product
 from typing import Final
 
 import numpy as np
 
 from cosim.arrays import Matrix, Vector
+from cosim.native.expression import compile_expression
 from cosim.native.output_error import Generators, OutputErrorConstants, ResponseRecord
 from cosim.native.start_grid import StartGridConstants, StartGridModel
+from cosim.native.step import evaluate
 from cosim.theory.disturbance import Family, SearchBox, generators, search_box
 from cosim.theory.disturbed_plant import (
     DataSet,
@@ -40,11 +44,23 @@ from cosim.theory.estimators.output_error import (
     longest_span,
     response_records,
 )
+from cosim.theory.interchangeable import interchangeable
 
-STARTS: Final = 4  # points of the grid that are fitted from
+STARTS: Final = 8  # points of the grid that are fitted from
 MOST_POINTS: Final = 4096
-MOST_POINTS_ON_AN_AXIS: Final = 24
+MOST_POINTS_ON_AN_AXIS: Final = 24  # where each combination is tried
+MOST_POINTS_ONLINE: Final = 64  # along a parameter
 MOST_POINTS_OF_RECORDS: Final = 256  # on an axis, where one search is all that is made
+MOST_POINTS_OF_SEVERAL: Final = 64  # the same with more than one parameter
+COLUMNS: Final = 240  # of the regression of a grid
+COLUMNS_OF_RECORDS: Final = 640  # where one search is all that is made
+# functions of t with the same bits everywhere
+SINH: Final = compile_expression("sinh(t)")
+ASINH: Final = compile_expression("sign(t)*log(abs(t) + sqrt(t*t + 1))")
+FINE: Final = 4.0  # steps begin to grow at this part of the smaller end of a box
+FEW_POINTS: Final = 6  # along a parameter whose steps grow, of a component with others
+ROUNDS: Final = 3  # of a search around the best fit of the last one
+STARTS_BESIDE: Final = 3  # of which so many are fitted from
 ROWS: Final = 1024  # of the regression: means of successive samples
 # of the grid, for each time scale that a record has room for: half periods of a sine
 POINTS_A_SCALE: Final = 1.2
@@ -53,12 +69,50 @@ LEAST_SCALES: Final = 20.0
 
 
 def grid_points(parameters: int) -> int:
-    """Return how many points a grid of starts has in every direction."""
+    """Return how many points a grid has in every direction where each combination is tried."""
     return min(_points_on_an_axis(parameters), MOST_POINTS_ON_AN_AXIS)
 
 
+def axis_points(
+    generators: Generators, graded: Sequence[bool], *, most: int, columns: int
+) -> tuple[int, ...]:
+    """Return how many points a grid has along each parameter.
+
+    Parameters
+    ----------
+    generators : Generators
+    graded : sequence of bool
+        For each parameter, whether its steps grow with it: of these a component of several
+        parameters has few.
+    most : int
+        Along one axis.
+    columns : int
+        Of the regression, for all components: each point takes as many as it has basis functions.
+    """
+    searched = sum(1 for count in generators.count if count)
+    points: list[int] = []
+    for size, count in zip(generators.size, generators.count, strict=True):
+        own = graded[len(points) : len(points) + count]
+        share = max(columns // (max(searched, 1) * size), 2**count)
+        few = FEW_POINTS if 0 < sum(own) < count else 0
+        rest = share // few ** sum(own) if few else share
+        root = int(rest ** (1.0 / max(count - sum(own) if few else count, 1)) + 1e-9)
+        for is_graded in own:
+            points.append(few if few and is_graded else max(min(root, most), 2))
+    return tuple(points)
+
+
 def start_grid(
-    model: OutputErrorConstants, lower: Vector, upper: Vector, *, points: int, average: int
+    model: OutputErrorConstants,
+    lower: Vector,
+    upper: Vector,
+    *,
+    points: int | Sequence[int],
+    average: int,
+    graded: Sequence[bool] = (),
+    alike: Sequence[int] = (),
+    even: Sequence[bool] = (),
+    beside: Sequence[Vector] = (),
 ) -> StartGridConstants:
     """Return the grid over a box.
 
@@ -68,25 +122,40 @@ def start_grid(
         Of y.
     lower, upper : Vector, shape (P,)
         The box.
-    points : int
-        In every direction; one where the box has no width.
+    points : int or sequence of int
+        Along every parameter, or along each; one where the box has no width.
     average : int
         Samples that make one row.
+    graded : sequence of bool
+        For each parameter, whether steps grow with it; by default none does.
+    alike : sequence of int
+        For each component the last one before that is interchangeable with it, or -1; by default
+        none.
+    even : sequence of bool
+        For each parameter, whether its negative makes the same signals; by default of none.
+    beside : sequence of Vector, shape (P,)
+        Theta whose parts are points of their components, too.
     """
     generators = model.generators
+    P = generators.parameters
+    counts = [points] * P if isinstance(points, int) else list(points)
+    grades = tuple(graded) or (False,) * P
     systems = []
     rows = []
     thetas = []
     component = []
     for i, generator in enumerate(generators.each):
         own = generator.theta
-        grid = _points(lower[own], upper[own], points)
+        regular = _points(lower[own], upper[own], counts[own], grades[own])
+        others = [theta[own] for theta in beside if generators.count[i]]
+        grid = np.vstack([regular, *others])
         for theta in grid:
             systems.append(generator.matrix(theta).ravel())
             rows.append(generator.c)
             component.append(i)
         thetas.append(grid.ravel())
     sizes = [generators.size[i] for i in component]
+    sources = model.source or tuple(range(len(generators.size)))
     at_points = Generators(
         size=tuple(sizes),
         count=(0,) * len(component),
@@ -98,7 +167,7 @@ def start_grid(
         model,
         generators=at_points,
         average=average,
-        source=tuple(component),
+        source=tuple(sources[i] for i in component),
     )
     points_of_each = [component.count(i) for i in range(len(generators.size))]
     return StartGridConstants(
@@ -106,12 +175,22 @@ def start_grid(
         size=generators.size,
         count=generators.count,
         points=tuple(points_of_each),
+        alike=tuple(alike) or (-1,) * len(generators.size),
+        even=tuple(even) or (False,) * P,
         theta=np.concatenate(thetas),
     )
 
 
 def search_starts(
-    records: Sequence[ResponseRecord], lower: Vector, upper: Vector, *, points: int, most: int
+    records: Sequence[ResponseRecord],
+    lower: Vector,
+    upper: Vector,
+    *,
+    points: int | Sequence[int],
+    most: int,
+    graded: Sequence[bool] = (),
+    alike: Sequence[int] = (),
+    beside: Sequence[Vector] = (),
 ) -> Matrix:
     """Return the best points of the grid for records of y, the best first, shape (starts, P).
 
@@ -121,21 +200,47 @@ def search_starts(
         Under the same theta; a point is as good as the sum of its squares over all of them.
     lower, upper : Vector, shape (P,)
         The box.
-    points : int
-        In every direction.
+    points, graded, alike, beside
+        As of :func:`start_grid`.
     most : int
         Starts at most.
     """
-    sums = np.zeros(1)
+    triangles = []
+    grid = None
     for record in records:
         is_measured = ~np.isnan(record.residual).any(axis=1)
         samples = int(is_measured.sum())
         average = max(1, samples // ROWS)
-        constants = start_grid(record.model.constants, lower, upper, points=points, average=average)
+        constants = start_grid(
+            record.model.constants,
+            lower,
+            upper,
+            points=points,
+            average=average,
+            graded=graded,
+            alike=alike,
+            beside=beside,
+        )
         grid = StartGridModel(constants)
-        beside = ResponseRecord(grid.model, record.residual, record.alpha, record.interval)
-        sums = sums + grid.squares(beside.make(np.zeros(0)))
-    return grid.best(sums, most)
+        on_grid = ResponseRecord(grid.model, record.residual, record.alpha, record.interval)
+        triangles.append(on_grid.make(np.zeros(0)))
+    if grid is None:
+        return np.zeros((0, len(lower)))
+    return grid.search(triangles, most)
+
+
+def interchangeable_terms(
+    data: Sequence[DataSet],
+    plant: DisturbedPlant,
+    matrices: Generators,
+    bounds: Mapping[int, tuple[float, float]],
+) -> tuple[int, ...]:
+    """Return for every term the last one before it that is interchangeable with it, or -1."""
+
+    def same_alpha(i: int, k: int) -> bool:
+        return all(np.array_equal(one.alpha[:, i], one.alpha[:, k]) for one in data)
+
+    return interchangeable(matrices, plant, same_alpha, bounds)
 
 
 def search_start(
@@ -149,6 +254,8 @@ def search_start(
 ) -> Vector:
     """Find a start: theta of the best fit from the best points of a grid.
 
+    With several terms the points of the best fit are added to the grid, and it is searched again:
+    what the distance between points costs a term that is known well hides the others.
     A fit that has not converged counts only where it explains more than chance allows beside those
     that have: their optimum is not the best one then.
 
@@ -175,25 +282,50 @@ def search_start(
     span = longest_span(data)
     spacing = min(data_set.sampling_interval for data_set in data)
     box = box_of_search(families, span=span, spacing=spacing, bounds=bounds)
-    points = _points_of_records(matrices.parameters)
-    starts = search_starts(records, box.lower, box.upper, points=points, most=STARTS)
-    if not len(starts):
-        return box.lower  # no response is finite, which a fit will say
+    alike = interchangeable_terms(data, plant, matrices, bounds)
+
+    def searched(beside: Sequence[Vector], most: int) -> Matrix:
+        return search_starts(
+            records,
+            box.lower,
+            box.upper,
+            points=_points_of_records(families),
+            most=most,
+            graded=box.graded,
+            alike=alike,
+            beside=beside,
+        )
 
     def fitted(start: Vector) -> OutputErrorFit:
         return fit_output_error(
             data, plant, families, start, noise=noise, offset=offset, bounds=bounds
         )
 
-    fits = [fitted(start) for start in starts]
+    fits = [fitted(start) for start in searched((), STARTS)]
+    if not fits:
+        return box.lower  # no response is finite, which a fit will say
+    best = _best_of(fits)
+    several = sum(1 for count in matrices.count if count) > 1
+    for _ in range(ROUNDS if several else 0):
+        beside = searched([best.theta], STARTS_BESIDE)
+        better = _best_of([best, *map(fitted, beside)])
+        excess = excess_squares(better.deviation, best.deviation, better.freedom)
+        if excess <= largest_chance(matrices.parameters):
+            break
+        best = better
+    return best.theta
+
+
+def _best_of(fits: Sequence[OutputErrorFit]) -> OutputErrorFit:
+    """Return the fit that explains most; of those that differ by chance one that has converged."""
     best = min(fits, key=lambda fit: fit.deviation)
     converged = [fit for fit in fits if fit.converged]
     if not converged:
-        return best.theta
+        return best
     other = min(converged, key=lambda fit: fit.deviation)
     excess = excess_squares(best.deviation, other.deviation, best.freedom)
-    is_chance = excess <= largest_chance(matrices.parameters)
-    return other.theta if is_chance else best.theta
+    is_chance = excess <= largest_chance(len(best.theta))
+    return other if is_chance else best
 
 
 def box_of_search(
@@ -224,7 +356,11 @@ def box_of_search(
         If there is no such parameter, or an upper bound is below the lower bound.
     """
     parameters = sum(len(family.parameters) for family in families)
-    time_scales = max(_points_of_records(parameters) / POINTS_A_SCALE, LEAST_SCALES)
+    graded = chain.from_iterable(family.graded for family in families)
+    points = zip(_points_of_records(families), graded, strict=True)
+    # where all parameters have steps that grow, a grid of few points reaches as far
+    of_rates = [count for count, is_graded in points if not is_graded]
+    time_scales = max(min(of_rates, default=MOST_POINTS_OF_SEVERAL) / POINTS_A_SCALE, LEAST_SCALES)
     shortest = max(span / time_scales, spacing)
     box = search_box(families, span=span, shortest=shortest)
     lower, upper = bound_vectors(bounds, parameters)
@@ -236,12 +372,15 @@ def box_of_search(
     is_below = upper < box.lower
     last = np.where(is_above, np.minimum(upper, lower + width), last)
     first = np.where(is_below, np.maximum(lower, upper - width), first)
-    return SearchBox(first, last)
+    return replace(box, lower=first, upper=last)
 
 
-def _points_of_records(parameters: int) -> int:
-    """Return how many points the grid for recorded data has in every direction."""
-    return min(_points_on_an_axis(parameters), MOST_POINTS_OF_RECORDS)
+def _points_of_records(families: Sequence[Family]) -> tuple[int, ...]:
+    """Return how many points the grid for recorded data has along each parameter."""
+    matrices = generators(families)
+    graded = list(chain.from_iterable(family.graded for family in families))
+    most = MOST_POINTS_OF_RECORDS if matrices.parameters == 1 else MOST_POINTS_OF_SEVERAL
+    return axis_points(matrices, graded, most=most, columns=COLUMNS_OF_RECORDS)
 
 
 def _points_on_an_axis(parameters: int) -> int:
@@ -252,13 +391,23 @@ def _points_on_an_axis(parameters: int) -> int:
     return points
 
 
-def _points(lower: Vector, upper: Vector, points: int) -> Matrix:
-    """Return the middles of equal parts of the box, shape (count, parameters)."""
+def _points(lower: Vector, upper: Vector, points: Sequence[int], graded: Sequence[bool]) -> Matrix:
+    """Return the middles of equal parts of the box, shape (count, parameters).
+
+    Of parameters whose steps grow these are parts of their inverse hyperbolic sine, in units of
+    the smaller end: from there on a step is a part of the parameter.
+    """
     axes = []
-    for low, high in zip(lower, upper, strict=True):
-        count = points if high > low else 1
-        width = high - low
-        axes.append([low + (k + 0.5) / count * width for k in range(count)])
+    for low, high, most, grows in zip(lower, upper, points, graded, strict=True):
+        count = most if high > low else 1
+        unit = min(abs(low), abs(high)) / FINE or abs(high - low) / FINE
+        is_graded = grows and high > low
+        first = evaluate(ASINH, low / unit) if is_graded else low
+        width = evaluate(ASINH, high / unit) - first if is_graded else high - low
+        middles = [first + (k + 0.5) / count * width for k in range(count)]
+        if is_graded:
+            middles = [unit * evaluate(SINH, middle) for middle in middles]
+        axes.append(middles)
     points_of_all = list(product(*axes))
     grid = np.array(points_of_all, np.float64)
     return grid.reshape(len(points_of_all), len(lower))
