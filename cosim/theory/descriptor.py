@@ -33,7 +33,7 @@ from cosim.errors import AssumptionError
 from cosim.theory.elimination import DATA, Eliminated, PartitionedMatrices, eliminate
 from cosim.theory.geometry import output_nulling, rank
 from cosim.theory.pencil import RankDecomposition, decompose, determined_rank, shuffle
-from cosim.theory.scaling import Scales, scales_of, state_space_scales
+from cosim.theory.scaling import Scales, scales_of, state_space_scales, within_range
 
 ComplexVector: TypeAlias = NDArray[np.complex128]  # shape (n,)
 ComplexMatrix: TypeAlias = NDArray[np.complex128]  # shape (n, m)
@@ -259,6 +259,7 @@ def in_units(reduced: ReducedSystem, scales: Scales) -> ReducedSystem:
     )
 
 
+@within_range()
 def reduce(system: DescriptorSystem) -> ReducedSystem:
     """Eliminate the algebraic states (8)-(10).
 

@@ -46,6 +46,7 @@ from cosim.theory.descriptor import (
 )
 from cosim.theory.geometry import orthogonal_complement, output_nulling, without_rounding
 from cosim.theory.placement import place
+from cosim.theory.scaling import within_range
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -110,6 +111,7 @@ class IdentificationStartTime:
     T_id: float
 
 
+@within_range()
 def design(
     reduced: ReducedSystem,
     *,

@@ -14,15 +14,37 @@ Where E is the identity and is to stay so, a state and its equation have one sca
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from cosim.arrays import Matrix, Vector
+from cosim.errors import AssumptionError
 
 MOST_SWEEPS: Final = 60  # each halves the exponents that are left
 COARSE: Final = 10.0  # binary digits of a coarse scale
+
+
+@contextmanager
+def within_range() -> Iterator[None]:
+    """Refuse a computation that leaves the range of numbers.
+
+    Raises
+    ------
+    AssumptionError
+        If a number becomes too large, or one to divide by too small.
+    """
+    try:
+        with np.errstate(over="raise", divide="raise", invalid="raise"):
+            yield
+    except FloatingPointError as error:
+        raise AssumptionError(
+            f"the matrices have numbers too large or too small to compute with ({error}); needed "
+            "other units"
+        ) from error
 
 
 @dataclass(frozen=True, eq=False)

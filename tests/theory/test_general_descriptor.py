@@ -192,6 +192,10 @@ def test_the_index_is_found_in_any_coordinates(seed):
         ({"E": np.eye(3)}, r"E has shape \(3, 3\); needed \(2, 2\), the shape of A"),
         ({"E": [[1.0, np.nan], [0.0, 0.0]]}, r"E\[0, 1\] is nan; needed a finite number"),
         ({"Du": [[1.0, 2.0]]}, r"Du has shape \(1, 2\); needed \(1, 1\): one row per row of C"),
+        (
+            {"E": np.diag([1.0, 0.0]), "Bu": [[0.0], [1e200]], "C": [[0.0, 1e200]]},
+            r"the matrices have numbers too large or too small to compute with \(overflow",
+        ),
         ({"Dd": [[1.0]]}, r"Dd has shape \(1, 1\); needed \(1, 0\)"),
     ],
 )
