@@ -119,6 +119,7 @@ class ScenarioBuildContext:
         self._field_data: dict[str, FieldData] = {}
         self._designs: dict[str, tuple[Any, frozenset[str]]] = {}
         self._choices: dict[str, Mapping[str, Any]] = {}
+        self._sources_beside: dict[str, Component] = {}
         self._systems: dict[str, DescriptorSystem] = {}
         self.models: dict[str, dict[str, Any]] = {}
         self.files: set[Path] = set()
@@ -335,7 +336,9 @@ class ScenarioBuildContext:
         is_known = spec.is_function_of_time or spec.is_recorded
         if not is_known or source.component in self._scenario.maps:
             return None
-        component = self._source(source.component, spec)
+        if source.component not in self._sources_beside:
+            self._sources_beside[source.component] = self._source(source.component, spec)
+        component = self._sources_beside[source.component]
         found = source.find(component.interface.by_name)
         if found is None:
             raise DependsOnInvalid

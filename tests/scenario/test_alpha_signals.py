@@ -24,6 +24,8 @@ from cosim.native.step import evaluate_at
 from cosim.scenario.build import Builder
 from cosim.scenario.document import find
 from cosim.scenario.exporting import export_component
+from cosim.scenario.kinds.parameters import parameters_of
+from cosim.scenario.kinds.regressor import RegressorKind
 from cosim.scenario.recorded_metadata import recorded_identification, recorded_warnings
 from cosim.theory.regression import expand
 from tests.scenario.signals import signals
@@ -133,6 +135,7 @@ def test_a_table_a_recorded_channel_and_a_computed_signal_identify_theta(tmp_pat
     np.testing.assert_allclose(log["identifier.theta"][-1], THETA, atol=1e-6)
     np.testing.assert_array_equal(log["regressor.alpha"], values(log.time("regressor.alpha")))
 
+    assert cosim.diff(log, cosim.replay(log)).equal
     again = cosim.replay(log, set={"identifier.period": 0.5})
     np.testing.assert_allclose(again["identifier.theta"][-1], THETA, atol=1e-6)
 
@@ -265,6 +268,22 @@ def test_a_log_identifies_theta_from_the_recorded_alphas(tmp_path):
     found = zip(by_signal.assessment.parameters, by_text.assessment.parameters, strict=True)
     for one, other in found:
         assert one.value == other.value
+
+
+def test_estimators_are_compared_on_the_recorded_signals(tmp_path):
+    """Every replay takes the alphas that its method needs."""
+    changes = {**RUN, "scenario.stop": 6.0}
+    methods = ["output-error", "projection"]
+    compared = cosim.compare_estimators(scenario(tmp_path), estimators=methods, set=changes)
+    for result in compared.results:
+        assert not result.failure
+        np.testing.assert_allclose(result.theta, THETA, atol=0.02)
+
+
+def test_the_catalog_names_the_key_as_files_have_it():
+    """The key of the table is from, a word of Python."""
+    names = [parameter.name for parameter in parameters_of(RegressorKind)]
+    assert "terms.alpha.from" in names
 
 
 def test_alphas_that_prove_proportional_after_the_run_are_named(tmp_path):

@@ -56,8 +56,9 @@ def _with_inner(name: str, table: type[BaseModel], prefix: str = "") -> Iterator
     field = table.model_fields[name]
     required = field.is_required()
     default = None if required else field.default
-    yield Parameter(prefix + name, required, default, field.description or "")
+    key = field.alias or name
+    yield Parameter(prefix + key, required, default, field.description or "")
     inner = table_in(field.annotation)
     if inner is not None:
         for inner_name in inner.model_fields:
-            yield from _with_inner(inner_name, inner, f"{prefix}{name}.")
+            yield from _with_inner(inner_name, inner, f"{prefix}{key}.")
