@@ -44,7 +44,7 @@ def log_argument(value: object) -> Path:
     """
     path = path_argument("log", value)
     needed = f"{quoted(str(path))}: needed a log (.mcap)"
-    if _is_scenario(path):
+    if is_scenario(path):
         raise UsageError(f"{needed}; {command('run')} runs a scenario")
     if file_type(path) == "FMU":
         raise UsageError(f"{needed}; 'cosim info' shows an FMU")
@@ -61,14 +61,14 @@ def fmu_argument(value: object) -> Path:
     """
     path = path_argument("fmu", value)
     needed = f"{quoted(str(path))}: needed an FMU (.fmu)"
-    if _is_scenario(path):
+    if is_scenario(path):
         raise UsageError(f"{needed}; 'cosim info' shows a scenario")
     if file_type(path) == "log":
         raise UsageError(f"{needed}; 'cosim info' shows a log")
     return path
 
 
-def _is_scenario(path: Path) -> bool:
+def is_scenario(path: Path) -> bool:
     """Return whether a path is that of a scenario, or may be the name of a shipped one."""
     return file_type(path) == "scenario" or not (path.suffix or path.exists())
 

@@ -36,6 +36,11 @@ def complete_source(incomplete: str) -> list[str]:
     return complete_scenario(incomplete) + _readable(incomplete)
 
 
+def complete_checked(incomplete: str) -> list[str]:
+    """Return what ``cosim check`` checks: scenarios and FMUs that begin so."""
+    return complete_scenario(incomplete) + list(_files(incomplete, "FMU"))
+
+
 def complete_kind(incomplete: str) -> list[str]:
     """Return the component kinds that begin so."""
     from cosim.scenario.kinds import KINDS

@@ -48,9 +48,10 @@ def design(
     changes: SetOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Rank delays, filters, steps and windows by the predicted error of theta.
+    """Rank what may be chosen by the predicted error of theta.
 
-    Against the Cramer-Rao bound of y, which output error reaches.
+    Delays, filters, steps and windows, against the Cramer-Rao bound of y, which output error
+    reaches.
     """
     from cosim.report.tables.experiment_design import print_design
     from cosim.scenario.experiment_design.ranking import design as ranked

@@ -188,10 +188,10 @@ def observer_verdicts(reduced: ReducedSystem) -> tuple[AssumptionVerdict, ...]:
     return _direct_path(reduced), _decoupled(reduced, error_dynamics), _detectable(error_dynamics)
 
 
-def _outputs_alone(system: DescriptorSystem) -> AssumptionVerdict:
+def outputs_verdict(n_y: int, n_d: int) -> AssumptionVerdict:
     """Return what the number of outputs says where there is no reduced system."""
     try:
-        check_outputs(*system.Dd.shape)
+        check_outputs(n_y, n_d)
     except AssumptionError as error:
         return refused(DECOUPLING, error)
     return undecided(DECOUPLING, "there is no reduced system")
@@ -281,15 +281,14 @@ def gain_verdict(
     reduced: ReducedSystem, *, L: ArrayLike | None, poles: Sequence[complex] | None
 ) -> AssumptionVerdict:
     """Return whether a gain, or poles, make the error of the observer vanish."""
+    return checked(HURWITZ, lambda: gain_evidence(observer.design(reduced, L=L, poles=poles)))
 
-    def check() -> tuple[str, Mapping[str, Any]]:
-        design = observer.design(reduced, L=L, poles=poles)
-        slowest = design.lambda_obs
-        values = {"eigenvalues": plain_modes(design.eigenvalues), "lambda_obs": slowest}
-        evidence = f"eigenvalues {modes(design.eigenvalues)}; the slowest rate is {slowest:.3g} 1/s"
-        return evidence, values
 
-    return checked(HURWITZ, check)
+def gain_evidence(design: observer.ObserverDesign) -> tuple[str, Mapping[str, Any]]:
+    """Return what the eigenvalues of a design say."""
+    slowest = design.lambda_obs
+    values = {"eigenvalues": plain_modes(design.eigenvalues), "lambda_obs": slowest}
+    return f"eigenvalues {modes(design.eigenvalues)}; the slowest rate is {slowest:.3g} 1/s", values
 
 
 def plain_modes(eigenvalues: ComplexVector) -> list[float | str]:
@@ -323,7 +322,7 @@ def model_verdicts(
         reduced = reduce(system)
     except AssumptionError:
         without = {name: undecided(name, "there is no reduced system") for name in later}
-        without[DECOUPLING] = _outputs_alone(system)
+        without[DECOUPLING] = outputs_verdict(*system.Dd.shape)
         return (*verdicts, *without.values())
     verdicts += observer_verdicts(reduced)
     if has_gain:

@@ -310,10 +310,29 @@ def _check_independent(columns: Matrix, row: int, names: Sequence[str]) -> None:
         )
 
 
+def independence(terms: Sequence[Term], alpha: Matrix) -> float:
+    """Return how independent the alpha products are: 1 if orthogonal, 0 if dependent.
+
+    The smallest singular value of those with one row of delta, columns of length one; they count
+    as dependent below ``COLLINEAR``. ``alpha`` is as in :func:`check_alpha_products`.
+    """
+    products = alpha_products(terms, alpha)
+    smallest = []
+    for row in sorted({term.row for term in terms}):
+        columns = [c for c, term in enumerate(terms) if term.row == row]
+        smallest.append(float(_singular_values(products[:, columns]).min()))
+    return min(smallest)
+
+
 def _rank(columns: Matrix) -> int:
     """Compute the rank of columns that are first scaled to length one."""
+    independent = _singular_values(columns) > COLLINEAR
+    return int(independent.sum())
+
+
+def _singular_values(columns: Matrix) -> Vector:
+    """Compute the singular values of columns that are first scaled to length one."""
     lengths = np.linalg.norm(columns, axis=0)
     divisors = np.where(lengths > 0.0, lengths, 1.0)
     values = np.linalg.svd(columns / divisors, compute_uv=False)
-    independent = values > COLLINEAR
-    return int(independent.sum())
+    return np.asarray(values, np.float64)

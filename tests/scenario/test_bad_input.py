@@ -173,10 +173,6 @@ CASES = {
         [("[1, 0, 1]]\nBu", "[1, 0, 0]]\nBu")],
         r"Assumption 2 \(3\): A22 is singular \(rank 0 of 1",
     ),
-    "disturbance reaches the output": (
-        [("Bd = [[1], [0], [0]]", "Bd = [[1], [0], [1]]")],
-        r"Assumption 4 \(11\)",
-    ),
     "disturbance not decoupled": (
         [("Bd = [[1], [0], [0]]", "Bd = [[0], [1], [0]]")],
         r"Assumption 5 \(14\): rank C3 B_2a = 0, needed rank B_2a = 1: "

@@ -303,7 +303,7 @@ def test_a_message_does_not_speak_of_options_in_python(tmp_path, monkeypatch, ca
         (["diff", "a.toml", "a.mcap"], "needed a log (.mcap)"),
         (["info", "."], "is a folder; needed a log (.mcap), an FMU (.fmu), samples (.csv"),
         (["check", "a.mcap"], "needed an FMU (.fmu); 'cosim info' shows a log"),
-        (["check", "academic"], "needed an FMU (.fmu); 'cosim info' shows a scenario"),
+        (["linearize", "academic"], "needed an FMU (.fmu); 'cosim info' shows a scenario"),
         (["linearize", "a.toml"], "needed an FMU (.fmu)"),
         (["export", "a.fmu", "--component", "x", "--out", "b.fmu"], "needed a scenario (.toml)"),
         (["show", "a.mcap"], "needed a scenario (.toml)"),

@@ -247,9 +247,7 @@ def _theta(
     edits: dict[str, Any],
 ) -> tuple[float, ...]:
     """Return theta in the order of the regressor's terms; have the disturbance use one given."""
-    kind = scenario.specs[regressor]
-    assert isinstance(kind, RegressorKind)
-    name = _disturbance(scenario, upstream)
+    name = disturbance_among(scenario, upstream)
     if name is None:
         if given is None:
             raise UsageError(
@@ -257,15 +255,7 @@ def _theta(
                 f"drives the plant; give {option('theta')}"
             )
         return tuple(map(float, given))
-    makes = scenario.specs[name]
-    assert isinstance(makes, DisturbanceKind)
-    places = _places(kind.terms, makes.terms)
-    if places is None:
-        raise UsageError(
-            f"the terms of {regressor!r} are not those of {name!r}, which makes the disturbance; "
-            "needed the same alphas and families in both"
-        )
-    own = [_values(makes.terms[place]) for place in places]
+    own, places = parameters_by_term(scenario, regressor, name)
     if given is None:
         return tuple(chain.from_iterable(own))
     values = list(map(float, given))
@@ -283,10 +273,33 @@ def _theta(
     return tuple(values)
 
 
-def _disturbance(scenario: Scenario, upstream: frozenset[str]) -> str | None:
+def disturbance_among(scenario: Scenario, components: Collection[str]) -> str | None:
     """Return the only component that makes a disturbance of the class; None: there is not one."""
-    names = [name for name in upstream if isinstance(scenario.specs[name], DisturbanceKind)]
+    names = [name for name in components if isinstance(scenario.specs[name], DisturbanceKind)]
     return names[0] if len(names) == 1 else None
+
+
+def parameters_by_term(
+    scenario: Scenario, regressor: str, disturbance: str
+) -> tuple[list[list[float]], list[int]]:
+    """Return the parameters of every term of a regressor, and which of the disturbance it is.
+
+    Raises
+    ------
+    UsageError
+        If their terms differ.
+    """
+    kind = scenario.specs[regressor]
+    makes = scenario.specs[disturbance]
+    assert isinstance(kind, RegressorKind)
+    assert isinstance(makes, DisturbanceKind)
+    places = _places(kind.terms, makes.terms)
+    if places is None:
+        raise UsageError(
+            f"the terms of {regressor!r} are not those of {disturbance!r}, which makes the "
+            "disturbance; needed the same alphas and families in both"
+        )
+    return [_values(makes.terms[place]) for place in places], places
 
 
 def _places(terms: Sequence[FamilyTerm], others: Sequence[FamilyTerm]) -> list[int] | None:

@@ -17,7 +17,7 @@ from pydantic import AfterValidator, Field
 from cosim.arrays import Matrix, Vector
 from cosim.core.connections import Connection
 from cosim.core.port import Port
-from cosim.errors import AssumptionError, CosimError, UsageError
+from cosim.errors import CosimError, UsageError
 from cosim.native.alphas import Alpha, AlphaSignal
 from cosim.native.expression import Program, compile_expression
 from cosim.native.step import evaluate_at
@@ -229,7 +229,5 @@ def naming(number: int) -> Iterator[None]:
     """Name the term that an error is about."""
     try:
         yield
-    except AssumptionError as error:
-        raise AssumptionError(f"terms[{number}]: {error}") from error
     except UsageError as error:
-        raise UsageError(f"terms[{number}]: {error}") from error
+        raise type(error)(f"terms[{number}]: {error}") from error

@@ -9,7 +9,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from cosim.arrays import Matrix, Vector
@@ -49,6 +48,7 @@ from cosim.scenario.kinds.variants import foreign_keys, variants_with
 from cosim.scenario.linearizing import DesignModel, MovingModel, design_model, split
 from cosim.scenario.schema import Flag, Number, NumberRow, NumberRows, TomlTable, Whole, matrix
 from cosim.theory import observer
+from cosim.theory.assumptions import plain_modes
 from cosim.theory.descriptor import MATRICES, ReducedSystem, UserCoordinates, reduce
 from cosim.theory.reconstruction.filters import (
     HIGHEST_ORDER,
@@ -311,7 +311,7 @@ class UnknownInputObserverKind(ExportableKind):
             return 0.0
         lag = self.reconstruction(name, context).lag
         if output != "delta" and lag:
-            reduced = self._design_model(name, context).reduced
+            reduced = self.design_model_of(name, context).reduced
             lagging = [state.name for state in observer.lagging_states(reduced)]
             return lag if output in lagging else 0.0
         return lag
@@ -362,7 +362,7 @@ class UnknownInputObserverKind(ExportableKind):
                 "filter = 'auto' chooses by the noise of y: needed either noise, its deviation, "
                 "or noise_from, a log of this observer"
             )
-        model = self._design_model(name, context)
+        model = self.design_model_of(name, context)
         n_y = len(model.reduced.C3)
         self._check_noise(n_y)
         spectrum = self._spectrum(name, context)
@@ -395,7 +395,7 @@ class UnknownInputObserverKind(ExportableKind):
             system = context.model(self.model)
             letters = ("A", "Bu", "Bd", "C") if system.n_a is not None else MATRICES
             return tuple(getattr(system, letter) for letter in letters)
-        reduced = self._design_model(name, context).reduced
+        reduced = self.design_model_of(name, context).reduced
         return reduced.A_a, reduced.B_1a, reduced.B_2a, reduced.C3, reduced.C4
 
     def _spectrum(self, name: str, context: BuildContext) -> Spectrum | None:
@@ -458,8 +458,8 @@ class UnknownInputObserverKind(ExportableKind):
             of_y = noise_gains(model.reduced, design, reconstruction, h=step, held=held)
             gains[key] = of_y.ravel().tolist()
         metadata: dict[str, Any] = {
-            "eigenvalues": _plain_eigenvalues(design.eigenvalues),
-            "fixed_modes": _plain_eigenvalues(design.fixed_modes),
+            "eigenvalues": plain_modes(design.eigenvalues),
+            "fixed_modes": plain_modes(design.fixed_modes),
             "lambda_obs": design.lambda_obs,
             "reconstruction": plain_reconstruction(reconstruction),
             **gains,
@@ -489,7 +489,7 @@ class UnknownInputObserverKind(ExportableKind):
         return context.designed(name, lambda: self._designed(name, context))
 
     def _designed(self, name: str, context: BuildContext) -> DesignedObserver:
-        model = self._design_model(name, context)
+        model = self.design_model_of(name, context)
         if not model.reduced.B_2a.shape[1]:
             raise UsageError(
                 f"the design model {self.model!r} has no disturbance, and this observer is for an "
@@ -513,7 +513,14 @@ class UnknownInputObserverKind(ExportableKind):
                 L = _gain_of_x_a(L, reduced.coordinates, len(reduced.C3))
         return observer.design(reduced, L=L, poles=self.poles, filter_rate=self.filter_rate)
 
-    def _design_model(self, name: str, context: BuildContext) -> DesignModel:
+    def design_model_of(self, name: str, context: BuildContext) -> DesignModel:
+        """Return the model that the observer is designed on.
+
+        Raises
+        ------
+        UsageError, AssumptionError
+            If there is none, or it cannot be reduced (Assumptions 1 and 2).
+        """
         model = self.model
         if isinstance(model, str):
             return DesignModel(reduce(context.model(model)))
@@ -536,8 +543,3 @@ def _gain_of_x_a(L: Matrix, coordinates: UserCoordinates, n_y: int) -> Matrix:
             "output"
         )
     return np.asarray(coordinates.R @ L)
-
-
-def _plain_eigenvalues(eigenvalues: NDArray[Any]) -> list[float | str]:
-    """Return eigenvalues as JSON can write them: complex values as text."""
-    return [str(complex(v)) if v.imag else float(v.real) for v in eigenvalues]

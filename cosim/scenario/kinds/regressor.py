@@ -242,12 +242,12 @@ class RegressorKind(ExportableKind):
                 "terms: found some of element 1 or more; needed all of element 0, as a regression "
                 "of several elements is not possible yet"
             )
+        steps = self._steps(context)  # before what needs all times of the run
         alphas = alphas_of(name, self.alphas, context, ALPHA_WAY_OUT)
         groups = group_by_alpha([alpha.text for alpha in alphas], families)
         sizes = tuple(group.size for group in groups)
         regression.check_delays(self.delays, sum(sizes) + 1)
         terms = regression.expand(sizes)
-        steps = self._steps(context)
         lag = context.lag(Port(name, "delta"))
         known = known_alphas([alphas[group.components[0]] for group in groups], context)
         design = RegressorDesign(

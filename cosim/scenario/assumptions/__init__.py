@@ -1,0 +1,1 @@
+"""The assumptions of the method that a scenario rests on, one by one."""

@@ -1,0 +1,30 @@
+"""Checks of a scenario as verdicts, whatever error they end with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, TypeAlias
+
+from cosim.errors import AssumptionError, UsageError
+from cosim.scenario.context import DependsOnInvalid
+from cosim.theory.assumptions import AssumptionVerdict, checked, refused, undecided
+
+Evidence: TypeAlias = tuple[str, Mapping[str, Any]]  # in a sentence, and its numbers
+
+
+def attempted(name: str, check: Callable[[], Evidence]) -> AssumptionVerdict:
+    """Return the verdict of a check.
+
+    Parameters
+    ----------
+    name : str
+        Of the assumption.
+    check : callable
+        Returns evidence and numbers, or raises what stands against the assumption.
+    """
+    try:
+        return checked(name, check)
+    except DependsOnInvalid as error:
+        return undecided(name, str(error))
+    except UsageError as error:
+        return refused(name, AssumptionError(str(error)))

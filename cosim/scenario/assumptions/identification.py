@@ -1,0 +1,186 @@
+"""What an identifier needs: a start within the run, a short step, its method, excitation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from cosim.arrays import Matrix, Vector
+from cosim.core.clock import Clock
+from cosim.errors import AssumptionError
+from cosim.native.householder import triangle
+from cosim.scenario.assumptions.attempts import Evidence, attempted
+from cosim.scenario.build import Builder
+from cosim.scenario.kinds.identification import IdentifierKind
+from cosim.scenario.kinds.identification_source import IdentifierSource
+from cosim.scenario.kinds.identification_start import start_time
+from cosim.scenario.kinds.regressor import RegressorDesign
+from cosim.theory import regression
+from cosim.theory.assumptions import AssumptionVerdict, undecided
+from cosim.theory.disturbance import generators
+from cosim.theory.estimators import least_squares
+from cosim.theory.estimators.rayleigh import rayleigh_constants
+from cosim.theory.excitation import COMPARABLE, describe_excitation, information
+from cosim.theory.experiment_design.minors import Minors
+
+START: Final = "start time (36)"
+STEP: Final = "communication step"
+METHOD: Final = "method"
+EXCITATION: Final = "persistent excitation"
+LINEAR: Final = ("least-squares", "gradient", "drem")
+INSEPARABLE: Final = 1e-9  # of directions of chi by theta, relative to them: as good as none
+
+
+@dataclass(frozen=True, eq=False)
+class IdentifierCheck:
+    """An identifier whose assumptions are checked.
+
+    Parameters
+    ----------
+    name : str
+    kind : IdentifierKind
+    builder : Builder
+    theta : Vector or None
+        Of the disturbance, in the order of the regressor, where the scenario has it.
+    delta : Vector, shape (N,), or None
+        The disturbance at the communication points, where it is known before the run.
+    """
+
+    name: str
+    kind: IdentifierKind
+    builder: Builder
+    theta: Vector | None
+    delta: Vector | None
+
+    def verdicts(self) -> list[AssumptionVerdict]:
+        """Return what is fulfilled."""
+        return [
+            attempted(START, self._start),
+            attempted(STEP, self._step),
+            attempted(METHOD, self._method),
+            self._excitation(),
+        ]
+
+    @property
+    def _source(self) -> IdentifierSource:
+        return IdentifierSource(self.name, self.builder.context)
+
+    def _start(self) -> Evidence:
+        context = self.builder.context
+        T_id = start_time(self.kind.start, self._source, context)
+        times = context.metadata.get(self.name, {})
+        clock = self.builder.clock
+        values: dict[str, Any] = {"start_time": T_id, "stop": clock.stop}
+        parts = ""
+        if "T_id" in times:
+            values |= {key: times[key] for key in ("T_obs", "T_f", "D_max", "T_id")}
+            listed = " + ".join(f"{key} {times[key]:.4g}" for key in ("T_obs", "T_f", "D_max"))
+            parts = f" = {listed} s"
+        if T_id >= clock.stop:
+            raise AssumptionError(
+                f"(36): T_id = {T_id:.6g} s{parts}, and the run ends at {clock.stop:g} s",
+                cure="needed a longer run, poles farther left, a faster filter or shorter delays",
+            )
+        return f"T_id = {T_id:.6g} s{parts}, of a run that ends at {clock.stop:g} s", values
+
+    def _step(self) -> Evidence:
+        source = self._source
+        source.check_step()
+        step = self.builder.context.step_ns / 1e9
+        if not source.regression.known.known:
+            return "the alphas are signals of the run, and lines between its points", {"step": step}
+        return f"between points {step:g} s apart every alpha is a line within 1 %", {"step": step}
+
+    def _method(self) -> Evidence:
+        source = self._source
+        design = source.regression
+        method = self.kind.method
+        n_eta = len(design.terms) - 1
+        if method in LINEAR:
+            least_squares.plan(design.terms, design.groups, design.delays)
+            return f"{method}: {n_eta} coefficients, with formulas (35) for theta", {"eta": n_eta}
+        missing = source.missing_model()
+        if missing:
+            raise AssumptionError(f'method = "{method}": {missing}')
+        clock = self.builder.clock
+        span = clock.steps * clock.step_ns / 1e9
+        rayleigh_constants(design.families, design.groups, design.terms, design.delays, span=span)
+        parameters = generators(design.families).parameters
+        return f"{method}: {parameters} parameters, from the model of y", {"theta": parameters}
+
+    def _excitation(self) -> AssumptionVerdict:
+        if self.theta is None or self.delta is None:
+            return undecided(EXCITATION, "theta and amplitudes are not known before the run")
+        return attempted(EXCITATION, self._excited)
+
+    def _excited(self) -> Evidence:
+        assert self.theta is not None
+        design = self._source.regression
+        mu = self._regression(design)
+        clock = self.builder.clock
+        step = clock.step_ns / 1e9
+        if self.kind.method in LINEAR:
+            return self._linear(information(mu[:, 1:], step))
+        return _nonlinear(design, triangle(mu), self.theta)
+
+    def _linear(self, of_eta: Matrix) -> Evidence:
+        eigenvalues = np.asarray(np.linalg.eigvalsh(of_eta), np.float64)
+        prior = None if self.kind.P0 is None else 1.0 / self.kind.P0
+        text = describe_excitation(eigenvalues, prior)
+        smallest = float(eigenvalues.min())
+        largest = float(eigenvalues.max())
+        values = {"smallest": smallest, "largest": largest}
+        rounding = len(eigenvalues) * float(np.finfo(np.float64).eps) * largest
+        if smallest <= rounding:
+            raise AssumptionError(text, cure="choose other delays, or fewer components")
+        if prior is not None and prior >= COMPARABLE * smallest:
+            evidence, _, cure = text.rpartition("; ")
+            raise AssumptionError(evidence, cure=cure)
+        return f"without noise {text}", values
+
+    def _regression(self, design: RegressorDesign) -> Matrix:
+        """Return mu of the disturbance itself, from the start time on."""
+        assert self.delta is not None
+        if design.known.unknown:
+            raise AssumptionError("alphas are known of the run alone")
+        clock = self.builder.clock
+        delta = self.delta
+        T_id = start_time(self.kind.start, self._source, self.builder.context)
+        begin = round((T_id - clock.start_time) * 1e9 / clock.step_ns)
+        steps = np.array(design.steps)
+        if len(delta) - begin < 2:
+            raise AssumptionError(f"the run ends before T_id = {T_id:g} s")
+        places = np.arange(begin, len(delta))[:, np.newaxis] - steps
+        t = communication_points(clock)
+        alpha = design.known(t)
+        return regression.mu(design.terms, delta[places], alpha[places])
+
+
+def communication_points(clock: Clock) -> Vector:
+    """Return the communication points [s]."""
+    return (clock.start_ns + clock.step_ns * np.arange(clock.steps + 1)) / 1e9
+
+
+def _nonlinear(design: RegressorDesign, R: Matrix, theta: Vector) -> Evidence:
+    """Return whether the regression determines theta near its true value; R'R = sum mu mu'."""
+    minors = Minors(generators(design.families), design.groups, design.terms)
+    chi, slopes = minors.chi(theta, np.array(design.delays))
+    across = slopes - np.outer(slopes @ chi / (chi @ chi), chi)
+    lengths = np.linalg.norm(across, axis=1)
+    scaled = across / np.where(lengths > 0.0, lengths, 1.0)[:, np.newaxis]
+    changes = np.linalg.svd(R @ scaled.T, compute_uv=False) / np.linalg.norm(R)
+    smallest = float(changes.min())
+    numbers = {"smallest": smallest, "least": INSEPARABLE}
+    if smallest <= INSEPARABLE:
+        raise AssumptionError(
+            f"the disturbance does not determine theta: along one direction of it the regression "
+            f"changes by {smallest:.2g} of itself; a component is absent, or two are alike",
+            cure="needed amplitudes that are not 0, and components that differ",
+        )
+    return (
+        f"without noise the regression determines theta: along every direction it changes by at "
+        f"least {smallest:.2g} of itself",
+        numbers,
+    )

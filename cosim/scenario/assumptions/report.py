@@ -1,0 +1,221 @@
+"""All assumptions of a scenario: of its models, observers, regressors and identifiers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from cosim.arguments import mapping_argument
+from cosim.arrays import Vector
+from cosim.core.contracts import prepare
+from cosim.core.port import Port
+from cosim.errors import AssumptionError, UsageError
+from cosim.scenario.assumptions.attempts import attempted
+from cosim.scenario.assumptions.identification import IdentifierCheck, communication_points
+from cosim.scenario.assumptions.regression import RegressorCheck
+from cosim.scenario.build import Builder
+from cosim.scenario.context import DependsOnInvalid
+from cosim.scenario.execution import load
+from cosim.scenario.experiment_design.subject import disturbance_among, parameters_by_term
+from cosim.scenario.kinds.base import Kind
+from cosim.scenario.kinds.identification import IdentifierKind
+from cosim.scenario.kinds.observers import UnknownInputObserverKind
+from cosim.scenario.kinds.regressor import RegressorKind
+from cosim.scenario.parsing import Scenario
+from cosim.theory.assumptions import (
+    DECOUPLING,
+    DETECTABILITY,
+    DIRECT_PATH,
+    HURWITZ,
+    AssumptionVerdict,
+    gain_evidence,
+    observer_verdicts,
+    outputs_verdict,
+    plant_verdicts,
+    refused,
+    undecided,
+)
+
+FILE: Final = "the scenario"
+
+
+@dataclass(frozen=True, eq=False)
+class AssumptionReport:
+    """What is fulfilled of the assumptions that a scenario rests on.
+
+    Parameters
+    ----------
+    scenario : str
+    verdicts : tuple of (str, AssumptionVerdict)
+        With the model or the component that each is of.
+    """
+
+    scenario: str
+    verdicts: tuple[tuple[str, AssumptionVerdict], ...]
+
+    @property
+    def fulfilled(self) -> bool:
+        """Whether none is known to fail."""
+        return not any(verdict.fulfilled is False for _, verdict in self.verdicts)
+
+    def of(self, subject: str) -> dict[str, AssumptionVerdict]:
+        """Return the verdicts on a model or a component, by their names."""
+        return {verdict.name: verdict for name, verdict in self.verdicts if name == subject}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        verdicts = [{"of": name, **verdict.to_dict()} for name, verdict in self.verdicts]
+        return {"scenario": self.scenario, "fulfilled": self.fulfilled, "assumptions": verdicts}
+
+
+def check_assumptions(
+    scenario: str | Path | Scenario, *, set: Mapping[str, Any] | None = None
+) -> AssumptionReport:
+    """Check every assumption that a scenario rests on, also where one fails.
+
+    Nothing is run.
+
+    Parameters
+    ----------
+    scenario : str, Path or Scenario
+        A shipped name, a path, or what :func:`load` returned.
+    set : mapping of dotted key to value, optional
+        As for :func:`run`.
+
+    Raises
+    ------
+    ScenarioError
+        With every problem of the file that is not one of its assumptions.
+    UsageError
+        If there is no model, observer, regressor or identifier in it.
+    """
+    loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
+    edited = loaded.edit(set=mapping_argument("set", set))
+    with ExitStack() as resources:
+        builder = Builder(edited, resources)
+        verdicts = _Check(builder).verdicts()
+    if not verdicts:
+        raise UsageError(
+            f"{edited.name}: found no model, observer, regressor or identifier, so that there is "
+            "no assumption to check; needed one of them"
+        )
+    return AssumptionReport(edited.name, tuple(verdicts))
+
+
+class _Check:
+    """The checks of a scenario as far as it could be built."""
+
+    def __init__(self, builder: Builder) -> None:
+        self._builder = builder
+        self._scenario = builder.scenario
+        self._context = builder.context
+
+    def verdicts(self) -> list[tuple[str, AssumptionVerdict]]:
+        """Return all verdicts, with what each is of."""
+        found: list[tuple[str, AssumptionVerdict]] = []
+        for name in self._scenario.file.models:
+            found += [(f"models.{name}", verdict) for verdict in self._of_model(name)]
+        checks = (self._of_observer, self._of_regressor, self._of_identifier)
+        for check in checks:  # what rests on another comes behind it
+            for name, kind in self._scenario.specs.items():
+                self._context.begin(name)
+                verdicts = [_resting_on(found, verdict) for verdict in check(name, kind)]
+                found += [(name, verdict) for verdict in verdicts]
+        return found + [(FILE, verdict) for verdict in self._others(found)]
+
+    def _of_model(self, name: str) -> list[AssumptionVerdict]:
+        try:
+            return list(plant_verdicts(self._context.model(name)))
+        except UsageError as error:
+            return [refused("matrices", AssumptionError(str(error)))]
+
+    def _of_observer(self, name: str, kind: Kind) -> list[AssumptionVerdict]:
+        if not isinstance(kind, UnknownInputObserverKind):
+            return []
+        context = self._context
+        later = (DIRECT_PATH, DECOUPLING, DETECTABILITY, HURWITZ)
+        try:
+            reduced = kind.design_model_of(name, context).reduced
+        except DependsOnInvalid as error:
+            return [undecided(assumption, str(error)) for assumption in later]
+        except UsageError as error:
+            reason = "there is no reduced system"
+            verdicts = {assumption: undecided(assumption, reason) for assumption in later}
+            if isinstance(kind.model, str):
+                verdicts[DECOUPLING] = outputs_verdict(*context.model(kind.model).Dd.shape)
+            else:
+                verdicts[DIRECT_PATH] = refused(DIRECT_PATH, AssumptionError(str(error)))
+            return list(verdicts.values())
+        verdicts_of_plant = list(observer_verdicts(reduced))
+        failing = [one.name for one in verdicts_of_plant if one.fulfilled is False]
+        if failing:
+            return [*verdicts_of_plant, undecided(HURWITZ, f"{failing[0]} is not fulfilled")]
+        gain = attempted(HURWITZ, lambda: gain_evidence(kind.design(name, context).design))
+        return [*verdicts_of_plant, gain]
+
+    def _of_regressor(self, name: str, kind: Kind) -> list[AssumptionVerdict]:
+        if not isinstance(kind, RegressorKind):
+            return []
+        return RegressorCheck(name, kind, self._context, self._theta(name)).verdicts()
+
+    def _of_identifier(self, name: str, kind: Kind) -> list[AssumptionVerdict]:
+        if not isinstance(kind, IdentifierKind):
+            return []
+        regressor = self._context.driver(Port(name, "regressor"))
+        theta = None if regressor is None else self._theta(regressor)
+        return IdentifierCheck(name, kind, self._builder, theta, self._delta()).verdicts()
+
+    def _theta(self, regressor: str) -> Vector | None:
+        """Return theta of the disturbance in the order of a regressor; None: it is not known."""
+        disturbance = disturbance_among(self._scenario, self._scenario.specs)
+        is_regressor = isinstance(self._scenario.specs.get(regressor), RegressorKind)
+        if disturbance is None or not is_regressor:
+            return None
+        try:
+            own, _ = parameters_by_term(self._scenario, regressor, disturbance)
+        except UsageError:
+            return None
+        return np.array(list(chain.from_iterable(own)))
+
+    def _delta(self) -> Vector | None:
+        """Return the disturbance at the communication points; None: it is not known."""
+        name = disturbance_among(self._scenario, self._scenario.specs)
+        component = None if name is None else self._builder.components.get(name)
+        if component is None or component.interface.n_u or component.interface.n_y != 1:
+            return None
+        clock = self._builder.clock
+        prepare(component, clock.step_ns / 1e9, np.zeros(0, np.bool_), {})
+        t = communication_points(clock)
+        nothing = np.zeros((len(t), 0))
+        component.initialize(float(t[0]), nothing[0])
+        first = component.outputs(float(t[0]), nothing[0])
+        rows = component.advance(t, clock.step_ns / 1e9, nothing)
+        return np.append(first, rows[:, 0])
+
+    def _others(self, found: list[tuple[str, AssumptionVerdict]]) -> list[AssumptionVerdict]:
+        """Return what else stands against a run, beside the assumptions."""
+        said = [verdict.evidence for _, verdict in found if verdict.fulfilled is False]
+        others = []
+        for key, text in self._builder.problems:
+            if not any(evidence in text for evidence in said):
+                place = ".".join(map(str, key))
+                others.append(refused(place, AssumptionError(text)))
+        return others
+
+
+def _resting_on(
+    found: Sequence[tuple[str, AssumptionVerdict]], verdict: AssumptionVerdict
+) -> AssumptionVerdict:
+    """Return a verdict that repeats another as one that rests on it."""
+    if verdict.fulfilled:
+        return verdict
+    for name, other in found:
+        if other.fulfilled is False and other.evidence in verdict.evidence:
+            return undecided(verdict.name, f"{name}: {other.name} is not fulfilled")
+    return verdict

@@ -1,0 +1,225 @@
+"""`cosim check SCENARIO`: every assumption with what decides it, also where one fails."""
+
+import json
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.errors import UsageError
+from cosim.scenario.assumptions.identification import EXCITATION, METHOD, START, STEP
+from cosim.scenario.assumptions.regression import ALPHAS, CLASS, DELAYS
+from cosim.scenario.assumptions.report import check_assumptions
+from cosim.theory.assumptions import DECOUPLING, DETECTABILITY, HURWITZ, INDEX, PENCIL
+
+BOTH = ["1.35 + 0.25*sin(1.7*t)", "1.10 + 0.20*cos(2.3*t)"]
+
+
+def failing(report):
+    """Return what is not fulfilled, as (subject, name)."""
+    return [(name, one.name) for name, one in report.verdicts if one.fulfilled is False]
+
+
+@pytest.mark.parametrize("name", ["academic", "academic-noisy", "closed-loop"])
+def test_shipped_scenarios_fulfill_their_assumptions(name):
+    """All of them, and each has its number; the numbers of the paper's example are known."""
+    report = check_assumptions(name)
+    assert report.fulfilled
+    assert all(one.fulfilled for _, one in report.verdicts)
+    assert report.of("models.academic")[INDEX].values["condition_of_A22"] == pytest.approx(1.0)
+    assert report.of("observer")[DETECTABILITY].values["zeros"] == pytest.approx([-2.0])
+    eigenvalues = report.of("observer")[HURWITZ].values["eigenvalues"]
+    assert sorted(eigenvalues) == pytest.approx([-4.0, -2.0])
+    start = report.of("identifier")[START].values
+    # (36)-(38): ln(1000)/2 + ln(1000)/1000 + 3
+    assert start["T_id"] == pytest.approx(np.log(1e3) / 2.0 + np.log(1e3) / 1e3 + 3.0)
+    assert report.of("regressor")[CLASS].values == {"basis_functions": 2, "groups": 2, "terms": 6}
+
+
+def test_the_excitation_is_that_of_the_exact_disturbance():
+    """As printed: its smallest eigenvalue 1.70e-3, by 40-digit arithmetic; the prior outweighs."""
+    settings = {"identifier.method": "least-squares"}
+    without = check_assumptions("academic", set=settings)
+    assert without.of("identifier")[EXCITATION].values["smallest"] == pytest.approx(
+        1.7e-3, rel=0.01
+    )
+    report = check_assumptions("academic-as-printed")
+    assert failing(report) == [("identifier", EXCITATION)]
+    assert report.of("identifier")[EXCITATION].cure == "raise P0 or leave it out"
+
+
+UNSTABLE_ZERO = {"models.academic.A": [[0, 1, 1], [0, 2, 1], [1, 0, 1]]}
+CASES = {
+    "zero at +2": (UNSTABLE_ZERO, ("observer", DETECTABILITY), "NOT_DETECTABLE"),
+    "zero at -2, the other side": (
+        {"models.academic.A": [[0, 1, 1], [0, -2, 1], [1, 0, 1]]},
+        None,
+        "",
+    ),
+    "no gain": ({"observer.L": [0.0, 0.0]}, ("observer", HURWITZ), ""),
+    "two integrators": (
+        {"models.academic.Bd": [[0], [1], [0]]},
+        ("observer", DECOUPLING),
+        "RELATIVE_DEGREE",
+    ),
+    "A22 = 0": (
+        {"models.academic.A": [[0, 1, 1], [0, -2, 1], [1, 0, 0]]},
+        ("models.academic", INDEX),
+        "INDEX_2",
+    ),
+    "no equation": (
+        {
+            "models.academic.A": [[0, 1, 1], [0, -2, 1], [0, 0, 0]],
+            "models.academic.Bu": [[0], [2], [0]],
+        },
+        ("models.academic", PENCIL),
+        "PENCIL_SINGULAR",
+    ),
+    "two disturbances": (
+        {"models.academic.Bd": [[1, 0], [0, 1], [0, 0]]},
+        ("observer", DECOUPLING),
+        "FEWER_OUTPUTS_THAN_DISTURBANCES",
+    ),
+    "equal delays": ({"regressor.delays": [1.0, 2.0, 2.0]}, ("regressor", DELAYS), ""),
+    "two delays": ({"regressor.delays": [1.0, 2.0]}, ("regressor", DELAYS), ""),
+    "delays between steps": ({"regressor.delays": [1.0, 2.0, 3.0005]}, ("regressor", DELAYS), ""),
+    "one alpha twice, scaled": (
+        {"regressor.terms": [{"alpha": a, "family": "exponential"} for a in ("1 + t", "2 + 2*t")]},
+        ("regressor", ALPHAS),
+        "",
+    ),
+    "chirp": (
+        {"regressor.terms": [{"family": "chirp"}], "regressor.delays": [0.0, 1.0]},
+        ("regressor", CLASS),
+        "",
+    ),
+    "a run that ends before": ({"scenario.stop": 6.0}, ("identifier", START), ""),
+    "a run that ends just behind": ({"scenario.stop": 7.0}, None, ""),
+    "a long step": (
+        {"scenario.step": 0.5, "identifier.period": 0.5},
+        ("identifier", STEP),
+        "",
+    ),
+    "no formula": (
+        {
+            "identifier.method": "least-squares",
+            "regressor.delays": [1.0, 2.0, 3.5],
+            "regressor.terms": [{"family": "sine"}],
+        },
+        ("identifier", METHOD),
+        "",
+    ),
+    "a component without amplitude": (
+        {
+            "delta.terms": [
+                {"alpha": BOTH[0], "family": "exponential", "theta": -0.1},
+                {"alpha": BOTH[1], "family": "exponential", "theta": -0.3, "amplitude": 0.0},
+            ]
+        },
+        ("identifier", EXCITATION),
+        "",
+    ),
+    "a component with a small one": (
+        {
+            "delta.terms": [
+                {"alpha": BOTH[0], "family": "exponential", "theta": -0.1},
+                {"alpha": BOTH[1], "family": "exponential", "theta": -0.3, "amplitude": 1e-3},
+            ]
+        },
+        None,
+        "",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_each_assumption_fails_alone_with_its_number_and_cure(case):
+    """What fails, first of all; neighbors on the other side of a border do not."""
+    settings, first, verdict = CASES[case]
+    report = check_assumptions("academic", set=settings)
+    if first is None:
+        assert report.fulfilled
+        return
+    found = failing(report)
+    assert found[0] == first
+    name, assumption = first
+    one = report.of(name)[assumption]
+    assert one.verdict == verdict
+    assert len(one.evidence) > 20
+    assert one.cure or "needed" in one.evidence or ";" in one.evidence
+
+
+def test_a_sine_aliases_where_its_delays_are_too_far_apart():
+    """At 1 s a rate of 3.1 rad/s is its own, 3.2 rad/s that of a slower sine."""
+    for rate, fulfilled in ((3.1, True), (3.2, False)):
+        settings = {
+            "regressor.terms": [{"family": "sine"}],
+            "delta.terms": [{"family": "sine", "theta": rate}],
+        }
+        delays = check_assumptions("academic", set=settings).of("regressor")[DELAYS]
+        assert delays.fulfilled is fulfilled
+        assert delays.values.get("fastest_rate", 3.2) == pytest.approx(rate)
+    assert delays.cure == "choose two delays less than 0.982 s apart"
+
+
+def test_all_is_said_that_can_be_said():
+    """Of an index of 2 and three other failures all four; what rests on it is not decided."""
+    settings = {
+        "models.academic.A": [[0, 1, 1], [0, -2, 1], [1, 0, 0]],
+        "models.academic.Bd": [[1, 0], [0, 1], [0, 0]],
+        "regressor.delays": [1.0, 2.0, 2.0],
+    }
+    report = check_assumptions("academic", set=settings)
+    found = failing(report)
+    for expected in (("models.academic", INDEX), ("observer", DECOUPLING), ("regressor", DELAYS)):
+        assert expected in found
+    assert report.of("observer")[HURWITZ].fulfilled is None
+    assert report.of("regressor")[CLASS].fulfilled
+
+
+def test_a_failure_is_said_as_the_run_says_it():
+    """The error of a run has evidence and cure of the report, one source of both."""
+    report = check_assumptions("academic", set=UNSTABLE_ZERO)
+    one = report.of("observer")[DETECTABILITY]
+    with pytest.raises(UsageError) as caught:
+        cosim.run("academic", set=UNSTABLE_ZERO)
+    assert f"{one.evidence}; {one.cure}" in str(caught.value)
+    assert not report.of("the scenario")
+
+
+def test_what_else_stands_against_a_run_is_listed():
+    """A sensor without a seed is no assumption, and not lost."""
+    report = check_assumptions("academic-noisy", set={"sensor.seed": -1})
+    assert not report.fulfilled
+    others = report.of("the scenario")
+    assert list(others) == ["components.sensor"]
+
+
+def test_a_scenario_without_any_of_it_is_refused(tmp_path):
+    """There is nothing to check."""
+    alone = tmp_path / "alone.toml"
+    alone.write_text(
+        '[scenario]\nname = "alone"\nstop = 1.0\nstep = 0.1\n'
+        '[components.u]\nkind = "constant"\nvalue = 1.0\n'
+    )
+    with pytest.raises(UsageError, match="found no model, observer, regressor or identifier"):
+        check_assumptions(alone)
+
+
+def test_the_command_exits_with_1_where_one_fails(call):
+    """A line for each; the same as JSON; --strict is of FMUs alone."""
+    code, out, _ = call("check", "academic")
+    assert code == 0
+    assert "academic: 13 of 13 assumptions are fulfilled" in out
+    assert "observer\tdecoupling (Assumption 5)\tfulfilled\trank C3 B_2a = 1" in out
+    changed = ["--set", "models.academic.Bd=[[0],[1],[0]]"]
+    code, out, _ = call("check", "academic", *changed)
+    assert code == 1
+    assert "NOT FULFILLED: RELATIVE_DEGREE" in out
+    code, out, _ = call("check", "academic", *changed, "--json")
+    content = json.loads(out)
+    assert code == 1
+    assert content["fulfilled"] is False
+    verdicts = [one["verdict"] for one in content["assumptions"]]
+    assert verdicts.count("RELATIVE_DEGREE") == 1
+    assert call("check", "academic", "--strict")[0] == 2
