@@ -90,33 +90,50 @@ class Scales:
 def scales_of(E: Matrix, A: Matrix, B: Matrix, C: Matrix, D: Matrix) -> Scales:
     """Compute the scales of a system; what is zero altogether has the scale 1.
 
+    Equations and states have those of the pencil: what drives it, or is measured of it, does not
+    change its ranks. Inputs and outputs follow.
+
     Shapes: ``E (n, n)``, ``A (n, n)``, ``B (n, m)``, ``C (p, n)``, ``D (p, m)``.
     """
-    n = len(A)
-    sizes_of_E = _exponents(E)
-    sizes_of_A = _exponents(A)
-    top = np.hstack([sizes_of_A, _exponents(B)])
-    bottom = np.hstack([_exponents(C), _exponents(D)])
-    fixed = np.vstack([top, bottom])  # log2 of sizes
-    rows = np.zeros(len(fixed))
-    columns = np.zeros(fixed.shape[1])
+    equations, states = _equilibrated(_exponents(A), _exponents(E))
+    of_B = _exponents(B) - equations[:, np.newaxis]
+    of_C = _exponents(C) - states
+    of_D = _exponents(D)
+    of_inputs = of_B.max(axis=0, initial=-np.inf)
+    of_outputs = of_C.max(axis=1, initial=-np.inf)
+    of_y_alone = of_D - _finite(of_outputs)[:, np.newaxis]  # inputs that act on y alone
+    acts_on_states = np.isfinite(of_inputs)
+    of_inputs = np.where(acts_on_states, of_inputs, of_y_alone.max(axis=0, initial=-np.inf))
+    inputs = _finite(of_inputs)
+    outputs = _finite(np.maximum(of_outputs, (of_D - inputs).max(axis=1, initial=-np.inf)))
+    return Scales(_power(equations), _power(-states), _power(-inputs), _power(outputs))
+
+
+def _equilibrated(sizes: Matrix, other: Matrix | None = None) -> tuple[Vector, Vector]:
+    """Return the exponents of rows and columns whose largest entries are then of size one.
+
+    Parameters
+    ----------
+    sizes : Matrix, shape (p, m)
+        Binary logarithms.
+    other : Matrix, shape (p, m), optional
+        A second matrix, with the same rows and columns, but for one common factor.
+    """
+    rows = np.zeros(len(sizes))
+    columns = np.zeros(sizes.shape[1])
     for _ in range(MOST_SWEEPS):
-        scaled = fixed - rows[:, np.newaxis] - columns
-        scaled_E = sizes_of_E - rows[:n, np.newaxis] - columns[:n]
-        time = _difference(_largest(scaled_E), _largest(scaled[:n, :n]))
-        scaled[:n, :n] = np.maximum(scaled[:n, :n], scaled_E - time)
+        scaled = sizes - rows[:, np.newaxis] - columns
+        if other is not None:
+            scaled_other = other - rows[:, np.newaxis] - columns
+            factor = _difference(_largest(scaled_other), _largest(scaled))
+            scaled = np.maximum(scaled, scaled_other - factor)
         of_rows = _finite(scaled.max(axis=1, initial=-np.inf))
         of_columns = _finite(scaled.max(axis=0, initial=-np.inf))
         rows += of_rows / 2.0
         columns += of_columns / 2.0
         if (np.abs(np.concatenate([of_rows, of_columns])) < 0.5).all():
             break
-    return Scales(
-        equations=_power(rows[:n]),
-        states=_power(-columns[:n]),
-        inputs=_power(-columns[n:]),
-        outputs=_power(rows[n:]),
-    )
+    return rows, columns
 
 
 def state_space_scales(A: Matrix, B: Matrix, C: Matrix, D: Matrix) -> Scales:
@@ -176,12 +193,9 @@ def values_between(matrix: Matrix, magnitudes: Matrix) -> Vector:
     """
     if not matrix.size:
         return np.zeros(0)
-    p, m = matrix.shape
-    no_states = np.zeros((0, 0))
-    scales = scales_of(
-        no_states, no_states, np.zeros((0, m)), np.zeros((p, 0)), np.asarray(magnitudes)
-    )
-    values = np.linalg.svd(scales.scaled_D(matrix), compute_uv=False)
+    rows, columns = _equilibrated(_exponents(magnitudes))
+    scaled = matrix / _power(rows)[:, np.newaxis] / _power(columns)
+    values = np.linalg.svd(scaled, compute_uv=False)
     return np.asarray(values, np.float64)
 
 

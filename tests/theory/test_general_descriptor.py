@@ -130,6 +130,19 @@ def test_a_regular_E_keeps_the_states():
     np.testing.assert_allclose(E @ mass.B_2a, B, rtol=0, atol=1e-15)
 
 
+@pytest.mark.parametrize("size", [1e-100, 1e-12, 1e12, 1e100])
+def test_units_of_inputs_and_outputs_do_not_touch_the_pencil(size):
+    """E and A have ranks of their own: B and C only scale what follows."""
+    matrices = {"E": np.diag([1.0, 0.0]), "A": [[-1.0, 1.0], [1.0, 1.0]]}
+    B = np.array([[1.0], [2.0]])
+    C = np.array([[1.0, 3.0]])
+    plain = reduce(DescriptorSystem.general(**matrices, Bd=B, C=C))
+    scaled = reduce(DescriptorSystem.general(**matrices, Bd=size * B, C=C / size**2))
+    # powers of ten are rounded: one rounding for each
+    np.testing.assert_allclose(scaled.B_2a, size * plain.B_2a, rtol=1e-15)
+    np.testing.assert_allclose(scaled.C5, plain.C5 / size, rtol=1e-15)
+
+
 def kronecker(rng, *, chains, n_a, singular):
     """Return E and A of chains of algebraic integrators, mixed, with their index."""
     blocks_E = [np.eye(n_a)]
