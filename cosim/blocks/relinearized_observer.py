@@ -149,7 +149,7 @@ class RelinearizedObserver:
             if x_a is None:
                 x_a = self._consistent(t, v)
             observer = self._designed(t, x_a, v, self._model.delta)
-        except CosimError as error:
+        except (CosimError, np.linalg.LinAlgError) as error:
             raise RunError(f"at t = {t} s: {error}") from error
         w = observer.w(v)
         z = x_a - affine([(observer.design.F, w)])
@@ -208,7 +208,7 @@ class RelinearizedObserver:
             try:
                 self._step(float(t[k]), h, u[k], u[k + 1])
                 rows.append(self.outputs(float(t[k + 1]), u[k + 1]))
-            except CosimError as error:
+            except (CosimError, np.linalg.LinAlgError) as error:
                 completed = np.array(rows).reshape(len(rows), self.interface.n_y)
                 where = ", ".join(f"{value:.6g}" for value in self._estimate(u[k + 1]))
                 raise Stopped(

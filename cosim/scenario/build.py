@@ -5,11 +5,11 @@ from __future__ import annotations
 import hashlib
 import json
 import unicodedata
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from cosim.blocks.declared import with_units
 from cosim.blocks.port_map import PortMap
@@ -43,6 +43,12 @@ from cosim.scenario.truth import check_truth
 
 if TYPE_CHECKING:
     from cosim.fmi.binary.messages import Message
+
+
+_HELD_IN_LOOP: Final = (
+    "{source} depends on what it drives, so that '{to}' takes it with a zero-order hold: an error "
+    "of first order in the step, which no identifier has in its model; needed a small step"
+)
 
 
 @dataclass(frozen=True)
@@ -412,8 +418,30 @@ class Builder:
                 held[signal] = bool(mask[columns].any())
             for text in spec.advice(held, h):
                 self.context.warn(name, text)
-        for name, text in graph.warnings:
+        for name, text in (*graph.warnings, *self._held_disturbances(graph)):
             self.context.warn(name, text)
+
+    def _held_disturbances(self, graph: Graph) -> Iterator[tuple[str, str]]:
+        """Yield (component, text) where a disturbance is in a loop, by signals among its alphas."""
+        if graph.input_interpolation == "zero-order":
+            return
+        for stage in graph.stages:
+            loop = {member.name for member in stage.members}
+            for to, connection in graph.connections.items():
+                if to.component not in loop:
+                    continue
+                end = graph.ports.input(to)
+                first = end.columns.start - end.channel.inputs.start
+                held = graph.held[to.component][first : first + end.size]
+                for source in connection.sources:
+                    is_inside = source.component in loop
+                    if is_inside and held.any() and self._is_modulated(source.component):
+                        yield source.component, _HELD_IN_LOOP.format(source=source, to=to)
+
+    def _is_modulated(self, name: str) -> bool:
+        """Return whether a component has inputs that must not jump, such as alphas."""
+        inputs = self.components[name].interface.input_names
+        return not inputs.isdisjoint(self.scenario.specs[name].continuous_inputs)
 
     def graph(self) -> Graph:
         """Return the graph of the components; what is wrong beside them does not matter.

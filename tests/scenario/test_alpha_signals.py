@@ -14,7 +14,10 @@ import pytest
 
 import cosim
 from cosim.arrays import Matrix
+from cosim.blocks.modulated_source import ModulatedSource, Modulation
 from cosim.blocks.regressor import Regressor
+from cosim.blocks.source import Expression
+from cosim.core.signals import Signal
 from cosim.errors import ScenarioError, UsageError
 from cosim.fmi.component import load
 from cosim.fmi.options import FmuOptions
@@ -27,6 +30,7 @@ from cosim.scenario.exporting import export_component
 from cosim.scenario.kinds.parameters import parameters_of
 from cosim.scenario.kinds.regressor import RegressorKind
 from cosim.scenario.recorded_metadata import recorded_identification, recorded_warnings
+from cosim.testing import check_component
 from cosim.theory.regression import expand
 from tests.scenario.signals import signals
 
@@ -294,6 +298,35 @@ def test_alphas_that_prove_proportional_after_the_run_are_named(tmp_path):
     run = cosim.run(path, set=changes)
     problem = recorded_identification(run)["identifier"].problem
     assert "'u.y' and alpha 'twice.y' are proportional" in problem
+
+
+def test_an_alpha_out_of_the_plant_that_it_disturbs_is_warned_of(tmp_path):
+    """Both are in a loop, where the plant takes delta with a zero-order hold."""
+    path = scenario(tmp_path, EXPRESSION, ("plant.x_a[1]", "schedule.y[1]"))
+    run = cosim.run(path, set={**RUN, "scenario.stop": 2.5})
+    said = dict(recorded_warnings(run))["delta"]
+    assert "delta.y depends on what it drives, so that 'plant.delta' takes it with" in said
+    t = run.time("delta.y")
+    exact = run["plant.x_a"][:, 1] * np.exp(THETA[0] * t) + values(t)[:, 1] * np.exp(THETA[1] * t)
+    np.testing.assert_allclose(run["delta.y"], exact, rtol=1e-14)
+
+
+def test_its_blocks_keep_the_contract_of_a_component():
+    """One call of K steps is K calls of one step; outputs change nothing; restore undoes."""
+    alphas = [AlphaSignal("speed.y", 0, 0.0105), compile_expression(ALPHAS[0])]
+
+    def regressor():
+        return Regressor(
+            expand((1, 1)), alphas=alphas, steps=(0, 3, 7), delays=(0.0, 0.03, 0.07), lag=0.0125
+        )
+
+    def source():
+        inner = Expression(["sin(t)", "exp(-t)", "cos(t)"])
+        signal = Signal("alpha", 2, role="input")
+        return ModulatedSource(inner, [Modulation(0, 1), Modulation(0, 0)], (signal,))
+
+    for make in (regressor, source):
+        check_component(make, h=0.01)
 
 
 def test_terms_that_name_one_signal_share_their_alpha(tmp_path):
