@@ -326,13 +326,16 @@ class Builder:
                 where = "" if str(to) in text else f"'{to}': "
                 self.problems.append((("components", to.component), where + text))
                 self._invalid.add(to.component)
-                continue
-            key = ("connections", str(origin))
-            if key in invalid or (origin != to and origin in problems):
-                continue  # told of the connection that it follows from
-            if origin != to:
-                text += f"; '{to}' takes what '{origin}' does, unless it has a source of its own"
-            self.problems.append((key, text))
+            elif origin == to or origin not in problems:  # else told of what it follows from
+                self._add_connection_problem(to, origin, text)
+
+    def _add_connection_problem(self, to: Port, origin: Port, text: str) -> None:
+        key = ("connections", str(origin))
+        if key in self.scenario.invalid:
+            return
+        if origin != to:
+            text += f"; '{to}' takes what '{origin}' does, unless it has a source of its own"
+        self.problems.append((key, text))
 
     def check(self) -> None:
         """Check that everything could be built.

@@ -243,7 +243,10 @@ def test_a_filter_is_chosen_by_a_signal_that_is_known_before_the_run(tmp_path):
     run = cosim.load(scenario(tmp_path)).set(changes)
     with ExitStack() as resources:
         chosen = Builder(run, resources).experiment().metadata["observer"]["choice"]
-    assert chosen["request"]["delta"] == {"alpha": list(BOTH)}
+    request = chosen["request"]["delta"]
+    assert request["alpha"] == list(BOTH)
+    # another table of the source is another request, so that a replay with it chooses anew
+    assert request["sources"]["schedule"]["y"] == list(ALPHAS)
 
     path = scenario(tmp_path, EXPRESSION, ("plant.y", "schedule.y[1]"))
     with pytest.raises(ScenarioError, match="'auto' needs the amplitude and the bandwidth"):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Final, Literal
+from typing import Any, ClassVar, Final, Literal
 
 import numpy as np
 from pydantic import Field
@@ -19,7 +19,7 @@ from cosim.errors import UsageError
 from cosim.fmi.exporting import kernels
 from cosim.fmi.exporting.kernels import DiscreteModel
 from cosim.fmi.exporting.specifications import Exportable
-from cosim.native.alphas import Alpha
+from cosim.native.alphas import Alpha, signals_among
 from cosim.scenario.kinds.alphas import (
     ALPHA,
     KnownAlphas,
@@ -218,15 +218,13 @@ class RegressorKind(ExportableKind):
         known = known_alphas([distinct[text] for text in names], context)
         if known.unknown:
             return None
-        measured = [_rms_and_rate(column, context.clock) for column in known.each]
-        amplitude = math.sqrt(sum(rms**2 for rms, _ in measured))
-        bandwidth = max(rate for _, rate in measured)
+        amplitude, bandwidth = _together(known, context.clock)
         if not (math.isfinite(amplitude) and 0.0 < bandwidth < math.inf):
             return None
         return Spectrum(
             amplitude,
             bandwidth,
-            source={"alpha": names},
+            source={"alpha": names, **_sources(known.known, context)},
             assumption="amplitude and bandwidth of delta are those of alpha: each exponential of "
             "size 1, and slower than alpha",
         )
@@ -270,6 +268,22 @@ class RegressorKind(ExportableKind):
         for j, delay in enumerate(self.delays):
             steps.append(whole_steps(delay, context.step_ns, f"delays[{j}]"))
         return steps
+
+
+def _together(alphas: KnownAlphas, clock: Clock) -> tuple[float, float]:
+    """Return the root mean square of all alphas together, and their highest rate [rad/s]."""
+    measured = [_rms_and_rate(alpha, clock) for alpha in alphas.each]
+    amplitude = math.sqrt(sum(rms**2 for rms, _ in measured))
+    return amplitude, max(rate for _, rate in measured)
+
+
+def _sources(alphas: Sequence[Alpha], context: BuildContext) -> dict[str, Any]:
+    """Return the tables that signals among alphas follow from; none without them."""
+    components = {Port.parse(signal.text).component for signal in signals_among(alphas)}
+    tables = {}
+    for name in sorted(components):
+        tables[name] = context.spec(name).model_dump(mode="json", by_alias=True)
+    return {"sources": tables} if tables else {}
 
 
 def _rms_and_rate(alpha: KnownAlphas, clock: Clock) -> tuple[float, float]:
