@@ -255,7 +255,7 @@ class Builder:
             period = spec.period_steps(name, self.context.step_ns)
             self.components[name] = spec.with_period(component, period)
             self._periods[name] = period
-            given = spec.given_states(self.context)
+            given = spec.given_states(name, self.context)
             if given is not None:
                 self._given_states[name] = given
         except DependsOnInvalid:

@@ -1,6 +1,7 @@
-"""Initial states of a plant as they are given, and what consistency with its inputs makes of them.
+"""Initial states as they are given, and what consistency makes of them.
 
-Of `E x' = A x + B v`, v = (u, delta), only E x(0) is free: the algebraic equations have the rest.
+Of `E x' = A x + Bu u + Bd delta` only E x(0) is free: the algebraic equations have the rest. The
+same holds of an estimate.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.core.graph import Graph
+from cosim.core.signals import Channel
 from cosim.scenario.recorded_metadata import StateChangeRecord
 from cosim.theory.descriptor import UserCoordinates
 
@@ -23,33 +25,29 @@ MOST_ENTRIES: Final = 12  # that a message lists
 
 @dataclass(frozen=True, eq=False)
 class GivenStates:
-    """Initial states that a table gives, ``x = X (R x0) + Xv v``.
+    """Initial states x0 that a table gives; the run has ``X R x0 + Xu u + Xd delta``.
 
-    Parameters
-    ----------
-    signal : str
-        The output that has them.
-    values : Vector, shape (n,)
-        x0.
-    coordinates : UserCoordinates
+    ``coordinates`` are X, Xu, Xd and R; x is the signal ``x`` of the component.
     """
 
-    signal: str
     values: Vector
     coordinates: UserCoordinates
 
-    def changes(self, v: Vector, x: Vector) -> list[StateChangeRecord]:
-        """Return the entries of x(0) that differ from x0 by more than rounding."""
+    def changes(self, *, u: Vector, delta: Vector, x: Vector) -> list[StateChangeRecord]:
+        """Return the entries of x(0) that differ from x0 by more than rounding.
+
+        An entry that has no value yet is left out.
+        """
         coordinates = self.coordinates
-        of_v = np.abs(np.hstack([coordinates.Xu, coordinates.Xd]))
         of_states = np.abs(coordinates.X) @ (np.abs(coordinates.R) @ np.abs(self.values))
-        terms = np.abs(self.values) + of_states + of_v @ np.abs(v)
+        of_u = np.abs(coordinates.Xu) @ np.abs(u)
+        known_delta = np.where(np.isnan(delta), 0.0, delta)  # a window has no value at first
+        of_delta = np.abs(coordinates.Xd) @ np.abs(known_delta)
+        terms = np.abs(self.values) + of_states + of_u + of_delta
         rounding = ROUNDINGS * np.finfo(np.float64).eps * terms
         changed = np.flatnonzero(np.abs(x - self.values) > rounding)
         return [
-            StateChangeRecord(
-                entry=f"{self.signal}[{i}]", before=float(self.values[i]), after=float(x[i])
-            )
+            StateChangeRecord(entry=f"x[{i}]", before=float(self.values[i]), after=float(x[i]))
             for i in changed.tolist()
         ]
 
@@ -60,14 +58,27 @@ def changed_states(
     """Return what the first row of a run changes of the initial states, by component."""
     changes = {}
     for name, states in given.items():
-        channel = graph.layout[name]
-        columns = channel.interface.output_columns()[states.signal]
-        begin = channel.outputs.start
-        x = row[begin + columns.start : begin + columns.stop]
-        changed = states.changes(row[channel.inputs], x)
+        signals = _signals(graph.layout[name], row)
+        coordinates = states.coordinates
+        u = signals.get("u", np.zeros(0))[: coordinates.Xu.shape[1]]
+        delta = signals.get("delta", np.zeros(0))
+        changed = states.changes(u=u, delta=delta, x=signals["x"])
         if changed:
             changes[name] = changed
     return changes
+
+
+def _signals(channel: Channel, row: Vector) -> dict[str, Vector]:
+    """Return the signals of a component by name."""
+    interface = channel.interface
+    signals = {}
+    for columns, begin in (
+        (interface.input_columns(), channel.inputs.start),
+        (interface.output_columns(), channel.outputs.start),
+    ):
+        for signal, block in columns.items():
+            signals[signal] = row[begin + block.start : begin + block.stop]
+    return signals
 
 
 def change_text(changes: Sequence[StateChangeRecord]) -> str:

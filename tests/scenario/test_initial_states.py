@@ -50,6 +50,22 @@ def test_in_mixed_coordinates_E_x0_is_what_is_kept(tmp_path):
         assert changed[f"x[{i}]"]["before"] == given[i]
 
 
+@pytest.mark.parametrize("window", [False, True])
+def test_an_estimate_is_made_consistent_too(tmp_path, window):
+    """x_b hat(0) = -x1 - u; a window has no x that follows delta yet, here x does not."""
+    filter_keys = "filter_rate = 1e3"
+    if window:
+        filter_keys = 'filter = "savitzky-golay"\nhalf_width = 0.1'
+    observer = (
+        '"observer.u" = "u.y"\n"observer.y" = "plant.y"\n[components.observer]\n'
+        f'kind = "unknown-input-observer"\nmodel = "m"\npoles = [-4.0]\n{filter_keys}\n'
+        "x0 = [0.5, 0.0, 0.0]\n"
+    )
+    log = cosim.run(write(tmp_path / "x.toml", PLAIN, "x0 = [1.0, -1.0, -1.0]", observer))
+    expected = [{"entry": "x[2]", "before": 0.0, "after": -0.5}]
+    assert changes(log) == {"observer": expected}
+
+
 @pytest.mark.parametrize(
     ("model", "initial"),
     [

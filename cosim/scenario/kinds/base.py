@@ -378,7 +378,7 @@ class Kind(TomlTable):
         """Return the component near its initial state; None: it is not linear."""
         return None
 
-    def given_states(self, context: BuildContext) -> GivenStates | None:
+    def given_states(self, name: str, context: BuildContext) -> GivenStates | None:
         """Return the initial states of which a run may keep a part only; None: there are none."""
         return None
 

@@ -22,6 +22,7 @@ from cosim.core.linear import Linear, LinearModel
 from cosim.errors import AssumptionError, LogError, UsageError
 from cosim.fmi.exporting.kernels import DiscreteModel
 from cosim.fmi.exporting.specifications import Exportable
+from cosim.scenario.initial_states import GivenStates
 from cosim.scenario.kinds.base import (
     BuildContext,
     ExportableKind,
@@ -255,6 +256,12 @@ class UnknownInputObserverKind(ExportableKind):
         linear = model.declare(averaged.linear)
         lagging = model.declared(averaged.lagging)
         return replace(averaged, linear=linear, lagging=lagging)
+
+    def given_states(self, name: str, context: BuildContext) -> GivenStates | None:
+        coordinates = self.design_model_of(name, context).reduced.coordinates
+        if coordinates is None or self.x0 is None:
+            return None
+        return GivenStates(np.array(self.x0, np.float64), coordinates)
 
     def _initial(self, reduced: ReducedSystem) -> Vector | None:
         """Return the initial estimate of x_a.

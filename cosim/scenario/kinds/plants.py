@@ -96,12 +96,12 @@ class DescriptorKind(PlantKind, LinearKind):
         system = context.model(self.model)
         return descriptor_form(system, self._initial(system))
 
-    def given_states(self, context: BuildContext) -> GivenStates | None:
+    def given_states(self, name: str, context: BuildContext) -> GivenStates | None:
         system = context.model(self.model)
         coordinates = reduce(system).coordinates
         if coordinates is None:
             return None
-        return GivenStates("x", np.array(self._initial(system), np.float64), coordinates)
+        return GivenStates(np.array(self._initial(system), np.float64), coordinates)
 
     def _initial(self, system: DescriptorSystem) -> NumberRow:
         """Return the initial states that the form of the model needs.
