@@ -12,6 +12,12 @@ from cosim.scenario.experiment_design.subject import subject_of
 from cosim.scenario.experiment_design.trial import trial_of
 
 FAST = {"scenario.step": 0.05, "scenario.stop": 20.0, "observer.filter_rate": 20.0}
+TINY = {
+    "scenario.step": 0.1,
+    "scenario.stop": 9.0,
+    "observer.filter_rate": 10.0,
+    "regressor.delays": [0.1, 0.3, 0.5],
+}
 THETA = np.array([-0.1, -0.3])
 
 
@@ -191,8 +197,9 @@ def test_a_recorded_plant_and_a_scenario_without_identifier_are_refused(tmp_path
 
 def test_the_command_prints_a_table_or_json(call):
     """A row of every choice and the bound; the same numbers as JSON; exit 2 for wrong use."""
-    short = ["--longest", "3", "--set", "scenario.step=0.05", "--set", "scenario.stop=12.0"]
-    short += ["--set", "observer.filter_rate=20.0"]
+    short = ["--longest", "0.5"]
+    for key, value in TINY.items():
+        short += ["--set", f"{key}={value}"]
     code, out, _ = call("design", "academic-noisy", *short, "--json")
     content = json.loads(out)
     assert code == 0
@@ -246,3 +253,18 @@ def test_any_family_and_a_shared_alpha_can_be_designed_for():
     predicted = trial.regression.rayleigh(trial.steps)
     assert (predicted.error > trial.bound().standard_error).all()
     assert (predicted.error < 0.1).all()
+
+
+def test_a_disturbance_that_is_absent_determines_no_theta():
+    """Both amplitudes 0: refused; one of them: that theta is left out, the other is ranked."""
+    terms = [
+        {"alpha": "1.35 + 0.25*sin(1.7*t)", "family": "exponential", "theta": -0.1},
+        {"alpha": "1.10 + 0.20*cos(2.3*t)", "family": "exponential", "theta": -0.3},
+    ]
+    absent = [{**term, "amplitude": 0.0} for term in terms]
+    with pytest.raises(UsageError, match="y does not determine theta, whatever is chosen"):
+        cosim.design("academic-noisy", set={**FAST, "delta.terms": absent})
+    one = cosim.load("academic-noisy").set({**FAST, "delta.terms": [absent[0], terms[1]]})
+    errors = trial_of(subject_of(one), {}).bound().standard_error
+    assert np.isinf(errors[0])
+    assert errors[1] < 1e-2

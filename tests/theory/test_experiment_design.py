@@ -272,7 +272,7 @@ def test_the_search_tries_the_delays_that_it_is_given():
     def only(steps):
         return 1.0 if steps == (0, 17, 23) else np.inf
 
-    assert search_delays(only, count=3, longest=100, start=(40, 17, 34)).steps == (0, 17, 23)
+    assert search_delays(only, count=3, longest=100, starts=[(40, 17, 34)]).steps == (0, 17, 23)
     with pytest.raises(AssumptionError, match=r"none of .* sets of 3 delays"):
         search_delays(only, count=3, longest=100)
     with pytest.raises(AssumptionError, match="needed at least 2, and room for them"):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
 from typing import Any, Final, Literal, TypeAlias
 
@@ -240,7 +241,7 @@ class _Ranking:
     # --- choices ---
 
     def _delays(self, method: RegressionMethod, longest: float) -> list[RankedDesign]:
-        found = self._best_delays(self.trial, method, longest)
+        found = self._best_delays(self.trial, method, longest, [self.trial.steps])
         if found is None:
             return []
         return self._ranked("delays", self.trial.regression, found, method, {})
@@ -290,17 +291,21 @@ class _Ranking:
         self, method: RegressionMethod, filters: Iterable[Trial], longest: float
     ) -> list[RankedDesign]:
         """Choose a filter, delays for it, and a filter for these."""
-        steps = self.trial.steps
+        known = [self.trial.steps]
+        for design in self._delays(method, longest):
+            delays = design.settings[f"{self.subject.regressor}.delays"]
+            known.append(tuple(round(delay / self.trial.step) for delay in delays))
         variants = [self.trial, *filters]
 
-        def error(trial: Trial) -> float:
+        def error(pair: tuple[Trial, tuple[int, ...]]) -> float:
+            trial, steps = pair
             return self._error_of(trial.regression, steps, method)
 
-        best = min(variants, key=error)
-        found = self._best_delays(best, method, longest)
+        best, _ = min(product(variants, known), key=error)
+        found = self._best_delays(best, method, longest, known)
         if found is not None:
-            steps = found
-            best = min(variants, key=error)
+            known.append(found)
+        best, steps = min(product(variants, known), key=error)
         return self._ranked("together", best.regression, steps, method, best.settings)
 
     def _inputs(self) -> list[RankedDesign]:
@@ -425,14 +430,18 @@ class _Ranking:
         return ratio if math.isfinite(ratio) else math.inf
 
     def _best_delays(
-        self, trial: Trial, method: RegressionMethod, longest: float
+        self,
+        trial: Trial,
+        method: RegressionMethod,
+        longest: float,
+        starts: Sequence[tuple[int, ...]],
     ) -> tuple[int, ...] | None:
         try:
             found = search_delays(
                 lambda steps: self._error_of(trial.regression, steps, method),
                 count=trial.regression.delays_needed,
                 longest=math.floor(longest / trial.step + 1e-9),
-                start=trial.steps,
+                starts=starts,
             )
         except AssumptionError:
             return None
@@ -468,6 +477,11 @@ class _Ranking:
         after = by_choice["delays"]
         listed = ", ".join(f"{delay:g}" for delay in self.subject.regressor_kind.delays)
         best = min(one.ratio for one in designs if one.method == method)
+        if not math.isfinite(before.ratio):
+            return [
+                f"{method}: no estimate with the delays ({listed}); the best choice of all stays "
+                f"at {best:.3g} times the bound that output error reaches"
+            ]
         if not after.ratio < before.ratio:
             return [f"{method}: no delays are better than ({listed})"]
         return [

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -16,6 +17,8 @@ from cosim.arrays import Matrix, Vector
 from cosim.theory.assessment.record_information import DEPENDENT, RecordInformation, information_of
 from cosim.theory.disturbance import Family, generators
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel, sample_plant
+
+_ABSENT: Final = 1e-10  # of y: a component that has less of it is rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,10 +80,15 @@ def accuracy_bound(
     linear = record.model.linear
     known = RecordInformation(np.zeros((len(R), 0)), R[:, :linear])
     unknowns = known.inverse @ R[:, -1]
-    information = information_of(record, theta, unknowns[: matrices.order])
     left = R[:, -1] - R[:, :linear] @ unknowns
     whole = white.whitened(np.nan_to_num(data.y)[:, :, np.newaxis], data.measured)
     size = float(np.linalg.norm(whole))
+    amplitudes = unknowns[: matrices.order]
+    for component in matrices.each:
+        part = R[:, component.basis] @ amplitudes[component.basis]
+        if float(np.linalg.norm(part)) <= _ABSENT * size:
+            amplitudes[component.basis] = 0.0
+    information = information_of(record, theta, amplitudes)
     relative = float(np.linalg.norm(left)) / size if size else 0.0
     return AccuracyBound(_covariance(information), relative)
 

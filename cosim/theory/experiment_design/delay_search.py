@@ -8,15 +8,15 @@ half as long whenever none is an improvement, down to a thousandth of the longes
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Final
 
 from cosim.errors import AssumptionError
 
-_GRID_SETS: Final = 60  # at most, of the coarse grid
-_STARTS: Final = 3  # sets of the grid that are improved
+_GRID_SETS: Final = 45  # at most, of the coarse grid
+_STARTS: Final = 2  # sets of the grid that are improved
 _RESOLUTION: Final = 1e-3  # of the longest delay
 _WORTHWHILE: Final = 1e-3  # relative to the error: a gain that is none
 
@@ -45,7 +45,7 @@ def search_delays(
     *,
     count: int,
     longest: int,
-    start: tuple[int, ...] | None = None,
+    starts: Sequence[tuple[int, ...]] = (),
 ) -> FoundDelays:
     """Search the delays of the least error.
 
@@ -57,7 +57,7 @@ def search_delays(
         How many delays, at least 2.
     longest : int
         Samples.
-    start : tuple of int, optional
+    starts : sequence of tuple of int
         Delays that are tried too.
 
     Raises
@@ -80,16 +80,18 @@ def search_delays(
     spacing = _grid_spacing(count, longest)
     places = range(spacing, longest + 1, spacing)
     candidates = [(0, *others) for others in combinations(places, count - 1)]
-    if start is not None:
+    for start in starts:
         first = min(start)
         shifted = tuple(sorted(steps - first for steps in start))
         if max(shifted) <= longest:
             candidates.append(shifted)
     candidates.sort(key=of)
     coarse = max(1, spacing // 4)
-    starts = [_improved(of, steps, spacing // 2, coarse, longest) for steps in candidates[:_STARTS]]
+    improved = [
+        _improved(of, steps, spacing // 2, coarse, longest) for steps in candidates[:_STARTS]
+    ]
     finest = max(1, math.floor(_RESOLUTION * longest))
-    best = _improved(of, min(starts, key=of), coarse, finest, longest)
+    best = _improved(of, min(improved, key=of), coarse, finest, longest)
     if not math.isfinite(of(best)):
         raise AssumptionError(
             f"none of {len(known)} sets of {count} delays up to {longest} samples gives an estimate"
