@@ -11,6 +11,7 @@ import pytest
 import cosim
 from cosim.errors import RunError, ScenarioError, UsageError
 from cosim.fmi.linearizing.linearize import linearize
+from cosim.scenario.assumptions.report import check_assumptions
 from cosim.scenario.exporting import export_component
 from cosim.scenario.linearizing import model_toml, split
 from tests.fmi.pendulum import jacobian, pendulum
@@ -347,6 +348,16 @@ def test_differences_do_where_the_fmu_has_no_derivatives(folder):
     differences = cosim.run(scenario, set={**short, "observer.model.fmu": "plain.fmu"})
     np.testing.assert_allclose(differences["observer.x_a"], exact["observer.x_a"], atol=1e-8)
     np.testing.assert_allclose(differences["observer.delta"], exact["observer.delta"], atol=1e-6)
+
+
+def test_its_assumptions_are_decided_at_the_operating_point_alone(folder):
+    """Where the estimate will be, and the model linearized, only the run knows."""
+    report = check_assumptions(swing(folder, 2.5), set=ANEW)
+    of_observer = [verdict for name, verdict in report.verdicts if name == "observer"]
+    assert len(of_observer) == 4
+    for verdict in of_observer:
+        assert verdict.fulfilled is None
+        assert "fulfilled at the operating point" in verdict.evidence
 
 
 def test_a_replay_takes_it_from_the_log(folder, tmp_path):

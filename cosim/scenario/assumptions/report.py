@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 from typing import Any, Final
@@ -157,7 +157,10 @@ class _Check:
         if failing:
             return [*verdicts_of_plant, undecided(HURWITZ, f"{failing[0]} is not fulfilled")]
         gain = attempted(HURWITZ, lambda: gain_evidence(kind.design(name, context).design))
-        return [*verdicts_of_plant, gain]
+        verdicts_of_all = [*verdicts_of_plant, gain]
+        if kind.relinearize:
+            return list(map(_at_operating_point, verdicts_of_all))
+        return verdicts_of_all
 
     def _of_regressor(self, name: str, kind: Kind) -> list[AssumptionVerdict]:
         if not isinstance(kind, RegressorKind):
@@ -207,6 +210,16 @@ class _Check:
                 place = ".".join(map(str, key))
                 others.append(refused(place, AssumptionError(text)))
         return others
+
+
+def _at_operating_point(verdict: AssumptionVerdict) -> AssumptionVerdict:
+    """Return a verdict on a model that is linearized anew on the way, where the run checks it."""
+    if not verdict.fulfilled:
+        return verdict
+    evidence = (
+        f"not decided: fulfilled at the operating point ({verdict.evidence}); then by the run"
+    )
+    return replace(verdict, fulfilled=None, evidence=evidence)
 
 
 def _resting_on(
