@@ -205,7 +205,7 @@ def test_the_command_prints_a_table_or_json(call):
     assert code == 0
     assert content["noise"] == "sensor.noise"
     assert len(content["bound"]) == 2
-    assert {one["choice"] for one in content["designs"]} >= {"scenario", "delays", "filter"}
+    assert {one["choice"] for one in content["designs"]} >= {"scenario", "delays", "step"}
     assert call("design", "academic", *short)[0] == 2
     assert "needed a number, or a list" in call("design", "academic", "--noise", "x", *short)[2]
 
