@@ -470,6 +470,7 @@ def invariant_zeros(reduced: ReducedSystem) -> ComplexVector:
     AssumptionError
         If the transfer from delta to y does not have full rank, so that every s is a zero.
     """
+    reduced = in_units(reduced, reduced_scales(reduced))
     A = reduced.A_a
     B = reduced.B_2a
     C = reduced.C3

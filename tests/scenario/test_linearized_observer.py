@@ -87,6 +87,20 @@ def test_a_replay_needs_the_log_alone(folder, tmp_path):
         cosim.replay(log, set={"observer.model.at": 1.0, "observer.model.fmu": "plant.fmu"})
 
 
+def test_an_input_that_reaches_y_directly_may_be_the_unknown_one(folder):
+    """y = x1 - u: u follows from y without a derivative, so without the error of a filter.
+
+    The zeros are at -2, twice; after 10 s t e^-2t of the start is left, 5e-8 of it.
+    """
+    model = {**MODEL, "disturbance": "u"}
+    options = {"observer.model": model, "scenario.stop": 12.0, "observer.L": [0.0, 0.0]}
+    connections = {"connections.observer.u": "delta.y"}
+    run = cosim.run(folder / "academic.toml", set={**options, **connections})
+    late = run.time("observer.delta") > 10.0
+    error = np.abs(run["observer.delta"] - run["u.y"])[late]
+    assert error.max() < 5e-7  # straight lines within a step of 1 ms: h^2/12 w''
+
+
 def swing(folder, amplitude, **model):
     """Write a pendulum in a wind that the observer is to find."""
     table = {

@@ -6,7 +6,12 @@ import scipy.linalg
 from scipy.optimize import linear_sum_assignment
 
 from cosim.errors import AssumptionError
-from cosim.theory.descriptor import DescriptorSystem, ReducedSystem, reduce
+from cosim.theory.descriptor import (
+    DescriptorSystem,
+    ReducedSystem,
+    invariant_zeros,
+    reduce,
+)
 from cosim.theory.observer import delta_rows, design, realize, realize_averages
 from tests.theory.scrambled import Matrices, mixing, movable
 
@@ -65,6 +70,22 @@ def test_fixed_modes_are_the_invariant_zeros():
     """What no gain moves are the zeros of the Rosenbrock pencil, whatever the rank of D."""
     for seed in range(60):
         check_fixed_modes(seed)
+
+
+def test_invariant_zeros_do_not_rest_on_units():
+    """Zeros are rates: units of states, inputs and outputs up to 1e6 either way leave them."""
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        (A, B, C, D), zeros = square_system(rng)
+        n = len(A)
+        nothing = np.zeros((n, 0))
+        matrices = Matrices(np.eye(n), A, nothing, B, C, np.zeros((len(C), 0)), D)
+        reduced = reduce(matrices.in_other_units(rng).system)
+        found = invariant_zeros(reduced)
+        distances = np.abs(np.subtract.outer(found, zeros))
+        rows, columns = linear_sum_assignment(distances)
+        assert len(found) == len(zeros)
+        assert (distances[rows, columns] <= 1e-8 * np.maximum(1.0, np.abs(zeros[columns]))).all()
 
 
 @pytest.mark.campaign
