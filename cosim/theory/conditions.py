@@ -15,13 +15,14 @@ from cosim.arrays import Matrix, Vector
 from cosim.errors import AssumptionError
 from cosim.theory.descriptor import ComplexVector, ReducedSystem
 from cosim.theory.geometry import RANK_TOLERANCE
-from cosim.theory.pencil import SINGULAR
+from cosim.theory.pencil import EPSILON, SINGULAR
 from cosim.theory.placement import modes
 from cosim.theory.scaling import rank_between, values_between
 
 _MEASURE: Final = (
     "measure an output that one integrator leads to (a rate, a force), or fit it to y offline"
 )
+ROUNDING_OF_EIGENVALUES: Final = 100.0 * EPSILON  # relative to the terms of their matrix
 MOST_SHOWN: Final = 12  # entries of a matrix in a message
 
 
@@ -280,5 +281,4 @@ def _rounding(magnitudes: Matrix) -> float:
 
     It scales with the terms of a matrix, not with their sums, in which they may cancel.
     """
-    epsilon = float(np.finfo(np.float64).eps)
-    return 100.0 * epsilon * float(np.linalg.norm(magnitudes))
+    return ROUNDING_OF_EIGENVALUES * float(np.linalg.norm(magnitudes))

@@ -35,7 +35,13 @@ from numpy.typing import ArrayLike
 
 from cosim.arrays import Matrix, Vector, frozen
 from cosim.errors import AssumptionError
-from cosim.theory.conditions import Decoupling, check_detectable, check_hurwitz, decouple
+from cosim.theory.conditions import (
+    ROUNDING_OF_EIGENVALUES,
+    Decoupling,
+    check_detectable,
+    check_hurwitz,
+    decouple,
+)
 from cosim.theory.descriptor import (
     ComplexVector,
     ReducedSystem,
@@ -170,7 +176,8 @@ class ErrorDynamics:
     """The dynamics of the error (16) before a gain is chosen, where all is of size one.
 
     ``V`` is a basis of the states that L does not reach, ``fixed_modes`` [1/s] are their modes;
-    ``magnitudes`` are of every entry of M the sum of the absolute values of its terms.
+    ``magnitudes`` are of every entry of M the sum of the absolute values of its terms, larger where
+    these are less accurate than by rounding.
     """
 
     decoupling: Decoupling
@@ -206,7 +213,9 @@ def _error_dynamics(reduced: ReducedSystem, weights: Vector) -> ErrorDynamics:
     N = reduced.B_1a - F @ (C3 @ reduced.B_1a)
     H = of_w - F @ (C3 @ of_w)
     size_of_A = np.abs(reduced.A_a) + np.abs(of_w) @ np.abs(C3)
-    magnitudes = size_of_A + np.abs(F) @ (np.abs(C3) @ size_of_A)
+    terms = size_of_A + np.abs(F) @ (np.abs(C3) @ size_of_A)
+    # accuracy is a bound, of which errors that go either way reach a tenth
+    magnitudes = terms * max(1.0, 0.1 * reduced.accuracy / ROUNDING_OF_EIGENVALUES)
     V = _unobservable_subspace(M, decoupling.outputs @ C3)
     fixed_modes = _sorted_eigenvalues(V.T @ M @ V)
     return ErrorDynamics(decoupling, F, M, N, H, V, fixed_modes, magnitudes)

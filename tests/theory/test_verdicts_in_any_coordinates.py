@@ -66,13 +66,21 @@ def relative_degree_of_the_rest(rng):
     return A, np.hstack([rng.normal(size=(4, 1)), other]), C, D
 
 
+def with_a_zero_at(zero):
+    """Return zeros there, at -5 and -6, over a polynomial with roots -1 to -4."""
+    roots = np.array([-1.0, -2.0, -3.0, -4.0])
+    residues = np.array([(r - zero) / np.prod(r - roots[roots != r]) for r in roots])
+    residues *= (roots + 5.0) * (roots + 6.0)
+    return np.diag(roots), np.ones((4, 1)), residues[np.newaxis], np.zeros((1, 1))
+
+
 def not_detectable(rng):
-    """(s - 1) over a polynomial with roots -1 to -4, and an output without a disturbance."""
-    A = np.diag([-1.0, -2.0, -3.0, -4.0])
-    roots = np.diag(A)
-    residues = np.array([(r - 1.0) / np.prod(r - roots[roots != r]) for r in roots])
-    residues *= (roots + 5.0) * (roots + 6.0)  # more zeros, at -5 and -6: degree one
-    return A, np.ones((4, 1)), residues[np.newaxis], np.zeros((1, 1))
+    return with_a_zero_at(1.0)
+
+
+def at_the_border(rng):
+    """Return a zero at 0, on whichever side of it rounding may leave it."""
+    return with_a_zero_at(0.0)
 
 
 def not_detectable_directly(rng):
@@ -88,6 +96,7 @@ VERDICTS = {
     relative_degree: r"rank C3 B_2a = 0, .*RELATIVE_DEG.*: C A\^0 B .* of rank 0, .* of rank 1; m",
     relative_degree_of_the_rest: r"rank C5 = 1 of 2 .* rank C3 B_2a = 0, needed 1: .*RELATIVE_DEG",
     not_detectable: r"the invariant zero at \+1(\.0*\d*)? cannot be moved .*NOT_DETECTABLE",
+    at_the_border: r"the invariant zero at .*e-.* cannot be moved by L \(NOT_DETECTABLE\)",
     not_detectable_directly: r"the invariant zero at \+1(\.0*\d*)? cannot .*NOT_DETECTABLE",
 }
 
