@@ -18,6 +18,7 @@ PAGES = {
     "README": (ROOT / "README.md").read_text(encoding="utf-8"),
     "fmus": (ROOT / ".readme" / "fmus.md").read_text(encoding="utf-8"),
     "identification": (ROOT / ".readme" / "identification.md").read_text(encoding="utf-8"),
+    "plants": (ROOT / ".readme" / "plants.md").read_text(encoding="utf-8"),
 }
 EXIT_CODES = {"--atol": 1, "disturbance.tim=1.0": 2}  # of commands with this word; 0 of all others
 
@@ -60,9 +61,10 @@ def comparable(text):
 
 
 def write_scenario(folder):
-    """Save the scenario that README shows, as it tells its reader to."""
-    shown = [block for block in blocks("README", "toml") if 'name = "pair"' in block]
-    (folder / "pair.toml").write_text(shown[0], encoding="utf-8")
+    """Save the scenarios that the pages show, as they tell their reader to."""
+    for page, name in (("README", "pair"), ("plants", "drive")):
+        shown = [block for block in blocks(page, "toml") if f'name = "{name}"' in block]
+        (folder / f"{name}.toml").write_text(shown[0], encoding="utf-8")
 
 
 @pytest.mark.parametrize("page", PAGES)
