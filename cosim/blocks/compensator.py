@@ -57,7 +57,7 @@ class CompensatorOptions:
     lower, upper : Vector, shape (n_u,)
         Limits of u.
     anti_windup : bool
-        The internal model is told what the limits leave of u.
+        The internal model follows what the limits leave of u.
     regulated : tuple of int
         The regulated elements of y.
     n_y : int

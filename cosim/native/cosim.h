@@ -572,7 +572,7 @@ void cosim_start_grid_squares(const cosim_start_grid *self, int32_t records, con
 int32_t cosim_start_grid_search(const cosim_start_grid *self, int32_t records, const double *R,
                                 double *memory, int32_t most, double *theta);
 
-/* Of all theta of the same model the one that is told: even parameters positive, interchangeable
+/* Of all theta of the same model the one that is reported: even parameters positive, interchangeable
  * components by their last parameter, the largest first. */
 void cosim_start_grid_order(const cosim_start_grid *self, double *theta);
 

@@ -2,8 +2,8 @@
 
 Terms are interchangeable that are of one family, enter the plant in the same way, and have the same
 alpha and bounds: every order of them is the same model. So are the signs of parameters whose
-negatives make the same signals, such as rates. One of all these theta is told: signs positive, and
-interchangeable terms by their last parameter, the largest first.
+negatives make the same signals, such as rates. Of all these theta one is reported: signs positive,
+and interchangeable terms by their last parameter, the largest first.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def groups_of(alike: Sequence[int]) -> list[list[int]]:
 def in_order(
     theta: Vector, generators: Generators, alike: Sequence[int], even: Sequence[bool]
 ) -> Vector:
-    """Return the one of all theta of the same model that is told, shape ``(P,)``.
+    """Return the theta that is reported of all those of the same model, shape ``(P,)``.
 
     Parameters
     ----------
@@ -83,14 +83,14 @@ def in_order(
     even : sequence of bool
         For each parameter, whether its negative makes the same signals.
     """
-    told = np.where(np.array(even, np.bool_), np.abs(theta), theta)
+    ordered = np.where(np.array(even, np.bool_), np.abs(theta), theta)
     each = generators.each
     for group in groups_of(alike):
-        own = [told[each[i].theta].copy() for i in group if generators.count[i]]
+        own = [ordered[each[i].theta].copy() for i in group if generators.count[i]]
         own.sort(key=lambda values: float(values[-1]), reverse=True)
         for i, values in zip(group, own, strict=False):
-            told[each[i].theta] = values
-    return told
+            ordered[each[i].theta] = values
+    return ordered
 
 
 def _places(part: slice) -> range:

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
 from cosim.errors import AssumptionError
@@ -174,12 +175,14 @@ def state_space_scales(A: Matrix, B: Matrix, C: Matrix, D: Matrix) -> Scales:
     return Scales(_power(states), _power(states), _power(inputs), _power(outputs))
 
 
-def rank_between(matrix: Matrix, magnitudes: Matrix, tolerance: float) -> int:
+def rank_between(
+    matrix: Matrix | NDArray[np.complex128], magnitudes: Matrix, tolerance: float
+) -> int:
     """Count the singular values of a product beyond ``tolerance``; see :func:`values_between`."""
     return int((values_between(matrix, magnitudes) > tolerance).sum())
 
 
-def values_between(matrix: Matrix, magnitudes: Matrix) -> Vector:
+def values_between(matrix: Matrix | NDArray[np.complex128], magnitudes: Matrix) -> Vector:
     """Compute the singular values of a product in units where its terms are of size one.
 
     Relative to the product itself, which may be all rounding, its rank would be meaningless. Units
@@ -188,6 +191,7 @@ def values_between(matrix: Matrix, magnitudes: Matrix) -> Vector:
     Parameters
     ----------
     matrix : Matrix, shape (p, m)
+        Also of complex numbers.
     magnitudes : Matrix, shape (p, m)
         Of each entry the sum of the absolute values of its terms.
     """

@@ -245,6 +245,11 @@ def test_blocks_and_a_replay_make_the_same_bits(tmp_path):
             {},
             "alpha = '1[+]t' varies",
         ),
+        (
+            {'{ family = "sine" }': '{ family = "sine", alpha = "cos(20160*pi*t)" }'},
+            {},
+            "alpha = 'cos.*' varies",
+        ),
         ({'"observer.x_a"': '"plant.x_a"'}, {}, "must be driven directly by a component of kind"),
         (
             {"filter_rate": 'filter = "consistent"\nfilter_rate'},

@@ -38,10 +38,10 @@ def drive(scale=(1.0, 1.0, 1.0, 1.0)):
     return reduce(system)
 
 
-def designed(reduced, *, lower, upper, families=SINE, Q=WEIGHTS, ff=False, rate=None):
+def designed(reduced, *, lower, upper, families=SINE, Q=WEIGHTS, R=None, ff=False, rate=None):
     """Return the gains of a compensator of the first output, its observer inside."""
     plant = regulated_plant(reduced, [0])
-    K = state_feedback(plant.A, plant.B, Q=Q)
+    K = state_feedback(plant.A, plant.B, Q=Q, R=R)
     model = internal_model(families, 1)
     box = ParameterBox(np.atleast_1d(lower), np.atleast_1d(upper))
     return CompensatorGains(

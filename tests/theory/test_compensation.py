@@ -10,7 +10,7 @@ from scipy.signal import StateSpace as ScipyStateSpace
 from scipy.signal import place_poles
 
 from cosim.errors import AssumptionError
-from cosim.theory.compensation.certificate import certify, largest_factor
+from cosim.theory.compensation.certificate import SampledLoop, certify, largest_factor
 from cosim.theory.compensation.design import (
     CompensatorGains,
     ControlledPlant,
@@ -30,25 +30,11 @@ from cosim.theory.compensation.state_feedback import (
     state_feedback,
 )
 from cosim.theory.descriptor import DescriptorSystem, reduce
-from cosim.theory.disturbance import Exponential, Sine
+from cosim.theory.disturbance import FAMILIES, Exponential, Sine
 from cosim.theory.observer import StateSpace, design, realize
 from tests.theory.compensated import designed, drive, growth, loop_matrix, plant_of, sampled
 
 H = 1e-2
-
-
-class Held:
-    """A family without parameters: constant, or a ramp."""
-
-    name = "held"
-    parameters = ()
-
-    def __init__(self, order):
-        self.v = order
-        self.c = np.eye(order)[0]
-
-    def G(self, theta):
-        return np.eye(self.v, k=1)
 
 
 def random_plant(seed, n=4, m=2):
@@ -159,7 +145,8 @@ def test_regulated_outputs_that_no_controller_holds_are_refused():
 
 def test_the_internal_model_has_the_modes_of_the_class_once_for_each_output():
     """Of several polynomials the largest stays: it contains the others."""
-    families = [Held(1), Sine(), Held(2), Exponential(), Held(1)]
+    constant = FAMILIES["constant"]
+    families = [constant, Sine(), FAMILIES["ramp"], Exponential(), constant]
     model = internal_model(families, 2)
     eigenvalues = np.linalg.eigvals(model.S(np.array([1.5, -0.2])))
     once = [0.0, 0.0, 1.5j, -1.5j, -0.2]
@@ -173,7 +160,7 @@ def test_the_gain_moves_the_modes_of_the_internal_model_and_no_others(seed, rate
     """Those slower than half the decay rate to their mirror image; the law of least effort."""
     plant = random_plant(seed)
     K = state_feedback(plant.A, plant.B, Q=np.ones(4))
-    model = internal_model([Sine(), Held(1)], 2)
+    model = internal_model([Sine(), FAMILIES["constant"]], 2)
     box = ParameterBox(np.array([1.0]), np.array([2.0]))
     gains = stabilize(plant, K, model, box, rate)
     u_of_x = -K + gains.K_w @ gains.X
@@ -207,6 +194,20 @@ def test_a_transmission_zero_at_a_mode_of_the_disturbance_is_refused():
         stabilize(plant, K, model, box)
     apart = ParameterBox(np.array([1.4]), np.array([2.0]))
     assert stabilize(plant, K, model, apart).decay_rate > 0.0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_transmission_zero_at_0_is_refused_under_a_constant_in_any_coordinates(seed):
+    """The velocity of a mass, where rounding moves the zero; no theta is named without one."""
+    A = np.array([[0.0, 1.0, 0.0], [-1.0, -2.0, 1.0], [0.0, 0.0, -3.0]])
+    B = np.array([[0.0], [1.0], [0.5]])
+    T, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
+    system = DescriptorSystem.general(A=T @ A @ T.T, Bu=T @ B, Bd=T @ B, C=[[0, 1, 0]] @ T.T)
+    plant = regulated_plant(reduce(system), [0])
+    K = state_feedback(plant.A, plant.B, poles=[-2.0, -3.0, -4.0])
+    no_parameters = ParameterBox(np.zeros(0), np.zeros(0))
+    with pytest.raises(AssumptionError, match=r"a mode of the disturbance, .*TRANSMISSION_ZERO"):
+        stabilize(plant, K, internal_model([FAMILIES["constant"]], 1), no_parameters)
 
 
 # --- the certificate ---
@@ -284,6 +285,28 @@ def test_the_proof_does_not_depend_on_the_units_of_the_states(scale):
         assert certificate.proven
         cells.append(certificate.cells)
     assert max(cells) <= 2 * min(cells)
+
+
+@pytest.mark.parametrize(("of_u", "of_y"), [(1e6, 1.0), (1.0, 1e6), (1.0, 1e-6)])
+def test_the_proof_does_not_depend_on_the_units_of_u_and_y(of_u, of_y):
+    """What drives the internal model, e and the rest of u, is as large as its units make it."""
+    inner = drive()
+    reduced = replace(inner, B_1a=of_u * inner.B_1a, C3=of_y * inner.C3)
+    gains = designed(reduced, lower=1.5, upper=2.5, R=[of_u**2])
+    certificate = certify_compensator(gains, sampled(reduced, H))
+    expected = certify_compensator(designed(inner, lower=1.5, upper=2.5), sampled(inner, H))
+    assert certificate.rate == pytest.approx(expected.rate, rel=1e-6)
+    assert certificate.cells <= 8 * expected.cells
+
+
+def test_a_loop_far_from_what_can_be_proven_is_refused():
+    """A ramp over a step of 1000 s: the bound of the proof is beyond the range of numbers."""
+    model = internal_model([FAMILIES["ramp"], Exponential()], 1)
+    loop = SampledLoop(
+        fixed=np.zeros((3, 3)), first=0, taken=1e-300 * np.eye(4, 3), model=model, G=model.b, h=1e3
+    )
+    box = ParameterBox(np.array([-2e-3]), np.array([-1e-3]))
+    assert not certify(loop, box).proven
 
 
 def test_an_interval_where_the_loop_is_unstable_is_refused_with_one_that_would_do():

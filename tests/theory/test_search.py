@@ -70,14 +70,14 @@ def test_a_damped_sine_is_found_beside_other_terms():
 
 
 @pytest.mark.parametrize("order", [[0, 1, 2], [2, 0, 1]])
-def test_interchangeable_terms_are_told_the_largest_first(order):
+def test_interchangeable_terms_are_reported_the_largest_first(order):
     """Whatever the order in which the disturbance was made."""
     theta = np.array([-0.1, -0.5, -1.5])[order]
     of = problem([Exponential()] * 3, exponentials(theta), [ALPHAS[0]] * 3, sigma=1e-6)
     np.testing.assert_allclose(found(of), [-0.1, -0.5, -1.5], rtol=1e-2)
 
 
-def test_rates_are_told_with_their_positive_sign():
+def test_rates_are_reported_with_their_positive_sign():
     """A sine of rate -w is one of rate w; a decay has a sign."""
     part = np.exp(0.05 * T) * np.sin(0.9 * T)
     of = problem([DampedSine()], [part], ALPHAS[:1])

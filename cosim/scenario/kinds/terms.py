@@ -67,8 +67,8 @@ class FamilyTerm(TomlTable):
             assert self.degree is not None
             if not 0 <= self.degree <= LARGEST_DEGREE:
                 raise UsageError(
-                    f"degree: found {self.degree}; needed 0 to {LARGEST_DEGREE}, for powers of t "
-                    "beyond are hardly told apart"
+                    f"degree: found {self.degree}; needed 0 to {LARGEST_DEGREE}, as data hardly "
+                    "distinguish higher powers of t"
                 )
             return Polynomial(self.degree)
         if self.family == LINEAR:

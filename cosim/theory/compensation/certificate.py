@@ -12,7 +12,9 @@ equation. For every theta of the cell, with Delta = h Z(theta) - h Z(theta_c), a
 
     exp(h Z) = exp(h Z_c) + L Delta + R,    ||R|| <= ||Delta||^2 / 2 exp(||h Z_c|| + ||Delta||)
 
-L is the derivative of the exponential at h Z_c, which is linear. So the norm of
+L is the derivative of the exponential at h Z_c, which is linear. What drives the internal model is
+in units in which ``h G`` is of size one, so that the bound of R does not depend on those of the
+user. So the norm of
 ``T (Phi_c + J [I 0] (L Delta) N) T^-1`` is convex in theta: it is largest at a corner of the cell.
 If that, and ``||T J|| ||R|| ||N T^-1||``, and an allowance for rounding, are less than 1 together,
 then ``||T xi||`` falls at every step, for every theta of the cell, also for one that varies from
@@ -25,7 +27,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -33,6 +35,7 @@ import numpy as np
 from cosim.arrays import Matrix, Vector
 from cosim.native.step import matrix_exponential
 from cosim.theory.compensation.internal_model import InternalModel, ParameterBox
+from cosim.theory.compensation.state_feedback import balancing
 
 MOST_CELLS = 300
 GRID = 9  # most points on a side of the box where instability is looked for first
@@ -40,6 +43,7 @@ GRID_POINTS = 800  # and in the box
 BISECTIONS = 10  # of an interval that would do
 MARGINS = (0.0, 0.01, 0.03, 0.1, 0.3, 0.6, 0.9, 1.0)  # by which it shrinks until it is proven
 ROUNDING = 1e3  # of the products with T, in units of the float spacing
+LARGEST_EXPONENT = 700.0  # of the bound of R, beyond which it proves nothing
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -72,6 +76,14 @@ class SampledLoop:
     def rows(self) -> slice:
         """The rows of the internal model."""
         return slice(self.first, self.first + len(self.G))
+
+    def normalized(self) -> SampledLoop:
+        """Return the same loop with what drives the internal model in units of size one."""
+        sizes = self.h * np.linalg.norm(self.G, axis=0)
+        units = np.where(sizes > 0.0, sizes, 1.0)
+        n_w = len(self.G)
+        driving = self.taken[n_w:] * units[:, np.newaxis]
+        return replace(self, taken=np.vstack([self.taken[:n_w], driving]), G=self.G / units)
 
     def generator(self, theta: Vector) -> Matrix:
         """Return `h Z`, shape ``(n_w + m, n_w + m)``."""
@@ -123,6 +135,7 @@ class Certificate:
 
 def certify(loop: SampledLoop, box: ParameterBox) -> Certificate:
     """Prove that a loop is stable in a box, or find where it is not."""
+    loop = loop.normalized()
     slowest, theta = _on_grid(loop, box)
     where = tuple(theta.tolist())
     if slowest >= 1.0:
@@ -218,11 +231,14 @@ def _norms(Phi: Matrix, radius: float) -> Iterator[Matrix]:
     """Yield matrices T in whose norm Phi contracts, where they can be computed.
 
     P of ``Phi' P Phi - r^2 P = -Q`` is T'T; r is halfway from the spectral radius to 1. Q that
-    weighs the modes alike does not depend on the units of the states.
+    weighs the modes alike does not depend on the units of the states; its solution does by
+    rounding, so it is computed in units that balance Phi.
     """
     from scipy.linalg import solve_discrete_lyapunov  # takes long to import
 
-    _, vectors = np.linalg.eig(Phi)
+    units = balancing(Phi)
+    balanced = Phi * units / units[:, np.newaxis]
+    _, vectors = np.linalg.eig(balanced)
     r = 0.5 * (1.0 + radius)
     weights = []
     with suppress(np.linalg.LinAlgError):  # without as many eigenvectors as states
@@ -231,11 +247,11 @@ def _norms(Phi: Matrix, radius: float) -> Iterator[Matrix]:
         weights.append(of_modes)
     weights.append(np.eye(len(Phi)))
     for weight in weights:
-        P = solve_discrete_lyapunov((Phi / r).T, weight)
+        P = solve_discrete_lyapunov((balanced / r).T, weight)
         symmetric = 0.5 * (P + P.T)
         with suppress(np.linalg.LinAlgError):  # not positive by rounding
             factor = np.linalg.cholesky(symmetric)
-            yield factor.T
+            yield factor.T / units
 
 
 def _bound(loop: SampledLoop, cell: ParameterBox, Phi: Matrix, T: Matrix) -> float:
@@ -250,12 +266,21 @@ def _bound(loop: SampledLoop, cell: ParameterBox, Phi: Matrix, T: Matrix) -> flo
         linear = Phi + loop.placed(_derivative(Z, change))
         largest = max(largest, _norm(T @ linear @ inverse))
         farthest = max(farthest, _norm(change))
-    remainder = 0.5 * farthest**2 * math.exp(_norm(Z) + farthest)
+    remainder = _remainder(_norm(Z), farthest)
     into = _norm(T[:, loop.rows])
     out_of = _norm(loop.taken @ inverse)
     magnitudes = np.abs(T) @ np.abs(Phi) @ np.abs(inverse)
     rounding = ROUNDING * float(np.finfo(np.float64).eps) * _norm(magnitudes)
     return largest + into * remainder * out_of + rounding
+
+
+def _remainder(size: float, change: float) -> float:
+    """Return the bound of R by the norms of h Z_c and Delta."""
+    if change == 0.0:
+        return 0.0
+    if size + change > LARGEST_EXPONENT:
+        return math.inf
+    return 0.5 * change**2 * math.exp(size + change)
 
 
 def _derivative(Z: Matrix, change: Matrix) -> Matrix:

@@ -190,33 +190,34 @@ def _least_effort(S: Matrix, B: Matrix, shift: float) -> Matrix:
 def _check_zeros(plant: RegulatedPlant, model: InternalModel, box: ParameterBox) -> None:
     """Check that no transmission zero is an eigenvalue of S for a theta of the box."""
     for zero in plant.zeros:
-        theta, distance = _closest(complex(zero), model, box)
+        theta, mode = _closest(complex(zero), model, box)
         scale = max(abs(zero), float(np.linalg.norm(model.S(theta), 2)), 1e-300)
-        if distance <= NEAR * scale:
+        if abs(mode - zero) <= NEAR * scale or plant.has_zero_at(mode):
+            where = f" at theta = {_numbers(theta)}" if len(theta) else ""
             raise AssumptionError(
                 f"internal model: the transmission zero {modes([zero])} from u to the regulated "
-                f"outputs is a mode of the disturbance at theta = {_numbers(theta)}, where no "
-                f"controller rejects it (TRANSMISSION_ZERO); needed an interval of theta without "
-                "it, or other regulated outputs"
+                f"outputs is a mode of the disturbance{where}, where no controller rejects it "
+                "(TRANSMISSION_ZERO); needed an interval of theta without it, or other regulated "
+                "outputs"
             )
 
 
-def _closest(s: complex, model: InternalModel, box: ParameterBox) -> tuple[Vector, float]:
-    """Return the theta of a box with the eigenvalue of S closest to s, and their distance."""
+def _closest(s: complex, model: InternalModel, box: ParameterBox) -> tuple[Vector, complex]:
+    """Return the theta of a box with the eigenvalue of S closest to s, and that eigenvalue."""
     cell = box
     theta = box.center
-    distance = math.inf
+    mode = complex(math.inf)
     points = 21 if len(theta) <= 1 else 9
     while True:
         for point in cell.grid(points):
             eigenvalues = np.linalg.eigvals(model.S(point))
-            nearest = float(np.abs(eigenvalues - s).min())
-            if nearest < distance:
-                distance = nearest
+            nearest = complex(eigenvalues[np.abs(eigenvalues - s).argmin()])
+            if abs(nearest - s) < abs(mode - s):
+                mode = nearest
                 theta = point
         width = cell.upper - cell.lower
         if (width <= 1e-9 * np.maximum(np.abs(theta), 1e-9)).all():
-            return theta, distance
+            return theta, mode
         lower = np.maximum(theta - width / (points - 1), box.lower)
         upper = np.minimum(theta + width / (points - 1), box.upper)
         cell = ParameterBox(lower, upper)

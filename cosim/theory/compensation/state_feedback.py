@@ -23,8 +23,9 @@ from numpy.typing import ArrayLike
 from cosim.arrays import Matrix, Vector, frozen
 from cosim.errors import AssumptionError
 from cosim.theory.descriptor import ComplexVector, ReducedSystem, invariant_zeros
-from cosim.theory.geometry import orthogonal_complement, output_nulling, rank
+from cosim.theory.geometry import RANK_TOLERANCE, orthogonal_complement, output_nulling
 from cosim.theory.placement import STATE_FEEDBACK, modes, place
+from cosim.theory.scaling import rank_between
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -49,6 +50,13 @@ class RegulatedPlant:
         of_x = np.hstack([self.A, self.B])
         of_e = np.hstack([self.C, self.D])
         return np.vstack([of_x, of_e])
+
+    def has_zero_at(self, s: complex) -> bool:
+        """Return whether a transmission zero is at s [1/s], up to rounding."""
+        n = len(self.A)
+        equations = self.static_equations.astype(np.complex128)
+        equations[:n, :n] -= s * np.eye(n)
+        return rank_between(equations, np.abs(equations), RANK_TOLERANCE) < len(equations)
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,7 +214,7 @@ def _static_gain(plant: RegulatedPlant, K: Matrix, right: Matrix, what: str) -> 
     per_row[:n] = 1.0 / units[:n]
     rows = per_row[:, np.newaxis]
     balanced = rows * plant.static_equations * units
-    if rank(balanced) < len(balanced):
+    if plant.has_zero_at(0.0):
         raise AssumptionError(
             f"{what}: u has no constant effect on the regulated outputs, which have a transmission "
             "zero at 0; leave it out, or regulate others"
