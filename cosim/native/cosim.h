@@ -284,7 +284,6 @@ typedef struct {
      * the alphas */
     double *memory;
 } cosim_regressor;
-int64_t cosim_regressor_memory(const cosim_regressor *self);
 int32_t cosim_regressor_step(void *self, double t0, double t1, double h, const double *u0,
                              const double *u1, double *y);
 void cosim_regressor_outputs(const cosim_regressor *self, double t, const double *u, double *y);

@@ -22,7 +22,6 @@ static int32_t longest_delay(const cosim_regressor *s)
 /* Its memory: number of samples before now, ring of delta, scratch, ring of the alphas. */
 typedef struct {
     double *now, *delta, *alpha, *alphas;
-    int64_t size;
 } regressor_memory;
 
 static regressor_memory memory_of(const cosim_regressor *s)
@@ -33,11 +32,8 @@ static regressor_memory memory_of(const cosim_regressor *s)
     m.delta = cosim_place(s->memory, &next, longest_delay(s));
     m.alpha = cosim_place(s->memory, &next, s->alphas->alphas.count * s->rows);
     m.alphas = cosim_place(s->memory, &next, cosim_past_alphas_memory(s->alphas));
-    m.size = next;
     return m;
 }
-
-int64_t cosim_regressor_memory(const cosim_regressor *s) { return memory_of(s).size; }
 
 void cosim_regressor_outputs(const cosim_regressor *s, double t, const double *u, double *y)
 {
