@@ -419,7 +419,7 @@ class Builder:
             inputs = self.components[name].interface.input_columns()
             for signal, columns in inputs.items():
                 held[signal] = bool(mask[columns].any())
-            for text in spec.advice(held, h):
+            for text in spec.advice(name, self.context, held=held, h=h):
                 self.context.warn(name, text)
         for name, text in (*graph.warnings, *self._held_disturbances(graph)):
             self.context.warn(name, text)

@@ -58,7 +58,7 @@ def read_model_file(path: Path, letters: tuple[str, ...]) -> ModelFile:
             raise UsageError(
                 f"file {path}: {name} is {value.what}; needed a matrix of real numbers"
             )
-        if value is not None:
+        if value is not None and value.shape != (0, 0):  # MATLAB's [], which stands for none
             matrices[name] = value
     sha256 = hashlib.sha256(content).hexdigest()
     return ModelFile(matrices, tuple(sorted(variables)), sha256)

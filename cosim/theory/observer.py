@@ -84,6 +84,11 @@ class ObserverDesign:
         _freeze(self, ("F", "M", "N", "L", "G", "H", "direct", "outputs"))
 
     @property
+    def is_direct(self) -> bool:
+        """Whether all of delta follows from y without a derivative."""
+        return not self.G.any()
+
+    @property
     def lambda_obs(self) -> float:
         """The slowest rate (37) of the error [1/s]."""
         rates = np.abs(self.eigenvalues.real)

@@ -7,7 +7,9 @@ import pytest
 
 import cosim
 from cosim.errors import ScenarioError
+from cosim.report.summary import summarize
 from cosim.scenario.exporting import export_component
+from cosim.scenario.recorded_metadata import recorded_warnings
 from tests.scenario.general_plant import GENERAL, X0, write
 
 OBSERVER = """
@@ -121,6 +123,29 @@ def test_a_gain_is_one_of_the_users_states(tmp_path):
         ScenarioError, match=r"L has shape \(1, 1\); needed \(2, 1\): one row per s"
     ):
         cosim.run(wrong_path)
+
+
+def test_a_direct_disturbance_is_not_said_to_be_filtered(tmp_path):
+    """y = x + 2 delta: noise of y counts by 1/2, and held inputs do no harm to a derivative."""
+    model = "A = [[-1]]\nB = [[1, 0.5]]\nC = [[1]]\nD = [[0, 2]]\ndisturbances = [1]"
+    keys = OBSERVER.format(keys="poles = []\nfilter_rate = 100.0")
+    path = write(tmp_path / "direct.toml", model, "x0 = [1.0]", keys)
+    log = cosim.run(path, set={"scenario.input_interpolation": "zero-order"})
+    (reconstruction,) = summarize(log).reconstructions
+    assert reconstruction.filter == "direct"
+    np.testing.assert_allclose(reconstruction.noise_gain, [0.5], rtol=0.3)  # and what x hat adds
+    assert reconstruction.bias["coefficient"] == 0.0
+    assert recorded_warnings(log) == []
+    warned = cosim.run(
+        write(
+            tmp_path / "filtered.toml",
+            GENERAL,
+            f"x0 = {X0.tolist()}",
+            OBSERVER.format(keys="poles = [-4.0]\nfilter_rate = 100.0"),
+        ),
+        set={"scenario.input_interpolation": "zero-order"},
+    )
+    assert any("derivative filter" in text for _, text in recorded_warnings(warned))
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,9 @@ def saved(folder, **matrices):
 def test_a_model_in_a_file_is_that_of_its_matrices(tmp_path):
     """The same bits as the table with the same numbers; sparse ones, and D, among them."""
     table = cosim.run(write(tmp_path / "table.toml", GENERAL, INITIAL))
-    log = cosim.run(saved(tmp_path, E=scipy.sparse.csc_array(E), D=np.zeros((1, 2)), other="text"))
+    log = cosim.run(
+        saved(tmp_path, E=scipy.sparse.csc_array(E), D=np.zeros((1, 2)), Bu=[], other="text")
+    )
     np.testing.assert_array_equal(log["plant.x"], table["plant.x"])
 
 

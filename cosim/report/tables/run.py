@@ -160,6 +160,8 @@ def _add_reconstruction(table: Table, reconstruction: DeltaReconstruction, *, si
     kind = ", ".join([reconstruction.filter, *parameters])
     gains = ", ".join(f"{gain:.3g}" for gain in reconstruction.noise_gain)
     text = f"{kind}: white noise of y x {gains} 1/s; bias {_bias(reconstruction.bias)}"
+    if not reconstruction.bias["coefficient"]:
+        text = f"{kind}: white noise of y x {gains}; no derivative of y, and no bias by one"
     if reconstruction.lag:
         text += f"; lag {reconstruction.lag:g} s"
     table.add_row(label, "", "", text)

@@ -127,7 +127,9 @@ class SwitchKind(ExportableKind):
     )
     unit: PortUnits = Field(None, description=unit_of("u1, u2 and y"))
 
-    def advice(self, held: Mapping[str, bool], h: float) -> list[str]:
+    def advice(
+        self, name: str, context: BuildContext, *, held: Mapping[str, bool], h: float
+    ) -> list[str]:
         if held["control"]:
             return []
         return [LATE if self.discrete else RAMP]

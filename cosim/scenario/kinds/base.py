@@ -309,11 +309,17 @@ class Kind(TomlTable):
         """The models that a component is made of which is not computable."""
         return ()
 
-    def advice(self, held: Mapping[str, bool], h: float) -> list[str]:
+    def advice(
+        self, name: str, context: BuildContext, *, held: Mapping[str, bool], h: float
+    ) -> list[str]:
         """Return warnings about what will be right but costly or poor.
 
         Parameters
         ----------
+        name : str
+            Of the component.
+        context : BuildContext
+            That it was built in.
         held : mapping of input name to bool
             Whether the input keeps its value over a communication step.
         h : float

@@ -468,7 +468,7 @@ class UnknownInputObserverKind(ExportableKind):
             "eigenvalues": plain_modes(design.eigenvalues),
             "fixed_modes": plain_modes(design.fixed_modes),
             "lambda_obs": design.lambda_obs,
-            "reconstruction": plain_reconstruction(reconstruction),
+            "reconstruction": plain_reconstruction(reconstruction, is_direct=design.is_direct),
             **gains,
         }
         lags = {output: self.lag(name, output, context) for output in ("delta", "x_b", "x")}
@@ -476,13 +476,17 @@ class UnknownInputObserverKind(ExportableKind):
             metadata["lags"] = {output: lag for output, lag in lags.items() if lag}
         context.add_metadata(name, metadata)
 
-    def advice(self, held: Mapping[str, bool], h: float) -> list[str]:
+    def advice(
+        self, name: str, context: BuildContext, *, held: Mapping[str, bool], h: float
+    ) -> list[str]:
         if self.filter != "first-order" or self.filter_rate is None:
             return []
         product = self.filter_rate * h
-        names = " and ".join(name for name, is_held in held.items() if is_held)
+        names = " and ".join(signal for signal, is_held in held.items() if is_held)
         if not names or product <= HOLD_LIMIT:
             return []
+        if not self.relinearize and self.design(name, context).design.is_direct:
+            return []  # no derivative is used
         gain = product / -math.expm1(-product) - 1.0
         return [
             f"zero-order hold of {names} over the step (discrete, extrapolated in a "

@@ -23,6 +23,7 @@ from cosim.theory import observer
 from cosim.theory.descriptor import ReducedSystem
 from cosim.theory.reconstruction.filter_choice import Conditions, choose
 from cosim.theory.reconstruction.filters import (
+    Bias,
     ConsistentFilter,
     FirstOrderFilter,
     SavitzkyGolay,
@@ -32,6 +33,7 @@ from cosim.theory.reconstruction.noise_level import noise_level
 
 AnyReconstruction: TypeAlias = FirstOrderFilter | ConsistentFilter | SavitzkyGolay
 FilterName: TypeAlias = Literal["first-order", "consistent", "savitzky-golay", "auto"]
+DIRECT: Final = "direct"  # a reconstruction without a derivative
 DEFAULT_ORDER: Final = 4  # of the polynomial of a window
 
 FILTERS: Mapping[FilterName, Variant] = MappingProxyType(
@@ -47,8 +49,14 @@ FILTERS: Mapping[FilterName, Variant] = MappingProxyType(
 )
 
 
-def plain_reconstruction(reconstruction: AnyReconstruction) -> dict[str, Any]:
-    """Return what a recording keeps of a reconstruction."""
+def plain_reconstruction(reconstruction: AnyReconstruction, *, is_direct: bool) -> dict[str, Any]:
+    """Return what a recording keeps of a reconstruction.
+
+    Where delta ``is_direct`` the filter of a derivative has no effect, and is not there.
+    """
+    if is_direct and isinstance(reconstruction, FirstOrderFilter):
+        no_bias = Bias(0.0, 0, "delta")
+        return {"filter": DIRECT, "lag": 0.0, "bias": asdict(no_bias)}
     plain: dict[str, Any] = {
         "filter": reconstruction.name,
         "lag": reconstruction.lag,
