@@ -96,9 +96,12 @@ def whole_steps(time: float | str, step_ns: int, what: str, *, start_ns: int = 0
     Raises
     ------
     ClockError
-        If it is not a whole number of them.
+        If it is not a whole number of them, or no time at all.
     """
-    ns = nanoseconds(time) - start_ns
+    try:
+        ns = nanoseconds(time) - start_ns
+    except ClockError as error:
+        raise ClockError(f"{what}: {error}") from error
     steps, rest = divmod(ns, step_ns)
     if rest:
         nearest_steps = max(1, round(ns / step_ns))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from cosim.core.contracts import Component
 from cosim.core.port import Port
-from cosim.core.signals import Causality, Channel, Layout, Signal
+from cosim.core.signals import Causality, Channel, Interface, Layout, Signal
 from cosim.errors import GraphError, nearest
 
 
@@ -69,7 +69,7 @@ class Ports:
         channel = self.channels[port.component]
         match = port.find(self._signals[channel.name, causality])
         if match is None:
-            raise _unknown_port(port, channel, causality)
+            raise unknown_port(port, channel.interface, causality)
         signal, elements = match
         columns = self.columns(Port(channel.name, signal.name), elements)
         return ConnectionEnd(channel, signal, columns, elements)
@@ -100,22 +100,22 @@ def unknown_component(port: Port, known: Iterable[str]) -> GraphError:
     return GraphError(f"'{port}': there is no component {name!r}; {nearest(name, known)}")
 
 
-def _unknown_port(port: Port, channel: Channel, causality: Causality) -> GraphError:
-    interface = channel.interface
+def unknown_port(port: Port, interface: Interface, causality: Causality) -> GraphError:
+    """Return the error of a port that its component, with this interface, does not have."""
     signals = interface.inputs if causality == "input" else interface.outputs
     names = [signal.name for signal in signals]
     own_names = [signal.name for signal in interface.signals]
     if port.name in own_names or port.signal in own_names:
         other = "input" if causality == "output" else "output"
         return GraphError(
-            f"'{port}' is an {other} of {channel.name!r}; needed an {causality}; "
+            f"'{port}' is an {other} of {port.component!r}; needed an {causality}; "
             f"there is: {', '.join(names) or 'none'}"
         )
     suggestion = nearest(port.signal, names)
     if "[" in port.signal:
         suggestion = f"{suggestion} (elements are [i] or [i:j], numbered from 0)"
     return GraphError(
-        f"'{port}': {channel.name!r} has no {causality} {port.signal!r}; {suggestion}"
+        f"'{port}': {port.component!r} has no {causality} {port.signal!r}; {suggestion}"
     )
 
 

@@ -17,6 +17,7 @@ from cosim.blocks.replay import Replay
 from cosim.core.clock import Clock, nanoseconds, seconds
 from cosim.core.contracts import Component, Recording
 from cosim.core.port import Port
+from cosim.core.ports import unknown_port
 from cosim.core.recorded import find_channel
 from cosim.core.signals import Interface
 from cosim.errors import CosimError, LogError, UsageError, nearest, option, quoted
@@ -339,9 +340,9 @@ class ScenarioBuildContext:
         if source.component not in self._sources_beside:
             self._sources_beside[source.component] = self._source(source.component, spec)
         component = self._sources_beside[source.component]
-        found = source.find(component.interface.by_name)
+        found = source.find({signal.name: signal for signal in component.interface.outputs})
         if found is None:
-            raise DependsOnInvalid
+            raise unknown_port(source, component.interface, "output")
         signal, elements = found
         column = component.interface.output_columns()[signal.name].start + elements.start
         if spec.is_recorded or self._is_replayed(spec):

@@ -60,10 +60,18 @@ def problems_of(
         is_missing = item["type"] == "missing"
         if is_missing and get_close_matches(str(item["loc"][-1]), unknown, cutoff=0.5):
             continue  # the unknown key is probably this one
+        if item["type"] == "too_short" and any(_is_inside(other, item) for other in items):
+            continue  # pydantic does not count the entries that are wrong
         value_problems.append(_value_problem(item, table, data))
     nearest_problems = _Alternatives(table, data).nearest(value_problems)
     keys = dict.fromkeys(problem.problem for problem in nearest_problems)
     return [((*prefix, *key), text) for key, text in keys]
+
+
+def _is_inside(item: Mapping[str, Any], outer: Mapping[str, Any]) -> bool:
+    """Whether an error is of an entry of what another error is of."""
+    loc = outer["loc"]
+    return len(item["loc"]) > len(loc) and item["loc"][: len(loc)] == loc
 
 
 def _value_problem(item: Mapping[str, Any], table: type[BaseModel], data: Any) -> _ValueProblem:
@@ -178,6 +186,8 @@ def _needed(details: Mapping[str, Any], path: Key, table: type[BaseModel]) -> st
             return f"needed at least {context['ge']}"
         case "less_than_equal":
             return f"needed at most {context['le']}"
+        case "too_short":
+            return f"needed at least {context['min_length']} of them"
         case "literal_error":
             expected = str(context["expected"]).replace(" or ", ", ")
             choices = [choice.strip().strip("'") for choice in expected.split(",")]

@@ -346,6 +346,7 @@ def test_terms_that_name_one_signal_share_their_alpha(tmp_path):
         (EXPRESSION, ("schedul.y", "schedule.y[1]"), "no component 'schedul'; did you mean"),
         (EXPRESSION, ("schedule.y", "schedule.y[1]"), "size 2 cannot drive size 1"),
         (EXPRESSION, ("schedule.y[2]", "schedule.y[1]"), "has 2 elements, numbered from 0"),
+        (EXPRESSION, ("schedule.z", "schedule.y[1]"), "'schedule' has no output 'z'; there is: y"),
         (EXPRESSION, ("schedule.y[0:2]", "schedule.y[1]"), "needed one element of the output"),
         (EXPRESSION, ("schedule", "schedule.y[1]"), "'schedule' is no port; needed COMPONENT.SIG"),
         (

@@ -30,6 +30,10 @@ def refused(tmp_path, *edits, **changes):
     return str(caught.value).replace(str(tmp_path), "")
 
 
+REGRESSOR_TERMS = """terms = [
+  { alpha = "1.35 + 0.25*sin(1.7*t)", family = "exponential" },
+  { alpha = "1.10 + 0.20*cos(2.3*t)", family = "exponential" },
+]"""
 CASES = {
     "unknown key": (
         [("filter_rate = 1e3", "filter_rat = 1e3")],
@@ -52,6 +56,19 @@ CASES = {
     "unknown component": (
         [('"plant.u" = "u.y"', '"plant.u" = "w.y"')],
         r"/mine\.toml:56: connections\.plant\.u: 'w\.y': there is no component 'w'; ",
+    ),
+    "one wrong entry alone": (
+        [(REGRESSOR_TERMS, "terms = [{ alpha = 2.0, family = 'sine' }]")],
+        r"\A/mine\.toml:\d+: components\.regressor\.terms\.0\.alpha: found 2\.0; needed a string "
+        r"or a table\Z",
+    ),
+    "list without an entry": (
+        [(REGRESSOR_TERMS, "terms = []")],
+        r"components\.regressor\.terms: found \[\]; needed at least 1 of them",
+    ),
+    "delay off the clock": (
+        [("delays = [1.0, 2.0, 3.0]", "delays = [1.0, 2.0, 3.0000000000000004]")],
+        r"components\.regressor: delays\[2\]: 3\.0000000000000004 s is not a whole number",
     ),
     "connection that is none": (
         [('"plant.u" = "u.y"', '"plant.u" = 3')],
