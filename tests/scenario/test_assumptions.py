@@ -162,6 +162,27 @@ def test_a_sine_aliases_where_its_delays_are_too_far_apart():
     assert delays.cure == "choose two delays less than 0.982 s apart"
 
 
+@pytest.mark.parametrize("rate", [3.2, 6.1])
+def test_delays_that_are_not_equally_spaced_distinguish_faster_sines(rate):
+    """With (0, 1, 2.5) s only a rate above pi / 0.5 s has a slower one with the same chi."""
+    delays = np.array([0.0, 1.0, 2.5])
+
+    def chi(omega):
+        apart = delays[:, np.newaxis] - delays
+        return np.sin(omega * apart[np.triu_indices(3, 1)])
+
+    settings = {
+        "regressor.terms": [{"family": "sine"}],
+        "regressor.delays": delays.tolist(),
+        "delta.terms": [{"family": "sine", "theta": rate}],
+    }
+    assert check_assumptions("academic", set=settings).of("regressor")[DELAYS].fulfilled
+    np.testing.assert_allclose(chi(4.0 * np.pi - rate), -chi(rate), atol=1e-12)
+    slower = np.linspace(0.05, 0.98 * rate, 400)
+    alike = [abs(chi(one) @ chi(rate)) / np.linalg.norm(chi(one)) for one in slower]
+    assert max(alike) < (1.0 - 1e-4) * np.linalg.norm(chi(rate))
+
+
 def test_all_is_said_that_can_be_said():
     """Of an index of 2 and three other failures all four; what rests on it is not decided."""
     settings = {

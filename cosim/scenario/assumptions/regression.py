@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from cosim.arrays import Vector
-from cosim.core.clock import whole_steps
+from cosim.core.clock import NANOSECONDS, whole_steps
 from cosim.errors import AssumptionError
 from cosim.scenario.assumptions.attempts import Evidence, attempted
 from cosim.scenario.kinds.alphas import unchecked
@@ -74,27 +74,29 @@ class RegressorCheck:
         return f"{evidence}; {warning}" if warning else evidence, values
 
     def _delays(self) -> Evidence:
+        """Check the delays: rates that differ by a multiple of 2 pi / divisor look alike."""
         families, sizes = self._families()
         delays = self.kind.delays
         regression.check_delays(delays, sum(sizes) + 1)
-        for j, delay in enumerate(delays):
-            whole_steps(delay, self.context.step_ns, f"delays[{j}]")
-        gap = float(np.diff(np.sort(np.array(delays))).min())
-        values: dict[str, Any] = {"delays": list(delays), "smallest_gap": gap}
-        evidence = f"{len(delays)} distinct delays, at least {gap:g} s apart"
+        step_ns = self.context.step_ns
+        steps = [whole_steps(delay, step_ns, f"delays[{j}]") for j, delay in enumerate(delays)]
+        divisor = math.gcd(*(count - steps[0] for count in steps)) * step_ns / NANOSECONDS
+        values: dict[str, Any] = {"delays": list(delays), "common_divisor": divisor}
+        evidence = f"{len(delays)} distinct delays, whole multiples of {divisor:g} s apart"
+        limit = math.pi / divisor
         if self.theta is None:
-            unique = f"; a rate above {math.pi / gap:.3g} rad/s would be taken for a slower one"
+            unique = f"; a rate above {limit:.3g} rad/s would be taken for a slower one"
             return evidence + unique, values
         rate = _fastest(families, self.theta)
         values["fastest_rate"] = rate
-        if rate * gap >= math.pi:
+        if rate >= limit:
             raise AssumptionError(
-                f"Assumption 3 (5): delays {gap:g} s apart, and a rate of {rate:.3g} rad/s: above "
-                f"{math.pi / gap:.3g} rad/s it is taken for a slower one",
+                f"Assumption 3 (5): delays whole multiples of {divisor:g} s apart, and a rate of "
+                f"{rate:.3g} rad/s: above {limit:.3g} rad/s it is taken for a slower one",
                 cure=f"choose two delays less than {math.pi / rate:.3g} s apart",
             )
         if rate:
-            evidence += f": no rate is above {math.pi / gap:.3g} rad/s, the fastest is {rate:.3g}"
+            evidence += f": no rate is above {limit:.3g} rad/s, the fastest is {rate:.3g}"
         return evidence, values
 
     def _alphas(self) -> Evidence:
