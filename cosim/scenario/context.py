@@ -172,11 +172,12 @@ class ScenarioBuildContext:
         if name not in models:
             raise UsageError(f"there is no model {name!r} in [models]; {nearest(name, models)}")
         self._read(f"models.{name}")
-        table = models[name]
-        if table.file is None:
-            return system_of(name, table)
         if name not in self._systems:
-            self._systems[name] = system_of_file(table, self._matrices(name, table.file))
+            table = models[name]
+            if table.file is None:
+                self._systems[name] = system_of(name, table)
+            else:
+                self._systems[name] = system_of_file(table, self._matrices(name, table.file))
         return self._systems[name]
 
     def _matrices(self, name: str, path: str) -> Mapping[str, Matrix]:

@@ -30,6 +30,7 @@ from cosim.theory.descriptor import (
 )
 from cosim.theory.pencil import decompose, regularity, rounding_of
 from cosim.theory.placement import modes
+from cosim.theory.scaling import within_range
 
 NO_VALUES: Final[Mapping[str, Any]] = MappingProxyType({})
 
@@ -112,6 +113,14 @@ HURWITZ: Final = "M - L C Hurwitz (17)"
 
 def plant_verdicts(system: DescriptorSystem) -> tuple[AssumptionVerdict, AssumptionVerdict]:
     """Return whether the equations determine the states: the pencil, and its index."""
+    try:
+        with within_range():
+            return _plant_verdicts(system)
+    except AssumptionError as error:
+        return refused(PENCIL, error), undecided(INDEX, "nothing is known of the pencil")
+
+
+def _plant_verdicts(system: DescriptorSystem) -> tuple[AssumptionVerdict, AssumptionVerdict]:
     scales = system.scales
     E = scales.scaled_E(system.E)
     A = scales.scaled_E(system.A)
@@ -163,6 +172,19 @@ def _index(system: DescriptorSystem) -> tuple[str, dict[str, Any]]:
 
 def observer_verdicts(reduced: ReducedSystem) -> tuple[AssumptionVerdict, ...]:
     """Return whether there is an observer: direct path, decoupling, detectability."""
+    try:
+        with within_range():
+            return _observer_verdicts(reduced)
+    except AssumptionError as error:
+        reason = "the matrices leave the range of numbers"
+        return (
+            undecided(DIRECT_PATH, reason),
+            refused(DECOUPLING, error),
+            undecided(DETECTABILITY, reason),
+        )
+
+
+def _observer_verdicts(reduced: ReducedSystem) -> tuple[AssumptionVerdict, ...]:
     n_y, n_d = reduced.C5.shape
     if not n_d:
         none = AssumptionError(

@@ -23,6 +23,7 @@ smaller than the effect of that is zero: coefficients of the feedthrough, and si
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import Self, TypeAlias
 
 import numpy as np
@@ -141,7 +142,7 @@ class DescriptorSystem:
             Dd=np.zeros((n_y, of_delta.shape[1])) if Dd is None else np.asarray(Dd),
         )
 
-    @property
+    @cached_property
     def scales(self) -> Scales:
         """The sizes of its equations, states, inputs (u, delta) and outputs."""
         B = np.hstack([self.Bu, self.Bd])

@@ -26,6 +26,7 @@ from cosim.arrays import Matrix, Vector
 from cosim.errors import AssumptionError
 
 MOST_SWEEPS: Final = 60  # each halves the exponents that are left
+NEGLIGIBLE: Final = 1e-13  # of the largest entry: it may be rounding
 COARSE: Final = 10.0  # binary digits of a coarse scale
 
 
@@ -96,7 +97,7 @@ def scales_of(E: Matrix, A: Matrix, B: Matrix, C: Matrix, D: Matrix) -> Scales:
 
     Shapes: ``E (n, n)``, ``A (n, n)``, ``B (n, m)``, ``C (p, n)``, ``D (p, m)``.
     """
-    equations, states = _equilibrated(_exponents(A), _exponents(E))
+    equations, states = _equilibrated_pencil(_exponents(A), _exponents(E))
     of_B = _exponents(B) - equations[:, np.newaxis]
     of_C = _exponents(C) - states
     of_D = _exponents(D)
@@ -108,6 +109,38 @@ def scales_of(E: Matrix, A: Matrix, B: Matrix, C: Matrix, D: Matrix) -> Scales:
     inputs = _finite(of_inputs)
     outputs = _finite(np.maximum(of_outputs, (of_D - inputs).max(axis=1, initial=-np.inf)))
     return Scales(_power(equations), _power(-states), _power(-inputs), _power(outputs))
+
+
+def _equilibrated_pencil(of_A: Matrix, of_E: Matrix) -> tuple[Vector, Vector]:
+    """Return the exponents of the rows and columns of E and A.
+
+    That the largest are of size one leaves others open: `[[E11, A12], [0, E22]]` has them whatever
+    A12 is. So of the entries that are not rounding then, the logarithms are made as small as can be
+    in the sense of least squares (A. Curtis, J. Reid, J. Inst. Maths Applics 10 (1972) 118-124),
+    which gives the same in all units, and the largest are made of size one again.
+    """
+    n = len(of_A)
+    start = _equilibrated(of_A, of_E)
+    offsets = start[0][:, np.newaxis] + start[1]
+    entries = []
+    sizes = []
+    for number, matrix in enumerate((of_A, of_E)):
+        scaled = matrix - offsets
+        significant = np.argwhere(scaled > _largest(scaled) + np.log2(NEGLIGIBLE))
+        for row, column in significant:
+            entry = np.zeros(2 * n + 1)
+            entry[[row, n + column]] = 1.0
+            entry[2 * n] = number
+            entries.append(entry)
+            sizes.append(matrix[row, column])
+    if not entries:
+        return start
+    solved = np.linalg.lstsq(np.array(entries), np.array(sizes), rcond=None)[0]
+    rows = solved[:n]
+    columns = solved[n : 2 * n]
+    left = rows[:, np.newaxis] + columns
+    more_rows, more_columns = _equilibrated(of_A - left, of_E - left)
+    return rows + more_rows, columns + more_columns
 
 
 def _equilibrated(sizes: Matrix, other: Matrix | None = None) -> tuple[Vector, Vector]:

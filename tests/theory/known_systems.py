@@ -106,7 +106,7 @@ def systems() -> list[KnownSystem]:
         [[0, 1, 0], [0, 0, 1], [0, 0, 0]], [[1], [0], [0]], [[1, 0, 0]], E=np.diag([1.0, 0.0, 0.0])
     )
     repeated = np.array([[-1.0, 1.0, 0.0], [1.0, 2.0, 1.0], [2.0, 4.0, 2.0]])
-    nearly = repeated + np.diag([0.0, 0.0, 1e-4])
+    nearly = repeated + np.diag([0.0, 0.0, 1e-6])
     first_only = np.diag([1.0, 0.0, 0.0])
     e1 = [[1], [0], [0]]
     two = np.eye(2)

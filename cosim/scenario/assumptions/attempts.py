@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, TypeAlias
+from typing import Any, Final, TypeAlias
 
 from cosim.errors import AssumptionError, UsageError
 from cosim.scenario.context import DependsOnInvalid
 from cosim.theory.assumptions import AssumptionVerdict, checked, refused, undecided
 
+RESTS_ON_INVALID: Final = "it rests on what is not valid"
 Evidence: TypeAlias = tuple[str, Mapping[str, Any]]  # in a sentence, and its numbers
 
 
@@ -25,6 +26,6 @@ def attempted(name: str, check: Callable[[], Evidence]) -> AssumptionVerdict:
     try:
         return checked(name, check)
     except DependsOnInvalid as error:
-        return undecided(name, str(error))
+        return undecided(name, str(error) or RESTS_ON_INVALID)
     except UsageError as error:
         return refused(name, AssumptionError(str(error)))

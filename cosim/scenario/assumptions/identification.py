@@ -13,6 +13,7 @@ from cosim.errors import AssumptionError
 from cosim.native.householder import triangle
 from cosim.scenario.assumptions.attempts import Evidence, attempted
 from cosim.scenario.build import Builder
+from cosim.scenario.context import DependsOnInvalid
 from cosim.scenario.kinds.identification import IdentifierKind
 from cosim.scenario.kinds.identification_source import IdentifierSource
 from cosim.scenario.kinds.identification_start import start_time
@@ -20,8 +21,6 @@ from cosim.scenario.kinds.regressor import RegressorDesign
 from cosim.theory import regression
 from cosim.theory.assumptions import AssumptionVerdict, undecided
 from cosim.theory.disturbance import generators
-from cosim.theory.estimators import least_squares
-from cosim.theory.estimators.rayleigh import rayleigh_constants
 from cosim.theory.excitation import COMPARABLE, describe_excitation, information
 from cosim.theory.experiment_design.minors import Minors
 
@@ -94,25 +93,26 @@ class IdentifierCheck:
         return f"between points {step:g} s apart every alpha is a line within 1 %", {"step": step}
 
     def _method(self) -> Evidence:
-        source = self._source
-        design = source.regression
+        design = self._source.regression
         method = self.kind.method
-        n_eta = len(design.terms) - 1
-        if method in LINEAR:
-            least_squares.plan(design.terms, design.groups, design.delays)
-            return f"{method}: {n_eta} coefficients, with formulas (35) for theta", {"eta": n_eta}
-        missing = source.missing_model()
-        if missing:
-            raise AssumptionError(f'method = "{method}": {missing}')
-        clock = self.builder.clock
-        span = clock.steps * clock.step_ns / 1e9
-        rayleigh_constants(design.families, design.groups, design.terms, design.delays, span=span)
+        for key, text in self.builder.problems:
+            if key[:2] == ("components", self.name):
+                raise AssumptionError(text)
+        if self.name not in self.builder.components:
+            raise DependsOnInvalid
         parameters = generators(design.families).parameters
-        return f"{method}: {parameters} parameters, from the model of y", {"theta": parameters}
+        values = {"theta": parameters}
+        if method in LINEAR:
+            n_eta = len(design.terms) - 1
+            evidence = f"{method}: {n_eta} coefficients, with formulas (35) for theta"
+            return evidence, {**values, "eta": n_eta}
+        return f"{method}: {parameters} parameters, from the model of y", values
 
     def _excitation(self) -> AssumptionVerdict:
         if self.theta is None or self.delta is None:
             return undecided(EXCITATION, "theta and amplitudes are not known before the run")
+        if not len(self.theta):
+            return undecided(EXCITATION, "the terms have no parameter")
         return attempted(EXCITATION, self._excited)
 
     def _excited(self) -> Evidence:

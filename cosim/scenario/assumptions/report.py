@@ -16,7 +16,7 @@ from cosim.arrays import Vector
 from cosim.core.contracts import prepare
 from cosim.core.port import Port
 from cosim.errors import AssumptionError, UsageError
-from cosim.scenario.assumptions.attempts import attempted
+from cosim.scenario.assumptions.attempts import RESTS_ON_INVALID, attempted
 from cosim.scenario.assumptions.identification import IdentifierCheck, communication_points
 from cosim.scenario.assumptions.regression import RegressorCheck
 from cosim.scenario.build import Builder
@@ -42,6 +42,7 @@ from cosim.theory.assumptions import (
     undecided,
 )
 
+MATRICES: Final = "matrices"
 FILE: Final = "the scenario"
 
 
@@ -125,15 +126,16 @@ class _Check:
         for check in checks:  # what rests on another comes behind it
             for name, kind in self._scenario.specs.items():
                 self._context.begin(name)
-                verdicts = [_resting_on(found, verdict) for verdict in check(name, kind)]
-                found += [(name, verdict) for verdict in verdicts]
+                for verdict in check(name, kind):
+                    found.append((name, _resting_on(found, verdict)))
         return found + [(FILE, verdict) for verdict in self._others(found)]
 
     def _of_model(self, name: str) -> list[AssumptionVerdict]:
         try:
             return list(plant_verdicts(self._context.model(name)))
-        except UsageError as error:
-            return [refused("matrices", AssumptionError(str(error)))]
+        except UsageError:
+            problems = [text for key, text in self._builder.problems if key[:2] == ("models", name)]
+            return [refused(MATRICES, AssumptionError(text)) for text in problems]
 
     def _of_observer(self, name: str, kind: Kind) -> list[AssumptionVerdict]:
         if not isinstance(kind, UnknownInputObserverKind):
@@ -143,12 +145,13 @@ class _Check:
         try:
             reduced = kind.design_model_of(name, context).reduced
         except DependsOnInvalid as error:
-            return [undecided(assumption, str(error)) for assumption in later]
+            reason = str(error) or RESTS_ON_INVALID
+            return [undecided(assumption, reason) for assumption in later]
         except UsageError as error:
             reason = "there is no reduced system"
             verdicts = {assumption: undecided(assumption, reason) for assumption in later}
-            if isinstance(kind.model, str):
-                verdicts[DECOUPLING] = outputs_verdict(*context.model(kind.model).Dd.shape)
+            if kind.model in self._scenario.file.models:
+                verdicts[DECOUPLING] = outputs_verdict(*context.model(str(kind.model)).Dd.shape)
             else:
                 verdicts[DIRECT_PATH] = refused(DIRECT_PATH, AssumptionError(str(error)))
             return list(verdicts.values())
