@@ -87,6 +87,8 @@ class IdentificationProblem:
         Where theta is searched.
     stated : Matrix, shape (n_y, n_y), or None
         Covariance of the noise of y; None: it is not known.
+    disturbances : int
+        Elements of delta.
     """
 
     plant: DisturbedPlant
@@ -97,6 +99,12 @@ class IdentificationProblem:
     alphas: Sequence[Alpha]
     box: SearchBox
     stated: Matrix | None = None
+    disturbances: int = 1
+
+    @property
+    def has_regression(self) -> bool:
+        """Whether mu is that of (25), which gives a start."""
+        return bool(self.rayleigh.parts.shape[1])
 
     @property
     def noise(self) -> NoiseModel:
@@ -147,7 +155,7 @@ class IdentificationProblem:
 
     def delta_signal(self) -> Signal:
         """Return the input delta."""
-        return optional_input("delta", 1)
+        return optional_input("delta", self.disturbances)
 
     def y_signal(self) -> Signal:
         """Return the input y."""
@@ -281,7 +289,7 @@ class IdentificationProblem:
         components = len(self.rayleigh.generators.size)
         return IdentifierConstants(
             period=schedule.period,
-            average=schedule.average,
+            average=schedule.average if self.has_regression else 0,
             window=schedule.window,
             capacity=schedule.steps,
             start=schedule.start,
@@ -296,6 +304,7 @@ class IdentificationProblem:
             upper=upper,
             scale=self.box.step,
             threshold=np.zeros(components),  # the noise of delta is not white
+            disturbances=self.disturbances,
         )
 
 

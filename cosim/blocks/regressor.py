@@ -59,7 +59,7 @@ class Regressor:
         factors = [_alpha_rows(term, n_rows) for term in terms]
         signs = [term.sign for term in terms]
         row = np.array(rows)
-        factor = np.array(factors)
+        factor = np.array(factors, np.int64)
         sign = np.array(signs, np.float64)
         ages = [lag + delay for delay in delays]
         h = max(delays) / max(steps)
@@ -94,6 +94,58 @@ class Regressor:
     def restore(self, state: Vector) -> None:
         """Return to saved samples."""
         self._kernel.step.restore(state)
+
+
+class ElementRegressors:
+    """Regressors of the elements of a disturbance, side by side: input delta, output mu.
+
+    Parameters
+    ----------
+    elements : sequence of Regressor
+        One an element of delta, their alphas expressions; what they make stands one behind the
+        other in mu.
+    """
+
+    def __init__(self, elements: Sequence[Regressor]) -> None:
+        self._elements = tuple(elements)
+        inputs = [element.interface.inputs[0] for element in elements]
+        is_optional = any(signal.optional for signal in inputs)
+        delta = Signal("delta", len(inputs), role="input", optional=is_optional)
+        size = sum(element.interface.outputs[0].size for element in elements)
+        feeds = any(element.interface.feedthrough["mu"] for element in elements)
+        self.interface = Interface(
+            (delta,),
+            (Signal("mu", size, optional=True),),
+            {"mu": ("delta",) if feeds else ()},
+            rollback=True,
+        )
+
+    def initialize(self, t: float, u: Vector) -> Vector:
+        """Forget the past."""
+        parts = [one.initialize(t, u[[e]]) for e, one in enumerate(self._elements)]
+        return np.concatenate(parts)
+
+    def outputs(self, t: float, u: Vector) -> Vector:
+        """Return mu at the time reached."""
+        parts = [one.outputs(t, u[[e]]) for e, one in enumerate(self._elements)]
+        return np.concatenate(parts)
+
+    def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
+        """Take K samples."""
+        parts = [
+            one.advance(t, h, np.ascontiguousarray(u[:, [e]]))
+            for e, one in enumerate(self._elements)
+        ]
+        return np.hstack(parts)
+
+    def save(self) -> tuple[Vector, ...]:
+        """Copy the delayed samples."""
+        return tuple(element.save() for element in self._elements)
+
+    def restore(self, state: tuple[Vector, ...]) -> None:
+        """Return to saved samples."""
+        for element, own in zip(self._elements, state, strict=True):
+            element.restore(own)
 
 
 def alpha_signals(alphas: Sequence[Alpha]) -> tuple[Signal, ...]:

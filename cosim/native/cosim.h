@@ -656,6 +656,7 @@ typedef struct {
     int32_t width;    /* of the outputs */
     int32_t average;  /* samples of mu that make one row */
     int32_t weighs;   /* whether W is estimated, of several outputs; else it is that of on_y */
+    int32_t disturbances; /* elements of delta */
     int64_t window;   /* samples; 0: all */
     int64_t capacity; /* samples */
     double start;     /* first instant of which mu counts [s] */

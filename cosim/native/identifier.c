@@ -340,12 +340,12 @@ static int32_t take_sample(const cosim_identifier *s, const storage *m, double t
     int32_t status = COSIM_OK;
     const cosim_past_alphas *pasts = s->products->alphas;
     const double *signals = input + s->rayleigh->terms, *delta = signals + pasts->alphas.signals;
-    if (t >= s->start)
+    if (t >= s->start && s->average > 0)
         take_regressor(s, m, t, input);
     if (s->on_delta)
         take_delta(s, m, t, signals, delta);
     if (s->on_y)
-        status = take_outputs(s, m, t, delta + 1);
+        status = take_outputs(s, m, t, delta + s->disturbances);
     if (status)
         return status;
     cosim_past_alphas_keep(pasts, m->pasts, (int64_t)*m->count, signals);

@@ -32,7 +32,7 @@ class IdentifierStruct(ctypes.Structure):
     """cosim_identifier."""
 
     _fields_ = (
-        *((name, c_int32) for name in ("period", "width", "average", "weighs")),
+        *((name, c_int32) for name in ("period", "width", "average", "weighs", "disturbances")),
         *((name, c_int64) for name in ("window", "capacity")),
         *((name, c_double) for name in ("start", "settled")),
         *((name, c_void_p) for name in ("products", "lagging", "rayleigh", "on_delta", "on_y")),
@@ -50,7 +50,7 @@ class IdentifierConstants:
     period : int
         Samples between two estimates.
     average : int
-        Samples of mu that make one row of the regression.
+        Samples of mu that make one row of the regression; 0: mu is no regression.
     window : int
         Samples of a moving window; 0: all.
     capacity : int
@@ -82,6 +82,8 @@ class IdentifierConstants:
     predictor : ModePredictorConstants or None
         Where y is predicted, and samples may be missing, all of communication points; then the
         gain of on_y is 0.
+    disturbances : int
+        Elements of delta.
     """
 
     period: int
@@ -104,6 +106,7 @@ class IdentifierConstants:
     grid: StartGridConstants | None = None
     between: BetweenConstants | None = None
     predictor: ModePredictorConstants | None = None
+    disturbances: int = 1
 
     @property
     def n_y(self) -> int:
@@ -179,6 +182,7 @@ class IdentifierStep:
             constants.n_y,
             constants.average,
             constants.weighs,
+            constants.disturbances,
             constants.window,
             constants.capacity,
             constants.start,

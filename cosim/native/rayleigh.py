@@ -42,7 +42,8 @@ class RayleighConstants:
     delays : tuple of float
         D_j [s].
     parts : array of int, shape (terms, delays - 1)
-        The rows R_b of all groups, one group behind the other.
+        The rows R_b of all groups, one group behind the other; none: (25) is not expanded, and
+        there is no quotient.
     lower, upper : Vector, shape (P,)
         The box that is searched.
     points : int
@@ -65,7 +66,7 @@ class RayleighConstants:
     def __post_init__(self) -> None:
         """Check the sizes."""
         for name, found, most in (
-            ("terms", len(self.parts), MOST_TERMS),
+            ("terms", len(self.parts) if self.parts.shape[1] else 0, MOST_TERMS),
             ("delays", len(self.delays), MOST_ROWS),
             ("parameters", self.generators.parameters, MOST_PARAMETERS),
         ):

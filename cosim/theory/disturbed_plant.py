@@ -20,7 +20,7 @@ with the gain K of the Kalman filter without process noise for the unstable mode
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Final
 
@@ -72,16 +72,14 @@ class DisturbedPlant:
             object.__setattr__(self, field.name, _frozen(self, field.name, 2))
 
 
-def disturbed_plant(reduced: ReducedSystem, components: int, *, channel: int = 0) -> DisturbedPlant:
-    """Return the reduced system (9)-(10) with all components of its disturbance number ``channel``.
+def disturbed_plant(reduced: ReducedSystem, elements: Sequence[int]) -> DisturbedPlant:
+    """Return the reduced system (9)-(10) with the components of its disturbances.
 
     Parameters
     ----------
     reduced : ReducedSystem
-    components : int
-        Number of components of the disturbance.
-    channel : int
-        Which entry of delta they make up.
+    elements : sequence of int
+        Which entry of delta each component belongs to.
 
     Raises
     ------
@@ -89,10 +87,13 @@ def disturbed_plant(reduced: ReducedSystem, components: int, *, channel: int = 0
         If there is no such entry.
     """
     n_d = reduced.B_2a.shape[1]
-    if not 0 <= channel < n_d:
-        raise AssumptionError(f"(9): the plant has {n_d} disturbances; none has number {channel}")
-    Bd = np.repeat(reduced.B_2a[:, [channel]], components, axis=1)
-    Dd = np.repeat(reduced.C5[:, [channel]], components, axis=1)
+    for element in elements:
+        if not 0 <= element < n_d:
+            raise AssumptionError(
+                f"(9): the plant has {n_d} disturbances; none has number {element}"
+            )
+    Bd = reduced.B_2a[:, list(elements)]
+    Dd = reduced.C5[:, list(elements)]
     return DisturbedPlant(A=reduced.A_a, B=reduced.B_1a, Bd=Bd, C=reduced.C3, D=reduced.C4, Dd=Dd)
 
 

@@ -36,6 +36,7 @@ Parts: TypeAlias = tuple[RowSet, ...]  # the rows of each group
 
 # singular value of the alpha products, columns of length one, below which they count as dependent
 COLLINEAR = 1e-9
+MARGINAL = 3  # basis functions with different alphas up to which eta can be estimated
 
 
 @dataclass(frozen=True)
@@ -157,6 +158,11 @@ def chi(terms: Sequence[Term], K: Sequence[Matrix]) -> Vector:
     return np.array(constants)
 
 
+def delayed(count: int) -> tuple[Term, ...]:
+    """Return terms whose signals are delta at so many delays, where (25) is not expanded."""
+    return tuple(Term(row, (), 1) for row in range(count))
+
+
 def eta(terms: Sequence[Term], K: Sequence[Matrix]) -> Vector:
     """Compute the regression coefficients `eta_c = chi_c / chi_0` (26), shape ``(q,)``.
 
@@ -221,6 +227,21 @@ def check_alpha_products(terms: Sequence[Term], alpha: Matrix, names: Sequence[s
         If two alphas are proportional (their groups must be merged), if products are dependent for
         another reason, or if the grid is too short to decide.
     """
+    check_proportional(alpha, names)
+    products = alpha_products(terms, alpha)
+    for row in sorted({term.row for term in terms}):
+        columns = [c for c, term in enumerate(terms) if term.row == row]
+        _check_independent(products[:, columns], row, names)
+
+
+def check_proportional(alpha: Matrix, names: Sequence[str]) -> None:
+    """Check that no alpha is a multiple of another one; parameters as above.
+
+    Raises
+    ------
+    AssumptionError
+        If one is.
+    """
     for a, b in combinations(range(len(names)), 2):
         pair = alpha[:, :, [a, b]].reshape(-1, 2)
         if _rank(pair) < 2:
@@ -228,32 +249,34 @@ def check_alpha_products(terms: Sequence[Term], alpha: Matrix, names: Sequence[s
                 f"(21): alpha {names[a]!r} and alpha {names[b]!r} are proportional; merge their "
                 "components into one group (give them the same alpha)"
             )
-    products = alpha_products(terms, alpha)
-    for row in sorted({term.row for term in terms}):
-        columns = [c for c, term in enumerate(terms) if term.row == row]
-        _check_independent(products[:, columns], row, names)
 
 
 def linear_route_warning(sizes: Sequence[int]) -> str:
-    """Return why estimating eta linearly (26) is poor for groups of these sizes, or ``""``.
+    """Return why estimating eta linearly (26) is poor for groups of these sizes, or ``""``."""
+    if len(sizes) == 1 or sum(sizes) != MARGINAL:
+        return ""
+    return (
+        f"the linear route is marginal: {_unknowns(sizes)}; expect a poor condition, or merge "
+        "alphas, or estimate theta directly"
+    )
+
+
+def linear_route_problem(sizes: Sequence[int]) -> str:
+    """Return why eta cannot be estimated linearly (26) for groups of these sizes, or ``""``.
 
     With exact data the condition of the information matrix is 3e4 for the paper's l = 2, and 4e12
     or worse for l = 4.
     """
-    length = sum(sizes)
-    if len(sizes) == 1 or length < 3:
+    if len(sizes) == 1 or sum(sizes) <= MARGINAL:
         return ""
-    n_eta = count_terms(sizes) - 1
-    unknowns = f"l = {length} with different alphas makes {n_eta} unknowns"
-    if length == 3:
-        return (
-            f"the linear route is marginal: {unknowns}; expect a poor condition, or merge alphas, "
-            "or estimate theta directly"
-        )
     return (
-        f"the linear route is unusable: {unknowns}, with a condition of 4e12 or worse even from "
-        "exact data; merge alphas or estimate theta directly"
+        f"the linear route is unusable: {_unknowns(sizes)}, with a condition of 4e12 or worse even "
+        "from exact data"
     )
+
+
+def _unknowns(sizes: Sequence[int]) -> str:
+    return f"l = {sum(sizes)} with different alphas makes {count_terms(sizes) - 1} unknowns"
 
 
 def _partitions(rows: RowSet, sizes: tuple[int, ...]) -> Iterator[Parts]:

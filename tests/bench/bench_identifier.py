@@ -88,7 +88,7 @@ def fit_members(folder: Path, members: int, online: float) -> None:
     u = np.reshape(log["u.y"], (-1, 1))  # type: ignore[index]
     t = np.arange(len(clean)) * 1e-3
     factors = alpha(t)
-    plant = disturbed_plant(reduce(academic()), 2)
+    plant = disturbed_plant(reduce(academic()), [0, 0])
     families = (Exponential(), Exponential())
     start = np.array([-0.11, -0.28])
     errors = []

@@ -38,7 +38,7 @@ def record(jitter: float) -> DataSet:
 
 def main() -> None:
     """Print times and their ratios."""
-    plant = disturbed_plant(reduce(academic()), 2)
+    plant = disturbed_plant(reduce(academic()), [0, 0])
     records = {"equal steps": record(0.0), "jitter": record(1e-4)}
     for name, start in (("from a start", START), ("searched", None)):
         times = {}

@@ -9,6 +9,7 @@ import cosim
 from cosim.errors import CosimError
 from cosim.scenario.build import parse
 from cosim.scenario.document import Document
+from cosim.scenario.recorded_metadata import recorded_identification
 
 SOURCE = """
 [scenario]
@@ -120,3 +121,225 @@ def test_a_disturbance_without_terms_is_refused(tmp_path):
     """It has no value."""
     with pytest.raises(CosimError, match=r"terms"):
         cosim.run(source(tmp_path, []))
+
+
+PLANT = """
+[scenario]
+name = "identified"
+stop = 12.0
+step = 0.02
+
+[models.m]
+n_a = 2
+A  = [[0, 1, 1], [0, -2, 1], [1, 0, 1]]
+Bu = [[0], [2], [1]]
+Bd = [[1], [0], [0]]
+C  = [[2, 0, 1]]
+
+[components.u]
+kind = "sine"
+rate = 1.0
+
+[components.delta]
+kind = "disturbance"
+terms = [{source}]
+
+[components.plant]
+kind = "descriptor"
+model = "m"
+x_a0 = [1.0, -1.0]
+
+[components.observer]
+kind = "unknown-input-observer"
+model = "m"
+L = [4.0, 0.0]
+filter_rate = 100.0
+
+[components.regressor]
+kind = "regressor"
+terms = [{terms}]
+delays = {delays}
+
+[components.identifier]
+kind = "identifier"
+period = 12.0
+{more}
+
+[connections]
+"plant.u" = "u.y"
+"plant.delta" = "delta.y"
+"observer.u" = "u.y"
+"observer.y" = "plant.y"
+"regressor.delta" = "observer.delta"
+"identifier.regressor" = "regressor.mu"
+"""
+WITHOUT = ("theta", "amplitude", "phase", "constants")
+ALPHAS = ("1 + 0.8*sin(1.7*t)", "1 + 0.8*cos(2.3*t)", "1 + 0.8*sin(0.9*t)", "1 + 0.8*cos(3.1*t)")
+
+
+def identified(folder, terms, delays, more="", text=PLANT):
+    """Return a scenario with terms, as dictionaries, in its disturbance and in its regressor."""
+
+    def table(term, left_out=()):
+        entries = [f"{key} = {value!r}" for key, value in term.items() if key not in left_out]
+        return f"{{ {', '.join(entries)} }}"
+
+    source_terms = ", ".join(map(table, terms))
+    unknown = ", ".join(table(term, WITHOUT) for term in terms)
+    filled = text.format(source=source_terms, terms=unknown, delays=delays, more=more)
+    return parse(Document(filled, "identified", folder))
+
+
+def test_constants_of_every_name_are_told_with_their_verdicts(tmp_path):
+    """Amplitude and phase of a damped sine, level and slope of a ramp, as the scenario has them."""
+    terms = [
+        {"family": "damped-sine", "theta": [0.15, 2.0], "amplitude": 1.2, "phase": 0.5},
+        {"alpha": ALPHAS[0], "family": "ramp", "constants": [0.7, -0.05]},
+    ]
+    log = cosim.run(identified(tmp_path, terms, [0.4, 0.8, 1.2, 1.6, 2.0]))
+    np.testing.assert_allclose(log["identifier.theta"][-1], [0.15, 2.0], rtol=1e-8)
+    told = recorded_identification(log)["identifier"]
+    values = {one.name: one.value for one in (*told.parameters, *told.amplitudes[0])}
+    expected = {
+        "theta[0]": 0.15,
+        "theta[1]": 2.0,
+        "amplitude[0]": 1.2,
+        "phase[0]": 0.5,
+        "level[1]": 0.7,
+        "slope[1]": -0.05,
+    }
+    # exact data, but for the rounding of y, which a record of two slow functions magnifies
+    assert values == pytest.approx(expected, rel=1e-6)
+    reasons = {one.name: one.reason for one in told.amplitudes[0]}
+    assert reasons["slope[1]"] == "in level[1] + slope[1] t"
+
+
+def test_terms_without_parameters_have_amplitudes_alone(tmp_path):
+    """There is no theta; a method that estimates theta alone says which does more."""
+    terms = [{"alpha": ALPHAS[0], "family": "constant", "constants": [0.7]}]
+    log = cosim.run(identified(tmp_path, terms, [0.4, 0.8]))
+    assert "identifier.theta" not in log.signals()
+    told = recorded_identification(log)["identifier"]
+    assert told.parameters == ()
+    (level,) = told.amplitudes[0]
+    assert (level.name, str(level.verdict)) == ("level[0]", "IDENTIFIABLE")
+    assert level.value == pytest.approx(0.7, rel=1e-9)
+    for method in ("least-squares", "rayleigh", "gradient", "extended-kalman"):
+        scenario = identified(tmp_path, terms, [0.4, 0.8], f'method = "{method}"')
+        with pytest.raises(CosimError, match=rf'"{method}": estimates theta alone.*output-error'):
+            cosim.run(scenario)
+
+
+def exponentials(*theta):
+    pairs = zip((*ALPHAS, "1"), theta, strict=False)
+    return [{"alpha": alpha, "family": "exponential", "theta": value} for alpha, value in pairs]
+
+
+@pytest.mark.parametrize("method", ["least-squares", "gradient", "drem"])
+def test_the_linear_route_is_refused_from_four_alphas_on(method, tmp_path):
+    """The number of unknowns and the way out are named."""
+    terms = exponentials(-0.05, -0.3, -0.8, -2.0)
+    scenario = identified(tmp_path, terms, [0.4, 0.8, 1.2, 1.6, 2.0], f'method = "{method}"')
+    with pytest.raises(
+        CosimError, match=r'l = 4 with different alphas makes 119 unknowns.*method = "output-error"'
+    ):
+        cosim.run(scenario)
+
+
+def test_five_alphas_are_identified_without_the_expansion(tmp_path):
+    """(25) has 720 terms: mu is delta at its delays, the start is searched on y."""
+    theta = [-0.05, -0.3, -0.8, -2.0, 0.1]
+    delays = [0.4, 0.8, 1.2, 1.6, 2.0, 2.4]
+    log = cosim.run(identified(tmp_path, exponentials(*theta), delays))
+    np.testing.assert_allclose(log["identifier.theta"][-1], theta, rtol=1e-5)
+    mu = log["regressor.mu"]
+    delta = log["regressor.delta"]
+    assert mu.shape == (len(delta), 6)
+    for j, delay in enumerate(delays):
+        steps = round(delay / 0.02)
+        np.testing.assert_array_equal(mu[200:, j], delta[200 - steps : len(delta) - steps])
+    scenario = identified(tmp_path, exponentials(*theta), delays, 'method = "rayleigh"')
+    with pytest.raises(CosimError, match=r'"rayleigh": \(25\) has 720 terms, at most 128'):
+        cosim.run(scenario)
+
+
+@pytest.mark.parametrize(
+    ("families", "more", "message"),
+    [
+        (["constant", "constant"], "", r"terms\[0\] \(constant\) and terms\[1\] \(constant\) sha"),
+        (["ramp", "constant"], "", r"both make a constant.*family 'ramp' is the sum of both"),
+        (["sine", "constant"], "bounds = [[0, 0]]", r"both make a constant.*merge them into one"),
+        (["sine", "constant"], "bounds = [[0, 0.1]]", r"less than a quarter of a period in the 12"),
+        (
+            ["exponential", "exponential"],
+            "bounds = [[-1, -1], [-1, -1]]",
+            r"both make exp\(-1 t\): no data tell their constants apart",
+        ),
+    ],
+)
+def test_terms_that_no_data_tell_apart_are_refused(families, more, message, tmp_path):
+    """Before the run, by families, alphas and bounds."""
+    values = {
+        "constant": {"constants": [1.0]},
+        "ramp": {"constants": [1.0, 1.0]},
+        "sine": {"theta": 1.0},
+        "exponential": {"theta": -1.0},
+    }
+    terms = [{"family": family, **values[family]} for family in families]
+    basis = {"ramp": 2, "sine": 2}
+    count = 1 + sum(basis.get(family, 1) for family in families)
+    scenario = identified(tmp_path, terms, [round(0.4 * (j + 1), 1) for j in range(count)], more)
+    with pytest.raises(CosimError, match=message):
+        cosim.run(scenario)
+
+
+PAIR = (
+    (
+        PLANT[: PLANT.index("[models.m]")]
+        + """
+[models.m]
+A = [[-1, 0.5, 0], [0, -2, 1], [0.3, 0, -1.5]]
+B = [[1, 1, 0], [0, 0, 1], [0.5, 0, 0]]
+disturbances = [1, 2]
+C = [[1, 0, 0], [0, 1, 0]]
+"""
+        + PLANT[PLANT.index("[components.u]") :]
+    )
+    .replace("n_a = 2\n", "")
+    .replace("x_a0 = [1.0, -1.0]", "x0 = [1.0, -1.0, 0.5]")
+    .replace("L = [4.0, 0.0]\nfilter_rate = 100.0", "poles = [-4.0, -5.0]\nfilter_rate = 200.0")
+)
+TWO = [
+    {"alpha": "1 + 0.5*sin(1.7*t)", "family": "sine", "theta": 1.3, "phase": 0.4},
+    {"element": 1, "alpha": "1 + 0.4*cos(2.3*t)", "family": "exponential", "theta": -0.05},
+]
+
+
+def test_two_disturbances_are_identified_together(tmp_path):
+    """Each element of delta has terms of its own; theta is within 1e-3, the lag of delta or not."""
+    log = cosim.run(identified(tmp_path, TWO, [0.5, 1.0, 1.5], text=PAIR))
+    np.testing.assert_allclose(log["identifier.theta"][-1], [1.3, -0.05], rtol=0, atol=1e-3)
+    told = recorded_identification(log)["identifier"]
+    names = [one.name for one in told.amplitudes[0]]
+    assert names == ["amplitude[0]", "phase[0]", "amplitude[1]"]
+    # (25) of a sine alone, and behind it that of an exponential, which needs two of the delays
+    delta = log["regressor.delta"]
+    alpha = 1.0 + 0.4 * np.cos(2.3 * log.time("regressor.mu"))
+    mu = log["regressor.mu"]
+    assert mu.shape[1] == 3 + 2
+    first = delta[75:-25, 1] * alpha[50:-50]
+    assert np.isclose(np.abs(mu[100:, 3:]), np.abs(first)[:, np.newaxis]).any(axis=1).all()
+
+
+@pytest.mark.parametrize(
+    ("terms", "more", "message"),
+    [
+        (TWO, 'method = "least-squares"', r'"least-squares": the terms are of 2 elements'),
+        ([{**TWO[1], "element": 2}, TWO[0]], "", r"none is of element 1; needed at least one for"),
+        ([TWO[0]], "", r"regressor|size 2|2 unknown disturbances"),
+    ],
+)
+def test_elements_that_do_not_fit_are_refused(terms, more, message, tmp_path):
+    """Every element of delta has terms, and the method can do with several."""
+    with pytest.raises(CosimError, match=message):
+        cosim.run(identified(tmp_path, terms, [0.5, 1.0, 1.5], more, PAIR))

@@ -164,7 +164,7 @@ def test_the_same_file_gives_the_same_estimate_without_a_scenario(experiment, tm
     data = cosim.read_field_data(path)
     t = data.t[data.t <= STOP - STEP]
     record = DataSet(t, data["y"][: len(t)], np.sin(t)[:, np.newaxis], alpha(t))
-    plant = disturbed_plant(reduce(academic()), 2)
+    plant = disturbed_plant(reduce(academic()), [0, 0])
     families = [Exponential(), Exponential()]
     fit = fit_output_error([record], plant, families, np.array([-0.05, -0.5]))
     # straight lines for curves: 5e-7 at 1 ms, by the square

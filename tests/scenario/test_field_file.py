@@ -213,7 +213,7 @@ def test_samples_of_a_file_are_a_data_set(tmp_path):
     data = cosim.read_field_data(path)
     record = DataSet(data.t, data["y"], np.sin(t)[:, np.newaxis], alpha(t))
     assert record.measured[:, 0].tolist() == [True, True, False, True]
-    assert disturbed_plant(reduce(academic()), 2).C.shape == (1, 2)
+    assert disturbed_plant(reduce(academic()), [0, 0]).C.shape == (1, 2)
 
 
 def test_info_shows_what_is_read(tmp_path):

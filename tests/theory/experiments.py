@@ -32,7 +32,7 @@ def times(h: float = 1e-3) -> Vector:
 
 def design() -> DisturbedPlant:
     """Return the design model."""
-    return disturbed_plant(reduce(academic()), 2)
+    return disturbed_plant(reduce(academic()), [0, 0])
 
 
 def simulate(

@@ -45,7 +45,7 @@ class Recorded:
         self.samples = (self.t, y, np.reshape(self.log["u.y"], (-1, 1)), alpha(self.t))
         self.data = DataSet(*self.samples)
         reduced = reduce(academic())
-        self.plant = disturbed_plant(reduced, 2)
+        self.plant = disturbed_plant(reduced, [0, 0])
         rate = settings["observer.filter_rate"]
         realized = observer.realize(reduced, design(reduced, L=[4.0, 0.0], filter_rate=rate))
         self.modes = realized.A

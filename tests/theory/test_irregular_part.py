@@ -29,7 +29,7 @@ def recording(delta_0):
 
 
 def plant():
-    return disturbed_plant(reduce(academic()), 2)
+    return disturbed_plant(reduce(academic()), [0, 0])
 
 
 def test_the_problem_is_that_of_the_plant():

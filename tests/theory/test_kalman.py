@@ -28,7 +28,7 @@ TWO_OUTPUTS = DisturbedPlant(
 
 
 def plant() -> DisturbedPlant:
-    return disturbed_plant(reduce(academic()), 2)
+    return disturbed_plant(reduce(academic()), [0, 0])
 
 
 def simulate(model, t, disturbance, *, sigma=0.0, seed=0):

@@ -31,7 +31,7 @@ BOUND = np.array([7.0863e-3, 6.2226e-2])
 
 
 def plant() -> DisturbedPlant:
-    return disturbed_plant(reduce(academic()), 2)
+    return disturbed_plant(reduce(academic()), [0, 0])
 
 
 def trajectory(t):

@@ -16,6 +16,7 @@ from cosim.theory.regression import (
     count_terms,
     eta,
     expand,
+    linear_route_problem,
     linear_route_warning,
     mu,
 )
@@ -249,7 +250,9 @@ def test_the_limits_of_the_linear_route_are_warned_of():
     assert linear_route_warning((2, 1)).startswith(
         "the linear route is marginal: l = 3 with different alphas makes 11 unknowns"
     )
-    assert linear_route_warning((2, 2)).startswith(
+    assert linear_route_problem((2, 1)) == linear_route_problem((7,)) == ""
+    assert linear_route_warning((2, 2)) == ""
+    assert linear_route_problem((2, 2)).startswith(
         "the linear route is unusable: l = 4 with different alphas makes 29 unknowns, "
         "with a condition of 4e12"
     )

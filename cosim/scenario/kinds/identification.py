@@ -25,11 +25,12 @@ from cosim.core.clock import whole_steps
 from cosim.core.connections import Connection, components_driving
 from cosim.core.contracts import Component
 from cosim.core.port import Port
-from cosim.errors import UsageError
+from cosim.errors import AssumptionError, UsageError
 from cosim.fmi.exporting import kernels
 from cosim.fmi.exporting.identifier import output_error
 from cosim.fmi.exporting.kernels import DiscreteModel
 from cosim.fmi.exporting.specifications import Exportable
+from cosim.native.rayleigh import MOST_TERMS
 from cosim.scenario.identification.model import IdentifiedPlant, bounds_of
 from cosim.scenario.kinds.alphas import alpha_connections
 from cosim.scenario.kinds.base import (
@@ -52,6 +53,7 @@ from cosim.scenario.kinds.regressor import RegressorDesign, RegressorKind
 from cosim.scenario.kinds.stated_noise import stated_covariance
 from cosim.scenario.kinds.variants import foreign_keys
 from cosim.scenario.schema import Flag, Limit, Number, NumberRow, NumberRows
+from cosim.theory import regression
 from cosim.theory.estimators import augmented_kalman, drem, extended_kalman, gradient, least_squares
 from cosim.theory.estimators.rayleigh import rayleigh_box, rayleigh_constants
 
@@ -200,6 +202,7 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         source = IdentifierSource(name, context)
         source.check_step()
         self._check_parameters(source.regression)
+        self._check_regression(source.regression)
         begin = start_time(self.start, source, context)
         problem = source.missing_model()
         for note in source.unchecked(is_judged=not problem):
@@ -231,7 +234,7 @@ class IdentifierKind(PeriodicKind, ExportableKind):
                 '"output-error" takes the samples, and only its estimates are judged'
             )
             context.warn(source.identifier, problem)
-        plant = observer.plant(len(families))
+        plant = observer.plant(source.regression.elements)
         stated = None
         if self.method == "output-error":
             stated = stated_covariance(self.deviation, self.covariance, len(plant.C))
@@ -239,6 +242,7 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         if self.bounds is not None:
             parameters = sum(len(family.parameters) for family in families)
             bounds = bounds_of([list(row) for row in self.bounds], parameters)
+        source.check_distinguishable(bounds)
         identified = IdentifiedPlant(
             problem=problem,
             observer=observer.name,
@@ -367,15 +371,31 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         value = METHODS[self.method].own[key] if given is None else given
         return float(value)
 
-    def _check_parameters(self, regression: RegressorDesign) -> None:
+    def _check_parameters(self, design: RegressorDesign) -> None:
         """Check that the method estimates amplitudes where the terms have nothing else."""
-        if any(family.parameters for family in regression.families):
+        if any(family.parameters for family in design.families):
             return
         if self.method not in ("output-error", "projection"):
-            names = ", ".join(sorted({family.name for family in regression.families}))
+            names = ", ".join(sorted({family.name for family in design.families}))
             raise UsageError(
                 f'method = "{self.method}": estimates theta alone, and the terms ({names}) have no '
                 'parameter; for their amplitudes method = "output-error" or "projection"'
+            )
+
+    def _check_regression(self, design: RegressorDesign) -> None:
+        """Check that the method can do with the regression of these terms."""
+        problem = ""
+        if design.each and self.method != "output-error":
+            problem = f"the terms are of {len(design.each)} elements of delta"
+        elif self.method in ("least-squares", "gradient", "drem"):
+            problem = regression.linear_route_problem(design.sizes)
+        elif self.method in ("rayleigh", "projection") and not design.is_expanded:
+            terms = regression.count_terms(design.sizes)
+            problem = f"(25) has {terms} terms, at most {MOST_TERMS} can be used"
+        if problem:
+            raise AssumptionError(
+                f'method = "{self.method}": {problem}; method = "output-error" estimates theta '
+                "itself, from a start that is searched on y"
             )
 
     def _check_options(self) -> None:
@@ -448,10 +468,11 @@ def _problem(
         rayleigh=rayleigh_constants(
             families, design.groups, design.terms, design.delays, span=span
         ),
-        products=design.component().constants,
+        products=design.constants,
         alphas=design.alphas,
         box=rayleigh_box(families, design.delays, span=span),
         stated=identified.stated,
+        disturbances=1 + max(design.elements),
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from cosim.blocks.field_data import SAMPLE_TIMES
@@ -18,6 +18,7 @@ from cosim.scenario.kinds.regressor import RegressorDesign, RegressorKind
 from cosim.theory.assessment.accuracy import check_step
 from cosim.theory.disturbed_plant import DisturbedPlant, disturbed_plant
 from cosim.theory.observer import StateSpace
+from cosim.theory.structure import check_distinguishable
 
 
 class IdentifierSource:
@@ -100,6 +101,25 @@ class IdentifierSource:
             f"checked for independence {when}"
         ]
 
+    def check_distinguishable(self, bounds: Mapping[int, tuple[float, float]]) -> None:
+        """Check that within bounds of theta no two terms say the same.
+
+        Raises
+        ------
+        AssumptionError
+            If two do.
+        """
+        clock = self._context.clock
+        design = self.regression
+        texts = [alpha.text for alpha in design.alphas]
+        check_distinguishable(
+            design.families,
+            list(zip(texts, design.elements, strict=True)),
+            texts,
+            bounds=bounds,
+            span=clock.steps * clock.step_ns / 1e9,
+        )
+
     def missing_model(self) -> str:
         """Return why there is no model of y that output error can fit; empty: there is one."""
         for alpha in signals_among(self.regression.alphas):
@@ -120,12 +140,15 @@ class IdentifierSource:
             )
         model = self.observer.design.model
         n_d = model.reduced.C5.shape[1]
-        if n_d == 1 and not model.constant:
+        elements = 1 + max(self.regression.elements)
+        if n_d == elements and not model.constant:
             return ""
-        what = f"{n_d} unknown disturbances" if n_d != 1 else "a constant input"
+        what = "a constant input"
+        if n_d != elements:
+            what = f"{n_d} unknown disturbances, and the terms are of {elements} elements of delta"
         return (
-            f"the design model of {self.observer.name!r} has {what}; needed one disturbance and no "
-            'constant input; or method = "least-squares"'
+            f"the design model of {self.observer.name!r} has {what}; needed terms for every "
+            'disturbance and no constant input; or method = "least-squares"'
         )
 
     def most_samples(self) -> int:
@@ -202,9 +225,9 @@ class ObserverSource:
         """The component between whose samples its y has values, too; None: there is none."""
         return _sampled_behind(Port(self.name, "y"), self._context)
 
-    def plant(self, components: int) -> DisturbedPlant:
-        """Return its design model with a disturbance of so many components."""
-        return disturbed_plant(self.design.model.reduced, components)
+    def plant(self, elements: Sequence[int]) -> DisturbedPlant:
+        """Return its design model with a component of each of these elements of delta."""
+        return disturbed_plant(self.design.model.reduced, elements)
 
     def units(self, interface: Interface) -> dict[str, str]:
         """Return the units of the signals that are taken where the observer takes them."""

@@ -4,22 +4,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Final, Literal
 
 import numpy as np
 from pydantic import Field
 
 from cosim.arrays import Matrix, Vector
-from cosim.blocks.regressor import Regressor
+from cosim.blocks.regressor import ElementRegressors, Regressor
 from cosim.core.clock import NANOSECONDS, Clock, whole_steps
 from cosim.core.connections import Connection
+from cosim.core.contracts import Component
 from cosim.core.port import Port
 from cosim.errors import UsageError
 from cosim.fmi.exporting import kernels
 from cosim.fmi.exporting.kernels import DiscreteModel
 from cosim.fmi.exporting.specifications import Exportable
 from cosim.native.alphas import Alpha, signals_among
+from cosim.native.rayleigh import MOST_TERMS
+from cosim.native.step import RegressorConstants
 from cosim.scenario.kinds.alphas import (
     ALPHA,
     KnownAlphas,
@@ -41,6 +44,7 @@ from cosim.scenario.kinds.terms import FamilyTerm, element_count, families_of
 from cosim.scenario.schema import NumberRow
 from cosim.theory import regression
 from cosim.theory.disturbance import AlphaGroup, Family, group_by_alpha
+from cosim.theory.structure import check_distinguishable
 
 ALPHA_WAY_OUT = (
     "needed a continuous alpha: the regression multiplies alphas of different instants, "
@@ -72,6 +76,10 @@ class RegressorDesign:
         The delays [s].
     lag : float
         How far delta lags behind the disturbance [s].
+    elements : sequence of int
+        Which element of delta each component belongs to.
+    each : sequence of RegressorDesign
+        Those of the elements, where there are several.
     """
 
     families: Sequence[Family]
@@ -82,6 +90,31 @@ class RegressorDesign:
     steps: Sequence[int]
     delays: Sequence[float]
     lag: float
+    elements: Sequence[int]
+    each: Sequence[RegressorDesign] = ()
+
+    @property
+    def is_expanded(self) -> bool:
+        """Whether mu is that of (25); else it is delta at its delays."""
+        return bool(self.terms[0].parts)
+
+    @property
+    def sizes(self) -> list[int]:
+        """The number of basis functions of each group."""
+        return [group.size for group in self.groups]
+
+    @property
+    def constants(self) -> RegressorConstants:
+        """The numbers of what makes mu; of several elements only their number is used."""
+        if not self.each:
+            return self._of_one().constants
+        count = len(self.terms)
+        return replace(
+            self.each[0].constants,
+            row=np.zeros(count, np.int64),
+            factor=np.zeros((count, 0), np.int64),
+            sign=np.ones(count),
+        )
 
     @property
     def group_alphas(self) -> list[Alpha]:
@@ -91,7 +124,7 @@ class RegressorDesign:
     @property
     def samples_of_signals(self) -> int:
         """How many samples of the signals among the alphas are before the first mu."""
-        return self.component().constants.alphas.samples
+        return self.constants.alphas.samples
 
     def times_before(self, clock: Clock) -> Matrix:
         """Return the instants that the alphas are needed at, shape ``(N, rows)`` [s].
@@ -122,7 +155,10 @@ class RegressorDesign:
         """
         names = [alpha.text for alpha in self.group_alphas]
         sampled = alphas(times.ravel()).reshape(*times.shape, len(names))
-        regression.check_alpha_products(self.terms, sampled, names)
+        if self.is_expanded and not regression.linear_route_problem(self.sizes):
+            regression.check_alpha_products(self.terms, sampled, names)
+        else:
+            regression.check_proportional(sampled, names)
 
     def check_recorded(self, t: Vector, alpha: Matrix) -> None:
         """Check that the products are independent where only the run has computed them.
@@ -139,7 +175,7 @@ class RegressorDesign:
         AssumptionError
             If they are not.
         """
-        if not self.known.unknown or len(self.groups) < 2:
+        if not self.known.unknown or len(self.groups) < 2 or self.each:
             return
         ages = np.array(self.delays)
         if not t[0] + ages.max() < t[-1]:
@@ -152,8 +188,13 @@ class RegressorDesign:
         grid = np.linspace(t[0] + ages.max(), t[-1], SAMPLES)
         self.check_products(recorded, grid[:, np.newaxis] - ages)
 
-    def component(self) -> Regressor:
+    def component(self) -> Regressor | ElementRegressors:
         """Return a component that makes the signals of the regression."""
+        if self.each:
+            return ElementRegressors([one._of_one() for one in self.each])
+        return self._of_one()
+
+    def _of_one(self) -> Regressor:
         return Regressor(
             self.terms,
             alphas=self.group_alphas,
@@ -187,19 +228,25 @@ class RegressorKind(ExportableKind):
         """The known factors of its terms."""
         return [term.alpha for term in self.terms]
 
-    def build(self, name: str, context: BuildContext) -> Regressor:
+    def build(self, name: str, context: BuildContext) -> Component:
         design = self.design(name, context)
-        sizes = [group.size for group in design.groups]
-        warning = regression.linear_route_warning(sizes)
-        if warning:
-            context.warn(name, warning)
+        for one in design.each or [design]:
+            warning = regression.linear_route_warning(one.sizes)
+            if warning:
+                context.warn(name, warning)
         if design.lag:
             context.add_metadata(name, {"lag": design.lag})
         return design.component()
 
     def exportable(self, name: str, context: BuildContext, wiring: Wiring) -> Exportable:
         component = self.build(name, context)
-        kernel = kernels.regressor(component.constants)
+        design = self.design(name, context)
+        if design.each:
+            raise UsageError(
+                f"{name!r}: a regressor of {len(design.each)} elements of delta cannot be exported "
+                "yet; needed one for each element"
+            )
+        kernel = kernels.regressor(design.constants)
         reason = (
             "the regressor multiplies samples of the past, so it lives at the communication points "
             "and has no derivatives"
@@ -235,32 +282,113 @@ class RegressorKind(ExportableKind):
 
     def _designed(self, name: str, context: BuildContext) -> RegressorDesign:
         families = families_of(self.terms)
-        if element_count(self.terms) > 1:
-            raise UsageError(
-                "terms: found some of element 1 or more; needed all of element 0, as a regression "
-                "of several elements is not possible yet"
-            )
-        steps = self._steps(context)  # before what needs all times of the run
+        self._steps(context)  # before what needs all times of the run
         alphas = alphas_of(name, self.alphas, context, ALPHA_WAY_OUT)
+        self._check_distinguishable(families, alphas, context)
+        count = element_count(self.terms)
+        members: list[list[int]] = [[] for _ in range(count)]
+        for i, term in enumerate(self.terms):
+            members[term.element].append(i)
+        self._check_elements(members, families, alphas)
+        lag = context.lag(Port(name, "delta"))
+        each = []
+        for own in members:
+            own_families = [families[i] for i in own]
+            each.append(self._of_element(own_families, [alphas[i] for i in own], lag, context))
+        if count == 1:
+            return each[0]
+        return self._of_all(members, each, families, alphas, context)
+
+    def _of_element(
+        self,
+        families: Sequence[Family],
+        alphas: Sequence[Alpha],
+        lag: float,
+        context: BuildContext,
+    ) -> RegressorDesign:
+        """Return the regression of one element of delta: of the first delays."""
         groups = group_by_alpha([alpha.text for alpha in alphas], families)
         sizes = tuple(group.size for group in groups)
-        regression.check_delays(self.delays, sum(sizes) + 1)
-        terms = regression.expand(sizes)
-        lag = context.lag(Port(name, "delta"))
+        needed = sum(sizes) + 1
+        is_expanded = regression.count_terms(sizes) <= MOST_TERMS
         known = known_alphas([alphas[group.components[0]] for group in groups], context)
         design = RegressorDesign(
             families=families,
             alphas=alphas,
             known=known,
             groups=groups,
-            terms=terms,
-            steps=steps,
-            delays=self.delays,
+            terms=regression.expand(sizes) if is_expanded else regression.delayed(needed),
+            steps=self._steps(context)[:needed],
+            delays=self.delays[:needed],
             lag=lag,
+            elements=[0] * len(families),
         )
         if len(groups) > 1 and not known.unknown:
             design.check_products(known, design.times_before(context.clock))
         return design
+
+    def _of_all(
+        self,
+        members: Sequence[Sequence[int]],
+        each: Sequence[RegressorDesign],
+        families: Sequence[Family],
+        alphas: Sequence[Alpha],
+        context: BuildContext,
+    ) -> RegressorDesign:
+        """Return the regressions of all elements side by side."""
+        groups = []
+        for own, one in zip(members, each, strict=True):
+            for group in one.groups:
+                components = tuple(own[i] for i in group.components)
+                groups.append(replace(group, components=components))
+        firsts = [alphas[group.components[0]] for group in groups]
+        return RegressorDesign(
+            families=families,
+            alphas=alphas,
+            known=known_alphas(firsts, context),
+            groups=groups,
+            terms=regression.delayed(sum(len(one.terms) for one in each)),
+            steps=self._steps(context),
+            delays=self.delays,
+            lag=each[0].lag,
+            elements=[term.element for term in self.terms],
+            each=each,
+        )
+
+    def _check_distinguishable(
+        self, families: Sequence[Family], alphas: Sequence[Alpha], context: BuildContext
+    ) -> None:
+        clock = context.clock
+        texts = [alpha.text for alpha in alphas]
+        elements = [term.element for term in self.terms]
+        check_distinguishable(
+            families,
+            list(zip(texts, elements, strict=True)),
+            texts,
+            bounds={},
+            span=clock.steps * clock.step_ns / 1e9,
+        )
+
+    def _check_elements(
+        self,
+        members: Sequence[Sequence[int]],
+        families: Sequence[Family],
+        alphas: Sequence[Alpha],
+    ) -> None:
+        """Check that every element of delta has terms, and the longest of them its delays."""
+        for element, own in enumerate(members):
+            if not own:
+                raise UsageError(
+                    f"terms: none is of element {element}; needed at least one for each of the "
+                    f"{len(members)} elements of delta"
+                )
+        if len(members) > 1 and signals_among(alphas):
+            raise UsageError(
+                f"terms are of {len(members)} elements of delta, and an alpha is a signal; needed "
+                "expressions in t as alphas, or one element"
+            )
+        longest = max(sum(families[i].v for i in own) for own in members)
+        regression.check_delays(self.delays, longest + 1)
 
     def _steps(self, context: BuildContext) -> list[int]:
         """Return the delays in communication steps."""

@@ -87,7 +87,7 @@ def rayleigh_constants(
         generators=matrices,
         group=tuple(group_of),
         delays=tuple(delays),
-        parts=np.array(parts),
+        parts=np.array(parts, np.int32),
         lower=box.lower,
         upper=box.upper,
         points=grid_points(matrices.parameters),

@@ -1,0 +1,143 @@
+"""Terms that no data tell apart, known before any run from families, alphas and bounds.
+
+Terms of one alpha make up one signal. Where two of them have an eigenvalue of their generators in
+common whatever theta is, their basis functions are dependent, and only the sum of their constants
+is seen. A sine so slow that the run is less than a quarter of its period is a polynomial there:
+beside a constant of the same alpha neither has a value of its own.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Hashable, Mapping, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.arrays import Vector
+from cosim.errors import AssumptionError
+from cosim.theory.disturbance import Family, Polynomial
+
+SAME: Final = 1e-6  # difference of two eigenvalues over the larger, or over 1, that is none
+TRIALS: Final = 2  # theta at which nothing agrees by chance
+QUARTER: Final = 0.5 * math.pi
+
+
+def check_distinguishable(
+    families: Sequence[Family],
+    alphas: Sequence[Hashable],
+    names: Sequence[str],
+    *,
+    bounds: Mapping[int, tuple[float, float]],
+    span: float,
+) -> None:
+    """Check that no two terms of one alpha say the same.
+
+    Parameters
+    ----------
+    families : sequence of Family
+        Of the terms.
+    alphas : sequence of hashable
+        What each is multiplied by: equal ones are the same.
+    names : sequence of str
+        Of the alphas, for the message.
+    bounds : mapping of index to (lower, upper)
+        Of theta; equal ones fix it.
+    span : float
+        Length of the run [s].
+
+    Raises
+    ------
+    AssumptionError
+        If two terms have an eigenvalue in common whatever theta is, or a sine is bounded to be so
+        slow that it is none beside a constant.
+    """
+    places = _places(families)
+    spectra = []
+    for trial in range(TRIALS):
+        own = zip(families, places, strict=True)
+        spectra.append([_eigenvalues(family, at, bounds, trial) for family, at in own])
+    for i, family in enumerate(families):
+        for k in range(i):
+            if alphas[i] != alphas[k]:
+                continue
+            common = [_common(spectrum[i], spectrum[k]) for spectrum in spectra]
+            both = f"terms[{k}] ({families[k].name}) and terms[{i}] ({family.name})"
+            if all(value is not None for value in common):
+                raise AssumptionError(
+                    f"{both} share alpha {names[i]!r}, and whatever theta is both make "
+                    f"{_signal_of(common[0])}: no data tell their constants apart; "
+                    f"{_merged(families[k], family)}"
+                )
+            for sine, other in ((i, k), (k, i)):
+                largest = _largest_rate(families[sine], places[sine], bounds)
+                if largest * span < QUARTER and _has_zero(spectra[0][other]):
+                    raise AssumptionError(
+                        f"{both} share alpha {names[i]!r}, and the rate is bounded by "
+                        f"{largest:g} rad/s, less than a quarter of a period in the {span:g} s of "
+                        "the run: no data tell such a sine from a constant; needed a larger bound "
+                        f"than {QUARTER / span:.3g} rad/s, a longer run, or one of the two"
+                    )
+
+
+def _places(families: Sequence[Family]) -> list[range]:
+    """Return where the parameters of each term stand in theta."""
+    places = []
+    first = 0
+    for family in families:
+        last = first + len(family.parameters)
+        places.append(range(first, last))
+        first = last
+    return places
+
+
+def _eigenvalues(
+    family: Family, places: range, bounds: Mapping[int, tuple[float, float]], trial: int
+) -> NDArray[np.complex128]:
+    """Compute those of G where parameters that are not fixed have any values."""
+    theta = np.zeros(len(places))
+    for k, j in enumerate(places):
+        lower, upper = bounds.get(j, (-math.inf, math.inf))
+        # irrational multiples, so that no two of them agree
+        theta[k] = lower if lower == upper else 0.3 + math.sqrt(2.0 + 3.0 * j + 0.7 * trial)
+    return np.linalg.eigvals(family.G(theta)).astype(np.complex128)
+
+
+def _common(one: Vector | NDArray[np.complex128], other: NDArray[np.complex128]) -> complex | None:
+    for value in one:
+        distance = np.abs(other - value)
+        if (distance <= SAME * max(1.0, abs(value))).any():
+            return complex(value)
+    return None
+
+
+def _has_zero(spectrum: NDArray[np.complex128]) -> bool:
+    return bool((np.abs(spectrum) <= SAME).any())
+
+
+def _largest_rate(
+    family: Family, places: range, bounds: Mapping[int, tuple[float, float]]
+) -> float:
+    """Return the largest rate of a sine within its bounds; infinite: it has none."""
+    for name, j in zip(family.parameters, places, strict=True):
+        if name == "rate" and family.name in ("sine", "damped-sine"):
+            lower, upper = bounds.get(j, (-math.inf, math.inf))
+            return max(abs(lower), abs(upper))
+    return math.inf
+
+
+def _signal_of(eigenvalue: complex | None) -> str:
+    assert eigenvalue is not None
+    if abs(eigenvalue) <= SAME:
+        return "a constant"
+    if abs(eigenvalue.imag) <= SAME:
+        return f"exp({eigenvalue.real:.4g} t)"
+    return f"a sine of {abs(eigenvalue.imag):.4g} rad/s"
+
+
+def _merged(one: Family, other: Family) -> str:
+    if isinstance(one, Polynomial) and isinstance(other, Polynomial):
+        larger = max((one, other), key=lambda family: family.degree)
+        return f"merge them: one term of family {larger.name!r} is the sum of both"
+    return "merge them into one term, or leave one out"
