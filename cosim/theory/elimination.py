@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cosim.arrays import Matrix
+from cosim.arrays import Matrix, Vector
 from cosim.theory.geometry import without_rounding
 from cosim.theory.pencil import EPSILON
 from cosim.theory.scaling import Scales
@@ -52,6 +52,21 @@ class Eliminated:
     amplification: float
 
 
+@dataclass(frozen=True, eq=False)
+class _AlgebraicGain:
+    """K of ``x_b = K (x_a, u, delta)``, the size of its terms, and bounds of errors.
+
+    ``error`` bounds that of K; ``per_column`` is the error that every column has in a row of data
+    whose size is one: its own, and by way of x_b.
+    """
+
+    K: Matrix
+    magnitudes: Matrix
+    error: Matrix
+    per_column: Vector
+    amplification: float
+
+
 def eliminate(matrices: PartitionedMatrices, scales: Scales, growth: float) -> Eliminated:
     """Eliminate x_b; A22 is regular.
 
@@ -64,49 +79,65 @@ def eliminate(matrices: PartitionedMatrices, scales: Scales, growth: float) -> E
         How many times larger the errors of the data are.
     """
     n_a = matrices.n_a
-    A = matrices.A
-    A11 = A[:n_a, :n_a]
-    A12 = A[:n_a, n_a:]
-    A21 = A[n_a:, :n_a]
-    A22 = A[n_a:, n_a:]
-    C1 = matrices.C[:, :n_a]
+    A12 = matrices.A[:n_a, n_a:]
     C2 = matrices.C[:, n_a:]
-    of_u, of_delta = matrices.B
-    n_u = of_u.shape[1]
-    right = np.hstack([A21, of_u[n_a:], of_delta[n_a:]])
-    solution = np.linalg.solve(A22, right)
-    gain: Matrix = (0.0 - solution).astype(np.float64)  # not -solution: no negative zeros
-    inverse: Matrix = np.abs(np.linalg.inv(A22)).astype(np.float64)
-    terms = np.abs(A22) @ np.abs(gain) + np.abs(right)
-    magnitudes = inverse @ terms  # of the terms that x_b is made of
-    error = DATA * growth
-    per_column = np.concatenate([1.0 / scales.states[:n_a], 1.0 / scales.inputs])
-    known_up_to = per_column + (1.0 / scales.states[n_a:]) @ np.abs(gain)
-    gain_error = error * np.outer(inverse @ scales.equations[n_a:], known_up_to)
-    gain = np.where(np.abs(gain) > gain_error, gain, 0.0)
-    output_error = error * np.outer(scales.outputs, known_up_to) + np.abs(C2) @ gain_error
+    B_u, B_delta = matrices.B
+    D_u, D_delta = matrices.D
+    gain = _algebraic_gain(matrices, scales, growth)
+    of_outputs = np.outer(scales.outputs, gain.per_column)
+    output_error = of_outputs + np.abs(C2) @ gain.error
 
     def substituted(direct: Matrix, left: Matrix, columns: slice) -> Matrix:
         """Return ``direct + left K``, a coefficient after x_b was replaced by (8)."""
-        total = direct + left @ gain[:, columns]
-        return without_rounding(total, np.abs(direct) + np.abs(left) @ magnitudes[:, columns])
+        total = direct + left @ gain.K[:, columns]
+        of_terms = np.abs(left) @ gain.magnitudes[:, columns]
+        return without_rounding(total, np.abs(direct) + of_terms)
 
     def feedthrough(direct: Matrix, columns: slice) -> Matrix:
-        total = direct + C2 @ gain[:, columns]
-        return np.where(np.abs(total) > output_error[:, columns], total, 0.0)
+        total = direct + C2 @ gain.K[:, columns]
+        significant = np.abs(total) > output_error[:, columns]
+        return np.where(significant, total, 0.0)
 
-    scaled_inverse = inverse * scales.equations[n_a:] / scales.states[n_a:, np.newaxis]
+    end_of_u = n_a + B_u.shape[1]
     state = slice(0, n_a)
-    u = slice(n_a, n_a + n_u)
-    delta = slice(n_a + n_u, None)
-    D_u, D_delta = matrices.D
+    u = slice(n_a, end_of_u)
+    delta = slice(end_of_u, None)
+    of_u = substituted(B_u[:n_a], A12, u)
+    of_delta = substituted(B_delta[:n_a], A12, delta)
     return Eliminated(
-        A=substituted(A11, A12, state),
-        B=(substituted(of_u[:n_a], A12, u), substituted(of_delta[:n_a], A12, delta)),
-        C=substituted(C1, C2, state),
+        A=substituted(matrices.A[:n_a, :n_a], A12, state),
+        B=(of_u, of_delta),
+        C=substituted(matrices.C[:, :n_a], C2, state),
         D=(feedthrough(D_u, u), feedthrough(D_delta, delta)),
-        K=gain[:, state],
-        Kv=(gain[:, u], gain[:, delta]),
-        Kv_error=(gain_error[:, u], gain_error[:, delta]),
-        amplification=growth * (1.0 + scaled_inverse.sum(axis=1).max(initial=0.0)),
+        K=gain.K[:, state],
+        Kv=(gain.K[:, u], gain.K[:, delta]),
+        Kv_error=(gain.error[:, u], gain.error[:, delta]),
+        amplification=gain.amplification,
+    )
+
+
+def _algebraic_gain(matrices: PartitionedMatrices, scales: Scales, growth: float) -> _AlgebraicGain:
+    """Solve ``A22 K = -[A21 B2]`` (8); what may be nothing but error is zero."""
+    n_a = matrices.n_a
+    A22 = matrices.A[n_a:, n_a:]
+    B_u, B_delta = matrices.B
+    right = np.hstack([matrices.A[n_a:, :n_a], B_u[n_a:], B_delta[n_a:]])
+    solution = np.linalg.solve(A22, right)
+    K: Matrix = (0.0 - solution).astype(np.float64)  # not -solution: no negative zeros
+    inverse: Matrix = np.abs(np.linalg.inv(A22)).astype(np.float64)
+    terms = np.abs(A22) @ np.abs(K) + np.abs(right)
+    own = np.concatenate([1.0 / scales.states[:n_a], 1.0 / scales.inputs])
+    by_x_b = (1.0 / scales.states[n_a:]) @ np.abs(K)
+    per_column = DATA * growth * (own + by_x_b)
+    equations = scales.equations[n_a:]
+    error = np.outer(inverse @ equations, per_column)
+    significant = np.abs(K) > error
+    scaled_inverse = inverse * equations / scales.states[n_a:, np.newaxis]
+    largest = float(scaled_inverse.sum(axis=1).max(initial=0.0))
+    return _AlgebraicGain(
+        K=np.where(significant, K, 0.0),
+        magnitudes=inverse @ terms,
+        error=error,
+        per_column=per_column,
+        amplification=growth * (1.0 + largest),
     )
