@@ -50,7 +50,12 @@ from cosim.theory.descriptor import (
     reduced_scales,
     state_maps,
 )
-from cosim.theory.geometry import orthogonal_complement, output_nulling, without_rounding
+from cosim.theory.geometry import (
+    RANK_TOLERANCE,
+    orthogonal_complement,
+    output_nulling,
+    without_rounding,
+)
 from cosim.theory.placement import place
 from cosim.theory.scaling import within_range
 
@@ -466,7 +471,11 @@ def initial_state_map(
         x_a = np.zeros(n)
         states = reduced_scales(reduced).states
         C = observer.outputs @ reduced.C3 * states
-        from_w = states[:, np.newaxis] * np.linalg.pinv(C) @ observer.outputs
+        from_w = (
+            states[:, np.newaxis]
+            * np.linalg.pinv(C, rcond=max(RANK_TOLERANCE, reduced.accuracy))
+            @ observer.outputs
+        )
     else:
         x_a = _initial_vector("x_a0", x_a0, n)
         from_w = np.zeros((n, n_y))

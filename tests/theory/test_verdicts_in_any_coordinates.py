@@ -5,7 +5,7 @@ import pytest
 
 from cosim.errors import AssumptionError
 from cosim.theory.descriptor import reduce
-from cosim.theory.observer import design
+from cosim.theory.observer import design, initial_state_map
 from tests.theory.scrambled import Matrices, movable
 
 N_B = 2  # algebraic states
@@ -129,3 +129,22 @@ def test_a_system_without_a_fault_gets_its_observer():
         reduced = reduce(matrices.system)
         observer = design(reduced, poles=list(-1.0 - np.arange(movable(reduced))))
         assert (observer.eigenvalues.real < 0.0).all()
+
+
+def test_an_output_that_follows_from_others_does_no_harm_to_the_start():
+    """C3 x_hat(0) = w(0) with rows of C that depend on each other but for rounding."""
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        A = stable(rng, 4) - 3.0 * np.eye(4)
+        B = rng.normal(size=(4, 1))
+        C = np.vstack([B.T, rng.normal(size=(1, 4))])
+        C = np.vstack([C, C[0] + 0.3 * C[1]])
+        matrices = with_algebraic_states(rng, A, B, C, np.zeros((3, 1))).scrambled(rng)
+        reduced = reduce(matrices.system)
+        observer = design(reduced, poles=list(-1.0 - np.arange(movable(reduced))), filter_rate=1.0)
+        _, Xw = initial_state_map(reduced, observer)
+        w = reduced.C3 @ rng.normal(size=4)
+        z = Xw[:4, 1:] @ w
+        x_hat = z + observer.F @ w
+        # mixing of condition 10, and outputs of which the smallest singular value is about 0.1
+        np.testing.assert_allclose(reduced.C3 @ x_hat, w, rtol=0, atol=1e-9 * np.abs(w).max())
