@@ -182,6 +182,10 @@ def _needed(details: Mapping[str, Any], path: Key, table: type[BaseModel]) -> st
     match details["type"]:
         case "finite_number":
             return "needed a finite number"
+        case "greater_than":
+            return f"needed more than {context['gt']:g}"
+        case "less_than":
+            return f"needed less than {context['lt']:g}"
         case "greater_than_equal":
             return f"needed at least {context['ge']}"
         case "less_than_equal":

@@ -66,6 +66,18 @@ CASES = {
         [(REGRESSOR_TERMS, "terms = []")],
         r"components\.regressor\.terms: found \[\]; needed at least 1 of them",
     ),
+    "start before the run": (
+        [("period = 0.1 ", "start = -1.0 ")],
+        r"identifier: start: found -1\.0 s, needed at least the longest delay, 3\.0 s: before it",
+    ),
+    "bound that is not positive": (
+        [("period = 0.1 ", "irregular = 0.0 ")],
+        r"identifier\.irregular: found 0\.0; needed more than 0$",
+    ),
+    "element beyond the most": (
+        [(REGRESSOR_TERMS, "terms = [{ family = 'sine', element = 64 }]")],
+        r"regressor\.terms\.0\.element: found 64; needed less than 64$",
+    ),
     "delay off the clock": (
         [("delays = [1.0, 2.0, 3.0]", "delays = [1.0, 2.0, 3.0000000000000004]")],
         r"components\.regressor: delays\[2\]: 3\.0000000000000004 s is not a whole number",

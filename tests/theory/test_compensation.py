@@ -196,6 +196,19 @@ def test_a_transmission_zero_at_a_mode_of_the_disturbance_is_refused():
     assert stabilize(plant, K, model, apart).decay_rate > 0.0
 
 
+def test_of_several_transmission_zeros_the_one_that_is_a_mode_is_named():
+    """The velocity y = s (s + 5) / (...) u has the zeros 0 and -5; 0 is a mode for every theta."""
+    A = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-6.0, -11.0, -6.0]])
+    B = np.array([[0.0], [0.0], [1.0]])
+    system = DescriptorSystem.general(A=A, Bu=B, Bd=B, C=[[0.0, 5.0, 1.0]])
+    plant = regulated_plant(reduce(system), [0])
+    K = state_feedback(plant.A, plant.B, K=np.zeros((1, 3)))
+    model = internal_model([Sine(), FAMILIES["constant"]], 1)
+    box = ParameterBox(np.array([1.0]), np.array([2.0]))
+    with pytest.raises(AssumptionError, match=r"transmission zero \+0 from .* disturbance, where"):
+        stabilize(plant, K, model, box)
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_a_transmission_zero_at_0_is_refused_under_a_constant_in_any_coordinates(seed):
     """The velocity of a mass, where rounding moves the zero; no theta is named without one."""

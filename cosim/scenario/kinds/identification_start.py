@@ -74,7 +74,8 @@ def _check_past(T_id: float, elapsed_ns: float, source: IdentifierSource, clock:
     longest = max(source.regression.delays)
     window = source.window
     signals_ns = source.regression.samples_of_signals * clock.step_ns
-    _check_past_of_signals(T_id, elapsed_ns, signals_ns, source)
+    if signals_ns:
+        _check_past_of_signals(T_id, elapsed_ns, signals_ns, source)
     if elapsed_ns >= round((longest + window) * 1e9, 3):
         return
     since = f" after start_time, {clock.start_time} s" if clock.start_ns else ""

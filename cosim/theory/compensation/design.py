@@ -193,13 +193,21 @@ def _check_zeros(plant: RegulatedPlant, model: InternalModel, box: ParameterBox)
         theta, mode = _closest(complex(zero), model, box)
         scale = max(abs(zero), float(np.linalg.norm(model.S(theta), 2)), 1e-300)
         if abs(mode - zero) <= NEAR * scale or plant.has_zero_at(mode):
-            where = f" at theta = {_numbers(theta)}" if len(theta) else ""
+            corners = [box.lower, box.upper]
+            is_of_all = all(_nearest_mode(model, corner, mode) == mode for corner in corners)
+            where = "" if is_of_all else f" at theta = {_numbers(theta)}"
             raise AssumptionError(
-                f"internal model: the transmission zero {modes([zero])} from u to the regulated "
+                f"internal model: the transmission zero {modes([mode])} from u to the regulated "
                 f"outputs is a mode of the disturbance{where}, where no controller rejects it "
                 "(TRANSMISSION_ZERO); needed an interval of theta without it, or other regulated "
                 "outputs"
             )
+
+
+def _nearest_mode(model: InternalModel, theta: Vector, s: complex) -> complex:
+    """Return the eigenvalue of S closest to s."""
+    eigenvalues = np.linalg.eigvals(model.S(theta))
+    return complex(eigenvalues[np.abs(eigenvalues - s).argmin()])
 
 
 def _closest(s: complex, model: InternalModel, box: ParameterBox) -> tuple[Vector, complex]:
@@ -210,8 +218,7 @@ def _closest(s: complex, model: InternalModel, box: ParameterBox) -> tuple[Vecto
     points = 21 if len(theta) <= 1 else 9
     while True:
         for point in cell.grid(points):
-            eigenvalues = np.linalg.eigvals(model.S(point))
-            nearest = complex(eigenvalues[np.abs(eigenvalues - s).argmin()])
+            nearest = _nearest_mode(model, point, s)
             if abs(nearest - s) < abs(mode - s):
                 mode = nearest
                 theta = point
