@@ -17,7 +17,7 @@ def triangle(rows: Matrix, R: Matrix | None = None) -> Matrix:
     block = 256
     work = np.empty(n)
     for begin in range(0, len(rows), block):
-        part = np.array(rows[begin : begin + block], np.float64)
+        part = np.array(rows[begin : begin + block], np.float64, order="C")
         library.cosim_householder(n, pointer(result), len(part), pointer(part), pointer(work))
     return result
 

@@ -1,5 +1,6 @@
 """Predicted errors of theta: noise of delta, the covariance of the estimators, the best delays."""
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -145,7 +146,7 @@ def estimates(of: RegressionExperiment, method: str, steps, seeds: int):
     recovery = plan(terms, groups, delays)
     weights = trapezoid_weights(T[begin:])
     constants = rayleigh_constants(of.families, groups, terms, delays, span=T[-1])
-    count = round(0.5 * np.diff(np.sort(steps)).min())
+    count = max(1, round(0.5 * np.diff(np.sort(steps)).min()))
     N = noise_covariance(terms, means(products, count))
     found = []
     for seed in range(seeds):
@@ -204,6 +205,29 @@ def test_predictions_agree_with_monte_carlo_and_so_does_their_order(method):
 def test_predictions_agree_with_long_monte_carlo(method, size, steps):
     """400 seeds, of less and of more noise."""
     check_prediction(experiment(size), method, steps, 400)
+
+
+@pytest.mark.parametrize("steps", [(50, 100, 150), (1, 2, 3)])
+def test_exact_data_are_predicted_to_lead_to_theta(steps):
+    """Without noise chi is in the null space of the rows, to rounding: it is theta's own."""
+    of = experiment(size=1e-15)
+    prediction = of.rayleigh(steps)
+    np.testing.assert_allclose(prediction.bias, 0.0, atol=1e-6)
+    assert prediction.standard_error.max() < 1e-6
+    assert prediction.standard_error.min() > 0.0
+
+
+def test_an_information_that_is_singular_to_rounding_has_no_least_squares():
+    """Two components of one rate under one alpha: their regressors are dependent."""
+    both = experiment(size=1e-15)
+    of = replace(both, delta=np.exp(-0.1 * T), names=("a", "a"), alpha=np.ones((len(T), 2)))
+    assert of.least_squares((50, 100, 150)) is None
+
+
+@pytest.mark.parametrize("size", [1e-6, 1e-8])
+def test_predictions_agree_with_monte_carlo_for_delays_of_single_samples(size):
+    """There the rows are dependent but for 1e-7 of them, of which sums of products know nothing."""
+    check_prediction(experiment(size), "rayleigh", (1, 2, 3), 40)
 
 
 def test_an_error_of_delta_is_bias():

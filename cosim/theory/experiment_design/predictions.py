@@ -199,8 +199,7 @@ class RegressionExperiment:
         if P0 is not None:
             information[1:, 1:] += np.eye(recovery.n_eta) / P0
         of_m = information[1:, 1:]
-        pivots = np.abs(np.diag(np.linalg.qr(np.linalg.cholesky(of_m).T)[1]))
-        if not pivots.min() > RANK * pivots.max():
+        if not _is_regular(of_m):
             return None
         inverse = np.linalg.inv(of_m)
         eta = -inverse @ information[1:, 0]
@@ -238,9 +237,8 @@ class RegressionExperiment:
         constants = rayleigh_constants(
             self.families, self.groups, self.terms.terms, delays.tolist(), span=span
         )
-        S = regression.moment
         N = regression.unit_noise
-        R = np.asarray(np.linalg.cholesky(S).T, np.float64)
+        R = regression.triangle
         status, theta, _ = RayleighModel(constants).minimize(R, N, self.theta)
         if status != 0:
             return None
@@ -249,7 +247,8 @@ class RegressionExperiment:
             chi, slopes = self.terms.minors.chi(point, delays)
             variance = chi @ N @ chi
             c = slopes - np.outer(slopes @ N @ chi / variance, chi)
-            return c @ S @ chi / variance, c / variance, chi
+            slope = (c @ R.T) @ (R @ chi)  # not c S chi: S chi may be nothing but rounding
+            return slope / variance, c / variance, chi
 
         P = len(theta)
         H = np.empty((P, P))
@@ -295,3 +294,12 @@ class RegressionExperiment:
             block=1,
             noise=regression.noise,
         )
+
+
+def _is_regular(information: Matrix) -> bool:
+    """Return whether the run finds all pivots of the information to be beyond rounding."""
+    try:
+        pivots = np.diag(np.linalg.cholesky(information))
+    except np.linalg.LinAlgError:
+        return False
+    return bool(pivots.min() > RANK * pivots.max())

@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
+from cosim.native.householder import triangle
 from cosim.theory.experiment_design.reconstruction_noise import ReconstructionNoise, fft_length
 
 _COARSE_ROWS: Final = 256  # that the quadratic part is summed by
@@ -97,6 +98,13 @@ class NoisyRegression:
         """The expected ``sum M M'``, shape (q + 1, q + 1)."""
         total: Matrix = self.sums @ self.sums.T + self.noise_moment
         return total
+
+    @property
+    def triangle(self) -> Matrix:
+        """R with R'R the expected ``sum M M'``, also where that is singular to rounding."""
+        values, vectors = np.linalg.eigh(self.noise_moment)
+        of_noise = np.sqrt(np.maximum(values, 0.0)) * vectors
+        return triangle(np.vstack([self.sums.T, of_noise.T]))
 
     def covariance(self, d: Matrix, g: Vector) -> Matrix:
         """Compute the covariance of ``sum over r of (d_i' M_r) (g' M_r)``, shape (P, P).
