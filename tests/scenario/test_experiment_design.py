@@ -170,6 +170,7 @@ def test_theta_given_replaces_that_of_the_disturbance():
             "y of 'observer' has values between the samples of a sensor",
         ),
         ("closed-loop", {}, {"noise": 1e-3}, "depends on its y, a closed loop"),
+        ("academic-noisy", {"observer.relinearize": True}, {}, "linearized anew at its estimate"),
     ],
 )
 def test_what_cannot_be_designed_for_is_refused(scenario, settings, arguments, words):

@@ -42,6 +42,7 @@ from cosim.theory.assumptions import (
     undecided,
 )
 
+OF_OBSERVER: Final = (DIRECT_PATH, DECOUPLING, DETECTABILITY, HURWITZ)
 MATRICES: Final = "matrices"
 FILE: Final = "the scenario"
 
@@ -141,20 +142,13 @@ class _Check:
         if not isinstance(kind, UnknownInputObserverKind):
             return []
         context = self._context
-        later = (DIRECT_PATH, DECOUPLING, DETECTABILITY, HURWITZ)
         try:
             reduced = kind.design_model_of(name, context).reduced
         except DependsOnInvalid as error:
             reason = str(error) or RESTS_ON_INVALID
-            return [undecided(assumption, reason) for assumption in later]
+            return [undecided(assumption, reason) for assumption in OF_OBSERVER]
         except UsageError as error:
-            reason = "there is no reduced system"
-            verdicts = {assumption: undecided(assumption, reason) for assumption in later}
-            if kind.model in self._scenario.file.models:
-                verdicts[DECOUPLING] = outputs_verdict(*context.model(str(kind.model)).Dd.shape)
-            else:
-                verdicts[DIRECT_PATH] = refused(DIRECT_PATH, AssumptionError(str(error)))
-            return list(verdicts.values())
+            return self._without_reduced(kind, error)
         verdicts_of_plant = list(observer_verdicts(reduced))
         failing = [one.name for one in verdicts_of_plant if one.fulfilled is False]
         if failing:
@@ -164,6 +158,19 @@ class _Check:
         if kind.relinearize:
             return list(map(_at_operating_point, verdicts_of_all))
         return verdicts_of_all
+
+    def _without_reduced(
+        self, kind: UnknownInputObserverKind, error: UsageError
+    ) -> list[AssumptionVerdict]:
+        """Return what can be said of an observer whose model cannot be reduced."""
+        reason = "there is no reduced system"
+        verdicts = {assumption: undecided(assumption, reason) for assumption in OF_OBSERVER}
+        if kind.model in self._scenario.file.models:
+            system = self._context.model(str(kind.model))
+            verdicts[DECOUPLING] = outputs_verdict(*system.Dd.shape)
+        else:
+            verdicts[DIRECT_PATH] = refused(DIRECT_PATH, AssumptionError(str(error)))
+        return list(verdicts.values())
 
     def _of_regressor(self, name: str, kind: Kind) -> list[AssumptionVerdict]:
         if not isinstance(kind, RegressorKind):

@@ -125,6 +125,12 @@ def subject_of(
     identifier = _only_identifier(scenario)
     regressor = _driver(scenario, identifier, "regressor", RegressorKind)
     observer = _driver(scenario, regressor, "delta", UnknownInputObserverKind)
+    designed = scenario.specs[observer]
+    if isinstance(designed, UnknownInputObserverKind) and designed.relinearize:
+        raise UsageError(
+            f"{observer!r} is linearized anew at its estimate, so that its noise is no linear "
+            "response; needed relinearize = false, for what one operating point says"
+        )
     upstream = _upstream(scenario, {observer})
     _check_models(scenario, upstream)
     deviations, source = _noise(scenario, identifier, observer, noise)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -94,9 +94,9 @@ class Trial:
     @property
     def leakage(self) -> float:
         """Root mean square of what u leaves in delta hat, over that of delta hat, once settled."""
-        settled = slice(self.regression.settled, None)
-        of_u = np.nanmean(self.delta_of_u[settled] ** 2)
-        whole = np.nanmean(self.regression.delta[settled] ** 2)
+        begin = self.regression.settled
+        of_u = np.nanmean(self.delta_of_u[begin:] ** 2)
+        whole = np.nanmean(self.regression.delta[begin:] ** 2)
         return float(np.sqrt(of_u / whole)) if whole else 0.0
 
 
@@ -121,59 +121,100 @@ def trial_of(
         If u depends on y, or y has values between the samples of a sensor.
     """
     scenario = subject.scenario.edit(set=settings if edits is None else edits)
-    observer = subject.observer
     with ExitStack() as resources:
         builder = Builder(scenario, resources)
         builder.check()
-        graph = _upstream_graph(builder, subject)
-        _check(subject, builder, graph)
-        identified = _identified(subject, builder)
-        memory = Memory()
-        run(graph, builder.clock, memory)
-        t = seconds(memory.time_ns(observer))
-        inputs = graph.layout[observer].interface.input_columns()
-        rows = memory.rows(observer)
-        kind = scenario.specs[observer]
-        lag = kind.lag(observer, "delta", builder.context)
-        component = builder.components[observer]
-        u_columns = inputs.get("u", slice(0, 0))
-        held = graph.held[observer]
-        covariance = subject.covariance(len(identified.plant.C))
-        response = _ObserverResponse(component, t, inputs["y"])
-        u = rows[:, u_columns]
-        y = rows[:, inputs["y"]]
-        signals = _alpha_signals(subject, identified, memory)
-        open_loop = np.zeros(u.shape[1], np.bool_)
-        data = identified.data_set(t, y, u, held[u_columns], open_loop, signals)
-        alpha = identified.alpha_at(t - lag, t, signals)
-        delta = memory[f"{observer}.delta"]
-        noise = response.to_noise(covariance, delta)
-        delta_of_u = response.to_input(data, identified, u_columns)
-        regressor = scenario.specs[subject.regressor]
+        return _Simulation(subject, builder).trial(settings)
+
+
+class _Simulation:
+    """The observer of a variant, and what it follows, simulated without noise of y.
+
+    Parameters
+    ----------
+    subject : DesignSubject
+    builder : Builder
+        Of the variant.
+    """
+
+    def __init__(self, subject: DesignSubject, builder: Builder) -> None:
+        self._subject = subject
+        self._builder = builder
+        self._graph = _upstream_graph(builder, subject)
+        _check(subject, builder, self._graph)
+        self._identified = _identified(subject, builder)
+        self._recording = Memory()
+        run(self._graph, builder.clock, self._recording)
+        self._t = seconds(self._recording.time_ns(subject.observer))
+        interface = self._graph.layout[subject.observer].interface
+        inputs = interface.input_columns()
+        self._y = inputs["y"]
+        self._u = inputs.get("u", slice(0, 0))
+        self._signals = self._alpha_signals()
+        self._delta = np.asarray(self._recording[f"{subject.observer}.delta"])
+
+    def trial(self, settings: Mapping[str, Any]) -> Trial:
+        """Return what the observer took in and made, and what it would make of noise."""
+        subject = self._subject
+        observer = self._builder.components[subject.observer]
+        covariance = subject.covariance(len(self._identified.plant.C))
+        response = _ObserverResponse(observer, self._t, self._y)
+        data = self._data()
+        delta_of_u = response.to_input(data, self._identified, self._u)
+        regressor = self._builder.scenario.specs[subject.regressor]
         assert isinstance(regressor, RegressorKind)
-        settled, start = _start(builder, subject.identifier, max(regressor.delays))
-    h = builder.clock.step_ns / 1e9
-    steps = tuple(round(delay / h) for delay in regressor.delays)
-    regression = RegressionExperiment(
-        delta=np.asarray(delta),
-        alpha=alpha,
-        names=tuple(alpha.text for alpha in identified.alphas),
-        families=identified.families,
-        theta=np.array(subject.theta),
-        step=h,
-        noise=noise,
-        settled=settled,
-        start=start,
-    )
-    return Trial(
-        settings=settings,
-        identified=identified,
-        data=data,
-        covariance=covariance,
-        regression=regression,
-        delta_of_u=delta_of_u,
-        steps=steps,
-    )
+        h = self._builder.clock.step_ns / 1e9
+        return Trial(
+            settings=settings,
+            identified=self._identified,
+            data=data,
+            covariance=covariance,
+            regression=self._regression(response.to_noise(covariance), regressor.delays),
+            delta_of_u=delta_of_u,
+            steps=tuple(round(delay / h) for delay in regressor.delays),
+        )
+
+    def _data(self) -> DataSet:
+        """Return what the observer took in."""
+        observer = self._subject.observer
+        rows = self._recording.rows(observer)
+        u = rows[:, self._u]
+        return self._identified.data_set(
+            self._t,
+            rows[:, self._y],
+            u,
+            self._graph.held[observer][self._u],
+            np.zeros(u.shape[1], np.bool_),  # an open loop, which was checked
+            self._signals,
+        )
+
+    def _regression(
+        self, noise: ReconstructionNoise, delays: Sequence[float]
+    ) -> RegressionExperiment:
+        """Return what the regressor would be given."""
+        subject = self._subject
+        builder = self._builder
+        identified = self._identified
+        kind = builder.scenario.specs[subject.observer]
+        lag = kind.lag(subject.observer, "delta", builder.context)
+        settled, start = _start(builder, subject.identifier, max(delays))
+        return RegressionExperiment(
+            delta=self._delta,
+            alpha=identified.alpha_at(self._t - lag, self._t, self._signals),
+            names=tuple(alpha.text for alpha in identified.alphas),
+            families=identified.families,
+            theta=np.array(subject.theta),
+            step=builder.clock.step_ns / 1e9,
+            noise=noise,
+            settled=settled,
+            start=start,
+        )
+
+    def _alpha_signals(self) -> Matrix:
+        """Return the alphas that are signals, shape (N, signals)."""
+        if not signals_among(self._identified.alphas):
+            return np.zeros((len(self._t), 0))
+        return as_columns(self._recording[f"{self._subject.regressor}.alpha"])
 
 
 class _ObserverResponse:
@@ -194,38 +235,45 @@ class _ObserverResponse:
         self._t = t[: _SPAN_OF_NOISE + 1]
         self._y = y
         self._delta = component.interface.output_columns()["delta"].start
-        self._of_nothing = self._driven(np.zeros((len(self._t), component.interface.n_u)))
+        self._of_nothing = self._driven(self._no_input())
 
-    def to_noise(self, covariance: Matrix, delta: Vector) -> ReconstructionNoise:
+    def to_noise(self, covariance: Matrix) -> ReconstructionNoise:
         """Return the noise of delta, once it has values."""
         factor = np.linalg.cholesky(covariance)
-        first = int(np.argmax(np.isfinite(self._of_nothing))) + 1
-        columns = []
+        has_value = np.isfinite(self._of_nothing)
+        # at the first point the input sets the initial state too, which noise does only once
+        first = int(np.argmax(has_value)) + 1
+        responses = []
         for column in factor.T:
-            u = np.zeros((len(self._t), self._component.interface.n_u))
+            u = self._no_input()
             u[first, self._y] = column
-            columns.append((self._driven(u) - self._of_nothing)[first:])
-        return ReconstructionNoise(np.array(columns).T)
+            response = self._driven(u) - self._of_nothing
+            responses.append(response[first:])
+        return ReconstructionNoise(np.array(responses).T)
+
+    def _no_input(self) -> Matrix:
+        return np.zeros((len(self._t), self._component.interface.n_u))
 
     def to_input(self, data: DataSet, identified: IdentifiedPlant, u: slice) -> Vector:
         """Return the part of delta that the known input makes, through the plant and at once."""
         plant = identified.plant
         at_rest = np.zeros(len(plant.A))
         x = simulate(plant.A, plant.B, data.t, data.u, at_rest, data.is_held)
-        driven = np.zeros((len(data.t), self._component.interface.n_u))
-        driven[:, u] = data.u
-        driven[:, self._y] = x @ plant.C.T + data.u @ plant.D.T
-        part = driven[: len(self._t)]
+        y = x @ plant.C.T + data.u @ plant.D.T
+        followed = len(self._t)
+        driven = self._no_input()
+        driven[:, u] = data.u[:followed]
+        driven[:, self._y] = y[:followed]
         delta = np.full(len(data.t), np.nan)
-        delta[: len(part)] = self._driven(part) - self._of_nothing
+        delta[:followed] = self._driven(driven) - self._of_nothing
         return delta
 
     def _driven(self, u: Matrix) -> Vector:
         component = self._component
-        component.initialize(float(self._t[0]), u[0])
-        initial = component.outputs(float(self._t[0]), u[0])
-        h = float(self._t[1] - self._t[0])
-        rows = component.advance(self._t, h, u)
+        begin, second = map(float, self._t[:2])
+        component.initialize(begin, u[0])
+        initial = component.outputs(begin, u[0])
+        rows = component.advance(self._t, second - begin, u)
         return np.append(initial[self._delta], rows[:, self._delta])
 
 
@@ -248,15 +296,6 @@ def _upstream_graph(builder: Builder, subject: DesignSubject) -> Graph:
         input_interpolation=settings.input_interpolation,
         periods=periods,
     )
-
-
-def _alpha_signals(
-    subject: DesignSubject, identified: IdentifiedPlant, recording: Memory
-) -> Matrix:
-    """Return the alphas that are signals, shape (N, signals)."""
-    if not signals_among(identified.alphas):
-        return np.zeros((len(recording.time_ns(subject.observer)), 0))
-    return as_columns(recording[f"{subject.regressor}.alpha"])
 
 
 def _check(subject: DesignSubject, builder: Builder, graph: Graph) -> None:

@@ -81,7 +81,8 @@ def accuracy_bound(
     known = RecordInformation(np.zeros((len(R), 0)), R[:, :linear])
     unknowns = known.inverse @ R[:, -1]
     left = R[:, -1] - R[:, :linear] @ unknowns
-    whole = white.whitened(np.nan_to_num(data.y)[:, :, np.newaxis], data.measured)
+    measured = np.nan_to_num(data.y)
+    whole = white.whitened(measured[:, :, np.newaxis], data.measured)
     size = float(np.linalg.norm(whole))
     amplitudes = unknowns[: matrices.order]
     for component in matrices.each:

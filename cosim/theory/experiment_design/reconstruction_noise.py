@@ -44,9 +44,11 @@ class ReconstructionNoise:
         if not np.isfinite(response).all():
             raise AssumptionError("the response of delta to noise of y is not finite")
         squares = np.sum(response**2, axis=1)
-        left_out = np.cumsum(squares[::-1])[::-1]
-        kept = int(np.sum(left_out > _NEGLIGIBLE * left_out[:1].sum()))
-        object.__setattr__(self, "response", frozen(response[: max(kept, 1)], 2))
+        from_the_end = np.cumsum(squares[::-1])
+        left_out = from_the_end[::-1]
+        counts = left_out > _NEGLIGIBLE * squares.sum()
+        kept = max(int(counts.sum()), 1)
+        object.__setattr__(self, "response", frozen(response[:kept], 2))
 
     @property
     def deviation(self) -> float:
@@ -60,7 +62,8 @@ class ReconstructionNoise:
         length = fft_length(2 * M)
         spectrum = np.fft.rfft(self.response, length, axis=0)
         power = np.sum(np.abs(spectrum) ** 2, axis=1)
-        return frozen(np.fft.irfft(power, length)[:M], 1)
+        circular = np.fft.irfft(power, length)
+        return frozen(circular[:M], 1)
 
     def covariance(self, distance: NDArray[np.integer]) -> NDArray[np.float64]:
         """Return ``r`` at distances in samples, of any sign and shape."""
@@ -107,6 +110,8 @@ def fft_length(least: int) -> int:
 def _convolved(values: Vector, kernel: Vector) -> Vector:
     """Return the part of a convolution where the kernel lies within the values."""
     length = fft_length(len(values))
-    product = np.fft.rfft(values, length) * np.fft.rfft(kernel, length)
-    convolved: Vector = np.fft.irfft(product, length)[len(kernel) - 1 : len(values)]
-    return convolved
+    of_values = np.fft.rfft(values, length)
+    of_kernel = np.fft.rfft(kernel, length)
+    circular = np.fft.irfft(of_values * of_kernel, length)
+    within: Vector = circular[len(kernel) - 1 : len(values)]
+    return within

@@ -87,10 +87,12 @@ class NoisyRegression:
     @cached_property
     def noise_moment(self) -> Matrix:
         """The expected ``sum x x'``, shape (q + 1, q + 1)."""
-        delays = np.array(self.steps)[self.row]
-        apart = delays[np.newaxis, :] - delays[:, np.newaxis]
+        steps = np.array(self.steps)
+        delays = steps[self.row]
+        apart = delays - delays[:, np.newaxis]
         if self.block == 1:
-            return (self.products @ self.products.T) * self.noise.covariance(apart)
+            products = self.products @ self.products.T
+            return products * self.noise.covariance(apart)
         return self._moment_of_blocks(apart)
 
     @property
@@ -132,10 +134,12 @@ class NoisyRegression:
         spectra = np.fft.rfft(blocks, length, axis=2).transpose(2, 0, 1)
         crossed = spectra @ spectra.conj().transpose(0, 2, 1)  # frequency, term, term
         correlation = np.fft.irfft(crossed, length, axis=0)
-        distance = np.arange(length)
-        distance = np.where(distance < length - self.block, distance, distance - length)
-        r = self.noise.covariance(distance[:, np.newaxis, np.newaxis] + apart)
-        moment: Matrix = np.sum(correlation * r, axis=0)
+        place = np.arange(length)
+        # the correlation is circular: its end belongs to negative distances
+        is_negative = place >= length - self.block
+        distance = place - length * is_negative
+        between = distance[:, np.newaxis, np.newaxis] + apart
+        moment: Matrix = np.sum(correlation * self.noise.covariance(between), axis=0)
         return moment
 
     def _by_delay(self, combinations: Matrix) -> NDArray[np.float64]:
@@ -148,14 +152,17 @@ class NoisyRegression:
 
     def _linear(self, d: Matrix, g: Vector, p: NDArray[np.float64], q: Matrix) -> Matrix:
         """Compute the covariance of the part that is linear in the noise."""
-        of_d = np.repeat(d @ self.sums, self.block, axis=1)
-        of_g = np.repeat(g @ self.sums, self.block)
+        rows_by_d = d @ self.sums
+        rows_by_g = g @ self.sums
+        of_d = np.repeat(rows_by_d, self.block, axis=1)
+        of_g = np.repeat(rows_by_g, self.block)
         longest = max(self.steps)
-        weights = np.zeros((len(d), self.samples + longest))
+        weights = np.zeros((len(d), self.samples + longest))  # of the samples of the noise
         for j, steps in enumerate(self.steps):
             begin = longest - steps
-            part = slice(begin, begin + self.samples)
-            weights[:, part] += of_d * q[j] + of_g * p[:, j]
+            end = begin + self.samples
+            weights[:, begin:end] += of_d * q[j]
+            weights[:, begin:end] += of_g * p[:, j]
         reach = len(self.noise.autocovariance)
         length = fft_length(weights.shape[1] + reach)
         spectra = np.fft.rfft(weights, length, axis=1)
@@ -202,10 +209,13 @@ class NoisyRegression:
         self, first: tuple[int, int], second: tuple[int, int], size: int, rows: int
     ) -> Vector | None:
         """Return the covariance of products of two sums, blocks ``-rows + 1 .. rows - 1`` apart."""
-        apart = size * np.arange(-rows + 1, rows)
-        total = np.zeros(2 * rows - 1)
+        blocks = np.arange(-rows + 1, rows)
+        apart = size * blocks
+        total = np.zeros(len(blocks))
         for one, other in self._distances(first, second):
-            total += self._of_sums(apart + one) * self._of_sums(apart + other)
+            of_one = self._of_sums(apart + one)
+            of_other = self._of_sums(apart + other)
+            total += of_one * of_other
         return total
 
     def _of_sums(self, distance: NDArray[np.integer]) -> Vector:
