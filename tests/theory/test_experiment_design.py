@@ -9,8 +9,10 @@ from scipy.linalg import toeplitz
 
 from cosim.errors import AssumptionError
 from cosim.theory.disturbance import Exponential, Sine, coefficients, generators, group_by_alpha
+from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.estimators.least_squares import least_squares, plan, recover, trapezoid_weights
 from cosim.theory.estimators.rayleigh import means, noise_covariance, rayleigh, rayleigh_constants
+from cosim.theory.experiment_design.bound import accuracy_bound
 from cosim.theory.experiment_design.delay_search import search_delays
 from cosim.theory.experiment_design.minors import Minors
 from cosim.theory.experiment_design.predictions import RegressionExperiment
@@ -115,6 +117,28 @@ def test_moments_and_covariance_are_those_of_gaussian_noise(block):
     quadratic = 2.0 * np.einsum("iab,bc,jcd,da->ij", Q, R, Q, R)
     expected = linear @ R @ linear.T + quadratic
     np.testing.assert_allclose(regression.covariance(d, g), expected, rtol=1e-9)
+
+
+def test_the_bound_of_terms_that_are_alike_is_infinite_and_that_of_others_is_not():
+    """Two exponentials of one theta: their sum is known, not either; a third is known as alone."""
+    plant = DisturbedPlant(
+        A=np.zeros((0, 0)),
+        B=np.zeros((0, 0)),
+        Bd=np.zeros((0, 3)),
+        C=np.zeros((2, 0)),
+        D=np.zeros((2, 0)),
+        Dd=np.array([[1.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
+    )
+    families = (*EXPONENTIALS, Exponential())
+    theta = np.array([-0.1, -0.1, -0.3])
+    y = np.column_stack([2.0 * np.exp(-0.1 * T), np.exp(-0.3 * T)])
+    data = DataSet(T, y, np.zeros((len(T), 0)), np.ones((len(T), 3)))
+    found = accuracy_bound(plant, families, theta, data, noise=1e-6 * np.eye(2))
+    assert np.isinf(found.standard_error[:2]).all()
+    own = y[:, 1]
+    slope = T * own  # of the third by theta, less what its amplitude takes of it
+    free = slope - own * (slope @ own) / (own @ own)
+    assert found.standard_error[2] == pytest.approx(1e-3 / np.linalg.norm(free), rel=1e-6)
 
 
 # --- predictions against Monte Carlo ---

@@ -14,7 +14,12 @@ from typing import Final
 import numpy as np
 
 from cosim.arrays import Matrix, Vector
-from cosim.theory.assessment.record_information import DEPENDENT, RecordInformation, information_of
+from cosim.theory.assessment.record_information import (
+    DEPENDENT,
+    DETERMINED,
+    RecordInformation,
+    information_of,
+)
 from cosim.theory.disturbance import Family, generators
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel, sample_plant
 
@@ -99,14 +104,13 @@ def _covariance(information: RecordInformation) -> Matrix:
     free = information.free
     lengths = np.linalg.norm(free, axis=0)
     whole = np.linalg.norm(information.slopes, axis=0)
-    determined = lengths > DEPENDENT * whole
-    scaled = free[:, determined] / lengths[determined]
-    values, vectors = np.linalg.eigh(scaled.T @ scaled)
-    covariance = np.diag(np.where(determined, 0.0, np.inf))
-    places = np.flatnonzero(determined)
-    if len(places):
-        with np.errstate(divide="ignore"):
-            inverse = (vectors / np.maximum(values, 0.0)) @ vectors.T
-        scale = np.outer(lengths[places], lengths[places])
-        covariance[np.ix_(places, places)] = inverse / scale
+    places = np.flatnonzero(lengths > DEPENDENT * whole)
+    scaled = free[:, places] / lengths[places]
+    _, values, directions = np.linalg.svd(scaled, full_matrices=False)
+    is_known = values > DEPENDENT * values.max(initial=0.0)
+    known = directions[is_known] / values[is_known, np.newaxis]
+    covariance = np.diag(np.full(len(lengths), np.inf))
+    covariance[np.ix_(places, places)] = known.T @ known / np.outer(lengths[places], lengths[places])
+    unknown = np.linalg.norm(directions[~is_known], axis=0) > DETERMINED
+    covariance[places[unknown], places[unknown]] = np.inf
     return covariance
