@@ -223,9 +223,13 @@ int main(void)
     const int32_t steps[] = {0, 4, 2}, row[] = {2, 0, 1, 1, 0, 2};
     const int32_t factor[] = {0, 4, 1, 5, 0, 5, 2, 3, 2, 4, 1, 3};
     const double delays[] = {0.0, 0.4, 0.2}, sign[] = {1, -1, 1, -1, 1, -1};
-    double *samples = doubles(1 + 4 + 2 * 3);
-    cosim_regressor regressor = {3, 2, 6, 2, steps, delays, programs, row, factor, sign, samples};
-    drive(cosim_regressor_step, &regressor, 1, 6, 20);
+    /* one alpha is an expression, the other a signal, also between its samples */
+    const int32_t element[] = {-1, 0}, before[] = {0, 0, 0, 0, 3, 2};
+    const double part[] = {0.0, 0.0, 0.0, 0.0, 0.5, 0.0};
+    const cosim_past_alphas alphas = {{2, 1, element, programs}, 3, 4, delays, before, part};
+    double *samples = doubles((size_t)(1 + 4 + 2 * 3 + cosim_past_alphas_memory(&alphas)));
+    cosim_regressor regressor = {3, 6, 2, steps, &alphas, row, factor, sign, samples};
+    drive(cosim_regressor_step, &regressor, 2, 6, 20);
 
     const cosim_recovery two[] = {{COSIM_EXPONENTIAL, {2, 0, 0}, {1, 0}, {-1, 1, 0}, 2.0},
                                    {COSIM_EXPONENTIAL, {5, 0, 0}, {0, 0}, {-1, 1, 0}, 1.0}};
@@ -271,7 +275,9 @@ def test_the_kernels_run_clean_under_the_sanitizers(tmp_path):
     (tmp_path / "main.c").write_text(
         MAIN.replace("CODE", code, 1).replace("CONSTANTS", constants, 1), encoding="utf-8"
     )
-    options = ["-std=c11", "-g", "-O1", sanitizers, "-fno-sanitize-recover=all", f"-I{build.HERE}"]
+    # of warnings errors: a struct that has changed is written here by the order of its members
+    strict = ["-Wall", "-Werror", "-fno-sanitize-recover=all"]
+    options = ["-std=c11", "-g", "-O1", sanitizers, *strict, f"-I{build.HERE}"]
     compiled = subprocess.run(
         ["cc", *options, tmp_path / "main.c", *SOURCES, "-o", tmp_path / "main", "-lm"],
         capture_output=True,

@@ -110,7 +110,9 @@ def _covariance(information: RecordInformation) -> Matrix:
     is_known = values > DEPENDENT * values.max(initial=0.0)
     known = directions[is_known] / values[is_known, np.newaxis]
     covariance = np.diag(np.full(len(lengths), np.inf))
-    covariance[np.ix_(places, places)] = known.T @ known / np.outer(lengths[places], lengths[places])
+    covariance[np.ix_(places, places)] = (
+        known.T @ known / np.outer(lengths[places], lengths[places])
+    )
     unknown = np.linalg.norm(directions[~is_known], axis=0) > DETERMINED
     covariance[places[unknown], places[unknown]] = np.inf
     return covariance
