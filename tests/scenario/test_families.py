@@ -7,6 +7,9 @@ import pytest
 
 import cosim
 from cosim.errors import CosimError
+from cosim.scenario.assumptions.regression import ALPHAS as OF_ALPHAS
+from cosim.scenario.assumptions.regression import CLASS, DELAYS
+from cosim.scenario.assumptions.report import check_assumptions
 from cosim.scenario.build import parse
 from cosim.scenario.document import Document
 from cosim.scenario.recorded_metadata import recorded_identification
@@ -343,3 +346,21 @@ def test_elements_that_do_not_fit_are_refused(terms, more, message, tmp_path):
     """Every element of delta has terms, and the method can do with several."""
     with pytest.raises(CosimError, match=message):
         cosim.run(identified(tmp_path, terms, [0.5, 1.0, 1.5], more, PAIR))
+
+
+def test_the_assumptions_of_every_element_are_told(tmp_path):
+    """Each element has its own class, and the longest of them needs its delays."""
+    scenario = identified(tmp_path, TWO, [0.5, 1.0, 1.5], text=PAIR)
+    told = check_assumptions(scenario).of("regressor")
+    assert all(told[name].fulfilled for name in (CLASS, DELAYS, OF_ALPHAS))
+    assert "element 1: exponential: l = 1" in told[CLASS].evidence
+    assert told[CLASS].values == {"basis_functions": 3, "groups": 2, "terms": 5}
+
+
+def test_output_error_needs_no_independent_products_of_many_alphas(tmp_path):
+    """Four exponentials of different alphas are identified, and none of it is reported to fail."""
+    terms = exponentials(-0.05, -0.3, -0.8, -2.0)
+    told = check_assumptions(identified(tmp_path, terms, [0.4, 0.8, 1.2, 1.6, 2.0]))
+    own = told.of("regressor")
+    assert all(own[name].fulfilled for name in (CLASS, DELAYS, OF_ALPHAS))
+    assert 'method = "output-error" is needed' in own[CLASS].evidence

@@ -10,12 +10,12 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.core.clock import NANOSECONDS, whole_steps
-from cosim.errors import AssumptionError
+from cosim.errors import AssumptionError, UsageError
 from cosim.scenario.assumptions.attempts import Evidence, attempted
 from cosim.scenario.kinds.alphas import unchecked
 from cosim.scenario.kinds.base import BuildContext
-from cosim.scenario.kinds.regressor import RegressorKind
-from cosim.scenario.kinds.terms import families_of
+from cosim.scenario.kinds.regressor import RegressorDesign, RegressorKind
+from cosim.scenario.kinds.terms import element_count, families_of
 from cosim.theory import regression
 from cosim.theory.assumptions import AssumptionVerdict, undecided
 from cosim.theory.disturbance import Family, generators, group_by_alpha
@@ -54,30 +54,39 @@ class RegressorCheck:
             return [of_class, delays, undecided(ALPHAS, "the delays are not valid")]
         return [of_class, delays, attempted(ALPHAS, self._alphas)]
 
-    def _families(self) -> tuple[list[Family], tuple[int, ...]]:
-        """Return the families, and the sizes of their groups."""
+    def _elements(self) -> list[tuple[list[Family], tuple[int, ...]]]:
+        """Return the families, and the sizes of their groups, for each element of delta."""
         families = families_of(self.kind.terms)
         texts = [alpha.text for alpha in unchecked(self.kind.alphas)]
-        groups = group_by_alpha(texts, families)
-        return families, tuple(group.size for group in groups)
+        elements = []
+        for element in range(element_count(self.kind.terms)):
+            own = [i for i, term in enumerate(self.kind.terms) if term.element == element]
+            of_element = [families[i] for i in own]
+            groups = group_by_alpha([texts[i] for i in own], of_element)
+            elements.append((of_element, tuple(group.size for group in groups)))
+        return elements
 
     def _class(self) -> Evidence:
-        families, sizes = self._families()
-        count = regression.count_terms(sizes)
-        values = {"basis_functions": sum(sizes), "groups": len(sizes), "terms": count}
-        names = ", ".join(family.name for family in families)
-        evidence = (
-            f"{names}: l = {sum(sizes)} basis functions under {len(sizes)} alpha(s), {count} terms "
-            "of (25)"
-        )
-        warning = regression.linear_route_warning(sizes)
-        return f"{evidence}; {warning}" if warning else evidence, values
+        self.kind.check_distinguishable(self.context)
+        elements = self._elements()
+        texts = [_class_text(families, sizes) for families, sizes in elements]
+        if len(texts) > 1:
+            texts = [f"element {element}: {text}" for element, text in enumerate(texts)]
+        all_sizes = [size for _, sizes in elements for size in sizes]
+        values = {
+            "basis_functions": sum(all_sizes),
+            "groups": len(all_sizes),
+            "terms": sum(regression.count_terms(sizes) for _, sizes in elements if sizes),
+        }
+        return "; ".join(texts), values
 
     def _delays(self) -> Evidence:
         """Check the delays: rates that differ by a multiple of 2 pi / divisor look alike."""
-        families, sizes = self._families()
+        elements = self._elements()
+        families = families_of(self.kind.terms)
         delays = self.kind.delays
-        regression.check_delays(delays, sum(sizes) + 1)
+        longest = max(sum(sizes) for _, sizes in elements)
+        regression.check_delays(delays, longest + 1)
         step_ns = self.context.step_ns
         steps = [whole_steps(delay, step_ns, f"delays[{j}]") for j, delay in enumerate(delays)]
         divisor = math.gcd(*(count - steps[0] for count in steps)) * step_ns / NANOSECONDS
@@ -101,19 +110,55 @@ class RegressorCheck:
 
     def _alphas(self) -> Evidence:
         design = self.kind.design(self.name, self.context)
+        each = design.each or [design]
+        evidence = [self._alphas_of(one) for one in each]
+        texts = [text for text, _ in evidence]
+        if design.each:
+            texts = [f"element {element}: {text}" for element, text in enumerate(texts)]
+        margins = [margin for _, margin in evidence if margin is not None]
+        values: dict[str, Any] = {}
+        if margins:
+            values = {"smallest_singular_value": min(margins), "least": regression.COLLINEAR}
+        return "; ".join(texts), values
+
+    def _alphas_of(self, design: RegressorDesign) -> tuple[str, float | None]:
+        """Return what is known of the alphas of one element, and the margin where there is one."""
         names = ", ".join(repr(alpha.text) for alpha in design.group_alphas)
         if len(design.groups) < 2:
-            return f"one alpha for all terms: {names}", {}
+            return f"one alpha for all terms: {names}", None
         if design.known.unknown:
-            return f"{names}: known of the run alone, which checks them at its end", {}
+            return f"{names}: known of the run alone, which checks them at its end", None
+        if not design.needs_independence:
+            return f"of {names} none is a multiple of another one, as output error needs", None
         times = design.times_before(self.context.clock)
         sampled = design.known(times.ravel()).reshape(*times.shape, len(design.groups))
         margin = regression.independence(design.terms, sampled)
-        evidence = (
+        return (
             f"the products of {names} are independent: smallest singular value {margin:.2g}, "
             f"dependent below {regression.COLLINEAR:.0e}"
-        )
-        return evidence, {"smallest_singular_value": margin, "least": regression.COLLINEAR}
+        ), margin
+
+
+def _class_text(families: list[Family], sizes: tuple[int, ...]) -> str:
+    """Return the class of one element of delta as text.
+
+    Raises
+    ------
+    UsageError
+        If it has no terms.
+    """
+    if not families:
+        raise UsageError("found no terms; needed at least one for each element of delta")
+    names = ", ".join(family.name for family in families)
+    text = (
+        f"{names}: l = {sum(sizes)} basis functions under {len(sizes)} alpha(s), "
+        f"{regression.count_terms(sizes)} terms of (25)"
+    )
+    problem = regression.linear_route_problem(sizes)
+    remark = regression.linear_route_warning(sizes)
+    if problem:
+        remark = f'{problem}, so method = "output-error" is needed'
+    return f"{text}; {remark}" if remark else text
 
 
 def _fastest(families: list[Family], theta: Vector) -> float:

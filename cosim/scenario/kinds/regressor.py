@@ -99,6 +99,11 @@ class RegressorDesign:
         return bool(self.terms[0].parts)
 
     @property
+    def needs_independence(self) -> bool:
+        """Whether the products of the alphas have to be independent: eta can be estimated."""
+        return self.is_expanded and not regression.linear_route_problem(self.sizes)
+
+    @property
     def sizes(self) -> list[int]:
         """The number of basis functions of each group."""
         return [group.size for group in self.groups]
@@ -155,7 +160,7 @@ class RegressorDesign:
         """
         names = [alpha.text for alpha in self.group_alphas]
         sampled = alphas(times.ravel()).reshape(*times.shape, len(names))
-        if self.is_expanded and not regression.linear_route_problem(self.sizes):
+        if self.needs_independence:
             regression.check_alpha_products(self.terms, sampled, names)
         else:
             regression.check_proportional(sampled, names)
@@ -284,7 +289,7 @@ class RegressorKind(ExportableKind):
         families = families_of(self.terms)
         self._steps(context)  # before what needs all times of the run
         alphas = alphas_of(name, self.alphas, context, ALPHA_WAY_OUT)
-        self._check_distinguishable(families, alphas, context)
+        self.check_distinguishable(context)
         count = element_count(self.terms)
         members: list[list[int]] = [[] for _ in range(count)]
         for i, term in enumerate(self.terms):
@@ -355,10 +360,17 @@ class RegressorKind(ExportableKind):
             each=each,
         )
 
-    def _check_distinguishable(
-        self, families: Sequence[Family], alphas: Sequence[Alpha], context: BuildContext
-    ) -> None:
+    def check_distinguishable(self, context: BuildContext) -> None:
+        """Check that no two terms say the same, whatever theta is.
+
+        Raises
+        ------
+        AssumptionError
+            If two do.
+        """
         clock = context.clock
+        families = families_of(self.terms)
+        alphas = unchecked(self.alphas)
         texts = [alpha.text for alpha in alphas]
         elements = [term.element for term in self.terms]
         check_distinguishable(
