@@ -8,8 +8,9 @@ At the communication point t_k, with x_hat, delta_hat, y and r there::
     w(t_k+1) = E w + Gamma e + H (u(t_k+1) - v),    e = y - r of the regulated outputs
 
 where x is x_hat less its steady state under delta_hat and r. E, Gamma and H are those of
-``w' = S(theta) w + b e - B_w (u - v)`` over a step, its inputs held. The step of delay between
-x_hat and u, which a digital controller has, opens the algebraic loop by which x_hat follows u.
+``w' = S(theta) w + b e - B_w (u - v)`` over a step, its inputs held; K_w, X and B_w are
+interpolated between the thetas that they are designed for. The step of delay between x_hat and u,
+which a digital controller has, opens the algebraic loop by which x_hat follows u.
 :mod:`cosim.theory.compensation.design` has the reasons.
 
 The internal model becomes active at the first point where the 95 % interval of every theta is in
@@ -25,20 +26,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cosim.arrays import NAN, Mask, Matrix, Vector
 from cosim.core.contracts import Design, check_design
-from cosim.core.linear import shapes_of
 from cosim.core.signals import Interface, Signal
-from cosim.errors import UsageError
+from cosim.errors import LogError, UsageError
 from cosim.native.step import affine, matrix_exponential
 from cosim.theory.compensation.activation import Activation
 from cosim.theory.compensation.design import (
     CompensatorGains,
     ControlledPlant,
-    Stabilization,
     certify_compensator,
 )
+from cosim.theory.compensation.schedule import Schedule, blended, corner_weights
 from cosim.theory.observer import StateSpace
 
 
@@ -53,7 +54,8 @@ class CompensatorOptions:
     R : Matrix, shape (n, n_x)
         The states of the design model by those of the input.
     largest_error : float
-        Largest standard error of theta, relative to theta, with which the internal model is used.
+        Largest standard error of theta with which the internal model is used: see
+        :class:`Activation`.
     lower, upper : Vector, shape (n_u,)
         Limits of u.
     anti_windup : bool
@@ -123,13 +125,15 @@ class Compensator:
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Certify the loop and compute what a step needs, or take what was recorded."""
         arrays = dict(recorded) or self._design(h, held)
-        check_design(arrays, self._shapes())
+        counts = _counts(arrays, len(self._gains.box.lower))
+        check_design(arrays, self._shapes(counts))
         self._arrays = arrays
+        self._counts = counts
         lower, upper = arrays["theta"]
         self._activation = Activation(lower, upper, self._options.largest_error)
         return arrays
 
-    def _design(self, h: float, held: Mask) -> dict[str, Matrix]:
+    def _design(self, h: float, held: Mask) -> dict[str, NDArray[np.float64]]:
         system = ControlledPlant(
             plant=self._plant,
             observer=self._observer,
@@ -138,30 +142,34 @@ class Compensator:
             u_held=bool(held[self._columns[self._options.state]].all()),
             y_held=bool(held[self._columns["y"]].any()),
         )
-        certificate = certify_compensator(self._gains, system)
-        rates = [certificate.base_rate, certificate.rate, float(certificate.cells)]
+        certified = certify_compensator(self._gains, system)
+        rates = [certified.base_rate, certified.rate, float(certified.cells)]
         finite = [rate if math.isfinite(rate) else 0.0 for rate in rates]
-        return {**self._numbers(), "h": np.array([h]), "certificate": np.array(finite)}
-
-    def _numbers(self) -> dict[str, Matrix]:
         gains = self._gains
-        n_w = len(gains.model.b)
-        n_u, n = gains.K.shape
-        internal = gains.internal
-        if internal is None:
-            internal = Stabilization.none(n_u=n_u, n_w=n_w, n=n)
-        H = np.zeros((n_w, n_u))
-        if self._options.anti_windup:
-            H = H - internal.B_w
         return {
             "before": self._of_known(gains.before),
-            "after": self._of_known(gains.after(internal)),
-            "K_w": -internal.K_w,
-            "X": self._of_known(internal.X @ gains.deviation),
+            **self._nodes(certified.schedule),
             "S0": gains.model.S0,
-            "S1": np.reshape(gains.model.S1, (len(gains.model.S1), n_w, n_w)),
-            "G": np.hstack([gains.model.b, H]),
+            "S1": np.reshape(gains.model.S1, (len(gains.model.S1), *gains.model.S0.shape)),
+            "b": gains.model.b,
             "theta": np.stack([gains.box.lower, gains.box.upper]),
+            "h": np.array([h]),
+            "certificate": np.array(finite),
+        }
+
+    def _nodes(self, schedule: Schedule | None) -> dict[str, NDArray[np.float64]]:
+        """Return the gains of the internal model at the nodes; zeros where there is none."""
+        gains = self._gains
+        parameters = len(gains.box.lower)
+        if schedule is None:
+            shapes = self._shapes((0,) * parameters)
+            return {name: np.zeros(shapes[name]) for name in ("K_w", "X", "H")}
+        of_known = [self._of_known(X @ gains.deviation) for X in schedule.X]
+        H = -schedule.B_w if self._options.anti_windup else np.zeros_like(schedule.B_w)
+        nodes = tuple(count + 1 for count in schedule.counts)
+        tables = {"K_w": schedule.K_w, "X": np.stack(of_known), "H": H}
+        return {
+            name: np.reshape(table, (*nodes, *table.shape[1:])) for name, table in tables.items()
         }
 
     def _of_known(self, of_x_a: Matrix) -> Matrix:
@@ -169,8 +177,24 @@ class Compensator:
         n = self._gains.K.shape[1]
         return np.hstack([of_x_a[:, :n] @ self._options.R, of_x_a[:, n:]])
 
-    def _shapes(self) -> dict[str, tuple[int, ...]]:
-        return {**shapes_of(self._numbers()), "h": (1,), "certificate": (3,)}
+    def _shapes(self, counts: Sequence[int]) -> dict[str, tuple[int, ...]]:
+        n_u = len(self._gains.K)
+        n_w, p = self._gains.model.b.shape
+        parameters = len(self._gains.box.lower)
+        known = len(self._known)
+        nodes = tuple(count + 1 for count in counts)
+        return {
+            "before": (n_u, known),
+            "K_w": (*nodes, n_u, n_w),
+            "X": (*nodes, n_w, known),
+            "H": (*nodes, n_w, n_u),
+            "S0": (n_w, n_w),
+            "S1": (parameters, n_w, n_w),
+            "b": (n_w, p),
+            "theta": (2, parameters),
+            "h": (1,),
+            "certificate": (3,),
+        }
 
     def _elements(self, names: Sequence[str]) -> list[int]:
         """Return the columns of some inputs."""
@@ -184,12 +208,10 @@ class Compensator:
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Begin without the internal model, with u = 0 or the limit next to it."""
-        n_w, m = self._arrays["G"].shape
         self._u = self._limited(np.zeros(len(self._gains.K)))
-        self._w = np.zeros(n_w)
-        self._theta = np.full(self._arrays["theta"].shape[1], NAN)
+        self._w = np.zeros(len(self._gains.model.b))
+        self._theta = np.full(len(self._counts), NAN)
         self._is_active = False
-        self._generator = np.zeros((n_w, n_w + m))
         return self.outputs(t, u)
 
     def outputs(self, t: float, u: Vector) -> Vector:
@@ -208,13 +230,14 @@ class Compensator:
 
     def _step(self, row: Vector) -> None:
         known = row[self._known]
-        if self._gains.internal is not None:
+        if self._gains.decay_rate is not None:
             self._follow(row, known)
+        before = (self._arrays["before"], known)
         if not self._is_active:
-            v = affine([(self._arrays["before"], known)])
-            self._u = self._limited(v)
+            self._u = self._limited(affine([before]))
             return
-        v = affine([(self._arrays["after"], known), (self._arrays["K_w"], self._w)])
+        internal = self._w - affine([(self._X, known)])
+        v = affine([before, (self._minus_K_w, internal)])
         self._u = self._limited(v)
         error = row[self._regulated] - row[self._columns["r"]]
         driven = np.concatenate([self._w, error, self._u - v])
@@ -232,37 +255,63 @@ class Compensator:
         error = row[self._columns["standard_error"]] if self._theta.size else theta
         if not self._activation.allows(theta, error):
             return
-        if not self._is_active:
-            self._w = affine([(self._arrays["X"], known)])
-        self._is_active = True
         self._theta = theta.copy()
-        self._generator = self._discretized(theta)
+        self._take_gains()
+        if not self._is_active:
+            self._w = affine([(self._X, known)])
+        self._is_active = True
 
-    def _discretized(self, theta: Vector) -> Matrix:
-        """Return what a step does to w, by w and what drives it, shape ``(n_w, n_w + m)``."""
-        S = self._arrays["S0"].copy()
-        for value, slope in zip(theta, self._arrays["S1"], strict=True):
+    def _take_gains(self) -> None:
+        """Interpolate the gains, and discretize the internal model, at theta."""
+        arrays = self._arrays
+        lower, upper = arrays["theta"]
+        corners = corner_weights(self._theta, lower, upper, self._counts)
+        self._X = self._blended("X", corners)
+        self._minus_K_w = -self._blended("K_w", corners)
+        S = arrays["S0"].copy()
+        for value, slope in zip(self._theta, arrays["S1"], strict=True):
             S += value * slope
-        dynamics = np.hstack([S, self._arrays["G"]])
+        dynamics = np.hstack([S, arrays["b"], self._blended("H", corners)])
         n_w, n = dynamics.shape
         driving = np.zeros((n - n_w, n))
         Z = np.vstack([dynamics, driving])
-        step = matrix_exponential(self._arrays["h"][0] * Z)
-        return np.ascontiguousarray(step[:n_w])
+        step = matrix_exponential(arrays["h"][0] * Z)
+        self._generator = np.ascontiguousarray(step[:n_w])
 
-    def save(self) -> tuple[Vector, Vector, Vector, Matrix, bool]:
+    def _blended(self, name: str, corners: Sequence[tuple[int, float]]) -> Matrix:
+        table = self._arrays[name]
+        return blended(table.reshape(-1, *table.shape[-2:]), corners)
+
+    def save(self) -> tuple[Vector, Vector, Vector, bool]:
         """Copy the state."""
-        arrays = (self._u, self._w, self._theta, self._generator)
-        u, w, theta, generator = (array.copy() for array in arrays)
-        return u, w, theta, generator, self._is_active
+        return self._u.copy(), self._w.copy(), self._theta.copy(), self._is_active
 
-    def restore(self, state: tuple[Vector, Vector, Vector, Matrix, bool]) -> None:
+    def restore(self, state: tuple[Vector, Vector, Vector, bool]) -> None:
         """Go back to a saved state."""
-        u, w, theta, generator, self._is_active = state
+        u, w, theta, self._is_active = state
         self._u = u.copy()
         self._w = w.copy()
         self._theta = theta.copy()
-        self._generator = generator.copy()
+        if self._is_active:
+            self._take_gains()
+
+
+def _counts(arrays: Design, parameters: int) -> tuple[int, ...]:
+    """Return into how many parts the interval of each parameter is cut, by the nodes of K_w.
+
+    Raises
+    ------
+    LogError
+        If K_w has not an axis for each parameter.
+    """
+    shape = arrays.get("K_w", np.zeros(0)).shape
+    nodes = shape[:parameters]
+    if len(shape) != parameters + 2 or not all(nodes):
+        raise LogError(
+            f"the recorded design has a K_w of shape {shape}; needed {parameters} axes of nodes "
+            "before its rows and columns; run the scenario to compute it again"
+        )
+    return tuple(count - 1 for count in nodes)
 
 
 def _interface(gains: CompensatorGains, options: CompensatorOptions) -> Interface:

@@ -37,6 +37,8 @@ class CompensationSummary:
         The same of the last time since it became active; empty: it did not.
     since : float
         Where that time begins [s].
+    interval : tuple of (lower, upper)
+        Of every theta, for which the loop is proven to be stable.
     """
 
     component: str
@@ -47,6 +49,7 @@ class CompensationSummary:
     before: tuple[float, ...]
     after: tuple[float, ...]
     since: float
+    interval: tuple[tuple[float, ...], ...]
 
 
 def summarize_compensation(
@@ -64,8 +67,9 @@ def summarize_compensation(
     is_active = as_columns(recording[f"{name}.active"])[:, 0] > 0.0
     if not is_active.any():
         reason = _reason(recording, name, record)
+        start = recorded_start(recording)
         return CompensationSummary(
-            name, None, reason, (), (), _rms(error), (), recorded_start(recording)
+            name, None, reason, (), (), _rms(error), (), start, record.interval
         )
     first = int(is_active.argmax())
     end = float(time[-1])
@@ -83,6 +87,7 @@ def summarize_compensation(
         before=_rms(error[:first]),
         after=_rms(error[time >= since]),
         since=since,
+        interval=record.interval,
     )
 
 

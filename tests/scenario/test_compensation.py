@@ -266,8 +266,8 @@ def test_a_table_that_is_no_compensator_is_refused(replaced, changes, message):
 
 def test_an_interval_that_cannot_be_certified_is_refused_before_the_run():
     """The component is named, the theta that fails, and an interval that would do."""
-    with pytest.raises(UsageError, match=r"'compensator': the loop .* \[0\.6.*NOT_STABLE_IN"):
-        cosim.run(scenario(interval=[[0.5, 2.5]]))
+    with pytest.raises(UsageError, match=r"'compensator': the loop .* 7 it grows .*NOT_STABLE_IN"):
+        cosim.run(scenario(interval=[[1.0, 7.0]]), set={"scenario.step": 0.2})
 
 
 def test_what_is_between_is_said():

@@ -3,7 +3,12 @@
 import numpy as np
 from scipy.linalg import expm
 
-from cosim.theory.compensation.design import CompensatorGains, ControlledPlant, stabilize
+from cosim.theory.compensation.design import (
+    CompensatorGains,
+    ControlledPlant,
+    check_zeros,
+    decay_rate_of,
+)
 from cosim.theory.compensation.internal_model import ParameterBox, internal_model
 from cosim.theory.compensation.state_feedback import (
     feedforward,
@@ -44,6 +49,7 @@ def designed(reduced, *, lower, upper, families=SINE, Q=WEIGHTS, R=None, ff=Fals
     K = state_feedback(plant.A, plant.B, Q=Q, R=R)
     model = internal_model(families, 1)
     box = ParameterBox(np.atleast_1d(lower), np.atleast_1d(upper))
+    check_zeros(plant, model, box)
     return CompensatorGains(
         plant=plant,
         K=K,
@@ -51,7 +57,7 @@ def designed(reduced, *, lower, upper, families=SINE, Q=WEIGHTS, R=None, ff=Fals
         N=reference_gain(plant, K),
         model=model,
         box=box,
-        internal=stabilize(plant, K, model, box, rate),
+        decay_rate=decay_rate_of(plant, K, rate),
     )
 
 
@@ -88,23 +94,21 @@ def over_a_step(system, h):
     return advance
 
 
-def loop_matrix(reduced, gains, theta, h, *, delta=False):
+def loop_matrix(reduced, gains, theta, h, *, at, delta=False):
     """Return what a step of the whole loop does to (x, observer, u, w), a column a unit vector.
 
-    theta None: without the internal model.
+    ``at`` are the gains of the internal model, ``theta`` is that of its dynamics.
     """
     plant = plant_of(reduced)
     observer = observer_of(reduced, delta=delta)
     n = len(plant.A)
     n_o = len(observer.A)
-    n_w = 0 if theta is None else len(gains.model.b)
-    internal = gains.internal
+    n_w = len(gains.model.b)
     plant_over = over_a_step(plant, h)
     observer_over = over_a_step(observer, h)
-    if theta is not None:
-        S = gains.model.S(np.atleast_1d(theta))
-        no_output = np.zeros((0, n_w)), np.zeros((0, 1))
-        model_over = over_a_step(StateSpace(S, gains.model.b, *no_output), h)
+    S = gains.model.S(np.atleast_1d(theta))
+    no_output = np.zeros((0, n_w)), np.zeros((0, 1))
+    model_over = over_a_step(StateSpace(S, gains.model.b, *no_output), h)
 
     def step(state):
         x, o, u, w = np.split(state, np.cumsum([n, n_o, 1]))
@@ -112,11 +116,9 @@ def loop_matrix(reduced, gains, theta, h, *, delta=False):
         estimates = observer.C @ o + observer.D @ np.concatenate([u, y])
         x_hat = estimates[:n]
         new_u = -gains.K @ x_hat + gains.F.gain @ estimates[n:]
-        new_w = w
-        if theta is not None:
-            deviation = x_hat - gains.F.states @ estimates[n:]
-            new_u = new_u - internal.K_w @ (w - internal.X @ deviation)
-            new_w = model_over(w, y[:1], y[:1])
+        deviation = x_hat - gains.F.states @ estimates[n:]
+        new_u = new_u - at.K_w @ (w - at.X @ deviation)
+        new_w = model_over(w, y[:1], y[:1])
         new_x = plant_over(x, u, new_u)
         new_y = plant.C @ new_x + plant.D @ new_u
         ends = np.concatenate([u, y]), np.concatenate([new_u, new_y])

@@ -1,5 +1,6 @@
 """The compensator's gains and the proof that its loop is stable, against other tools."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -10,17 +11,19 @@ from scipy.signal import StateSpace as ScipyStateSpace
 from scipy.signal import place_poles
 
 from cosim.errors import AssumptionError
-from cosim.theory.compensation.certificate import SampledLoop, certify, largest_factor
+from cosim.theory.compensation.certificate import SampledLoop, certify
 from cosim.theory.compensation.design import (
     CompensatorGains,
     ControlledPlant,
-    certified,
     certify_compensator,
+    check_zeros,
     sampled_loop,
     saturated_loop,
+    scheduled,
     stabilize,
 )
 from cosim.theory.compensation.internal_model import ParameterBox, internal_model
+from cosim.theory.compensation.schedule import Schedule
 from cosim.theory.compensation.state_feedback import (
     RegulatedPlant,
     feedforward,
@@ -35,6 +38,7 @@ from cosim.theory.observer import StateSpace, design, realize
 from tests.theory.compensated import designed, drive, growth, loop_matrix, plant_of, sampled
 
 H = 1e-2
+SLOW = 0.2  # a step at which the loop is unstable from 5.1 rad/s on
 
 
 def random_plant(seed, n=4, m=2):
@@ -162,7 +166,7 @@ def test_the_gain_moves_the_modes_of_the_internal_model_and_no_others(seed, rate
     K = state_feedback(plant.A, plant.B, Q=np.ones(4))
     model = internal_model([Sine(), FAMILIES["constant"]], 2)
     box = ParameterBox(np.array([1.0]), np.array([2.0]))
-    gains = stabilize(plant, K, model, box, rate)
+    gains = stabilize(plant, K, model, box.center, rate)
     u_of_x = -K + gains.K_w @ gains.X
     of_x = np.hstack([plant.A + plant.B @ u_of_x, -plant.B @ gains.K_w])
     of_e = np.hstack([plant.C + plant.D @ u_of_x, -plant.D @ gains.K_w])
@@ -187,13 +191,11 @@ def test_a_transmission_zero_at_a_mode_of_the_disturbance_is_refused():
         n_a=3,
     )
     plant = regulated_plant(reduce(system), [0])
-    K = state_feedback(plant.A, plant.B, K=np.zeros((1, 3)))
     model = internal_model([Sine()], 1)
     box = ParameterBox(np.array([1.0]), np.array([2.0]))
     with pytest.raises(AssumptionError, match=r"theta = 1\.3, .* \(TRANSMISSION_ZERO\)"):
-        stabilize(plant, K, model, box)
-    apart = ParameterBox(np.array([1.4]), np.array([2.0]))
-    assert stabilize(plant, K, model, apart).decay_rate > 0.0
+        check_zeros(plant, model, box)
+    check_zeros(plant, model, ParameterBox(np.array([1.4]), np.array([2.0])))
 
 
 def test_of_several_transmission_zeros_the_one_that_is_a_mode_is_named():
@@ -202,11 +204,10 @@ def test_of_several_transmission_zeros_the_one_that_is_a_mode_is_named():
     B = np.array([[0.0], [0.0], [1.0]])
     system = DescriptorSystem.general(A=A, Bu=B, Bd=B, C=[[0.0, 5.0, 1.0]])
     plant = regulated_plant(reduce(system), [0])
-    K = state_feedback(plant.A, plant.B, K=np.zeros((1, 3)))
     model = internal_model([Sine(), FAMILIES["constant"]], 1)
     box = ParameterBox(np.array([1.0]), np.array([2.0]))
     with pytest.raises(AssumptionError, match=r"transmission zero \+0 from .* disturbance, where"):
-        stabilize(plant, K, model, box)
+        check_zeros(plant, model, box)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -217,87 +218,108 @@ def test_a_transmission_zero_at_0_is_refused_under_a_constant_in_any_coordinates
     T, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
     system = DescriptorSystem.general(A=T @ A @ T.T, Bu=T @ B, Bd=T @ B, C=[[0, 1, 0]] @ T.T)
     plant = regulated_plant(reduce(system), [0])
-    K = state_feedback(plant.A, plant.B, poles=[-2.0, -3.0, -4.0])
     no_parameters = ParameterBox(np.zeros(0), np.zeros(0))
     with pytest.raises(AssumptionError, match=r"a mode of the disturbance, .*TRANSMISSION_ZERO"):
-        stabilize(plant, K, internal_model([FAMILIES["constant"]], 1), no_parameters)
+        check_zeros(plant, internal_model([FAMILIES["constant"]], 1), no_parameters)
 
 
 # --- the certificate ---
 
 
+def loop_of(reduced, gains, *, delta=False, parts=4):
+    """Return the sampled loop with gains at so many nodes and one."""
+    schedule = scheduled(gains, gains.box, parts)
+    return sampled_loop(sampled(reduced, H, delta=delta), gains, schedule)
+
+
+def rate_at(reduced, gains, schedule, theta, *, h=H, delta=False):
+    """Return how fast the loop grows at a theta, by other tools."""
+    at = schedule.at(np.atleast_1d(theta))
+    return growth(loop_matrix(reduced, gains, theta, h, at=at, delta=delta), h)
+
+
 @pytest.mark.parametrize("delta", [False, True])
 def test_the_loop_is_that_of_other_tools(delta):
-    """Written step by step with scipy's exponential."""
+    """Written step by step with scipy's exponential, its gains between two nodes."""
     reduced = drive()
     gains = designed(reduced, lower=1.0, upper=2.0, ff=delta)
-    system = sampled(reduced, H, delta=delta)
-    loop = sampled_loop(system, gains, gains.internal)
+    loop = loop_of(reduced, gains, delta=delta)
     for theta in (1.0, 1.7):
-        expected = loop_matrix(reduced, gains, theta, H, delta=delta)
-        assert np.allclose(loop.Phi(np.array([theta])), expected, rtol=0.0, atol=1e-12)
+        at = loop.schedule.at(np.array([theta]))
+        expected = loop_matrix(reduced, gains, theta, H, at=at, delta=delta)
+        assert np.allclose(loop.Phi(np.array([theta])), expected, rtol=0.0, atol=1e-11)
+
+
+def test_gains_are_interpolated_between_the_thetas_they_are_designed_for():
+    """At a node those designed there, between two the weighted means; of two parameters, too."""
+    reduced = drive()
+    families = (Sine(), Sine())
+    gains = designed(reduced, lower=[1.0, 2.5], upper=[2.0, 4.0], families=families)
+    schedule = scheduled(gains, gains.box, 4)
+    nodes = {}
+    for theta in ((1.25, 2.5), (1.5, 2.5), (1.25, 2.875), (1.5, 2.875)):
+        here = np.array(theta)
+        nodes[theta] = stabilize(gains.plant, gains.K, gains.model, here, gains.decay_rate)
+        assert np.allclose(schedule.at(here).K_w, nodes[theta].K_w, rtol=1e-12, atol=1e-12)
+    middle = schedule.at(np.array([1.375, 2.6875]))
+    for name in ("K_w", "X", "B_w"):
+        mean = sum(getattr(node, name) for node in nodes.values()) / 4.0
+        assert np.allclose(getattr(middle, name), mean, rtol=1e-12, atol=1e-12)
+    assert len(schedule.cells()) == 16
 
 
 @settings(max_examples=5, deadline=None)
 @given(
     middle=st.floats(0.8, 2.5),
-    width=st.floats(0.05, 1.2),
-    rate=st.floats(0.1, 1.5),
+    width=st.floats(0.05, 1.9),
+    rate=st.floats(0.1, 2.5),
     delta=st.booleans(),
 )
 def test_what_is_proven_is_stable_everywhere(middle, width, rate, delta):
-    """By the eigenvalues of a loop that was written with other tools; else it is refused.
+    """By the eigenvalues of a loop that was written with other tools; else there is a reason.
 
-    What is refused is unstable at the theta that is named, or has an interval that is proven.
+    A loop that is not proven is unstable at the theta that is named, or decays slowly there.
     """
     reduced = drive()
     lower = max(middle - 0.5 * width * middle, 0.05)
     upper = middle + 0.5 * width * middle
     gains = designed(reduced, lower=lower, upper=upper, rate=rate, ff=delta)
-    system = sampled(reduced, H, delta=delta)
-    loop = sampled_loop(system, gains, gains.internal)
-    certificate = certify(loop, gains.box)
+    loop = loop_of(reduced, gains, delta=delta)
+    certificate = certify(loop)
     if certificate.proven:
         for theta in np.linspace(lower, upper, 6):
-            assert growth(loop_matrix(reduced, gains, theta, H, delta=delta), H) < 0.0
+            assert rate_at(reduced, gains, loop.schedule, theta, delta=delta) < 0.0
         return
-    if certificate.rate <= 0.0:
-        theta = certificate.theta
-        matrix = loop_matrix(reduced, gains, theta, H, delta=delta)
-        assert growth(matrix, H) == pytest.approx(-certificate.rate, abs=1e-6)
-    factor = largest_factor(loop, gains.box)
-    if factor > 0.0:
-        assert certify(loop, gains.box.scaled(factor)).proven
+    found = rate_at(reduced, gains, loop.schedule, certificate.theta, delta=delta)
+    assert found == pytest.approx(-certificate.rate, abs=1e-6)
 
 
 def test_a_proof_with_one_cell_holds_for_a_theta_that_varies():
     """Products of steps with random theta contract; the proof is of every sequence."""
     reduced = drive()
-    gains = designed(reduced, lower=1.4, upper=1.6)
-    loop = sampled_loop(sampled(reduced, H), gains, gains.internal)
-    assert certify(loop, gains.box).cells == 1
+    gains = designed(reduced, lower=1.45, upper=1.55)
+    loop = loop_of(reduced, gains, parts=1)
+    assert certify(loop).cells == 1
     rng = np.random.default_rng(5)
-    steps = [loop.Phi(np.array([theta])) for theta in rng.uniform(1.4, 1.6, 50)]
+    steps = [loop.Phi(np.array([theta])) for theta in rng.uniform(1.45, 1.55, 50)]
     state = rng.normal(size=(len(steps[0]), 20))
     largest = np.abs(state).max()
-    for index in rng.integers(0, 50, 20_00):
+    for index in rng.integers(0, 50, 2000):
         state = steps[index] @ state
     assert np.abs(state).max() < 1e-2 * largest
 
 
 @pytest.mark.parametrize("scale", [(1e6, 1.0, 1e-3, 1.0), (1.0, 1e-4, 1.0, 1e3)])
-def test_the_proof_does_not_depend_on_the_units_of_the_states(scale):
-    """In other units the same loop is proven, in about as many cells."""
-    cells = []
-    for units in (np.ones(4), np.array(scale)):
-        reduced = drive(units)
-        weights = np.array([1.0, 10.0, 1.0, 1.0]) / units**2
-        gains = designed(reduced, lower=1.0, upper=2.0, Q=weights)
-        loop = sampled_loop(sampled(reduced, H), gains, gains.internal)
-        certificate = certify(loop, gains.box)
-        assert certificate.proven
-        cells.append(certificate.cells)
-    assert max(cells) <= 2 * min(cells)
+def test_the_proof_succeeds_whatever_the_units_of_the_states(scale):
+    """The same loop in units a million times larger and smaller."""
+    units = np.array(scale)
+    reduced = drive(units)
+    weights = np.array([1.0, 10.0, 1.0, 1.0]) / units**2
+    gains = designed(reduced, lower=1.0, upper=2.0, Q=weights)
+    certificate = certify(loop_of(reduced, gains))
+    assert certificate.proven
+    same = certify(loop_of(drive(), designed(drive(), lower=1.0, upper=2.0)))
+    assert certificate.rate == pytest.approx(same.rate, rel=1e-3)
 
 
 @pytest.mark.parametrize(("of_u", "of_y"), [(1e6, 1.0), (1.0, 1e6), (1.0, 1e-6)])
@@ -306,47 +328,66 @@ def test_the_proof_does_not_depend_on_the_units_of_u_and_y(of_u, of_y):
     inner = drive()
     reduced = replace(inner, B_1a=of_u * inner.B_1a, C3=of_y * inner.C3)
     gains = designed(reduced, lower=1.5, upper=2.5, R=[of_u**2])
-    certificate = certify_compensator(gains, sampled(reduced, H))
+    certified = certify_compensator(gains, sampled(reduced, H))
     expected = certify_compensator(designed(inner, lower=1.5, upper=2.5), sampled(inner, H))
-    assert certificate.rate == pytest.approx(expected.rate, rel=1e-6)
-    assert certificate.cells <= 8 * expected.cells
+    assert certified.rate == pytest.approx(expected.rate, rel=1e-6)
+    assert certified.cells <= 8 * expected.cells
 
 
 def test_a_loop_far_from_what_can_be_proven_is_refused():
     """A ramp over a step of 1000 s: the bound of the proof is beyond the range of numbers."""
     model = internal_model([FAMILIES["ramp"], Exponential()], 1)
-    loop = SampledLoop(
-        fixed=np.zeros((3, 3)), first=0, taken=1e-300 * np.eye(4, 3), model=model, G=model.b, h=1e3
-    )
     box = ParameterBox(np.array([-2e-3]), np.array([-1e-3]))
-    assert not certify(loop, box).proven
+    nodes = {"K_w": np.zeros((1, 1, 3)), "X": np.zeros((1, 3, 1)), "B_w": np.zeros((1, 3, 1))}
+    loop = SampledLoop(
+        fixed=np.zeros((3, 3)),
+        of_u=np.zeros((3, 1)),
+        deviation=np.zeros((1, 3)),
+        w=np.eye(3),
+        error=np.ones((1, 3)),
+        model=model,
+        schedule=Schedule(box=box, counts=(0,), **nodes),
+        h=1e3,
+        at_limit=False,
+    )
+    assert not certify(loop).proven
 
 
-def test_an_interval_where_the_loop_is_unstable_is_refused_with_one_that_would_do():
-    """[0.5, 2.5] is not stable at 0.5, by the eigenvalues of another loop; a smaller one is."""
+def test_the_internal_model_decays_alike_in_the_whole_interval():
+    """At 0.3 rad/s as at 3: the gains follow theta. One gain for all would not be stable."""
     reduced = drive()
-    gains = designed(reduced, lower=0.5, upper=2.5)
-    rate = growth(loop_matrix(reduced, gains, 0.5, H), H)
+    gains = designed(reduced, lower=0.3, upper=3.0)
+    certified = certify_compensator(gains, sampled(reduced, H))
+    assert certified.rate > 0.9 * gains.decay_rate
+    one = stabilize(gains.plant, gains.K, gains.model, gains.box.center, gains.decay_rate)
+    assert growth(loop_matrix(reduced, gains, 0.3, H, at=one), H) > 0.1
+
+
+def test_an_interval_where_the_loop_is_unstable_is_refused():
+    """At 7 rad/s a step of 0.2 s is too long, by the eigenvalues of another loop."""
+    reduced = drive()
+    gains = designed(reduced, lower=1.0, upper=7.0)
+    schedule = scheduled(gains, gains.box, 16)
+    rate = rate_at(reduced, gains, schedule, 7.0, h=SLOW)
     assert rate > 0.1
-    message = rf"at theta = 0\.5 it grows at {rate:.3g} 1/s; the largest .* would do is \[0\.6"
-    with pytest.raises(AssumptionError, match=message):
-        certify_compensator(gains, sampled(reduced, H))
-    loop = sampled_loop(sampled(reduced, H), gains, gains.internal)
-    factor = largest_factor(loop, gains.box)
-    smaller = gains.box.scaled(factor)
-    again = designed(reduced, lower=smaller.lower, upper=smaller.upper)
-    certificate = certify_compensator(again, sampled(reduced, H))
-    assert certificate.rate > 0.0
-    wider = gains.box.scaled(1.1 * factor)
-    ends = [loop_matrix(reduced, gains, end, H) for end in (wider.lower, wider.upper)]
-    assert max(growth(matrix, H) for matrix in ends) > 0.0
+    message = rf"at theta = 7 it grows at {rate:.3g} 1/s; the largest .* would do: \["
+    with pytest.raises(AssumptionError, match=message) as refused:
+        certify_compensator(gains, sampled(reduced, SLOW))
+    lower, upper = re.search(r"would do: \[(.*), (.*)\]", str(refused.value)).groups()
+    smaller = designed(reduced, lower=float(lower), upper=float(upper))
+    assert certify_compensator(smaller, sampled(reduced, SLOW)).rate > 0.0
+    # and one a tenth wider is not stable: it is no interval of convenience
+    end = 4.0 + 1.1 * (float(upper) - 4.0)
+    wider = designed(reduced, lower=8.0 - end, upper=end)
+    schedule = scheduled(wider, wider.box, 16)
+    assert rate_at(reduced, wider, schedule, end, h=SLOW) > 0.0
 
 
 def test_two_sines_whose_intervals_overlap_are_refused():
     """Where both have one rate, one copy of the mode is driven by nothing."""
     reduced = drive()
     gains = designed(reduced, lower=[1.0, 1.5], upper=[2.0, 2.5], families=(Sine(), Sine()))
-    with pytest.raises(AssumptionError, match="not stable for every theta"):
+    with pytest.raises(AssumptionError, match=r"two of them are alike|not stable for every theta"):
         certify_compensator(gains, sampled(reduced, H))
 
 
@@ -354,20 +395,24 @@ def test_the_internal_model_decays_at_a_limit_of_u():
     """Whatever u does there, for every theta of the box: that is the anti-windup."""
     reduced = drive()
     gains = designed(reduced, lower=1.0, upper=2.0)
-    loop = saturated_loop(gains.model, gains.internal, H)
-    certificate = certified(loop, gains.box, "saturated")
-    S = gains.model.S(np.array([1.5]))
-    closed = S - gains.internal.B_w @ gains.internal.K_w
+    schedule = scheduled(gains, gains.box, 4)
+    certificate = certify(saturated_loop(sampled(reduced, H), gains, schedule))
+    assert certificate.proven
+    at = schedule.at(np.array([1.5]))
+    closed = gains.model.S(np.array([1.5])) - at.B_w @ at.K_w
     slowest = -np.linalg.eigvals(closed).real.max()
-    assert slowest == pytest.approx(gains.internal.decay_rate, rel=1e-9)
-    # the correction is held over a step: a difference of the order of the step
-    assert 0.0 < certificate.rate <= slowest * (1.0 + H)
+    assert slowest == pytest.approx(gains.decay_rate, rel=1e-9)
+    # the correction is held over a step, a difference of the order of the step, and the gains are
+    # interpolated
+    assert certificate.rate == pytest.approx(slowest, rel=5.0 * H)
 
 
 def test_a_sampled_loop_that_is_not_stable_is_refused_without_an_internal_model_too():
     """A step as long as the time constants of the loop."""
     reduced = drive()
-    gains = replace(designed(reduced, lower=1.0, upper=2.0, Q=(1e4, 1e5, 1.0, 1.0)), internal=None)
+    gains = replace(
+        designed(reduced, lower=1.0, upper=2.0, Q=(1e4, 1e5, 1.0, 1.0)), decay_rate=None
+    )
     with pytest.raises(AssumptionError, match=r"sampled loop of state feedback is not stable"):
         certify_compensator(gains, sampled(reduced, 0.5))
 
@@ -400,7 +445,7 @@ def test_feedforward_that_makes_the_loop_unstable_is_named():
         N=no_gain(plant, 1),
         model=model,
         box=box,
-        internal=None,
+        decay_rate=None,
     )
     with pytest.raises(
         AssumptionError, match=r"state feedback and feedforward .* delta_hat answers"

@@ -262,7 +262,8 @@ def _add_compensation(table: Table, compensation: CompensationSummary) -> None:
     if compensation.theta:
         first = ", ".join(f"{value:.6g}" for value in compensation.theta)
         last = ", ".join(f"{value:.6g}" for value in compensation.last_theta)
-        text += f", with theta = {first}, at the end {last}"
+        text += f", with theta = {first}, at the end {last}; the loop is proven to be stable for "
+        text += ", ".join(f"[{lower:g}, {upper:g}]" for lower, upper in compensation.interval)
     table.add_row(label, f"{compensation.active_since:g} s", "", text)
     after = numbers_text(compensation.after)
     text = f"{before} rms before, {after} for t >= {compensation.since:.4g} s, as measured"

@@ -26,7 +26,12 @@ from cosim.scenario.kinds.plants import PlantKind
 from cosim.scenario.kinds.sensors import SensorKind
 from cosim.scenario.kinds.terms import FamilyTerm
 from cosim.scenario.schema import Flag, Number, NumberRow, NumberRows, Whole, matrix
-from cosim.theory.compensation.design import CompensatorGains, stabilize
+from cosim.theory.compensation.design import (
+    CompensatorGains,
+    check_zeros,
+    decay_rate_of,
+    stabilize,
+)
 from cosim.theory.compensation.internal_model import (
     InternalModel,
     ParameterBox,
@@ -97,13 +102,13 @@ class CompensatorKind(Kind):
     )
     decay_rate: Number | None = Field(
         None,
-        description="at which the modes of the internal model decay [1/s], at the middle of the "
-        "interval; default: half the slowest one of the state feedback",
+        description="at which the modes of the internal model decay at least [1/s]; default: half "
+        "the slowest one of the state feedback",
     )
     largest_error: Number = Field(
         LARGEST_ERROR,
-        description="largest standard error of theta, relative to theta, with which the internal "
-        "model is used",
+        description="largest standard error of theta, relative to theta, or to half its interval "
+        "where that is more, with which the internal model is used",
     )
     lower: Number | NumberRow | None = Field(
         None, description="lower limit of u, one number or one an input; default: none"
@@ -176,11 +181,15 @@ class CompensatorKind(Kind):
             N = reference_gain(plant, K)
         families = self._families(name, context)
         model, box = self._model(families, len(plant.C))
-        internal = None
+        decay_rate = None
         if self.internal_model:
             self._check_internal_model(name, families, context)
-            internal = stabilize(plant, K, model, box, self.decay_rate)
-        return CompensatorGains(plant=plant, K=K, F=F, N=N, model=model, box=box, internal=internal)
+            decay_rate = decay_rate_of(plant, K, self.decay_rate)
+            check_zeros(plant, model, box)
+            stabilize(plant, K, model, box.center, decay_rate)
+        return CompensatorGains(
+            plant=plant, K=K, F=F, N=N, model=model, box=box, decay_rate=decay_rate
+        )
 
     def _state_feedback(self, plant: RegulatedPlant, reduced: ReducedSystem) -> Matrix:
         K = _array("K", self.K)

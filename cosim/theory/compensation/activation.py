@@ -21,7 +21,8 @@ class Activation:
     lower, upper : Vector, shape (P,)
         The interval that the loop is certified for.
     largest_error : float
-        Largest standard error, relative to theta.
+        Largest standard error, relative to theta, or to half the interval where that is more: a
+        theta may be zero.
     """
 
     lower: Vector
@@ -46,7 +47,7 @@ class Activation:
         if self._is_inside(theta, error)[j]:
             return (
                 f"the standard error of {name} = {value:.6g} is {deviation:.2g}, more than "
-                f"{self.largest_error:g} of it"
+                f"{self.largest_error:g} of it, or of half its interval"
             )
         reach = HALF_WIDTH * deviation
         lower = float(self.lower[j])
@@ -63,4 +64,5 @@ class Activation:
         return above & below
 
     def _is_small(self, theta: Vector, error: Vector) -> Mask:
-        return error <= self.largest_error * np.abs(theta)
+        half = 0.5 * (self.upper - self.lower)
+        return error <= self.largest_error * np.maximum(np.abs(theta), half)

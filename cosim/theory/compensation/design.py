@@ -15,6 +15,9 @@ mode of the loop. In w it is ``u = -K x - K_w W = -(K - K_w X) x - K_w w``.
 Where delta_hat or r is fed forward, x above is its deviation from the steady state under these:
 the internal model leaves what they do alone.
 
+These gains are designed at the nodes of a grid over the interval of theta and interpolated between
+them; the grid is refined until the loop is proven to be stable for all of it.
+
 * Bumpless: with ``w = X x_hat`` at the start W = 0, so that u goes on as it was.
 * Anti-windup: where the actuator gives u_a in place of u, ``w' = S w + b e - B_w (u_a - u)`` makes
   ``W' = (S - B_w K_w) W``: it decays, whatever the actuator does (back-calculation, Astrom and
@@ -29,19 +32,23 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
-from cosim.arrays import NAN, Matrix, Vector, frozen
+from cosim.arrays import NAN, Matrix, Vector
 from cosim.errors import AssumptionError
 from cosim.native.step import first_order_hold
 from cosim.theory.compensation.certificate import (
+    MOST_CELLS,
     Certificate,
     SampledLoop,
     certify,
-    largest_factor,
+    is_stable_on_grid,
 )
 from cosim.theory.compensation.internal_model import InternalModel, ParameterBox
+from cosim.theory.compensation.schedule import Schedule, Stabilization, node_axes
 from cosim.theory.compensation.state_feedback import (
     RegulatedPlant,
     SteadyGain,
@@ -51,33 +58,13 @@ from cosim.theory.compensation.state_feedback import (
 from cosim.theory.observer import StateSpace
 from cosim.theory.placement import modes
 
+PARTS = (4, 16)  # into which the interval of each parameter is cut, until the proof succeeds
+MOST_NODES = 700
+BISECTIONS = 8  # of an interval that would do
+MARGINS = (0.02, 0.1, 0.3, 0.6, 0.9, 0.97, 0.99)  # by which it shrinks until it is proven
+FEW_CELLS = 60  # of a proof that is tried while there are others to try
 RESIDUAL = 1e-9  # of the Sylvester equation, relative to its terms
 NEAR = 1e-6  # relative distance from an eigenvalue of S at which a zero counts as on it
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Stabilization:
-    """How the internal model joins the state feedback.
-
-    Shapes: ``K_w (n_u, n_w)``, ``X (n_w, n)``, ``B_w (n_w, n_u)``; ``decay_rate`` [1/s].
-    """
-
-    K_w: Matrix
-    X: Matrix
-    B_w: Matrix
-    decay_rate: float
-
-    def __post_init__(self) -> None:
-        """Freeze the matrices."""
-        for name in ("K_w", "X", "B_w"):
-            object.__setattr__(self, name, frozen(getattr(self, name), 2))
-
-    @classmethod
-    def none(cls, *, n_u: int, n_w: int, n: int) -> Stabilization:
-        """Return that of an internal model that does nothing."""
-        K_w = np.zeros((n_u, n_w))
-        X = np.zeros((n_w, n))
-        return cls(K_w=K_w, X=X, B_w=np.zeros((n_w, n_u)), decay_rate=0.0)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -107,13 +94,9 @@ class ControlledPlant:
 
 
 def stabilize(
-    plant: RegulatedPlant,
-    K: Matrix,
-    model: InternalModel,
-    box: ParameterBox,
-    decay_rate: float | None = None,
+    plant: RegulatedPlant, K: Matrix, model: InternalModel, theta: Vector, decay_rate: float
 ) -> Stabilization:
-    """Design the gain of the internal model, at the center of a box of theta.
+    """Design the gain of the internal model at one theta.
 
     Parameters
     ----------
@@ -121,31 +104,38 @@ def stabilize(
     K : Matrix
         State feedback, shape ``(n_u, n)``.
     model : InternalModel
-    box : ParameterBox
-    decay_rate : float, optional
-        At least that of the modes of the internal model [1/s]; by default half the slowest one of
-        the state feedback.
+    theta : Vector
+    decay_rate : float
+        At least that of the modes of the internal model [1/s].
 
     Raises
     ------
     AssumptionError
-        If the decay rate is not positive, a transmission zero is at an eigenvalue of S for some
-        theta of the box, or two components of the class are alike there.
+        If u does not reach a mode of the internal model, or two components of the class are alike.
     """
-    if decay_rate is None:
-        decay_rate = 0.5 * slowest_rate(K, plant)
-    if not 0.0 < decay_rate < math.inf:
-        raise AssumptionError(
-            f"internal model: decay_rate = {decay_rate:g}; needed a positive finite rate [1/s]"
-        )
-    _check_zeros(plant, model, box)
-    S = model.S(box.center)
+    S = model.S(theta)
     A_K = plant.A - plant.B @ K
     C_K = plant.C - plant.D @ K
     X = _sylvester(S, A_K, model.b @ C_K, balancing(plant.A))
     B_w = model.b @ plant.D - X @ plant.B
     K_w = _least_effort(S, B_w, 0.5 * decay_rate)
-    return Stabilization(K_w=K_w, X=X, B_w=B_w, decay_rate=decay_rate)
+    return Stabilization(K_w=K_w, X=X, B_w=B_w)
+
+
+def decay_rate_of(plant: RegulatedPlant, K: Matrix, given: float | None) -> float:
+    """Return the decay rate of the internal model: half the slowest one of the state feedback.
+
+    Raises
+    ------
+    AssumptionError
+        If another one is given that is not positive and finite.
+    """
+    rate = 0.5 * slowest_rate(K, plant) if given is None else given
+    if not 0.0 < rate < math.inf:
+        raise AssumptionError(
+            f"internal model: decay_rate = {rate:g}; needed a positive finite rate [1/s]"
+        )
+    return rate
 
 
 def _sylvester(S: Matrix, A: Matrix, right: Matrix, units: Vector) -> Matrix:
@@ -187,8 +177,14 @@ def _least_effort(S: Matrix, B: Matrix, shift: float) -> Matrix:
     return gain
 
 
-def _check_zeros(plant: RegulatedPlant, model: InternalModel, box: ParameterBox) -> None:
-    """Check that no transmission zero is an eigenvalue of S for a theta of the box."""
+def check_zeros(plant: RegulatedPlant, model: InternalModel, box: ParameterBox) -> None:
+    """Check that no transmission zero is an eigenvalue of S for a theta of the box.
+
+    Raises
+    ------
+    AssumptionError
+        If one is: no controller rejects the disturbance there.
+    """
     for zero in plant.zeros:
         theta, mode = _closest(complex(zero), model, box)
         scale = max(abs(zero), float(np.linalg.norm(model.S(theta), 2)), 1e-300)
@@ -243,8 +239,8 @@ class CompensatorGains:
     model : InternalModel
     box : ParameterBox
         What theta the internal model is for.
-    internal : Stabilization or None
-        None: there is no internal model in the loop.
+    decay_rate : float or None
+        Of the internal model [1/s]; None: there is none in the loop.
     """
 
     plant: RegulatedPlant
@@ -253,7 +249,7 @@ class CompensatorGains:
     N: SteadyGain
     model: InternalModel
     box: ParameterBox
-    internal: Stabilization | None
+    decay_rate: float | None
 
     @property
     def before(self) -> Matrix:
@@ -266,45 +262,71 @@ class CompensatorGains:
         n = self.K.shape[1]
         return np.hstack([np.eye(n), -self.F.states, -self.N.states])
 
-    def after(self, internal: Stabilization) -> Matrix:
-        """Return the gain of (x_hat, delta_hat, r) with the internal model."""
-        correction = internal.K_w @ internal.X @ self.deviation
-        total: Matrix = self.before + correction
-        return total
+
+def scheduled(gains: CompensatorGains, box: ParameterBox, parts: int) -> Schedule:
+    """Design the gains of the internal model at the nodes of a grid with so many parts a side.
+
+    Raises
+    ------
+    AssumptionError
+        If there are none at a node.
+    """
+    assert gains.decay_rate is not None
+    counts = tuple(np.where(box.lower < box.upper, parts, 0).tolist())
+    nodes = []
+    for point in product(*node_axes(box, counts)):
+        theta = np.array(point)
+        nodes.append(stabilize(gains.plant, gains.K, gains.model, theta, gains.decay_rate))
+    return Schedule(
+        box=box,
+        counts=counts,
+        K_w=np.stack([node.K_w for node in nodes]),
+        X=np.stack([node.X for node in nodes]),
+        B_w=np.stack([node.B_w for node in nodes]),
+    )
 
 
 def sampled_loop(
-    system: ControlledPlant, gains: CompensatorGains, internal: Stabilization
+    system: ControlledPlant, gains: CompensatorGains, schedule: Schedule
 ) -> SampledLoop:
     """Write the loop with the internal model over one communication step.
 
     Its state is (x, observer, u, w), u that at the step's start.
     """
-    n_w = len(internal.X)
-    fixed, error = _outer_loop(system, gains, gains.after(internal), internal.K_w)
-    select = np.zeros((n_w, len(fixed)))
-    first = len(fixed) - n_w
-    select[:, first:] = np.eye(n_w)
+    n_w = len(gains.model.b)
+    outer = _outer_loop(system, gains, gains.before, n_w)
+    size = len(outer.Phi)
+    first = size - n_w
+    select = np.eye(size)[first:]
     return SampledLoop(
-        fixed=fixed,
-        first=first,
-        taken=np.vstack([select, error]),
+        fixed=outer.Phi,
+        of_u=outer.of_u,
+        deviation=outer.deviation,
+        w=select,
+        error=outer.error,
         model=gains.model,
-        G=gains.model.b,
+        schedule=schedule,
         h=system.h,
+        at_limit=False,
     )
 
 
-def saturated_loop(model: InternalModel, gains: Stabilization, h: float) -> SampledLoop:
+def saturated_loop(
+    system: ControlledPlant, gains: CompensatorGains, schedule: Schedule
+) -> SampledLoop:
     """Write the internal model over one step where the actuator is at a limit."""
-    n_w = len(gains.X)
+    n_w = len(gains.model.b)
+    n_u, n = gains.K.shape
     return SampledLoop(
         fixed=np.zeros((n_w, n_w)),
-        first=0,
-        taken=np.vstack([np.eye(n_w), gains.K_w]),
-        model=model,
-        G=-gains.B_w,
-        h=h,
+        of_u=np.zeros((n_w, n_u)),
+        deviation=np.zeros((n, n_w)),
+        w=np.eye(n_w),
+        error=np.zeros((0, n_w)),
+        model=gains.model,
+        schedule=schedule,
+        h=system.h,
+        at_limit=True,
     )
 
 
@@ -337,49 +359,32 @@ def check_base_loop(system: ControlledPlant, gains: CompensatorGains) -> float:
 
 
 def _base_radius(system: ControlledPlant, gains: CompensatorGains, of_estimates: Matrix) -> float:
-    no_model = np.zeros((len(gains.K), 0))
-    Phi, _ = _outer_loop(system, gains, of_estimates, no_model)
-    return float(np.abs(np.linalg.eigvals(Phi)).max())
+    outer = _outer_loop(system, gains, of_estimates, 0)
+    return float(np.abs(np.linalg.eigvals(outer.Phi)).max())
 
 
-def certified(loop: SampledLoop, box: ParameterBox, what: str) -> Certificate:
-    """Prove that a loop is stable in a box.
+class _OuterLoop(NamedTuple):
+    """The loop over one step but for the internal model, whose rows are zero, by its state.
 
-    Raises
-    ------
-    AssumptionError
-        If it is not, or that cannot be proven, with theta and the largest interval that would do.
+    ``of_u`` is what a change of the next u does, ``deviation`` that of x hat from its steady state,
+    ``error`` the regulated outputs at the start.
     """
-    certificate = certify(loop, box)
-    if certificate.proven:
-        return certificate
-    factor = largest_factor(loop, box)
-    cure = "no interval about its center"
-    if factor > 0.0:
-        cure = f"{box.scaled(factor).text}"
-    state = f"decays at {certificate.rate:.3g} 1/s only, too little to prove it"
-    if certificate.rate <= 0.0:
-        state = f"grows at {-certificate.rate:.3g} 1/s"
-    raise AssumptionError(
-        f"{what} is not stable for every theta of {box.text}: at theta = "
-        f"{_numbers(certificate.theta)} it {state}; the largest interval that would do is {cure}, "
-        "or another decay_rate or state feedback (NOT_STABLE_IN_THE_INTERVAL)"
-    )
+
+    Phi: Matrix
+    of_u: Matrix
+    deviation: Matrix
+    error: Matrix
 
 
 def _outer_loop(
-    system: ControlledPlant, gains: CompensatorGains, of_estimates: Matrix, K_w: Matrix
-) -> tuple[Matrix, Matrix]:
-    """Write the loop over one step but for the internal model, whose rows are zero.
-
-    ``of_estimates`` is the gain of (x_hat, delta_hat, r); r is 0. Returns the matrix, shape
-    ``(n, n)``, and the regulated outputs at the start, ``(p, n)``.
-    """
+    system: ControlledPlant, gains: CompensatorGains, of_estimates: Matrix, n_w: int
+) -> _OuterLoop:
+    """Write the loop with the gain ``of_estimates`` of (x_hat, delta_hat, r); r is 0."""
     plant = system.plant
     observer = system.observer
     n_x = len(plant.A)
     n_o = len(observer.A)
-    n_u, n_w = K_w.shape
+    n_u = len(gains.K)
     held_u = np.full(n_u, system.u_held)
     held_y = np.full(len(plant.C), system.y_held)
     held = np.concatenate([held_u, held_y])
@@ -391,25 +396,34 @@ def _outer_loop(
     v = np.vstack([u, y])
     estimates = observer.C @ o + observer.D @ v
     used = gains.K.shape[1] + gains.F.gain.shape[1]
-    new_u = of_estimates[:, :used] @ estimates - K_w @ w
-    new_x = of_plant.Ad @ x + of_plant.B0 @ u + of_plant.B1 @ new_u
-    new_y = plant.C @ new_x + plant.D @ new_u
-    new_v = np.vstack([new_u, new_y])
-    new_o = of_observer.Ad @ o + of_observer.B0 @ v + of_observer.B1 @ new_v
-    Phi = np.vstack([new_x, new_o, new_u, np.zeros_like(w)])
-    return Phi, y[list(system.regulated)]
+    new_u = of_estimates[:, :used] @ estimates
+    of_u = np.vstack([of_plant.B1, np.zeros((n_o, n_u)), np.eye(n_u), np.zeros((n_w, n_u))])
+    new_y_of_u = plant.C @ of_plant.B1 + plant.D
+    of_u[n_x : n_x + n_o] = of_observer.B1 @ np.vstack([np.eye(n_u), new_y_of_u])
+    free_x = of_plant.Ad @ x + of_plant.B0 @ u
+    free_v = np.vstack([np.zeros_like(u), plant.C @ free_x])
+    free_o = of_observer.Ad @ o + of_observer.B0 @ v + of_observer.B1 @ free_v
+    free = np.vstack([free_x, free_o, np.zeros_like(u), np.zeros_like(w)])
+    return _OuterLoop(
+        Phi=free + of_u @ new_u,
+        of_u=of_u,
+        deviation=gains.deviation[:, :used] @ estimates,
+        error=y[list(system.regulated)],
+    )
 
 
 def _numbers(theta: Sequence[float] | Vector) -> str:
     return ", ".join(f"{value:.6g}" for value in theta)
 
 
-@dataclass(frozen=True, slots=True)
-class CompensatorCertificate:
-    """What is proven of the sampled loop.
+@dataclass(frozen=True, eq=False)
+class CertifiedCompensator:
+    """The gains of the internal model, and what is proven of the sampled loop.
 
     Parameters
     ----------
+    schedule : Schedule or None
+        None: there is no internal model in the loop.
     base_rate : float
         At which the loop without the internal model decays [1/s].
     rate : float
@@ -418,28 +432,98 @@ class CompensatorCertificate:
         1: the proof holds for a theta that varies in the whole box, too.
     """
 
+    schedule: Schedule | None
     base_rate: float
     rate: float
     cells: int
 
 
-def certify_compensator(gains: CompensatorGains, system: ControlledPlant) -> CompensatorCertificate:
-    """Prove that the loop of a compensator is stable, for every theta of its box.
+def certify_compensator(gains: CompensatorGains, system: ControlledPlant) -> CertifiedCompensator:
+    """Design the internal model such that the loop is proven to be stable in the box of theta.
 
-    That is, without its internal model; with it; and the internal model alone, with the actuator at
+    That is, without the internal model; with it; and the internal model alone, with the actuator at
     a limit.
 
     Raises
     ------
     AssumptionError
-        If one is not.
+        If one is not stable, or that cannot be proven; with theta and an interval that would do.
     """
     base_rate = check_base_loop(system, gains)
-    internal = gains.internal
-    if internal is None:
-        return CompensatorCertificate(base_rate, NAN, 0)
-    loop = sampled_loop(system, gains, internal)
-    certificate = certified(loop, gains.box, "the loop with the internal model")
-    saturated = saturated_loop(gains.model, internal, system.h)
-    certified(saturated, gains.box, "the internal model with u at a limit")
-    return CompensatorCertificate(base_rate, certificate.rate, certificate.cells)
+    if gains.decay_rate is None:
+        return CertifiedCompensator(None, base_rate, NAN, 0)
+    attempt = _Attempt(False, "", None, Certificate(False, 0, NAN, ()))
+    refinements = _refinements(gains.box)
+    for parts in refinements:
+        most_cells = MOST_CELLS if parts == refinements[-1] else FEW_CELLS
+        attempt = _attempt(gains, system, scheduled(gains, gains.box, parts), most_cells)
+        if attempt.proven and attempt.schedule is not None:
+            certificate = attempt.certificate
+            return CertifiedCompensator(
+                attempt.schedule, base_rate, certificate.rate, certificate.cells
+            )
+    certificate = attempt.certificate
+    cure = "none about its center"
+    factor = _largest_factor(gains, system)
+    if factor > 0.0:
+        cure = gains.box.scaled(factor).text
+    state = f"decays at {certificate.rate:.3g} 1/s, and near it that cannot be proven"
+    if certificate.rate <= 0.0:
+        state = f"grows at {-certificate.rate:.3g} 1/s"
+    raise AssumptionError(
+        f"{attempt.what} is not stable for every theta of {gains.box.text}: at theta = "
+        f"{_numbers(certificate.theta)} it {state}; the largest interval that would do: {cure}; or "
+        "another decay_rate or state feedback (NOT_STABLE_IN_THE_INTERVAL)"
+    )
+
+
+class _Attempt(NamedTuple):
+    """What became of a schedule: ``what`` is the loop that ``certificate`` is of."""
+
+    proven: bool
+    what: str
+    schedule: Schedule | None
+    certificate: Certificate
+
+
+def _attempt(
+    gains: CompensatorGains, system: ControlledPlant, schedule: Schedule, most_cells: int
+) -> _Attempt:
+    """Try to prove both loops with a schedule."""
+    certificate = certify(sampled_loop(system, gains, schedule), most_cells)
+    what = "the loop with the internal model"
+    if not certificate.proven:
+        return _Attempt(False, what, schedule, certificate)
+    at_limit = certify(saturated_loop(system, gains, schedule), most_cells)
+    if not at_limit.proven:
+        return _Attempt(False, "the internal model with u at a limit", schedule, at_limit)
+    return _Attempt(True, what, schedule, certificate)
+
+
+def _refinements(box: ParameterBox) -> list[int]:
+    """Return how finely the box is cut, with as many nodes as can be afforded."""
+    sides = max(int((box.lower < box.upper).sum()), 1)
+    return [parts for parts in PARTS if (parts + 1) ** sides <= MOST_NODES] or [1]
+
+
+def _largest_factor(gains: CompensatorGains, system: ControlledPlant) -> float:
+    """Return by how much the box has to shrink about its center for a proof; 0: to nothing.
+
+    That is where the loop becomes unstable, less what the proof needs as a margin.
+    """
+    parts = _refinements(gains.box)[-1]
+    low = 0.0
+    high = 1.0
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (low + high)
+        schedule = scheduled(gains, gains.box.scaled(middle), parts)
+        if is_stable_on_grid(sampled_loop(system, gains, schedule)):
+            low = middle
+        else:
+            high = middle
+    for margin in MARGINS:
+        factor = low * (1.0 - margin)
+        schedule = scheduled(gains, gains.box.scaled(factor), parts)
+        if _attempt(gains, system, schedule, MOST_CELLS).proven:
+            return factor
+    return 0.0
