@@ -97,11 +97,11 @@ class ModelTable(TomlTable):
         None, ge=1, description="partitioned form: number of dynamic states; then A, Bu, Bd, C"
     )
     E: NumberRows | None = Field(None, description="any square matrix; default: the identity")
-    A: NumberRows | None = None
+    A: NumberRows | None = Field(None, description="needed, as C, if there is no file")
     B: NumberRows | None = Field(None, description="columns of all inputs; or give Bu and Bd")
     Bu: NumberRows | None = Field(None, description="columns of the known inputs u")
     Bd: NumberRows | None = Field(None, description="columns of the disturbances delta")
-    C: NumberRows | None = None
+    C: NumberRows | None = Field(None, description="a row for each output")
     D: NumberRows | None = Field(None, description="columns as B; default: 0")
     Du: NumberRows | None = Field(None, description="columns as Bu; default: 0")
     Dd: NumberRows | None = Field(None, description="columns as Bd; default: 0")

@@ -49,8 +49,10 @@ def disturbance_columns(system: object, disturbances: Iterable[int | str]) -> tu
     Raises
     ------
     AssumptionError
-        If one of them is none of the inputs, or is given twice.
+        If one of them is none of the inputs, or is given twice, or they are no list.
     """
+    if isinstance(disturbances, str):
+        raise AssumptionError(f"disturbances: found {disturbances!r}; needed [{disturbances!r}]")
     labels = list(getattr(system, "input_labels", None) or [])
     count = np.shape(getattr(system, "B", np.zeros((0, 0))))[1]
     columns: list[int] = []

@@ -10,18 +10,19 @@ import pytest
 import cosim
 from cosim.native.expression import FUNCTIONS
 from cosim.report.tables.catalog import print_catalog, print_kind
-from cosim.scenario.schema import Settings
+from cosim.scenario.schema import ModelTable, Settings
 
 
-def test_every_key_of_a_scenario_stands_in_the_catalog_with_its_meaning(capsys):
+@pytest.mark.parametrize(("entry", "table"), [("settings", Settings), ("models", ModelTable)])
+def test_every_key_of_a_scenario_stands_in_the_catalog_with_its_meaning(entry, table, capsys):
     """As text and as JSON, and none is without a meaning."""
     print_catalog(as_json=True)
-    settings = json.loads(capsys.readouterr().out)["settings"]
-    assert set(settings) == set(Settings.model_fields)
-    assert all(entry["description"] for entry in settings.values())
+    keys = json.loads(capsys.readouterr().out)[entry]
+    assert set(keys) == set(table.model_fields)
+    assert all(key["description"] for key in keys.values())
     print_catalog(as_json=False)
     lines = capsys.readouterr().out.splitlines()
-    for name in Settings.model_fields:
+    for name in table.model_fields:
         assert any(line.split()[0] == name for line in lines if line.strip())
 
 

@@ -196,6 +196,7 @@ def test_a_state_space_is_a_table_and_a_descriptor_system(tmp_path):
         (control_system(A=np.eye(2) * 1j), [], r"\.A: found complex128 of shape \(2, 2\)"),
         (control_system(), ["wind"], r"disturbance 'wind' is no input; .*u, delta"),
         (control_system(), [2], r"disturbance 2 is no input; needed 0 to 1, a column of B"),
+        (control_system(), "delta", r"disturbances: found 'delta'; needed \['delta'\]$"),
         (control_system(), [1, "delta"], r"disturbance 'delta' is given twice"),
     ],
 )

@@ -24,7 +24,7 @@ def print_catalog(*, as_json: bool) -> None:
     from cosim.scenario.document import find, shipped
     from cosim.scenario.kinds import KINDS
     from cosim.scenario.kinds.parameters import parameters_of
-    from cosim.scenario.schema import Settings
+    from cosim.scenario.schema import ModelTable, Settings
 
     scenarios = {}
     for name in shipped():
@@ -33,13 +33,16 @@ def print_catalog(*, as_json: bool) -> None:
     if as_json:
         kinds = {name: _plain(kind) for name, kind in KINDS.items()}
         settings = _plain_parameters(parameters_of(Settings))
-        print_json({"scenarios": scenarios, "settings": settings, "kinds": kinds})
+        models = _plain_parameters(parameters_of(ModelTable))
+        entries = {"scenarios": scenarios, "settings": settings, "models": models, "kinds": kinds}
+        print_json(entries)
         return
     table = new_table("shipped scenarios", ("name", "description"))
     for name, description in scenarios.items():
         table.add_row(name, description or name)
     print_table(table)
     print_table(_parameters_table("keys of [scenario]", parameters_of(Settings)))
+    print_table(_parameters_table("keys of a table of [models]", parameters_of(ModelTable)))
     table = new_table(KINDS_TITLE, ("kind", "ports", "parameters", "description"))
     for name, kind in KINDS.items():
         table.add_row(name, kind.ports, _names(parameters_of(kind)), _description(kind))
