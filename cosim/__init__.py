@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from cosim.log.reader import open_log
     from cosim.report.comparing import compare
     from cosim.report.estimator_comparison import compare_estimators
+    from cosim.scenario.assumptions.report import check_assumptions
     from cosim.scenario.execution import load, replay, run
     from cosim.scenario.experiment_design.ranking import design
     from cosim.scenario.field_file import read_field_data
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from cosim.scenario.models import model_table
 
 _HOMES = {
+    "check_assumptions": "cosim.scenario.assumptions.report",
     "compare": "cosim.report.comparing",
     "compare_estimators": "cosim.report.estimator_comparison",
     "design": "cosim.scenario.experiment_design.ranking",
@@ -39,6 +41,7 @@ _HOMES = {
 
 __all__ = [
     "__version__",
+    "check_assumptions",
     "compare",
     "compare_estimators",
     "design",
