@@ -143,6 +143,11 @@ def _value(
     if array_class in NUMERIC:
         values = _numbers(next(elements), order)
         return frozen(values.reshape((rows, columns), order="F"), 2)
+    return frozen(_sparse(elements, order, rows, columns), 2)
+
+
+def _sparse(elements: Iterator[tuple[int, bytes]], order: str, rows: int, columns: int) -> Matrix:
+    """Return a sparse matrix as a full one."""
     of_rows = _numbers(next(elements), order).astype(np.int64)
     starts = _numbers(next(elements), order).astype(np.int64)
     values = _numbers(next(elements), order)
@@ -150,13 +155,13 @@ def _value(
     if len(starts) != columns + 1 or starts[0] != 0 or (counts < 0).any():
         raise ValueError("the columns of a sparse matrix do not fit together")
     used = int(starts[-1])
-    matrix = np.zeros((rows, columns))
-    of_columns = np.repeat(np.arange(columns), counts)
-    is_inside = (of_rows[:used] >= 0) & (of_rows[:used] < rows)
-    if len(values) < used or len(of_rows) < used or not is_inside.all():
+    places = of_rows[:used]
+    is_inside = (places >= 0) & (places < rows)
+    if len(values) < used or len(places) < used or not is_inside.all():
         raise ValueError("the entries of a sparse matrix do not fit together")
-    matrix[of_rows[:used], of_columns] = values[:used]
-    return frozen(matrix, 2)
+    matrix = np.zeros((rows, columns))
+    matrix[places, np.repeat(np.arange(columns), counts)] = values[:used]
+    return matrix
 
 
 def _numbers(element: tuple[int, bytes], order: str) -> Numbers:

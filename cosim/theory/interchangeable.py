@@ -40,16 +40,17 @@ def interchangeable(
     def alike(i: int, k: int) -> bool:
         one = each[i]
         other = each[k]
-        places = zip(_places(one.theta), _places(other.theta), strict=False)
-        return (
-            np.array_equal(one.c, other.c)
-            and np.array_equal(one.G0, other.G0)
-            and np.array_equal(one.G1, other.G1)
-            and all(bounds.get(a) == bounds.get(b) for a, b in places)
-            and np.array_equal(plant.Bd[:, i], plant.Bd[:, k])
-            and np.array_equal(plant.Dd[:, i], plant.Dd[:, k])
-            and same_alpha(i, k)
+        pairs = (
+            (one.c, other.c),
+            (one.G0, other.G0),
+            (one.G1, other.G1),
+            (plant.Bd[:, i], plant.Bd[:, k]),
+            (plant.Dd[:, i], plant.Dd[:, k]),
         )
+        if not all(np.array_equal(a, b) for a, b in pairs):
+            return False
+        places = zip(_places(one.theta), _places(other.theta), strict=True)
+        return all(bounds.get(a) == bounds.get(b) for a, b in places) and same_alpha(i, k)
 
     before = []
     for i in range(len(each)):

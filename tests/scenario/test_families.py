@@ -272,7 +272,11 @@ def test_five_alphas_are_identified_without_the_expansion(tmp_path):
         (["constant", "constant"], "", r"terms\[0\] \(constant\) and terms\[1\] \(constant\) sha"),
         (["ramp", "constant"], "", r"both make a constant.*family 'ramp' is the sum of both"),
         (["sine", "constant"], "bounds = [[0, 0]]", r"both make a constant.*merge them into one"),
-        (["sine", "constant"], "bounds = [[0, 0.1]]", r"less than a quarter of a period in the 12"),
+        (
+            ["sine", "constant"],
+            "bounds = [[0, 1e-3]]",
+            r"is a straight line in the 12 s of the run",
+        ),
         (
             ["exponential", "exponential"],
             "bounds = [[-1, -1], [-1, -1]]",
@@ -294,6 +298,15 @@ def test_terms_that_no_data_tell_apart_are_refused(families, more, message, tmp_
     scenario = identified(tmp_path, terms, [round(0.4 * (j + 1), 1) for j in range(count)], more)
     with pytest.raises(CosimError, match=message):
         cosim.run(scenario)
+
+
+def test_a_slow_sine_beside_a_constant_is_identified(tmp_path):
+    """A sixth of a period is curved: exact data give its rate."""
+    slow = {"family": "sine", "theta": 0.08, "phase": 0.4}
+    terms = [slow, {"family": "constant", "constants": [0.7]}]
+    more = "bounds = [[0, 0.1]]"
+    run = cosim.run(identified(tmp_path, terms, [0.4, 0.8, 1.2, 1.6], more))
+    np.testing.assert_allclose(run["identifier.theta"][-1], 0.08, rtol=1e-3)
 
 
 PAIR = (

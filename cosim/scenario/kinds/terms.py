@@ -149,20 +149,11 @@ class ValuedTerm(FamilyTerm):
             If they are not as many as the family has, or there is a key that it has not.
         """
         names = family.constants
-        has_keys = names[0] in ONE_BY_ONE
-        given = {key: getattr(self, key) for key in ONE_BY_ONE}
-        for key, value in given.items():
-            if value is not None and key not in names:
-                instead = "constants" if not has_keys else " and ".join(names)
-                raise UsageError(
-                    f"{key}: family {family.name!r} has none; it has {', '.join(names)}, as "
-                    f"{instead}"
-                )
-        if has_keys and self.constants is None:
-            numbers = [DEFAULTS[key] if given[key] is None else given[key] for key in names]
-            return tuple(map(float, numbers))
-        if has_keys and any(value is not None for value in given.values()):
-            raise UsageError(f"found constants beside {' or '.join(names)}; needed one of them")
+        self._check_constant_keys(family)
+        if names[0] in ONE_BY_ONE and self.constants is None:
+            given = [getattr(self, key) for key in names]
+            pairs = zip(names, given, strict=True)
+            return tuple(float(DEFAULTS[key] if value is None else value) for key, value in pairs)
         constants = self.constants or ()
         if len(constants) != len(names):
             raise UsageError(
@@ -170,6 +161,20 @@ class ValuedTerm(FamilyTerm):
                 f"{len(names)}: {', '.join(names)}"
             )
         return tuple(map(float, constants))
+
+    def _check_constant_keys(self, family: Family) -> None:
+        """Refuse keys of constants that the family has not, or that stand beside ``constants``."""
+        names = family.constants
+        given = [key for key in ONE_BY_ONE if getattr(self, key) is not None]
+        foreign = [key for key in given if key not in names]
+        if foreign:
+            instead = " and ".join(names) if names[0] in ONE_BY_ONE else "constants"
+            raise UsageError(
+                f"{foreign[0]}: family {family.name!r} has none; it has {', '.join(names)}, as "
+                f"{instead}"
+            )
+        if given and self.constants is not None:
+            raise UsageError(f"found constants beside {' or '.join(names)}; needed one of them")
 
 
 def element_count(terms: Sequence[FamilyTerm]) -> int:

@@ -154,21 +154,7 @@ def start_grid(
             rows.append(generator.c)
             component.append(i)
         thetas.append(grid.ravel())
-    sizes = [generators.size[i] for i in component]
-    sources = model.source or tuple(range(len(generators.size)))
-    at_points = Generators(
-        size=tuple(sizes),
-        count=(0,) * len(component),
-        c=np.concatenate(rows),
-        G0=np.concatenate(systems),
-        G1=np.zeros(0),
-    )
-    repeated = replace(
-        model,
-        generators=at_points,
-        average=average,
-        source=tuple(sources[i] for i in component),
-    )
+    repeated = _at_points(model, component, systems, rows, average)
     points_of_each = [component.count(i) for i in range(len(generators.size))]
     return StartGridConstants(
         model=repeated,
@@ -178,6 +164,31 @@ def start_grid(
         alike=tuple(alike) or (-1,) * len(generators.size),
         even=tuple(even) or (False,) * P,
         theta=np.concatenate(thetas),
+    )
+
+
+def _at_points(
+    model: OutputErrorConstants,
+    component: Sequence[int],
+    systems: Sequence[Vector],
+    rows: Sequence[Vector],
+    average: int,
+) -> OutputErrorConstants:
+    """Return the model with a component for each point, of known matrices."""
+    generators = model.generators
+    sources = model.source or tuple(range(len(generators.size)))
+    at_points = Generators(
+        size=tuple(generators.size[i] for i in component),
+        count=(0,) * len(component),
+        c=np.concatenate(rows),
+        G0=np.concatenate(systems),
+        G1=np.zeros(0),
+    )
+    return replace(
+        model,
+        generators=at_points,
+        average=average,
+        source=tuple(sources[i] for i in component),
     )
 
 
