@@ -179,6 +179,16 @@ def test_the_gain_moves_the_modes_of_the_internal_model_and_no_others(seed, rate
     assert np.abs(np.poly(closed) - expected).max() <= 1e-6 * np.abs(expected).max()
 
 
+def test_a_mode_that_decays_at_half_the_rate_by_itself_is_no_obstacle():
+    """There the mirror image of the mode is itself: it may stay, or move somewhat."""
+    plant = random_plant(2)
+    K = state_feedback(plant.A, plant.B, Q=np.ones(4))
+    model = internal_model([Exponential()], 2)
+    gains = stabilize(plant, K, model, np.array([-0.25]), 0.5)
+    closed = model.S(np.array([-0.25])) - gains.B_w @ gains.K_w
+    assert np.linalg.eigvals(closed).real.max() <= -0.25 + 1e-9
+
+
 def test_a_transmission_zero_at_a_mode_of_the_disturbance_is_refused():
     """The zero is named with the theta where it meets the internal model, also inside a box."""
     zero = 1.3

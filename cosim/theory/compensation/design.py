@@ -64,6 +64,7 @@ BISECTIONS = 8  # of an interval that would do
 MARGINS = (0.02, 0.1, 0.3, 0.6, 0.9, 0.97, 0.99)  # by which it shrinks until it is proven
 FEW_CELLS = 60  # of a proof that is tried while there are others to try
 RESIDUAL = 1e-9  # of the Sylvester equation, relative to its terms
+FURTHER = (1.0, 1.02, 1.05)  # times the shift of the modes that is tried
 NEAR = 1e-6  # relative distance from an eigenvalue of S at which a zero counts as on it
 
 
@@ -158,23 +159,30 @@ def _sylvester(S: Matrix, A: Matrix, right: Matrix, units: Vector) -> Matrix:
 def _least_effort(S: Matrix, B: Matrix, shift: float) -> Matrix:
     """Compute the gain that mirrors the modes of S right of ``-shift`` about it, no others.
 
-    It is the regulator of S + shift I without a weight of the state.
+    It is the regulator of S + shift I without a weight of the state. There is none where a mode is
+    at ``-shift``: then about a point somewhat further left.
     """
     from scipy.linalg import solve_continuous_are  # takes long to import, and is rarely needed
 
     n, m = B.shape
     size = np.linalg.norm(B) or 1.0
     scaled = B / size
-    try:
-        P = solve_continuous_are(S + shift * np.eye(n), scaled, np.zeros((n, n)), np.eye(m))
-    except (np.linalg.LinAlgError, ValueError) as error:
-        raise AssumptionError(
-            f"internal model: u does not reach all its modes, or two of them are alike ({error}); "
-            "needed components of the disturbance whose intervals of theta are apart, or another "
-            "decay_rate"
-        ) from error
-    gain: Matrix = scaled.T @ P / size
-    return gain
+    no_weight = np.zeros((n, n))
+    reason = ""
+    for further in FURTHER:
+        shifted = S + further * shift * np.eye(n)
+        try:
+            P = solve_continuous_are(shifted, scaled, no_weight, np.eye(m))
+        except (np.linalg.LinAlgError, ValueError) as error:
+            reason = str(error)
+        else:
+            gain: Matrix = scaled.T @ P / size
+            return gain
+    raise AssumptionError(
+        f"internal model: u does not reach all its modes, or two of them are alike ({reason}); "
+        "needed components of the disturbance whose intervals of theta are apart, or another "
+        "decay_rate"
+    )
 
 
 def check_zeros(plant: RegulatedPlant, model: InternalModel, box: ParameterBox) -> None:
