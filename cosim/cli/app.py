@@ -14,10 +14,11 @@ from typing import Annotated
 
 import typer
 
+from cosim.cli.checking import check
 from cosim.cli.comparing import compare, diff
 from cosim.cli.contents import info, list_, plot, show
 from cosim.cli.designing import design
-from cosim.cli.fmus import cache, check, export, linearize
+from cosim.cli.fmus import cache, export, linearize
 from cosim.cli.identifying import identify
 from cosim.cli.running import replay, run
 from cosim.errors import CosimError, shell_language

@@ -1,4 +1,4 @@
-"""The commands on FMUs: check, of scenarios too, cache, export and linearize."""
+"""The commands on FMUs: cache, export and linearize."""
 
 from __future__ import annotations
 
@@ -11,65 +11,6 @@ from cosim import completion
 from cosim.cli.options import JsonOption, ScenarioArgument, SetOption, read_edits
 from cosim.errors import UsageError
 from cosim.report.printable import printable
-
-
-def check(
-    subject: Annotated[
-        Path,
-        typer.Argument(
-            metavar="FMU|SCENARIO",
-            help="An FMU (.fmu), or a scenario by name or as .toml.",
-            autocompletion=completion.complete_checked,
-        ),
-    ],
-    strict: Annotated[
-        bool,
-        typer.Option(
-            "--strict",
-            help="Of an FMU: exit 1 also for a warning: against the standard, but runs here.",
-        ),
-    ] = False,
-    values: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="NAME=VALUE",
-            help="Start value for the trial runs of an FMU; of a scenario a value, such as "
-            "observer.filter_rate=500. Repeatable.",
-        ),
-    ] = None,
-    as_json: JsonOption = False,
-) -> None:
-    """Report problems of an FMU, or the assumptions of a scenario.
-
-    Of an FMU archive, schema, structure, binaries and trial runs; of a scenario each assumption
-    with the number that decides it, without a run. Exit 1 if there is an error, or one fails.
-    """
-    from cosim.arguments import fmu_argument, is_scenario
-
-    if is_scenario(subject):
-        if strict:
-            raise UsageError("--strict: is of an FMU; leave it out")
-        _check_scenario(str(subject), values, as_json=as_json)
-        return
-    from cosim.fmi.checking.check import check as check_fmu
-    from cosim.report.tables.fmu import print_check
-
-    findings = check_fmu(fmu_argument(subject), start=read_edits(values))
-    print_check(str(subject), findings, as_json=as_json)
-    refused = {"error", "warning"} if strict else {"error"}
-    if any(finding.level in refused for finding in findings):
-        raise typer.Exit(1)
-
-
-def _check_scenario(scenario: str, values: list[str] | None, *, as_json: bool) -> None:
-    from cosim.report.tables.assumptions import print_assumptions
-    from cosim.scenario.assumptions.report import check_assumptions
-
-    report = check_assumptions(scenario, set=read_edits(values))
-    print_assumptions(report, as_json=as_json)
-    if not report.fulfilled:
-        raise typer.Exit(1)
 
 
 def cache(
