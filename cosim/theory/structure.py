@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Mapping, Sequence
+from itertools import combinations
 from typing import Final
 
 import numpy as np
@@ -62,27 +63,29 @@ def check_distinguishable(
     for trial in range(TRIALS):
         own = zip(families, places, strict=True)
         spectra.append([_eigenvalues(family, at, bounds, trial) for family, at in own])
-    for i, family in enumerate(families):
-        for k in range(i):
-            if alphas[i] != alphas[k]:
-                continue
-            common = [_common(spectrum[i], spectrum[k]) for spectrum in spectra]
-            both = f"terms[{k}] ({families[k].name}) and terms[{i}] ({family.name})"
-            if all(value is not None for value in common):
-                raise AssumptionError(
-                    f"{both} share alpha {names[i]!r}, and whatever theta is both make "
-                    f"{_signal_of(common[0])}: no data tell their constants apart; "
-                    f"{_merged(families[k], family)}"
-                )
-            for sine, other in ((i, k), (k, i)):
-                largest = _largest_rate(families[sine], places[sine], bounds)
-                if largest * span < STRAIGHT and _has_zero(spectra[0][other]):
-                    raise AssumptionError(
-                        f"{both} share alpha {names[i]!r}, and the rate is bounded by "
-                        f"{largest:g} rad/s: such a sine is a straight line in the {span:g} s of "
-                        f"the run; needed a larger bound than {STRAIGHT / span:.3g} rad/s, a "
-                        "longer run, or one of the two"
-                    )
+    terms = zip(families, places, strict=True)
+    rates = [_largest_rate(family, at, bounds) for family, at in terms]
+    is_straight = [rate * span < STRAIGHT for rate in rates]
+    has_zero = [_has_zero(spectrum) for spectrum in spectra[0]]
+    for i, k in combinations(range(len(families)), 2):
+        if alphas[i] != alphas[k]:
+            continue
+        both = (
+            f"terms[{i}] ({families[i].name}) and terms[{k}] ({families[k].name}) share alpha "
+            f"{names[k]!r}"
+        )
+        common = [_common(spectrum[k], spectrum[i]) for spectrum in spectra]
+        if all(value is not None for value in common):
+            raise AssumptionError(
+                f"{both}, and whatever theta is both make {_signal_of(common[0])}: no data tell "
+                f"their constants apart; {_merged(families[i], families[k])}"
+            )
+        if (is_straight[i] and has_zero[k]) or (is_straight[k] and has_zero[i]):
+            raise AssumptionError(
+                f"{both}, and the rate is bounded by {min(rates[i], rates[k]):g} rad/s: such a "
+                f"sine is a straight line in the {span:g} s of the run; needed a larger bound than "
+                f"{STRAIGHT / span:.3g} rad/s, a longer run, or one of the two"
+            )
 
 
 def _places(families: Sequence[Family]) -> list[range]:
