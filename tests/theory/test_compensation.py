@@ -181,12 +181,12 @@ def test_the_gain_moves_the_modes_of_the_internal_model_and_no_others(seed, rate
 
 def test_a_mode_that_decays_at_half_the_rate_by_itself_is_no_obstacle():
     """There the mirror image of the mode is itself: it may stay, or move somewhat."""
-    plant = random_plant(2)
+    plant = random_plant(1)
     K = state_feedback(plant.A, plant.B, Q=np.ones(4))
-    model = internal_model([Exponential()], 2)
+    model = internal_model([Exponential(), FAMILIES["ramp"]], 2)
     gains = stabilize(plant, K, model, np.array([-0.25]), 0.5)
     closed = model.S(np.array([-0.25])) - gains.B_w @ gains.K_w
-    assert np.linalg.eigvals(closed).real.max() <= -0.25 + 1e-9
+    assert np.linalg.eigvals(closed).real.max() <= -0.25 + 1e-6
 
 
 def test_a_transmission_zero_at_a_mode_of_the_disturbance_is_refused():
