@@ -32,7 +32,7 @@ from numpy.typing import ArrayLike, NDArray
 from cosim.arrays import Matrix, Vector, frozen
 from cosim.errors import AssumptionError
 from cosim.theory.elimination import DATA, Eliminated, PartitionedMatrices, eliminate
-from cosim.theory.geometry import output_nulling, rank
+from cosim.theory.geometry import normalized, output_nulling, rank
 from cosim.theory.pencil import RankDecomposition, decompose, determined_rank, shuffle
 from cosim.theory.scaling import Scales, scales_of, state_space_scales, within_range
 
@@ -483,18 +483,20 @@ def invariant_zeros(reduced: ReducedSystem) -> ComplexVector:
         C = reduced.B_2a.T
         D = reduced.C5.T
     V = output_nulling(A, B, C, D)
-    k = V.shape[1]
+    n, k = V.shape
+    rate = np.linalg.norm(A) or 1.0
+    outputs = normalized(np.hstack([C, D]), axis=1)
     no_output = np.zeros((len(C), k))
     states = np.vstack([V, no_output])
-    inputs = np.vstack([B, D])
+    inputs = normalized(np.vstack([B / rate, outputs[:, n:]]), axis=0)
     basis = np.hstack([states, inputs])
     if rank(basis) < basis.shape[1]:
         raise AssumptionError(
             "the transfer from delta to y does not have full rank, so every s is an invariant zero"
         )
-    rates = np.vstack([A, C]) @ V
+    rates = np.vstack([A / rate, outputs[:, :n]]) @ V
     coordinates = np.linalg.lstsq(basis, rates, rcond=None)[0]
-    X = coordinates[:k]
+    X = rate * coordinates[:k]
     zeros = np.linalg.eigvals(X).astype(np.complex128)
     return np.sort_complex(zeros)
 

@@ -87,12 +87,12 @@ def output_nulling(A: Matrix, B: Matrix, C: Matrix, D: Matrix) -> Matrix:
     n = A.shape[0]
     p = C.shape[0]
     rate = np.linalg.norm(A) or 1.0
-    outputs = _normalized(np.hstack([C, D]), axis=1)
+    outputs = normalized(np.hstack([C, D]), axis=1)
     C_scaled = outputs[:, :n]
     D_scaled = outputs[:, n:]
     from_states = np.vstack([A / rate, C_scaled])
     from_inputs = np.vstack([B / rate, D_scaled])
-    from_inputs = _normalized(from_inputs, axis=0)
+    from_inputs = normalized(from_inputs, axis=0)
     V = np.eye(n)
     while True:
         k = V.shape[1]
@@ -109,7 +109,7 @@ def output_nulling(A: Matrix, B: Matrix, C: Matrix, D: Matrix) -> Matrix:
         V = smaller
 
 
-def _normalized(matrix: Matrix, axis: int) -> Matrix:
+def normalized(matrix: Matrix, axis: int) -> Matrix:
     """Scale rows (axis 1) or columns (axis 0) to length one; those of zeros stay zero."""
     lengths = np.linalg.norm(matrix, axis=axis, keepdims=True)
     divisors = np.where(lengths > 0.0, lengths, 1.0)

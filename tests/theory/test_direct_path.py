@@ -88,6 +88,31 @@ def test_invariant_zeros_do_not_rest_on_units():
         assert (distances[rows, columns] <= 1e-8 * np.maximum(1.0, np.abs(zeros[columns]))).all()
 
 
+def test_invariant_zeros_are_found_in_skewed_coordinates():
+    """Those of A - B D^-1 C, where D is regular; T = I + v w' with w'v = 0 leaves them as they are.
+
+    There A and B are far larger than D. A is rounded to eps |A|, which moves a zero by that times
+    the condition of T.
+    """
+    D = np.array([[1.0, 0.5], [-0.3, 1.0]])
+    v = 100.0 * np.array([[1.0], [2.0], [-1.0], [1.0]])
+    w = np.array([[1.0, -1.0, 0.0, 1.0]])
+    T = np.eye(4) + v @ w
+    inverse = np.eye(4) - v @ w
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        A = rng.normal(size=(4, 4))
+        B = rng.normal(size=(4, 2))
+        C = rng.normal(size=(2, 4))
+        zeros = np.linalg.eigvals(A - B @ np.linalg.solve(D, C))
+        skewed = T @ A @ inverse
+        found = invariant_zeros(reduced_system(skewed, T @ B, C @ inverse, D))
+        condition = np.linalg.norm(T, 2) * np.linalg.norm(inverse, 2)
+        tolerance = 10.0 * np.finfo(float).eps * np.linalg.norm(skewed, 2) * condition
+        assert tolerance < 1e-2
+        np.testing.assert_allclose(found, np.sort_complex(zeros), rtol=0, atol=tolerance)
+
+
 @pytest.mark.campaign
 def test_fixed_modes_are_the_invariant_zeros_at_length():
     """The same for 1000 systems."""
