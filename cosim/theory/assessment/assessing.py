@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from cosim.arrays import Vector
-from cosim.errors import StartError
+from cosim.errors import AssumptionError, StartError
 from cosim.theory.assessment.consistency import WHITENESS, Consistency, examine
 from cosim.theory.assessment.fitted_model import FittedModel
 from cosim.theory.assessment.missing_terms import hidden_terms, silent_terms
@@ -32,7 +32,11 @@ from cosim.theory.assessment.verdicts import (
     is_settled,
 )
 from cosim.theory.disturbed_plant import NoiseModel
-from cosim.theory.estimators.output_error import excess_squares, largest_chance
+from cosim.theory.estimators.output_error import (
+    OutputErrorFit,
+    excess_squares,
+    largest_chance,
+)
 
 # Of a component that is 100 of its deviations from absent: a wrong optimum would not pass.
 CLEAR_PRESENCE: Final = 1e4
@@ -43,6 +47,8 @@ HIDDEN_BY_ERRORS: Final = (
     "its component is not larger than what straight lines between samples, or the quantization of "
     "y, may have made it: shorter steps, or finer outputs, would show it"
 )
+APART: Final = 5.0  # standard errors between two optima that are not the same
+SAME_THETA: Final = 1e-4  # relative difference of theta by the samples that are left out
 COLOR_FITS: Final = 2  # the color of the noise is known from the first, and hardly moves with theta
 
 
@@ -84,19 +90,58 @@ def assess(problem: OutputErrorProblem, start: Vector | None = None) -> Assessme
         If sizes do not fit, a bound excludes every value, or there are fewer samples than unknowns.
     """
     if start is None:
-        return _assessed(_white(problem, None))
+        return _beside_rival(_white(problem, None))
     near = _near(problem, start)
     if near is not None and near.is_settled and near.is_clear:
-        return _assessed(near)
+        return _beside_rival(near)
     searched = _searched_like(problem, start)
     if near is None:
         return _assessed(searched)
     best, other = _by_residual(near, searched)
-    assessment = _assessed(best)
     excess = _excess(best.fitted, other.fitted)
+    if excess <= SAME_OPTIMUM:
+        return _beside_rival(best)
+    assessment = _assessed(best)
     if SAME_OPTIMUM < excess <= NO_RIVAL * largest_chance(problem.generators.parameters):
         assessment = _beside(assessment, _assessed(other))
     return assessment
+
+
+def _beside_rival(examined: _Examined) -> Assessment:
+    """Assess a fit beside another optimum that explains the data as well, where there is one.
+
+    It is looked for where several terms may exchange their parts, and nothing else is in doubt.
+    """
+    assessment = _assessed(examined)
+    fit = examined.fitted.fit
+    problem = examined.fitted.problem
+    several = sum(1 for count in problem.generators.count if count) > 1
+    certain = all(one.verdict is Verdict.IDENTIFIABLE for one in assessment.parameters)
+    if not several or not certain:
+        return assessment
+    other = _rival(problem, fit, examined.fitted.noise)
+    if other is None:
+        return assessment
+    excess = _excess(*sorted((examined.fitted, other.fitted), key=residual_size))
+    if SAME_OPTIMUM < excess <= NO_RIVAL * largest_chance(problem.generators.parameters):
+        assessment = _beside(assessment, _assessed(other))
+    return assessment
+
+
+def _rival(problem: OutputErrorProblem, fit: OutputErrorFit, noise: NoiseModel) -> _Examined | None:
+    """Return the best fit from another optimum of a few samples; None: there is none apart."""
+    try:
+        optima = problem.search_optima(noise)
+        for one in optima:
+            theta = problem.in_order(one.theta)
+            reach = APART * np.hypot(one.standard_error, fit.standard_error)
+            rounding = SAME_THETA * np.maximum(np.abs(theta), np.abs(fit.theta))
+            if (np.abs(theta - problem.in_order(fit.theta)) > reach + rounding).any():
+                rival = _white(problem, theta)
+                return rival if rival.is_settled else None
+    except AssumptionError:  # too few samples, or a response that is not finite there
+        return None
+    return None
 
 
 def assess_near(problem: OutputErrorProblem, start: Vector) -> Assessment:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 
@@ -15,8 +16,14 @@ from cosim.theory.covariance import is_covariance
 from cosim.theory.disturbance import Family, even_parameters, generators
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel, check_sizes
 from cosim.theory.estimators.output_error import OutputErrorFit, bound_vectors, fit_output_error
-from cosim.theory.estimators.start_grid import interchangeable_terms, search_start
+from cosim.theory.estimators.start_grid import (
+    interchangeable_terms,
+    search_optima,
+    search_start,
+)
 from cosim.theory.interchangeable import in_order
+
+MOST_SAMPLES: Final = 1000  # of a record, in which other optima are searched
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,6 +123,27 @@ class OutputErrorProblem:
         """
         return search_start(
             self.data,
+            self.plant,
+            self.families,
+            noise=replace(noise, a=noise.a[:, :0]),
+            offset=self.offset,
+            bounds=self.bounds,
+        )
+
+    def search_optima(self, noise: NoiseModel) -> list[OutputErrorFit]:
+        """Return the optima that a coarse search finds in every so many samples, the best first.
+
+        Raises
+        ------
+        AssumptionError
+            As :func:`cosim.theory.estimators.output_error.fit_output_error`.
+        """
+        data = []
+        for one in self.data:
+            every = max(1, len(one.t) // MOST_SAMPLES)
+            data.append(one.thinned(every))
+        return search_optima(
+            data,
             self.plant,
             self.families,
             noise=replace(noise, a=noise.a[:, :0]),

@@ -59,6 +59,8 @@ SINH: Final = compile_expression("sinh(t)")
 ASINH: Final = compile_expression("sign(t)*log(abs(t) + sqrt(t*t + 1))")
 FINE: Final = 4.0  # steps begin to grow at this part of the smaller end of a box
 FEW_POINTS: Final = 6  # along a parameter whose steps grow, of a component with others
+COARSE_POINTS: Final = 32  # along a parameter, where it is asked whether there are other optima
+STARTS_OF_OPTIMA: Final = 5  # that are fitted from then
 ROUNDS: Final = 3  # of a search around the best fit of the last one
 STARTS_BESIDE: Final = 3  # of which so many are fitted from
 ROWS: Final = 1024  # of the regression: means of successive samples
@@ -325,6 +327,37 @@ def search_start(
             break
         best = better
     return best.theta
+
+
+def search_optima(
+    data: Sequence[DataSet],
+    plant: DisturbedPlant,
+    families: Sequence[Family],
+    *,
+    noise: NoiseModel,
+    offset: bool = False,
+    bounds: Mapping[int, tuple[float, float]] = NO_BOUNDS,
+) -> list[OutputErrorFit]:
+    """Return the optima that a coarse grid leads to, the best first; as :func:`search_start`."""
+    matrices = generators(families)
+    records = response_records(data, plant, matrices, noise=noise, offset=offset)
+    spacing = min(data_set.sampling_interval for data_set in data)
+    box = box_of_search(families, span=longest_span(data), spacing=spacing, bounds=bounds)
+    starts = search_starts(
+        records,
+        box.lower,
+        box.upper,
+        points=axis_points(matrices, box.graded, most=COARSE_POINTS, columns=COLUMNS),
+        most=STARTS_OF_OPTIMA,
+        graded=box.graded,
+        alike=interchangeable_terms(data, plant, matrices, bounds),
+    )
+    fits = [
+        fit_output_error(data, plant, families, start, noise=noise, offset=offset, bounds=bounds)
+        for start in starts
+    ]
+    converged = [fit for fit in fits if fit.converged]
+    return sorted(converged, key=lambda fit: fit.deviation)
 
 
 def _best_of(fits: Sequence[OutputErrorFit]) -> OutputErrorFit:
