@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any, Final
 
 import numpy as np
@@ -72,7 +73,7 @@ class RegressorCheck:
         texts = [_class_text(families, sizes) for families, sizes in elements]
         if len(texts) > 1:
             texts = [f"element {element}: {text}" for element, text in enumerate(texts)]
-        all_sizes = [size for _, sizes in elements for size in sizes]
+        all_sizes = list(chain.from_iterable(sizes for _, sizes in elements))
         values = {
             "basis_functions": sum(all_sizes),
             "groups": len(all_sizes),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import chain
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -236,7 +237,7 @@ class CompensatorKind(Kind):
         if not families:
             none = InternalModel(np.zeros((0, 0)), (), np.zeros((0, outputs)))
             return none, ParameterBox(np.zeros(0), np.zeros(0))
-        parameters = [name for family in families for name in family.parameters]
+        parameters = list(chain.from_iterable(family.parameters for family in families))
         rows = self.interval or ()
         if not self.internal_model and self.interval is None:
             rows = tuple((0.0, 0.0) for _ in parameters)

@@ -129,8 +129,9 @@ class ValuedTerm(FamilyTerm):
         UsageError
             If these are not as many as the family has parameters.
         """
-        given = self.theta
-        values = () if given is None else given if isinstance(given, tuple) else (given,)
+        values: Sequence[float] = ()
+        if self.theta is not None:
+            values = self.theta if isinstance(self.theta, tuple) else (self.theta,)
         names = family.parameters
         if len(values) != len(names):
             what = ", ".join(names)
