@@ -11,8 +11,9 @@ the filter, so that the estimate is continuous and satisfies
 
     x_hat' = f(x_hat, u, delta_hat) + L (y - g(x_hat, u, delta_hat))
 
-at the points; z and q are those of the design at hand. It is of second order in the step: a local
-model is that of Rosenbrock and Euler.
+at the points; z and q are those of the design at hand. It is of second order in the step where
+y is linear in x: a local model is that of Rosenbrock and Euler. Else it is of first order, for what
+y bends within a step is taken for a motion of x.
 """
 
 from __future__ import annotations

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -145,6 +147,34 @@ def test_its_estimate_is_of_second_order_in_the_step():
         settled = t[1:] > 7.0
         errors.append(np.abs(rows[settled, 0] - x[1:][settled, 0]).max())
     assert 3.5 < errors[0] / errors[1] < 4.5
+
+
+class BentTank(Tank):
+    """The same with y = x2 + 0.3 sin x2."""
+
+    def local(self, t: float, x: Vector, u: Vector, delta: Vector) -> ReducedSystem:
+        """Linearize y, too."""
+        tank = super().local(t, x, u, delta)
+        slope = 1.0 + 0.3 * np.cos(x[1])
+        d = np.array([x[1] + 0.3 * np.sin(x[1]) - slope * x[1]])
+        constant = np.column_stack([np.zeros((1, 1)), d])
+        return replace(tank, C3=np.array([[0.0, slope]]), C4=constant)
+
+
+def test_where_y_is_no_straight_line_of_x_it_is_of_first_order():
+    """What y bends within a step is taken for a motion of x: a half step halves the error."""
+    errors = []
+    for h in (0.02, 0.01):
+        t = np.arange(round(8.0 / h) + 1) * h
+        u, x = trajectory(t)
+        component = observer(BentTank(), np.array([0.8, 0.5]))
+        component.prepare(h, np.zeros(2, np.bool_), {})
+        inputs = np.column_stack([u, x[:, 1] + 0.3 * np.sin(x[:, 1])])
+        component.initialize(0.0, inputs[0])
+        rows = component.advance(t, h, inputs)
+        settled = t[1:] > 7.0
+        errors.append(np.abs(rows[settled, 1] - x[1:][settled, 1]).max())
+    assert 1.7 < errors[0] / errors[1] < 2.3
 
 
 def test_by_default_it_begins_next_to_the_state_of_the_model():
