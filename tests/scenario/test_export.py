@@ -143,7 +143,8 @@ def test_co_simulation_by_fmpy_alone_gives_what_the_component_gives(key, name, f
     """fmpy holds the inputs over a step, and interpolates them at its own times.
 
     These are 1e-16 s away from ours, which is 1e-13 of an input. theta errs by that times the
-    condition of the little information that 0.7 s give: 1e6.
+    condition of the little information that 0.7 s give: 1e6. Before the start time that may decide
+    whether exact data exclude every other optimum, and so whether there is a theta.
     """
     original = case(key, name)
     _, named = rows(original)
@@ -159,9 +160,14 @@ def test_co_simulation_by_fmpy_alone_gives_what_the_component_gives(key, name, f
         expected.append(component.advance(original.t[k : k + 2], H, u)[0])
     steps = min(len(y), len(expected))
     assert steps >= len(expected) - 1
-    assert relative(y[:steps], np.array(expected)[:steps]) <= (
-        1e-7 if name == "identifier" else 1e-12
-    )
+    y = y[:steps]
+    expected = np.array(expected)[:steps]
+    if name == "identifier":
+        early = original.t[:steps] < START["identifier.start"]
+        in_one = np.isnan(y) != np.isnan(expected)
+        y[in_one & early[:, np.newaxis]] = np.nan
+        expected[in_one & early[:, np.newaxis]] = np.nan
+    assert relative(y, expected) <= (1e-7 if name == "identifier" else 1e-12)
 
 
 @FMI
