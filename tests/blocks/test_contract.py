@@ -55,7 +55,7 @@ def plant():
 
 def plant_without_algebraic_states():
     system = ordinary(A=[[0.0, 1.0], [-2.0, -3.0]], B=[[1.0], [0.0]], C=[[1.0, 0.0]])
-    with_input = replace(system, Bu=np.array([[0.0], [1.0]]))
+    with_input = replace(system, Bu=np.array([[0.0], [1.0]]), Du=np.zeros((1, 1)))
     return Linear(descriptor_model(with_input, [1.0, -1.0]))
 
 

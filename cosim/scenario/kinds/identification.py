@@ -62,7 +62,7 @@ class IdentifierKind(PeriodicKind, ExportableKind):
     """Identifier of theta, by output error, least squares (33)-(35), or another method."""
 
     ports: ClassVar[str] = (
-        "regressor, alpha, delta, y, u -> theta, standard_error, deviation, amplitude"
+        "regressor, [alpha], delta, y, u -> theta, standard_error, deviation, amplitude"
     )
     kind: Literal["identifier"]
     method: IdentificationMethod = Field(

@@ -112,7 +112,7 @@ class DesignedObserver(NamedTuple):
 class UnknownInputObserverKind(ExportableKind):
     """Unknown-input observer with disturbance reconstruction (18)-(20)."""
 
-    ports: ClassVar[str] = "u, y -> x, delta, z, q (with n_a: x_a, x_b)"
+    ports: ClassVar[str] = "u, y -> x_a, delta, x_b, z, q, or x, delta, z, q of a general model"
     kind: Literal["unknown-input-observer"]
     model: str | FmuModel = Field(
         description="design model: name of a table in [models], "

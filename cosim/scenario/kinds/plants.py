@@ -51,7 +51,7 @@ class DescriptorKind(PlantKind, LinearKind):
     Where the model has n_a its states are x_a and x_b, else x.
     """
 
-    ports: ClassVar[str] = "u, delta -> y, x (with n_a: x_a, x_b)"
+    ports: ClassVar[str] = "u, delta -> y, x_a, x_b, or y, x of a general model"
     kind: Literal["descriptor"]
     model: str = Field(description="name of a table in [models]")
     x_a0: NumberRow | None = Field(

@@ -212,7 +212,7 @@ class RegressorDesign:
 class RegressorKind(ExportableKind):
     """From delta to the known signals mu of the regression (21)-(25)."""
 
-    ports: ClassVar[str] = "delta, alpha -> mu"
+    ports: ClassVar[str] = "delta, [alpha] -> mu"
     continuous_inputs: ClassVar[Mapping[str, str]] = {ALPHA: ALPHA_WAY_OUT}
     kind: Literal["regressor"]
     terms: tuple[FamilyTerm, ...] = Field(

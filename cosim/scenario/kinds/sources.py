@@ -257,7 +257,7 @@ class NoiseKind(Kind):
 class DisturbanceKind(Kind):
     """y = sum of alpha(t) f(theta, t), the disturbance class (4)."""
 
-    ports: ClassVar[str] = "alpha -> y"
+    ports: ClassVar[str] = "[alpha] -> y"
     continuous_inputs: ClassVar[Mapping[str, str]] = {ALPHA: DISTURBANCE_WAY_OUT}
     kind: Literal["disturbance"]
     terms: tuple[ValuedTerm, ...] = Field(
