@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from cosim.arrays import Vector
-from cosim.core.clock import NANOSECONDS, whole_steps
+from cosim.core.clock import NANOSECONDS
 from cosim.errors import AssumptionError, UsageError
 from cosim.scenario.assumptions.attempts import Evidence, attempted
 from cosim.scenario.kinds.alphas import unchecked
@@ -88,9 +88,9 @@ class RegressorCheck:
         delays = self.kind.delays
         longest = max(sum(sizes) for _, sizes in elements)
         regression.check_delays(delays, longest + 1)
-        step_ns = self.context.step_ns
-        steps = [whole_steps(delay, step_ns, f"delays[{j}]") for j, delay in enumerate(delays)]
-        divisor = math.gcd(*(count - steps[0] for count in steps)) * step_ns / NANOSECONDS
+        steps = self.kind.delay_steps(self.context)
+        common_steps = math.gcd(*(count - steps[0] for count in steps))
+        divisor = common_steps * self.context.step_ns / NANOSECONDS
         values: dict[str, Any] = {"delays": list(delays), "common_divisor": divisor}
         evidence = f"{len(delays)} distinct delays, whole multiples of {divisor:g} s apart"
         limit = math.pi / divisor

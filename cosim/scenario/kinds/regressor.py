@@ -287,7 +287,7 @@ class RegressorKind(ExportableKind):
 
     def _designed(self, name: str, context: BuildContext) -> RegressorDesign:
         families = families_of(self.terms)
-        self._steps(context)  # before what needs all times of the run
+        self.delay_steps(context)  # before what needs all times of the run
         alphas = alphas_of(name, self.alphas, context, ALPHA_WAY_OUT)
         self.check_distinguishable(context)
         count = element_count(self.terms)
@@ -323,7 +323,7 @@ class RegressorKind(ExportableKind):
             known=known,
             groups=groups,
             terms=regression.expand(sizes) if is_expanded else regression.delayed(needed),
-            steps=self._steps(context)[:needed],
+            steps=self.delay_steps(context)[:needed],
             delays=self.delays[:needed],
             lag=lag,
             elements=[0] * len(families),
@@ -353,7 +353,7 @@ class RegressorKind(ExportableKind):
             known=known_alphas(firsts, context),
             groups=groups,
             terms=regression.delayed(sum(len(one.terms) for one in each)),
-            steps=self._steps(context),
+            steps=self.delay_steps(context),
             delays=self.delays,
             lag=each[0].lag,
             elements=[term.element for term in self.terms],
@@ -402,7 +402,7 @@ class RegressorKind(ExportableKind):
         longest = max(sum(families[i].v for i in own) for own in members)
         regression.check_delays(self.delays, longest + 1)
 
-    def _steps(self, context: BuildContext) -> list[int]:
+    def delay_steps(self, context: BuildContext) -> list[int]:
         """Return the delays in communication steps."""
         steps = []
         for j, delay in enumerate(self.delays):

@@ -322,7 +322,7 @@ def _beside(best: Assessment, other: Assessment) -> Assessment:
     if not other.is_settled:
         return best
     if residual_size(other.fitted) < residual_size(best.fitted):
-        best, other = other, best
+        return _beside(other, best)
     excess = _excess(best.fitted, other.fitted)
     threshold = largest_chance(len(best.parameters))
     if not SAME_OPTIMUM < excess <= threshold:
