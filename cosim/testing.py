@@ -22,9 +22,9 @@ from cosim.core.contracts import Component, Rollback, State, prepare
 from cosim.core.member import read_only, result_problem
 from cosim.native.expression import compile_expression
 from cosim.native.step import evaluate_at, first_order_hold
-from cosim.theory.disturbance import Exponential, Family, group_by_alpha
+from cosim.theory.disturbances.families import Exponential, Family, group_by_alpha
+from cosim.theory.disturbances.regression import expand
 from cosim.theory.disturbed_plant import DisturbedPlant
-from cosim.theory.regression import expand
 
 _SCALES: Final = (2.0**-12, 2.0**12)  # powers of two: other units, the same digits
 _SCALED: Final = 1e-6  # relative difference of theta in other units

@@ -40,7 +40,7 @@ from cosim.theory.compensation.design import (
     certify_compensator,
 )
 from cosim.theory.compensation.schedule import Schedule, blended, corner_weights
-from cosim.theory.observer import StateSpace
+from cosim.theory.observers.observer import StateSpace
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -23,7 +23,7 @@ from cosim.native.identifier import IdentifierConstants
 from cosim.native.output_error import KnownInput, OutputErrorConstants
 from cosim.native.rayleigh import RayleighConstants
 from cosim.native.step import RegressorConstants
-from cosim.theory.disturbance import SearchBox
+from cosim.theory.disturbances.families import SearchBox
 from cosim.theory.disturbed_plant import DisturbedPlant, NoiseModel, discretize, white_noise
 from cosim.theory.estimators.output_error import presence_threshold
 from cosim.theory.estimators.projection import reconstruction_model

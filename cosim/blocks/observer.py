@@ -11,14 +11,14 @@ from cosim.blocks.averages import AveragedModel, Smoothed
 from cosim.blocks.plant import linear_model
 from cosim.core.linear import LinearModel
 from cosim.core.signals import Signal
-from cosim.theory.descriptor import ReducedSystem, StateMap, state_maps
-from cosim.theory.observer import (
+from cosim.theory.observers.observer import (
     ObserverDesign,
     initial_state_map,
     lagging_states,
     realize,
     realize_averages,
 )
+from cosim.theory.plants.descriptor import ReducedSystem, StateMap, state_maps
 
 
 def observer_model(

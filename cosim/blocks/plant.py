@@ -11,7 +11,7 @@ from cosim.arrays import Matrix, Vector
 from cosim.core.linear import DescriptorModel, LinearModel, feedthrough_of, initial_dependencies
 from cosim.core.signals import Interface, Role, Signal
 from cosim.errors import AssumptionError
-from cosim.theory.descriptor import DescriptorSystem, ReducedSystem, reduce, state_maps
+from cosim.theory.plants.descriptor import DescriptorSystem, ReducedSystem, reduce, state_maps
 
 
 def descriptor_model(system: DescriptorSystem, initial: ArrayLike) -> LinearModel:

@@ -11,7 +11,7 @@ from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
 from cosim.native.alphas import Alpha, PastAlphas, signals_among
 from cosim.native.step import LARGEST_MEMORY, RegressorConstants, RegressorStep
-from cosim.theory.regression import Term
+from cosim.theory.disturbances.regression import Term
 
 
 class Regressor:

@@ -29,14 +29,14 @@ from cosim.core.contracts import Design, Stopped
 from cosim.core.signals import Interface
 from cosim.errors import CosimError, RunError
 from cosim.native.step import affine, first_order_hold
-from cosim.theory.descriptor import ReducedSystem
-from cosim.theory.observer import (
+from cosim.theory.observers.observer import (
     ObserverDesign,
     StateSpace,
     delta_rows,
     initial_state_map,
     realize,
 )
+from cosim.theory.plants.descriptor import ReducedSystem
 
 
 class NonlinearModel(Protocol):

@@ -39,7 +39,7 @@ from cosim.scenario.recorded_metadata import (
 )
 from cosim.scenario.schema import truth_ports
 from cosim.theory.assessment.consistency import NOTHING_ELSE
-from cosim.theory.excitation import describe_excitation, information
+from cosim.theory.disturbances.excitation import describe_excitation, information
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ from cosim.scenario.recorded_metadata import (
     recorded_models,
 )
 from cosim.scenario.swap import ports_in
-from cosim.theory.descriptor import DescriptorSystem
+from cosim.theory.plants.descriptor import DescriptorSystem
 
 if TYPE_CHECKING:
     from cosim.fmi.binary.messages import Message

@@ -16,7 +16,7 @@ from cosim.arrays import Vector
 from cosim.core.graph import Graph
 from cosim.core.signals import Channel
 from cosim.scenario.recorded_metadata import StateChangeRecord
-from cosim.theory.descriptor import UserCoordinates
+from cosim.theory.plants.descriptor import UserCoordinates
 
 INITIAL_STATES: Final = "initial_states"  # the key of the results
 ROUNDINGS: Final = 64.0  # of a term, that no one needs to hear of

@@ -14,7 +14,7 @@ from cosim.arrays import Matrix, Vector
 from cosim.core.linear import LinearModel
 from cosim.core.signals import Signal
 from cosim.errors import UsageError, nearest
-from cosim.theory.descriptor import ReducedSystem
+from cosim.theory.plants.descriptor import ReducedSystem
 from cosim.units import Unit
 
 if TYPE_CHECKING:

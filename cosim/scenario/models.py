@@ -8,8 +8,8 @@ from typing import Final
 from cosim.arrays import Matrix
 from cosim.errors import AssumptionError, UsageError
 from cosim.scenario.schema import ModelTable, matrix
-from cosim.theory.descriptor import DescriptorSystem
-from cosim.theory.foreign_model import disturbance_columns, state_space_matrices
+from cosim.theory.plants.descriptor import DescriptorSystem
+from cosim.theory.plants.foreign_model import disturbance_columns, state_space_matrices
 
 LETTERS: Final = ("E", "A", "B", "Bu", "Bd", "C", "D", "Du", "Dd")
 PARTITIONED: Final = ("A", "Bu", "Bd", "C")

@@ -17,15 +17,8 @@ if TYPE_CHECKING:
     from cosim.theory.assessment.validation import validate
     from cosim.theory.assessment.verdicts import Assessment, Verdict
     from cosim.theory.bounded.irregular_part import guaranteed_interval
-    from cosim.theory.descriptor import (
-        DescriptorSystem,
-        ReducedSystem,
-        disturbance_transfer,
-        invariant_zeros,
-        pencil_index,
-        reduce,
-    )
-    from cosim.theory.disturbance import (
+    from cosim.theory.disturbances.excitation import describe_excitation, information
+    from cosim.theory.disturbances.families import (
         AlphaGroup,
         Exponential,
         Family,
@@ -33,6 +26,7 @@ if TYPE_CHECKING:
         coefficients,
         group_by_alpha,
     )
+    from cosim.theory.disturbances.regression import Term, chi, eta, expand, mu
     from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
     from cosim.theory.estimators.least_squares import (
         Recovery,
@@ -42,9 +36,7 @@ if TYPE_CHECKING:
         trapezoid_weights,
     )
     from cosim.theory.estimators.output_error import OutputErrorFit, fit_output_error
-    from cosim.theory.excitation import describe_excitation, information
-    from cosim.theory.foreign_model import descriptor_system
-    from cosim.theory.observer import (
+    from cosim.theory.observers.observer import (
         IdentificationStartTime,
         ObserverDesign,
         StateSpace,
@@ -52,49 +44,57 @@ if TYPE_CHECKING:
         identification_start_time,
         realize,
     )
-    from cosim.theory.regression import Term, chi, eta, expand, mu
+    from cosim.theory.plants.descriptor import (
+        DescriptorSystem,
+        ReducedSystem,
+        disturbance_transfer,
+        invariant_zeros,
+        pencil_index,
+        reduce,
+    )
+    from cosim.theory.plants.foreign_model import descriptor_system
 
 _HOMES = {
-    "AlphaGroup": "cosim.theory.disturbance",
+    "AlphaGroup": "cosim.theory.disturbances.families",
     "assess": "cosim.theory.assessment.assessing",
     "Assessment": "cosim.theory.assessment.verdicts",
-    "chi": "cosim.theory.regression",
-    "coefficients": "cosim.theory.disturbance",
+    "chi": "cosim.theory.disturbances.regression",
+    "coefficients": "cosim.theory.disturbances.families",
     "DataSet": "cosim.theory.disturbed_plant",
-    "describe_excitation": "cosim.theory.excitation",
-    "descriptor_system": "cosim.theory.foreign_model",
-    "DescriptorSystem": "cosim.theory.descriptor",
-    "design": "cosim.theory.observer",
-    "disturbance_transfer": "cosim.theory.descriptor",
+    "describe_excitation": "cosim.theory.disturbances.excitation",
+    "descriptor_system": "cosim.theory.plants.foreign_model",
+    "DescriptorSystem": "cosim.theory.plants.descriptor",
+    "design": "cosim.theory.observers.observer",
+    "disturbance_transfer": "cosim.theory.plants.descriptor",
     "DisturbedPlant": "cosim.theory.disturbed_plant",
-    "eta": "cosim.theory.regression",
-    "expand": "cosim.theory.regression",
-    "Exponential": "cosim.theory.disturbance",
-    "Family": "cosim.theory.disturbance",
+    "eta": "cosim.theory.disturbances.regression",
+    "expand": "cosim.theory.disturbances.regression",
+    "Exponential": "cosim.theory.disturbances.families",
+    "Family": "cosim.theory.disturbances.families",
     "fit_output_error": "cosim.theory.estimators.output_error",
     "FittedModel": "cosim.theory.assessment.fitted_model",
-    "group_by_alpha": "cosim.theory.disturbance",
+    "group_by_alpha": "cosim.theory.disturbances.families",
     "guaranteed_interval": "cosim.theory.bounded.irregular_part",
-    "identification_start_time": "cosim.theory.observer",
-    "IdentificationStartTime": "cosim.theory.observer",
-    "information": "cosim.theory.excitation",
-    "invariant_zeros": "cosim.theory.descriptor",
+    "identification_start_time": "cosim.theory.observers.observer",
+    "IdentificationStartTime": "cosim.theory.observers.observer",
+    "information": "cosim.theory.disturbances.excitation",
+    "invariant_zeros": "cosim.theory.plants.descriptor",
     "least_squares": "cosim.theory.estimators.least_squares",
-    "mu": "cosim.theory.regression",
-    "ObserverDesign": "cosim.theory.observer",
+    "mu": "cosim.theory.disturbances.regression",
+    "ObserverDesign": "cosim.theory.observers.observer",
     "OutputErrorFit": "cosim.theory.estimators.output_error",
     "OutputErrorProblem": "cosim.theory.assessment.problem",
-    "pencil_index": "cosim.theory.descriptor",
+    "pencil_index": "cosim.theory.plants.descriptor",
     "plan": "cosim.theory.estimators.least_squares",
-    "realize": "cosim.theory.observer",
+    "realize": "cosim.theory.observers.observer",
     "recover": "cosim.theory.estimators.least_squares",
     "Recovery": "cosim.theory.estimators.least_squares",
-    "reduce": "cosim.theory.descriptor",
-    "ReducedSystem": "cosim.theory.descriptor",
-    "Sine": "cosim.theory.disturbance",
+    "reduce": "cosim.theory.plants.descriptor",
+    "ReducedSystem": "cosim.theory.plants.descriptor",
+    "Sine": "cosim.theory.disturbances.families",
     "smoothed_signals": "cosim.theory.assessment.smoothing",
-    "StateSpace": "cosim.theory.observer",
-    "Term": "cosim.theory.regression",
+    "StateSpace": "cosim.theory.observers.observer",
+    "Term": "cosim.theory.disturbances.regression",
     "trapezoid_weights": "cosim.theory.estimators.least_squares",
     "validate": "cosim.theory.assessment.validation",
     "Verdict": "cosim.theory.assessment.verdicts",

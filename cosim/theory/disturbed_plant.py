@@ -38,7 +38,7 @@ from cosim.native.output_error import (
     residual_of,
 )
 from cosim.native.step import first_order_holds
-from cosim.theory.descriptor import ReducedSystem
+from cosim.theory.plants.descriptor import ReducedSystem
 from cosim.theory.predictor import Predictor, stationary_predictor, time_varying_predictor
 from cosim.theory.sampling import distinct_steps
 

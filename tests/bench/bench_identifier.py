@@ -20,10 +20,10 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 
 import cosim
 from cosim.scenario.document import find
-from cosim.theory.descriptor import reduce
-from cosim.theory.disturbance import Exponential
+from cosim.theory.disturbances.families import Exponential
 from cosim.theory.disturbed_plant import DataSet, disturbed_plant
 from cosim.theory.estimators.output_error import fit_output_error
+from cosim.theory.plants.descriptor import reduce
 from tests.theory.academic import THETA, academic, alpha
 
 RUNS = 5

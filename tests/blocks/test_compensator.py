@@ -19,8 +19,8 @@ from cosim.core.recorders import Memory
 from cosim.errors import AssumptionError, UsageError
 from cosim.testing import check_component
 from cosim.theory.compensation.design import scheduled
-from cosim.theory.descriptor import DescriptorSystem
-from cosim.theory.observer import design
+from cosim.theory.observers.observer import design
+from cosim.theory.plants.descriptor import DescriptorSystem
 from tests.theory.compensated import (
     FILTER_RATE,
     designed,

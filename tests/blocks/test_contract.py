@@ -32,12 +32,12 @@ from cosim.core.recorders import Memory
 from cosim.core.signals import Interface, Signal
 from cosim.native.expression import compile_expression
 from cosim.testing import check_component, check_rollback
-from cosim.theory.descriptor import reduce
-from cosim.theory.disturbance import Exponential, group_by_alpha
+from cosim.theory.disturbances.families import Exponential, group_by_alpha
+from cosim.theory.disturbances.regression import expand
 from cosim.theory.estimators.least_squares import plan
-from cosim.theory.observer import design
+from cosim.theory.observers.observer import design
+from cosim.theory.plants.descriptor import reduce
 from cosim.theory.reconstruction.filters import SavitzkyGolay
-from cosim.theory.regression import expand
 from tests.theory.academic import academic, ordinary
 
 H = 1e-3

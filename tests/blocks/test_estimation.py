@@ -11,9 +11,9 @@ from cosim.core.contracts import Stopped
 from cosim.errors import UsageError
 from cosim.native.expression import compile_expression
 from cosim.testing import check_component
-from cosim.theory.disturbance import Exponential, Sine, coefficients, group_by_alpha
+from cosim.theory.disturbances.families import Exponential, Sine, coefficients, group_by_alpha
+from cosim.theory.disturbances.regression import eta, expand, mu
 from cosim.theory.estimators.least_squares import least_squares, plan, recover, trapezoid_weights
-from cosim.theory.regression import eta, expand, mu
 from tests.blocks.stepping import drive, times
 
 STEP_NS = 10_000_000

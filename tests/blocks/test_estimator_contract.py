@@ -17,11 +17,11 @@ from cosim.blocks.regressor import Regressor
 from cosim.core.signals import Interface, Signal
 from cosim.native.expression import compile_expression
 from cosim.testing import check_estimator
-from cosim.theory.disturbance import group_by_alpha
+from cosim.theory.disturbances.families import group_by_alpha
+from cosim.theory.disturbances.regression import expand
 from cosim.theory.estimators import drem, gradient
 from cosim.theory.estimators.least_squares import plan
 from cosim.theory.estimators.rayleigh import rayleigh_box, rayleigh_constants
-from cosim.theory.regression import expand
 
 BOUNDS = np.full(2, np.inf)
 

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.signal import lsim
 
 import cosim
-from cosim.theory.descriptor import reduce
+from cosim.theory.plants.descriptor import reduce
 from tests.theory.academic import academic, alpha
 
 H = 1e-2

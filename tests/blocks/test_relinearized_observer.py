@@ -14,8 +14,8 @@ from cosim.core.contracts import Stopped
 from cosim.core.linear import Linear
 from cosim.errors import RunError
 from cosim.testing import check_component
-from cosim.theory.descriptor import ReducedSystem
-from cosim.theory.observer import design
+from cosim.theory.observers.observer import design
+from cosim.theory.plants.descriptor import ReducedSystem
 
 H = 0.01
 RATE = 50.0

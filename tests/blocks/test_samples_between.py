@@ -21,11 +21,11 @@ from cosim.fmi.exporting.identifier import output_error
 from cosim.fmi.exporting.kernels import DiscreteModel
 from cosim.fmi.options import FmuOptions
 from cosim.scenario.build import Builder
-from cosim.theory.descriptor import reduce
-from cosim.theory.disturbance import Exponential
+from cosim.theory.disturbances.families import Exponential
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.estimators.output_error import fit_output_error
 from cosim.theory.forced_response import simulate
+from cosim.theory.plants.descriptor import reduce
 from tests.theory.academic import THETA, academic, alpha, delta
 
 H = 1e-2

@@ -11,7 +11,7 @@ import numpy as np
 from cosim.blocks.plant import descriptor_form
 from cosim.core.linear import DescriptorModel
 from cosim.fmi.reading.dae import MANIFEST, NAME
-from cosim.theory.descriptor import DescriptorSystem
+from cosim.theory.plants.descriptor import DescriptorSystem
 from tests.fmi.compiled import compile_fmu, kept_folder
 
 SYSTEM = DescriptorSystem.partitioned(

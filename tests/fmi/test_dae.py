@@ -19,7 +19,7 @@ from cosim.fmi.exporting.export import export
 from cosim.fmi.options import FmuOptions
 from cosim.fmi.reading.dae import MANIFEST
 from cosim.fmi.reading.model_description import read
-from cosim.theory.descriptor import DescriptorSystem
+from cosim.theory.plants.descriptor import DescriptorSystem
 from tests.fmi.dae import ABOUT, LISTS, RATE, STRUCTURE, SYSTEM, build, descriptor, manifest
 
 A = SYSTEM.A

@@ -25,7 +25,14 @@ from cosim.native import output_error
 from cosim.native.expression import compile_expression
 from cosim.native.rayleigh import MOST_ROWS, MOST_TERMS
 from cosim.native.start_grid import MOST_STARTS, StartGridModel
-from cosim.theory.disturbance import Exponential, Sine, coefficients, generators, group_by_alpha
+from cosim.theory.disturbances.families import (
+    Exponential,
+    Sine,
+    coefficients,
+    generators,
+    group_by_alpha,
+)
+from cosim.theory.disturbances.regression import chi, expand
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, sample_plant, white_noise
 from cosim.theory.estimators.extended_kalman import extended_kalman
 from cosim.theory.estimators.output_error import fit_output_error
@@ -36,7 +43,6 @@ from cosim.theory.estimators.rayleigh import (
     rayleigh_constants,
 )
 from cosim.theory.estimators.start_grid import start_grid
-from cosim.theory.regression import chi, expand
 
 H = 0.01
 T = np.arange(1001) * H

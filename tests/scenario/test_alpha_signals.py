@@ -31,7 +31,7 @@ from cosim.scenario.kinds.parameters import parameters_of
 from cosim.scenario.kinds.regressor import RegressorKind
 from cosim.scenario.recorded_metadata import recorded_identification, recorded_warnings
 from cosim.testing import check_component
-from cosim.theory.regression import expand
+from cosim.theory.disturbances.regression import expand
 from tests.scenario.signals import signals
 
 ALPHAS = ("1.35 + 0.25*sin(1.7*t)", "1.10 + 0.20*cos(2.3*t)")

@@ -10,7 +10,7 @@ from cosim.errors import UsageError
 from cosim.scenario.assumptions.identification import EXCITATION, METHOD, START, STEP
 from cosim.scenario.assumptions.regression import ALPHAS, CLASS, DELAYS
 from cosim.scenario.assumptions.report import check_assumptions
-from cosim.theory.assumptions import DECOUPLING, DETECTABILITY, HURWITZ, INDEX, PENCIL
+from cosim.theory.observers.assumptions import DECOUPLING, DETECTABILITY, HURWITZ, INDEX, PENCIL
 
 BOTH = ["1.35 + 0.25*sin(1.7*t)", "1.10 + 0.20*cos(2.3*t)"]
 

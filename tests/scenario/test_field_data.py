@@ -13,10 +13,10 @@ from cosim.log import open_log
 from cosim.scenario.identification.from_logs import identifier_record, identify_records
 from cosim.scenario.identification.run_verdicts import IDENTIFICATION
 from cosim.scenario.recorded_metadata import recorded_identification, recorded_warnings
-from cosim.theory.descriptor import reduce
-from cosim.theory.disturbance import Exponential
+from cosim.theory.disturbances.families import Exponential
 from cosim.theory.disturbed_plant import DataSet, disturbed_plant
 from cosim.theory.estimators.output_error import fit_output_error
+from cosim.theory.plants.descriptor import reduce
 from tests.theory.academic import THETA, academic, alpha
 
 STOP = 40.0

@@ -12,8 +12,8 @@ from cosim.errors import UsageError
 from cosim.report.inspection import describe_samples
 from cosim.scenario import field_file
 from cosim.scenario.field_file import read_field_data
-from cosim.theory.descriptor import reduce
 from cosim.theory.disturbed_plant import DataSet, disturbed_plant
+from cosim.theory.plants.descriptor import reduce
 from tests.theory.academic import academic, alpha
 
 T = np.array([0.0, 0.001, 0.0021, 0.0029])

@@ -16,14 +16,14 @@ from cosim.report.summary import summarize
 from cosim.scenario.build import Builder
 from cosim.scenario.execution import load
 from cosim.scenario.exporting import export_component
-from cosim.theory.disturbance import Exponential, Sine, group_by_alpha
+from cosim.theory.disturbances.families import Exponential, Sine, group_by_alpha
+from cosim.theory.disturbances.regression import expand
 from cosim.theory.estimators.least_squares import (
     least_squares,
     plan,
     recover,
     trapezoid_weights,
 )
-from cosim.theory.regression import expand
 from tests.log.crafting import put_together, take_apart
 from tests.scenario.exported import columns
 

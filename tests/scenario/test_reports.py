@@ -12,7 +12,8 @@ from cosim.cli import main
 from cosim.errors import CosimError, ScenarioError, flag, option, shell_language
 from cosim.scenario.build import Builder, parse
 from cosim.scenario.document import Document, find
-from cosim.theory import observer, regression
+from cosim.theory.disturbances import regression
+from cosim.theory.observers import observer
 
 TEXT = find("academic").text
 

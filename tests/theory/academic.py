@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cosim.arrays import Matrix, Vector
-from cosim.theory.descriptor import DescriptorSystem
+from cosim.theory.plants.descriptor import DescriptorSystem
 
 DELAYS = (1.0, 2.0, 3.0)
 THETA = (-0.1, -0.3)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 from hypothesis import strategies as st
 
-from cosim.theory.disturbance import (
+from cosim.theory.disturbances.families import (
     DampedSine,
     Exponential,
     Family,
@@ -17,7 +17,7 @@ from cosim.theory.disturbance import (
     Sine,
     TExponential,
 )
-from cosim.theory.linear_family import LinearFamily
+from cosim.theory.disturbances.linear_family import LinearFamily
 
 # x'' = -stiffness x - damping x', seen by x
 OSCILLATOR = LinearFamily(

@@ -17,9 +17,9 @@ from cosim.theory.compensation.state_feedback import (
     regulated_plant,
     state_feedback,
 )
-from cosim.theory.descriptor import DescriptorSystem, reduce
-from cosim.theory.disturbance import Sine
-from cosim.theory.observer import StateSpace, design, realize
+from cosim.theory.disturbances.families import Sine
+from cosim.theory.observers.observer import StateSpace, design, realize
+from cosim.theory.plants.descriptor import DescriptorSystem, reduce
 
 FILTER_RATE = 50.0
 SINE = (Sine(),)

@@ -10,9 +10,9 @@ from scipy.linalg import expm
 from scipy.signal import lfilter
 
 from cosim.arrays import Matrix, Vector
-from cosim.theory.descriptor import reduce
-from cosim.theory.disturbance import Exponential
+from cosim.theory.disturbances.families import Exponential
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, disturbed_plant
+from cosim.theory.plants.descriptor import reduce
 from tests.theory.academic import THETA, academic, alpha
 
 FAMILIES = (Exponential(), Exponential())

@@ -5,7 +5,7 @@ import numpy as np
 from cosim.theory.assessment.advice import advised
 from cosim.theory.assessment.assessing import assess
 from cosim.theory.assessment.problem import OutputErrorProblem
-from cosim.theory.disturbance import Sine
+from cosim.theory.disturbances.families import Sine
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 
 H = 0.02

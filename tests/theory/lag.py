@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cosim.arrays import Matrix, Vector
-from cosim.theory.disturbance import Exponential
+from cosim.theory.disturbances.families import Exponential
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 
 FAMILY = (Exponential(),)

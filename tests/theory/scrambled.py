@@ -9,8 +9,8 @@ import scipy.linalg
 
 from cosim.arrays import Matrix
 from cosim.errors import AssumptionError
-from cosim.theory.descriptor import DescriptorSystem, ReducedSystem
-from cosim.theory.observer import design
+from cosim.theory.observers.observer import design
+from cosim.theory.plants.descriptor import DescriptorSystem, ReducedSystem
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from cosim.theory.assessment.advice import advised
 from cosim.theory.assessment.assessing import assess
 from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.verdicts import Verdict
-from cosim.theory.disturbance import Exponential
+from cosim.theory.disturbances.families import Exponential
 from cosim.theory.disturbed_plant import DataSet
 from tests.theory.experiments import FAMILIES, THETA, design
 from tests.theory.experiments import alpha as alpha_of_example

@@ -10,7 +10,7 @@ from scipy.signal import lsim
 from cosim.theory.assessment.assessing import assess, assess_near
 from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.verdicts import Verdict
-from cosim.theory.disturbance import Exponential
+from cosim.theory.disturbances.families import Exponential
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 
 T = 0.02 * np.arange(1001)

@@ -10,7 +10,7 @@ import pytest
 from cosim.theory.assessment.assessing import assess
 from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.verdicts import Verdict
-from cosim.theory.disturbance import Exponential, Sine
+from cosim.theory.disturbances.families import Exponential, Sine
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.forced_response import simulate
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from cosim.errors import AssumptionError
-from cosim.theory import observer
-from cosim.theory.assumptions import DECOUPLING, DETECTABILITY, HURWITZ, model_verdicts
-from cosim.theory.descriptor import reduce
+from cosim.theory.observers import observer
+from cosim.theory.observers.assumptions import DECOUPLING, DETECTABILITY, HURWITZ, model_verdicts
+from cosim.theory.plants.descriptor import reduce
 from tests.theory.academic import academic
 from tests.theory.known_systems import GOOD, KnownSystem, matrices, systems
 

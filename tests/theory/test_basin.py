@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.theory import observer
 from cosim.theory.assessment.assessing import assess_near
 from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.verdicts import Verdict
-from cosim.theory.descriptor import reduce
-from cosim.theory.disturbance import Exponential, group_by_alpha
+from cosim.theory.disturbances.families import Exponential, group_by_alpha
+from cosim.theory.disturbances.regression import alpha_products, expand
 from cosim.theory.disturbed_plant import DataSet, disturbed_plant
 from cosim.theory.estimators.output_error import fit_output_error
 from cosim.theory.estimators.projection import project
@@ -22,8 +21,9 @@ from cosim.theory.estimators.rayleigh import (
     rayleigh_constants,
 )
 from cosim.theory.estimators.start_grid import search_start
-from cosim.theory.observer import design
-from cosim.theory.regression import alpha_products, expand
+from cosim.theory.observers import observer
+from cosim.theory.observers.observer import design
+from cosim.theory.plants.descriptor import reduce
 from tests.scenario.online import COARSE, noisy
 from tests.theory.academic import DELAYS, THETA, academic, alpha, delayed
 

@@ -9,7 +9,7 @@ from scipy.linalg import expm
 from cosim.theory.assessment.assessing import assess_near
 from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.verdicts import Verdict
-from cosim.theory.disturbance import Exponential
+from cosim.theory.disturbances.families import Exponential
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 
 N = 2000

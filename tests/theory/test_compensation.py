@@ -32,9 +32,9 @@ from cosim.theory.compensation.state_feedback import (
     regulated_plant,
     state_feedback,
 )
-from cosim.theory.descriptor import DescriptorSystem, reduce
-from cosim.theory.disturbance import FAMILIES, Exponential, Sine
-from cosim.theory.observer import StateSpace, design, realize
+from cosim.theory.disturbances.families import FAMILIES, Exponential, Sine
+from cosim.theory.observers.observer import StateSpace, design, realize
+from cosim.theory.plants.descriptor import DescriptorSystem, reduce
 from tests.theory.compensated import designed, drive, growth, loop_matrix, plant_of, sampled
 
 H = 1e-2

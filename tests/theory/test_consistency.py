@@ -13,7 +13,7 @@ from cosim.theory.assessment.assessing import assess_near
 from cosim.theory.assessment.model_errors import model_errors
 from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.verdicts import Verdict
-from cosim.theory.disturbance import generators
+from cosim.theory.disturbances.families import generators
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.estimators.output_error import fit_output_error
 from cosim.theory.fitted_response import fitted_response

@@ -15,9 +15,15 @@ from scipy.stats import chi2
 from cosim.theory.assessment.amplitude_verdicts import amplitude_verdicts
 from cosim.theory.assessment.assessing import assess
 from cosim.theory.assessment.problem import OutputErrorProblem
-from cosim.theory.descriptor import reduce
-from cosim.theory.disturbance import DampedSine, Exponential, Polynomial, Sine, TExponential
+from cosim.theory.disturbances.families import (
+    DampedSine,
+    Exponential,
+    Polynomial,
+    Sine,
+    TExponential,
+)
 from cosim.theory.disturbed_plant import DataSet, disturbed_plant
+from cosim.theory.plants.descriptor import reduce
 from tests.theory.academic import academic
 from tests.theory.closed_forms import ClosedForm
 

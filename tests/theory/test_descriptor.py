@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from cosim.errors import AssumptionError
-from cosim.theory.descriptor import (
+from cosim.theory.plants.descriptor import (
     DescriptorSystem,
     ReducedSystem,
     algebraic_state,

@@ -6,13 +6,13 @@ import scipy.linalg
 from scipy.optimize import linear_sum_assignment
 
 from cosim.errors import AssumptionError
-from cosim.theory.descriptor import (
+from cosim.theory.observers.observer import delta_rows, design, realize, realize_averages
+from cosim.theory.plants.descriptor import (
     DescriptorSystem,
     ReducedSystem,
     invariant_zeros,
     reduce,
 )
-from cosim.theory.observer import delta_rows, design, realize, realize_averages
 from tests.theory.scrambled import Matrices, mixing, movable
 
 RATE = 50.0

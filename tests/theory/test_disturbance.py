@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cosim.errors import AssumptionError
-from cosim.theory.disturbance import (
+from cosim.theory.disturbances.families import (
     FAMILIES,
     DampedSine,
     Exponential,
@@ -21,7 +21,7 @@ from cosim.theory.disturbance import (
     family_named,
     group_by_alpha,
 )
-from cosim.theory.linear_family import LinearFamily
+from cosim.theory.disturbances.linear_family import LinearFamily
 from tests.theory.closed_forms import FORMS, OSCILLATOR
 
 KNOWN = st.sampled_from(sorted(FORMS)).flatmap(FORMS.__getitem__)

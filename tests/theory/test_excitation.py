@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from cosim.theory.excitation import describe_excitation, information
-from cosim.theory.regression import expand, mu
+from cosim.theory.disturbances.excitation import describe_excitation, information
+from cosim.theory.disturbances.regression import expand, mu
 from tests.theory.academic import delayed
 
 

@@ -8,7 +8,14 @@ import pytest
 from scipy.linalg import toeplitz
 
 from cosim.errors import AssumptionError
-from cosim.theory.disturbance import Exponential, Sine, coefficients, generators, group_by_alpha
+from cosim.theory.disturbances.families import (
+    Exponential,
+    Sine,
+    coefficients,
+    generators,
+    group_by_alpha,
+)
+from cosim.theory.disturbances.regression import alpha_products, chi, expand, mu
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.estimators.least_squares import least_squares, plan, recover, trapezoid_weights
 from cosim.theory.estimators.rayleigh import means, noise_covariance, rayleigh, rayleigh_constants
@@ -18,7 +25,6 @@ from cosim.theory.experiment_design.minors import Minors
 from cosim.theory.experiment_design.predictions import RegressionExperiment
 from cosim.theory.experiment_design.reconstruction_noise import ReconstructionNoise
 from cosim.theory.experiment_design.regression_noise import NoisyRegression
-from cosim.theory.regression import alpha_products, chi, expand, mu
 from tests.theory.academic import THETA, alpha, delta
 
 H = 0.02

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from cosim.theory.disturbance import Exponential
+from cosim.theory.disturbances.families import Exponential
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.estimators.output_error import fit_output_error
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cosim.errors import AssumptionError
-from cosim.theory.descriptor import DescriptorSystem, pencil_index, reduce
+from cosim.theory.plants.descriptor import DescriptorSystem, pencil_index, reduce
 from tests.theory.academic import academic
 from tests.theory.scrambled import Matrices, index_one, mixing
 

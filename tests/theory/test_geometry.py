@@ -2,7 +2,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cosim.theory.geometry import null_space, orthogonal_complement, output_nulling, rank
+from cosim.theory.plants.geometry import null_space, orthogonal_complement, output_nulling, rank
 
 
 def test_empty_matrices_have_rank_zero():

@@ -8,10 +8,10 @@ from scipy.signal import lsim
 
 from cosim.errors import AssumptionError
 from cosim.theory.bounded.irregular_part import bounded_problem, guaranteed_interval
-from cosim.theory.descriptor import reduce
-from cosim.theory.disturbance import Exponential, Sine
+from cosim.theory.disturbances.families import Exponential, Sine
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, disturbed_plant
 from cosim.theory.estimators.output_error import fit_output_error
+from cosim.theory.plants.descriptor import reduce
 from tests.theory.academic import THETA, academic, alpha
 from tests.theory.exponential_plant import TRUTH, example
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from cosim.native.step import first_order_hold
-from cosim.theory.descriptor import reduce
-from cosim.theory.disturbance import Exponential, SearchBox, Sine
+from cosim.theory.disturbances.families import Exponential, SearchBox, Sine
 from cosim.theory.disturbed_plant import DisturbedPlant, disturbed_plant
 from cosim.theory.estimators.augmented_kalman import augmented_kalman, smoothed_disturbance
 from cosim.theory.estimators.extended_kalman import extended_kalman
+from cosim.theory.plants.descriptor import reduce
 from tests.theory.academic import THETA, academic, alpha, delta
 
 H = 1e-2

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from cosim.errors import AssumptionError
 from cosim.native.step import LeastSquares, LeastSquaresConstants
-from cosim.theory.disturbance import (
+from cosim.theory.disturbances.families import (
     DampedSine,
     Exponential,
     Polynomial,
@@ -16,6 +16,7 @@ from cosim.theory.disturbance import (
     coefficients,
     group_by_alpha,
 )
+from cosim.theory.disturbances.regression import eta, expand, mu
 from cosim.theory.estimators.least_squares import (
     RecoveryKind,
     least_squares,
@@ -24,7 +25,6 @@ from cosim.theory.estimators.least_squares import (
     recovery_constants,
     trapezoid_weights,
 )
-from cosim.theory.regression import eta, expand, mu
 from tests.theory.academic import DELAYS, THETA, delayed
 
 

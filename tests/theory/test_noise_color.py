@@ -17,7 +17,7 @@ from cosim.theory.assessment.noise_color import (
 )
 from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.verdicts import Verdict
-from cosim.theory.disturbance import Exponential
+from cosim.theory.disturbances.families import Exponential
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, counted_values
 from cosim.theory.quantiles import chi_square_above, ratio_above
 

@@ -8,14 +8,19 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from cosim.errors import AssumptionError
-from cosim.theory.descriptor import (
+from cosim.theory.observers.observer import (
+    design,
+    identification_start_time,
+    initial_state_map,
+    realize,
+)
+from cosim.theory.plants.descriptor import (
     DescriptorSystem,
     ReducedSystem,
     algebraic_state,
     invariant_zeros,
     reduce,
 )
-from cosim.theory.observer import design, identification_start_time, initial_state_map, realize
 from tests.theory.academic import academic, ordinary
 
 halves = st.integers(-8, 8).map(lambda k: k / 2)

@@ -10,8 +10,7 @@ from cosim.errors import AssumptionError
 from cosim.native.output_error import ParameterState
 from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.covariance import is_covariance
-from cosim.theory.descriptor import reduce
-from cosim.theory.disturbance import Exponential, Sine, generators
+from cosim.theory.disturbances.families import Exponential, Sine, generators
 from cosim.theory.disturbed_plant import (
     DataSet,
     DisturbedPlant,
@@ -21,6 +20,7 @@ from cosim.theory.disturbed_plant import (
     white_noise,
 )
 from cosim.theory.estimators.output_error import fit_output_error
+from cosim.theory.plants.descriptor import reduce
 from tests.theory.academic import THETA, academic, alpha, delta
 
 FAMILIES = (Exponential(), Exponential())

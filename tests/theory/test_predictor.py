@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import expm
 from scipy.optimize import least_squares
 
-from cosim.theory.disturbance import Exponential
+from cosim.theory.disturbances.families import Exponential
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.estimators.output_error import fit_output_error
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from cosim.errors import AssumptionError
-from cosim.theory.disturbance import Exponential, Sine, group_by_alpha
+from cosim.theory.disturbances.families import Exponential, Sine, group_by_alpha
+from cosim.theory.disturbances.regression import alpha_products, expand, mu
 from cosim.theory.estimators.least_squares import least_squares, plan, recover
 from cosim.theory.estimators.rayleigh import (
     means,
@@ -13,7 +14,6 @@ from cosim.theory.estimators.rayleigh import (
     rayleigh_box,
     rayleigh_constants,
 )
-from cosim.theory.regression import alpha_products, expand, mu
 from tests.theory.academic import DELAYS, THETA, delayed
 
 FAMILIES = (Exponential(), Exponential())

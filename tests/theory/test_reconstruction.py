@@ -15,13 +15,13 @@ from cosim.blocks.averages import Windowed
 from cosim.blocks.observer import averaged_observer, consistent_observer
 from cosim.errors import AssumptionError
 from cosim.native.step import DiscretizedDynamics, first_order_hold
-from cosim.theory.descriptor import reduce
-from cosim.theory.observer import (
+from cosim.theory.observers.observer import (
     design,
     identification_start_time,
     realize,
     realize_averages,
 )
+from cosim.theory.plants.descriptor import reduce
 from cosim.theory.reconstruction.filter_choice import Conditions, choose
 from cosim.theory.reconstruction.filters import (
     ConsistentFilter,

@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cosim.errors import AssumptionError
-from cosim.theory.disturbance import Exponential, Sine, coefficients, group_by_alpha
-from cosim.theory.regression import (
+from cosim.theory.disturbances.families import Exponential, Sine, coefficients, group_by_alpha
+from cosim.theory.disturbances.regression import (
     Term,
     check_alpha_products,
     check_delays,

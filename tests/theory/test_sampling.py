@@ -7,13 +7,13 @@ import pytest
 
 from cosim.errors import AssumptionError
 from cosim.theory.bounded.irregular_part import bounded_problem
-from cosim.theory.disturbance import Exponential, group_by_alpha
+from cosim.theory.disturbances.families import Exponential, group_by_alpha
+from cosim.theory.disturbances.regression import expand
 from cosim.theory.estimators.augmented_kalman import smoothed_disturbance
 from cosim.theory.estimators.drem import drem
 from cosim.theory.estimators.extended_kalman import extended_kalman
 from cosim.theory.estimators.gradient import gradient
 from cosim.theory.estimators.least_squares import plan
-from cosim.theory.regression import expand
 from cosim.theory.sampling import distinct_steps, equal_step
 from tests.theory.lag import FAMILY, lag, record
 

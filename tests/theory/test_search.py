@@ -5,7 +5,13 @@ import pytest
 
 from cosim.theory.assessment.assessing import assess
 from cosim.theory.assessment.problem import OutputErrorProblem
-from cosim.theory.disturbance import DampedSine, Exponential, Polynomial, Sine, TExponential
+from cosim.theory.disturbances.families import (
+    DampedSine,
+    Exponential,
+    Polynomial,
+    Sine,
+    TExponential,
+)
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.estimators.start_grid import axis_points
 

@@ -11,7 +11,7 @@ from scipy.signal import lsim
 
 from cosim.native.output_error import ResponseRecord
 from cosim.native.start_grid import StartGridModel
-from cosim.theory.disturbance import Exponential, Sine, generators
+from cosim.theory.disturbances.families import Exponential, Sine, generators
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, sample_plant, white_noise
 from cosim.theory.estimators.start_grid import (
     MOST_POINTS,

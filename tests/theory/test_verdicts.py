@@ -14,9 +14,9 @@ from cosim.theory.assessment.advice import advised
 from cosim.theory.assessment.assessing import assess, assess_near
 from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.verdicts import Verdict, judge
-from cosim.theory.descriptor import reduce
 from cosim.theory.disturbed_plant import DataSet
 from cosim.theory.estimators.output_error import fit_output_error
+from cosim.theory.plants.descriptor import reduce
 from tests.theory.academic import THETA, academic, alpha
 from tests.theory.academic import delta as true_delta
 from tests.theory.experiments import (

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from cosim.errors import AssumptionError
-from cosim.theory.descriptor import reduce
-from cosim.theory.observer import design, initial_state_map
+from cosim.theory.observers.observer import design, initial_state_map
+from cosim.theory.plants.descriptor import reduce
 from tests.theory.scrambled import Matrices, movable
 
 N_B = 2  # algebraic states

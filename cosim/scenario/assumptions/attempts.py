@@ -7,7 +7,7 @@ from typing import Any, Final, TypeAlias
 
 from cosim.errors import AssumptionError, UsageError
 from cosim.scenario.context import DependsOnInvalid
-from cosim.theory.assumptions import AssumptionVerdict, checked, refused, undecided
+from cosim.theory.observers.assumptions import AssumptionVerdict, checked, refused, undecided
 
 RESTS_ON_INVALID: Final = "it rests on what is not valid"
 Evidence: TypeAlias = tuple[str, Mapping[str, Any]]  # in a sentence, and its numbers

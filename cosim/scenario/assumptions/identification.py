@@ -18,11 +18,11 @@ from cosim.scenario.kinds.identification import IdentifierKind
 from cosim.scenario.kinds.identification_source import IdentifierSource
 from cosim.scenario.kinds.identification_start import start_time
 from cosim.scenario.kinds.regressor import RegressorDesign
-from cosim.theory import regression
-from cosim.theory.assumptions import AssumptionVerdict, undecided
-from cosim.theory.disturbance import generators
-from cosim.theory.excitation import COMPARABLE, describe_excitation, information
+from cosim.theory.disturbances import regression
+from cosim.theory.disturbances.excitation import COMPARABLE, describe_excitation, information
+from cosim.theory.disturbances.families import generators
 from cosim.theory.experiment_design.minors import Minors
+from cosim.theory.observers.assumptions import AssumptionVerdict, undecided
 
 START: Final = "start time (36)"
 STEP: Final = "communication step"

@@ -17,9 +17,9 @@ from cosim.scenario.kinds.alphas import unchecked
 from cosim.scenario.kinds.base import BuildContext
 from cosim.scenario.kinds.regressor import RegressorDesign, RegressorKind
 from cosim.scenario.kinds.terms import element_count, families_of
-from cosim.theory import regression
-from cosim.theory.assumptions import AssumptionVerdict, undecided
-from cosim.theory.disturbance import Family, generators, group_by_alpha
+from cosim.theory.disturbances import regression
+from cosim.theory.disturbances.families import Family, generators, group_by_alpha
+from cosim.theory.observers.assumptions import AssumptionVerdict, undecided
 
 CLASS: Final = "disturbance class (Assumption 3)"
 DELAYS: Final = "delays (Assumption 3)"

@@ -28,7 +28,7 @@ from cosim.scenario.kinds.identification import IdentifierKind
 from cosim.scenario.kinds.observers import UnknownInputObserverKind
 from cosim.scenario.kinds.regressor import RegressorKind
 from cosim.scenario.parsing import Scenario
-from cosim.theory.assumptions import (
+from cosim.theory.observers.assumptions import (
     DECOUPLING,
     DETECTABILITY,
     DIRECT_PATH,

@@ -15,7 +15,7 @@ from cosim.errors import AssumptionError, UsageError
 from cosim.native.alphas import Alpha, AlphaSignal, signals_among
 from cosim.native.step import evaluate_at
 from cosim.theory.assessment.problem import OutputErrorProblem
-from cosim.theory.disturbance import Family
+from cosim.theory.disturbances.families import Family
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 
 # (lower, upper) of each theta, or of some by their index

@@ -24,7 +24,7 @@ from cosim.fmi.exporting.specifications import Exportable
 from cosim.scenario.identification.model import IdentifiedPlant
 from cosim.scenario.initial_states import GivenStates
 from cosim.scenario.schema import Number, TomlTable, UnitName
-from cosim.theory.descriptor import DescriptorSystem
+from cosim.theory.plants.descriptor import DescriptorSystem
 
 if TYPE_CHECKING:
     from cosim.fmi.component import Fmu

@@ -47,10 +47,10 @@ from cosim.theory.compensation.state_feedback import (
     state_feedback,
     weight_matrix,
 )
-from cosim.theory.descriptor import ReducedSystem, UserCoordinates, state_maps
-from cosim.theory.disturbance import Family
-from cosim.theory.geometry import without_rounding
-from cosim.theory.observer import StateSpace, delta_rows, realize, realize_averages
+from cosim.theory.disturbances.families import Family
+from cosim.theory.observers.observer import StateSpace, delta_rows, realize, realize_averages
+from cosim.theory.plants.descriptor import ReducedSystem, UserCoordinates, state_maps
+from cosim.theory.plants.geometry import without_rounding
 
 LARGEST_ERROR = 0.05
 SAMPLES = 1009  # of an alpha that must not vary

@@ -53,7 +53,7 @@ from cosim.scenario.kinds.regressor import RegressorDesign, RegressorKind
 from cosim.scenario.kinds.stated_noise import stated_covariance
 from cosim.scenario.kinds.variants import foreign_keys
 from cosim.scenario.schema import Flag, Limit, Number, NumberRow, NumberRows
-from cosim.theory import regression
+from cosim.theory.disturbances import regression
 from cosim.theory.estimators import augmented_kalman, drem, extended_kalman, gradient, least_squares
 from cosim.theory.estimators.rayleigh import rayleigh_box, rayleigh_constants
 

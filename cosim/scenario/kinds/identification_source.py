@@ -16,9 +16,9 @@ from cosim.scenario.kinds.field_data import FieldDataKind
 from cosim.scenario.kinds.observers import DesignedObserver, UnknownInputObserverKind
 from cosim.scenario.kinds.regressor import RegressorDesign, RegressorKind
 from cosim.theory.assessment.accuracy import check_step
+from cosim.theory.disturbances.structure import check_distinguishable
 from cosim.theory.disturbed_plant import DisturbedPlant, disturbed_plant
-from cosim.theory.observer import StateSpace
-from cosim.theory.structure import check_distinguishable
+from cosim.theory.observers.observer import StateSpace
 
 
 class IdentifierSource:

@@ -13,7 +13,7 @@ from cosim.native.alphas import signals_among
 from cosim.scenario.kinds.base import BuildContext
 from cosim.scenario.kinds.identification_source import IdentifierSource
 from cosim.scenario.schema import Number, TomlTable
-from cosim.theory.observer import IdentificationStartTime, identification_start_time
+from cosim.theory.observers.observer import IdentificationStartTime, identification_start_time
 
 
 class StartTable(TomlTable):

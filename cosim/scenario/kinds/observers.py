@@ -48,9 +48,9 @@ from cosim.scenario.kinds.reconstruction import (
 from cosim.scenario.kinds.variants import foreign_keys, variants_with
 from cosim.scenario.linearizing import DesignModel, MovingModel, design_model, split
 from cosim.scenario.schema import Flag, Number, NumberRow, NumberRows, TomlTable, Whole, matrix
-from cosim.theory import observer
-from cosim.theory.assumptions import plain_modes
-from cosim.theory.descriptor import MATRICES, ReducedSystem, UserCoordinates, reduce
+from cosim.theory.observers import observer
+from cosim.theory.observers.assumptions import plain_modes
+from cosim.theory.plants.descriptor import MATRICES, ReducedSystem, UserCoordinates, reduce
 from cosim.theory.reconstruction.filters import (
     HIGHEST_ORDER,
     ConsistentFilter,

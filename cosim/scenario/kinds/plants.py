@@ -27,7 +27,7 @@ from cosim.scenario.kinds.base import (
 )
 from cosim.scenario.recorded_metadata import component_record
 from cosim.scenario.schema import Flag, Number, NumberRow, Whole
-from cosim.theory.descriptor import DescriptorSystem, reduce
+from cosim.theory.plants.descriptor import DescriptorSystem, reduce
 
 if TYPE_CHECKING:
     from cosim.fmi.description import Description, InterfaceType

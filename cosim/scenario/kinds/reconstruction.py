@@ -19,8 +19,8 @@ from cosim.fmi.exporting import kernels
 from cosim.fmi.exporting.kernels import Kernel
 from cosim.native.step import DiscretizedDynamics, first_order_hold
 from cosim.scenario.kinds.variants import Variant, without_default
-from cosim.theory import observer
-from cosim.theory.descriptor import ReducedSystem
+from cosim.theory.observers import observer
+from cosim.theory.plants.descriptor import ReducedSystem
 from cosim.theory.reconstruction.filter_choice import Conditions, choose
 from cosim.theory.reconstruction.filters import (
     Bias,

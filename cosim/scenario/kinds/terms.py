@@ -11,14 +11,14 @@ from pydantic import Field
 from cosim.errors import UsageError
 from cosim.scenario.kinds.alphas import ALPHA_KEY, TermAlpha, naming
 from cosim.scenario.schema import Number, NumberRow, NumberRows, TomlTable, Whole, matrix
-from cosim.theory.disturbance import (
+from cosim.theory.disturbances.families import (
     FAMILIES,
     SETTINGS,
     Family,
     Polynomial,
     family_named,
 )
-from cosim.theory.linear_family import LinearFamily, Rows
+from cosim.theory.disturbances.linear_family import LinearFamily, Rows
 
 LINEAR: Final = "linear"
 LARGEST_DEGREE: Final = 8

@@ -15,7 +15,7 @@ import numpy as np
 
 from cosim.arrays import NAN, Matrix, Vector
 from cosim.theory.assessment.record_information import DEPENDENT, record_information
-from cosim.theory.disturbance import Family
+from cosim.theory.disturbances.families import Family
 from cosim.theory.estimators.output_error import OutputErrorFit, presence_threshold
 
 

@@ -13,7 +13,7 @@ from cosim.arrays import Matrix, Vector
 from cosim.errors import AssumptionError, quoted
 from cosim.native.output_error import Generators
 from cosim.theory.covariance import is_covariance
-from cosim.theory.disturbance import Family, even_parameters, generators
+from cosim.theory.disturbances.families import Family, even_parameters, generators
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel, check_sizes
 from cosim.theory.estimators.output_error import OutputErrorFit, bound_vectors, fit_output_error
 from cosim.theory.estimators.start_grid import (

@@ -32,7 +32,7 @@ from cosim.theory.bounded.worst_case import (
     interval_around,
     irregular_response,
 )
-from cosim.theory.disturbance import Family, even_parameters, generators
+from cosim.theory.disturbances.families import Family, even_parameters, generators
 from cosim.theory.disturbed_plant import (
     DataSet,
     DisturbedPlant,

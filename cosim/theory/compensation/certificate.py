@@ -45,7 +45,7 @@ from cosim.native.step import matrix_exponential
 from cosim.theory.compensation.internal_model import InternalModel, ParameterBox
 from cosim.theory.compensation.schedule import Schedule, Stabilization
 from cosim.theory.compensation.state_feedback import balancing
-from cosim.theory.descriptor import ComplexMatrix
+from cosim.theory.plants.descriptor import ComplexMatrix
 
 MOST_CELLS = 250  # beyond those between the nodes, where nothing else is said
 GRID = 9  # most points on a side of the box where instability is looked for first

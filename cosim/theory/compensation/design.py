@@ -55,8 +55,8 @@ from cosim.theory.compensation.state_feedback import (
     balancing,
     slowest_rate,
 )
-from cosim.theory.observer import StateSpace
-from cosim.theory.placement import modes
+from cosim.theory.observers.observer import StateSpace
+from cosim.theory.observers.placement import modes
 
 PARTS = (4, 16)  # into which the interval of each parameter is cut, until the proof succeeds
 MOST_NODES = 700

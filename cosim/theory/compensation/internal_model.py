@@ -5,10 +5,10 @@ holds, for each regulated output, a copy of the system that makes the class, dri
 
     w' = S(theta) w + b e,    S = diag(G_1', G_2', ...),    b = (c_1; c_2; ...)
 
-with the families' generators G and output rows c (:mod:`cosim.theory.disturbance`). A family is
-observable from its output, so that its transpose is controllable from the error. S is affine in
-theta, for G is. Families without parameters whose G is nilpotent (constant, ramp, polynomial)
-contain each other: of several the largest is kept.
+with the families' generators G and output rows c (:mod:`cosim.theory.disturbances.families`). A
+family is observable from its output, so that its transpose is controllable from the error. S is
+affine in theta, for G is. Families without parameters whose G is nilpotent (constant, ramp,
+polynomial) contain each other: of several the largest is kept.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import numpy as np
 
 from cosim.arrays import Matrix, Vector, frozen
 from cosim.errors import AssumptionError
-from cosim.theory.disturbance import Family
+from cosim.theory.disturbances.families import Family
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,10 +22,10 @@ from numpy.typing import ArrayLike
 
 from cosim.arrays import Matrix, Vector, frozen
 from cosim.errors import AssumptionError
-from cosim.theory.descriptor import ComplexVector, ReducedSystem, invariant_zeros
-from cosim.theory.geometry import RANK_TOLERANCE, orthogonal_complement, output_nulling
-from cosim.theory.placement import STATE_FEEDBACK, modes, place
-from cosim.theory.scaling import rank_between
+from cosim.theory.observers.placement import STATE_FEEDBACK, modes, place
+from cosim.theory.plants.descriptor import ComplexVector, ReducedSystem, invariant_zeros
+from cosim.theory.plants.geometry import RANK_TOLERANCE, orthogonal_complement, output_nulling
+from cosim.theory.plants.scaling import rank_between
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

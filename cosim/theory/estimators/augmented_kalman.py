@@ -31,7 +31,7 @@ import numpy as np
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.native.kalman import AugmentedKalmanConstants, AugmentedKalmanStep
 from cosim.native.step import first_order_hold
-from cosim.theory.disturbance import Family
+from cosim.theory.disturbances.families import Family
 from cosim.theory.disturbed_plant import DisturbedPlant, NoiseModel, white_noise
 from cosim.theory.estimators.output_error import OutputErrorFit
 from cosim.theory.estimators.projection import project

@@ -25,7 +25,7 @@ import numpy as np
 from cosim.arrays import Matrix, Vector
 from cosim.native.expression import compile_expression
 from cosim.native.kalman import ExtendedKalmanConstants, ExtendedKalmanStep
-from cosim.theory.disturbance import Family, SearchBox, generators, search_box
+from cosim.theory.disturbances.families import Family, SearchBox, generators, search_box
 from cosim.theory.disturbed_plant import DisturbedPlant, discretize, white_noise
 from cosim.theory.estimators.output_error import presence_threshold
 from cosim.theory.sampling import equal_step

@@ -29,8 +29,8 @@ import numpy as np
 from cosim.arrays import NAN, Matrix, Vector
 from cosim.errors import AssumptionError
 from cosim.native.step import RecoveryConstants
-from cosim.theory.disturbance import AlphaGroup, DampedSine, Exponential, Sine
-from cosim.theory.regression import Parts, RowSet, Term, check_delays
+from cosim.theory.disturbances.families import AlphaGroup, DampedSine, Exponential, Sine
+from cosim.theory.disturbances.regression import Parts, RowSet, Term, check_delays
 
 # pivot over the largest pivot, below which R'R, the information, is singular to rounding;
 # the same value stands in estimate.c

@@ -29,7 +29,7 @@ from cosim.native.output_error import (
     ResponseRecord,
     minimize,
 )
-from cosim.theory.disturbance import Family, generators, search_box
+from cosim.theory.disturbances.families import Family, generators, search_box
 from cosim.theory.disturbed_plant import (
     DataSet,
     DisturbedPlant,

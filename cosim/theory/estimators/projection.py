@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from cosim.arrays import Matrix, Vector
-from cosim.theory.disturbance import Family
+from cosim.theory.disturbances.families import Family
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.estimators.output_error import OutputErrorFit, fit_output_error
 

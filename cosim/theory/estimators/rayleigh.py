@@ -23,9 +23,15 @@ from cosim.errors import AssumptionError
 from cosim.native.householder import triangle
 from cosim.native.output_error import NO_INFORMATION
 from cosim.native.rayleigh import RayleighConstants, RayleighModel
-from cosim.theory.disturbance import AlphaGroup, Family, SearchBox, generators, search_box
+from cosim.theory.disturbances.families import (
+    AlphaGroup,
+    Family,
+    SearchBox,
+    generators,
+    search_box,
+)
+from cosim.theory.disturbances.regression import Term
 from cosim.theory.estimators.start_grid import grid_points
-from cosim.theory.regression import Term
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,7 +27,7 @@ from cosim.native.expression import compile_expression
 from cosim.native.output_error import Generators, OutputErrorConstants, ResponseRecord
 from cosim.native.start_grid import StartGridConstants, StartGridModel
 from cosim.native.step import evaluate
-from cosim.theory.disturbance import Family, SearchBox, generators, search_box
+from cosim.theory.disturbances.families import Family, SearchBox, generators, search_box
 from cosim.theory.disturbed_plant import (
     DataSet,
     DisturbedPlant,

@@ -20,7 +20,7 @@ from cosim.theory.assessment.record_information import (
     RecordInformation,
     information_of,
 )
-from cosim.theory.disturbance import Family, generators
+from cosim.theory.disturbances.families import Family, generators
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel, sample_plant
 
 _ABSENT: Final = 1e-10  # of y: a component that has less of it is rounding

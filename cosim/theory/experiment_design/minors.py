@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
 from cosim.native.output_error import Generator, Generators
-from cosim.theory.disturbance import AlphaGroup
+from cosim.theory.disturbances.families import AlphaGroup
+from cosim.theory.disturbances.regression import Term
 from cosim.theory.fitted_response import transitions
-from cosim.theory.regression import Term
 
 
 @dataclass(frozen=True, eq=False)

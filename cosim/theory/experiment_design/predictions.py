@@ -25,13 +25,13 @@ from numpy.typing import NDArray
 from cosim.arrays import Matrix, Vector
 from cosim.errors import AssumptionError
 from cosim.native.rayleigh import RayleighModel
-from cosim.theory.disturbance import AlphaGroup, Family, generators, group_by_alpha
+from cosim.theory.disturbances.families import AlphaGroup, Family, generators, group_by_alpha
+from cosim.theory.disturbances.regression import Term, check_delays, count_terms, expand
 from cosim.theory.estimators.least_squares import RANK, plan, recover
 from cosim.theory.estimators.rayleigh import rayleigh_constants
 from cosim.theory.experiment_design.minors import Minors
 from cosim.theory.experiment_design.reconstruction_noise import ReconstructionNoise
 from cosim.theory.experiment_design.regression_noise import NoisyRegression
-from cosim.theory.regression import Term, check_delays, count_terms, expand
 
 _DIFFERENCE: Final = 1e-5  # of numerical derivatives, relative to what they are by
 

@@ -12,9 +12,9 @@ In the paper's form E is `diag(I, 0)` (Assumption 1), and so the states are part
        y = C1  x_a + C2  x_b
 
 Any other E is brought to this form by its singular value decomposition, `U' E V = diag(S, 0)`, in
-units in which the system is of size one (:mod:`cosim.theory.scaling`): orthogonal transformations
-add no more than rounding. x_a and x_b are then coordinates in which the reduction is done; the user
-sees x = V [x_a; x_b]. A regular E needs none: x_a is x.
+units in which the system is of size one (:mod:`cosim.theory.plants.scaling`): orthogonal
+transformations add no more than rounding. x_a and x_b are then coordinates in which the reduction
+is done; the user sees x = V [x_a; x_b]. A regular E needs none: x_a is x.
 
 Data are known up to rounding, of an entry relative to the size of its row and column. What is
 smaller than the effect of that is zero: coefficients of the feedthrough, and singular values.
@@ -31,10 +31,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from cosim.arrays import Matrix, Vector, frozen
 from cosim.errors import AssumptionError
-from cosim.theory.elimination import DATA, Eliminated, PartitionedMatrices, eliminate
-from cosim.theory.geometry import normalized, output_nulling, rank
-from cosim.theory.pencil import RankDecomposition, decompose, determined_rank, shuffle
-from cosim.theory.scaling import Scales, scales_of, state_space_scales, within_range
+from cosim.theory.plants.elimination import DATA, Eliminated, PartitionedMatrices, eliminate
+from cosim.theory.plants.geometry import normalized, output_nulling, rank
+from cosim.theory.plants.pencil import RankDecomposition, decompose, determined_rank, shuffle
+from cosim.theory.plants.scaling import Scales, scales_of, state_space_scales, within_range
 
 ComplexVector: TypeAlias = NDArray[np.complex128]  # shape (n,)
 ComplexMatrix: TypeAlias = NDArray[np.complex128]  # shape (n, m)

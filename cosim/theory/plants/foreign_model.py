@@ -12,7 +12,7 @@ import numpy as np
 
 from cosim.arrays import Matrix, frozen
 from cosim.errors import AssumptionError, nearest, quoted
-from cosim.theory.descriptor import DescriptorSystem
+from cosim.theory.plants.descriptor import DescriptorSystem
 
 
 def state_space_matrices(system: object) -> dict[str, Matrix]:

@@ -1,7 +1,7 @@
 """Elimination of the algebraic states of a partitioned system (8), with a bound of its rounding.
 
 Data are known up to an error that is relative to the sizes of row and column
-(:class:`cosim.theory.scaling.Scales`). To the first order x_b = K (x_a, u, delta) then errs by::
+(:class:`cosim.theory.plants.scaling.Scales`). To the first order x_b = K (x_a, u, delta) errs by::
 
     dK <= |A22^-1| (d[A21 B2] + dA22 |K|)
 
@@ -16,9 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from cosim.arrays import Matrix, Vector
-from cosim.theory.geometry import without_rounding
-from cosim.theory.pencil import EPSILON
-from cosim.theory.scaling import Scales
+from cosim.theory.plants.geometry import without_rounding
+from cosim.theory.plants.pencil import EPSILON
+from cosim.theory.plants.scaling import Scales
 
 DATA: float = 8.0 * EPSILON  # relative error of data
 

@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cosim.errors import AssumptionError
-from cosim.theory import observer
-from cosim.theory.conditions import check_detectable, check_outputs
-from cosim.theory.descriptor import (
+from cosim.theory.observers import observer
+from cosim.theory.observers.conditions import check_detectable, check_outputs
+from cosim.theory.observers.placement import modes
+from cosim.theory.plants.descriptor import (
     ComplexVector,
     DescriptorSystem,
     ReducedSystem,
@@ -28,9 +29,8 @@ from cosim.theory.descriptor import (
     reduce,
     reduced_scales,
 )
-from cosim.theory.pencil import decompose, regularity, rounding_of
-from cosim.theory.placement import modes
-from cosim.theory.scaling import within_range
+from cosim.theory.plants.pencil import decompose, regularity, rounding_of
+from cosim.theory.plants.scaling import within_range
 
 NO_VALUES: Final[Mapping[str, Any]] = MappingProxyType({})
 

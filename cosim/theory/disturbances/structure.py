@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Vector
 from cosim.errors import AssumptionError
-from cosim.theory.disturbance import Family, Polynomial
+from cosim.theory.disturbances.families import Family, Polynomial
 
 SAME: Final = 1e-6  # difference of two eigenvalues over the larger, or over 1, that is none
 TRIALS: Final = 2  # theta at which nothing agrees by chance

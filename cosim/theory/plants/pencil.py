@@ -79,7 +79,7 @@ def decompose(E: Matrix, rank: int | None = None) -> RankDecomposition:
     Parameters
     ----------
     E : Matrix, shape (n, n)
-        Scaled: :mod:`cosim.theory.scaling`.
+        Scaled: :mod:`cosim.theory.plants.scaling`.
     rank : int, optional
         Where it is known, because E is written as what it is. It is found else: values beyond
         rounding of the largest, and so are the coordinates.
@@ -121,7 +121,7 @@ def shuffle(E: Matrix, A: Matrix, decomposition: RankDecomposition) -> PencilStr
     Parameters
     ----------
     E, A : Matrix, shape (n, n)
-        Scaled: :mod:`cosim.theory.scaling`.
+        Scaled: :mod:`cosim.theory.plants.scaling`.
     decomposition : RankDecomposition
         Of E.
 

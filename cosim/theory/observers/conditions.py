@@ -13,11 +13,11 @@ import numpy as np
 
 from cosim.arrays import Matrix, Vector
 from cosim.errors import AssumptionError
-from cosim.theory.descriptor import ComplexVector, ReducedSystem
-from cosim.theory.geometry import RANK_TOLERANCE
-from cosim.theory.pencil import EPSILON, SINGULAR
-from cosim.theory.placement import modes
-from cosim.theory.scaling import rank_between, values_between
+from cosim.theory.observers.placement import modes
+from cosim.theory.plants.descriptor import ComplexVector, ReducedSystem
+from cosim.theory.plants.geometry import RANK_TOLERANCE
+from cosim.theory.plants.pencil import EPSILON, SINGULAR
+from cosim.theory.plants.scaling import rank_between, values_between
 
 _MEASURE: Final = (
     "measure an output that one integrator leads to (a rate, a force), or fit it to y offline"

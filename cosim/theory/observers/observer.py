@@ -35,14 +35,15 @@ from numpy.typing import ArrayLike
 
 from cosim.arrays import Matrix, Vector, frozen
 from cosim.errors import AssumptionError
-from cosim.theory.conditions import (
+from cosim.theory.observers.conditions import (
     ROUNDING_OF_EIGENVALUES,
     Decoupling,
     check_detectable,
     check_hurwitz,
     decouple,
 )
-from cosim.theory.descriptor import (
+from cosim.theory.observers.placement import place
+from cosim.theory.plants.descriptor import (
     ComplexVector,
     ReducedSystem,
     StateMap,
@@ -50,14 +51,13 @@ from cosim.theory.descriptor import (
     reduced_scales,
     state_maps,
 )
-from cosim.theory.geometry import (
+from cosim.theory.plants.geometry import (
     RANK_TOLERANCE,
     orthogonal_complement,
     output_nulling,
     without_rounding,
 )
-from cosim.theory.placement import place
-from cosim.theory.scaling import within_range
+from cosim.theory.plants.scaling import within_range
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

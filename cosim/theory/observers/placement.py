@@ -15,8 +15,8 @@ import numpy as np
 from cosim.arrays import Matrix, Vector
 from cosim.errors import AssumptionError
 from cosim.filters import ignored_warnings
-from cosim.theory.descriptor import ComplexVector
-from cosim.theory.geometry import RANK_TOLERANCE
+from cosim.theory.plants.descriptor import ComplexVector
+from cosim.theory.plants.geometry import RANK_TOLERANCE
 
 # largest error of the characteristic polynomial, with rates relative to the fastest pole
 PLACED = 1e-6

@@ -1,0 +1,1 @@
+"""Unknown-input observers: when they exist, how they are designed, which assumptions hold."""

@@ -1,0 +1,1 @@
+"""Descriptor plants: what they are given by, their coordinates, their reduction."""
