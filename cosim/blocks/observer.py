@@ -32,7 +32,7 @@ def observer_model(
     """Write the observer as a model.
 
     Inputs u and y; outputs the estimates x_a, delta, x_b, of the general form x, delta, and the
-    states z, q. Where there is no u or x_b, there is no such signal.
+    states z, q. Where there is no u, x_b or filter with the state q, there is no such signal.
 
     Parameters
     ----------
@@ -53,15 +53,19 @@ def observer_model(
     inputs = _inputs(reduced)
     first, *others = [_estimate(state) for state in state_maps(reduced)]
     delta = Signal("delta", n_d, role="estimate")
-    z = _observer_state(reduced)
-    q = Signal("q", n_y, role="state")
-    outputs = (first, delta, *others, z, q)
-    states = (*z.elements, *q.elements)
+    own_states = [_observer_state(reduced)]
+    if design.filter_rate is not None:
+        own_states.append(Signal("q", n_y, role="state"))
+    outputs = (first, delta, *others, *own_states)
+    states = [name for signal in own_states for name in signal.elements]
+    n = len(states)
     A = system.A
     B = system.B
     C = system.C
     D = system.D
-    model = linear_model(inputs, outputs, states=states, A=A, B=B, C=C, D=D, X0=X0, Xu=Xu)
+    model = linear_model(
+        inputs, outputs, states=tuple(states), A=A, B=B, C=C, D=D, X0=X0[:n], Xu=Xu[:n]
+    )
     return _with_constant_state(model) if constant else model
 
 

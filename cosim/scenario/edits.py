@@ -72,6 +72,8 @@ def plain(value: Any, level: int = 0) -> Any:
             return [plain(item, level + 1) for item in value]
         case bool() | int() | float() | str():
             return value
+        case complex():
+            return str(value)  # as TOML can have it
     raise UsageError(
         f"found {quoted(value)}; needed a number, true or false, a string, a list or a table"
     )

@@ -207,8 +207,19 @@ def _needed(details: Mapping[str, Any], path: Key, table: type[BaseModel]) -> st
 
 # --- the types of a schema ---
 
-_WORDS = {str: "a string", float: "a number", int: "a whole number", bool: "true or false"}
-_PLURALS = {"a string": "strings", "a number": "numbers", "a whole number": "whole numbers"}
+_WORDS = {
+    str: "a string",
+    float: "a number",
+    int: "a whole number",
+    bool: "true or false",
+    complex: "a complex number",
+}
+_PLURALS = {
+    "a string": "strings",
+    "a number": "numbers",
+    "a whole number": "whole numbers",
+    "a complex number": 'numbers, complex ones as texts such as "-3+2j"',
+}
 
 
 def annotation_at(table: type[BaseModel], path: Key) -> Any:

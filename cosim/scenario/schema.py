@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import unicodedata
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator
 
 from cosim.errors import quoted
 from cosim.units import base_unit, unknown_unit
@@ -26,6 +27,30 @@ Flag = Annotated[bool, Field(strict=True)]
 NumberRow = tuple[Number, ...]
 NumberRows = tuple[NumberRow, ...]
 Limit = Annotated[float, Field(strict=True)]  # inf: there is none
+
+
+def _pole(value: object) -> complex:
+    """Return a number, or a text that is a complex literal of Python: TOML has no such numbers.
+
+    Raises
+    ------
+    ValueError
+        If it is neither, or not finite.
+    """
+    needed = 'needed a finite number, or a complex one as a text such as "-3+2j"'
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        raise ValueError(f"found {quoted(value)}; {needed}")
+    try:
+        pole = complex(value)
+    except (ValueError, OverflowError) as error:
+        raise ValueError(f"found {quoted(value)}; {needed}") from error
+    if not (math.isfinite(pole.real) and math.isfinite(pole.imag)):
+        raise ValueError(f"found {quoted(value)}; {needed}")
+    return pole
+
+
+Pole = Annotated[complex, PlainValidator(_pole)]
+PoleRow = tuple[Pole, ...]
 
 
 def _known_unit(name: str) -> str:

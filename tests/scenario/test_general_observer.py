@@ -9,7 +9,7 @@ import cosim
 from cosim.errors import ScenarioError
 from cosim.report.summary import summarize
 from cosim.scenario.exporting import export_component
-from cosim.scenario.recorded_metadata import recorded_warnings
+from cosim.scenario.recorded_metadata import component_record, recorded_warnings
 from tests.scenario.general_plant import GENERAL, X0, write
 
 OBSERVER = """
@@ -125,11 +125,13 @@ def test_a_gain_is_one_of_the_users_states(tmp_path):
         cosim.run(wrong_path)
 
 
+WHOLLY_DIRECT = "A = [[-1]]\nB = [[1, 0.5]]\nC = [[1]]\nD = [[0, 2]]\ndisturbances = [1]"
+
+
 def test_a_direct_disturbance_is_not_said_to_be_filtered(tmp_path):
     """y = x + 2 delta: noise of y counts by 1/2, and held inputs do no harm to a derivative."""
-    model = "A = [[-1]]\nB = [[1, 0.5]]\nC = [[1]]\nD = [[0, 2]]\ndisturbances = [1]"
-    keys = OBSERVER.format(keys="poles = []\nfilter_rate = 100.0")
-    path = write(tmp_path / "direct.toml", model, "x0 = [1.0]", keys)
+    keys = OBSERVER.format(keys="poles = []")
+    path = write(tmp_path / "direct.toml", WHOLLY_DIRECT, "x0 = [1.0]", keys)
     log = cosim.run(path, set={"scenario.input_interpolation": "zero-order"})
     (reconstruction,) = summarize(log).reconstructions
     assert reconstruction.filter == "direct"
@@ -146,6 +148,51 @@ def test_a_direct_disturbance_is_not_said_to_be_filtered(tmp_path):
         set={"scenario.input_interpolation": "zero-order"},
     )
     assert any("derivative filter" in text for _, text in recorded_warnings(warned))
+
+
+IDENTIFIED = """
+"regressor.delta" = "observer.delta"
+"identifier.regressor" = "regressor.mu"
+[components.regressor]
+kind = "regressor"
+terms = [{ family = "sine" }]
+delays = [0.0, 0.3, 0.6]
+[components.identifier]
+kind = "identifier"
+method = "least-squares"
+"""
+
+
+def test_a_filter_of_no_derivative_is_not_needed(tmp_path):
+    """Where y - x is 2 delta there is no q; T_id is that of observer and delays.
+
+    The keys of the filter change nothing, which is said. The one fixed mode is -1 - 0.5 / 2.
+    """
+    more = IDENTIFIED + OBSERVER.format(keys="poles = []")
+    observer = '"observer.u" = "u.y"\n"observer.y" = "plant.y"'
+    more = observer + more.replace(observer, "")
+    path = write(tmp_path / "direct.toml", WHOLLY_DIRECT, "x0 = [1.0]", more)
+    log = cosim.run(path, set={"scenario.stop": 10.0})
+    assert recorded_warnings(log) == []
+    assert "observer.q" not in log
+    # e^-12.5 of the start, and y is no straight line within a step of 1e-2
+    np.testing.assert_allclose(log["observer.delta"][-1], log["delta.y"][-1], rtol=0, atol=1e-5)
+    times = component_record(log, "identifier").times
+    assert times["T_f"] == 0.0
+    assert times["T_id"] == pytest.approx(np.log(1e3) / 1.25 + 0.6)
+    useless = {"observer.filter_rate": 100.0, "observer.q0": [0.0]}
+    same = cosim.run(path, set={"scenario.stop": 1.0, **useless})
+    np.testing.assert_array_equal(same["observer.delta"], log["observer.delta"][: len(same["u.y"])])
+    ((_, warning),) = recorded_warnings(same)
+    assert warning.startswith("filter_rate and q0: without effect, as delta follows from y direct")
+
+
+def test_a_filter_is_needed_where_a_part_of_delta_takes_a_derivative(direct):
+    """One of two disturbances is direct, the other one is not."""
+    path = direct("first-order")
+    path.write_text(path.read_text().replace("filter_rate = 1e4", ""))
+    with pytest.raises(ScenarioError, match="filter_rate is missing; needed with filter"):
+        cosim.run(path)
 
 
 @pytest.mark.parametrize(

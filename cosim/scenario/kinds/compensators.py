@@ -26,7 +26,7 @@ from cosim.scenario.kinds.observers import DesignedObserver, UnknownInputObserve
 from cosim.scenario.kinds.plants import PlantKind
 from cosim.scenario.kinds.sensors import SensorKind
 from cosim.scenario.kinds.terms import FamilyTerm
-from cosim.scenario.schema import Flag, Number, NumberRow, NumberRows, Whole, matrix
+from cosim.scenario.schema import Flag, Number, NumberRow, NumberRows, PoleRow, Whole, matrix
 from cosim.theory.compensation.design import (
     CompensatorGains,
     check_zeros,
@@ -66,8 +66,10 @@ class CompensatorKind(Kind):
         description="state feedback u = -K x_a, of a model in the general form -K x, a row for "
         "each input; or poles, or Q",
     )
-    poles: NumberRow | None = Field(
-        None, description="eigenvalues of A - B K [1/s], as many as u can move"
+    poles: PoleRow | None = Field(
+        None,
+        description="eigenvalues of A - B K [1/s], as many as u can move; complex ones as texts, "
+        'in pairs: ["-3+2j", "-3-2j"]',
     )
     Q: NumberRow | NumberRows | None = Field(
         None,

@@ -14,11 +14,13 @@ from cosim.native.alphas import signals_among
 from cosim.scenario.kinds.base import BuildContext, ImpliedConnection, Kind
 from cosim.scenario.kinds.field_data import FieldDataKind
 from cosim.scenario.kinds.observers import DesignedObserver, UnknownInputObserverKind
+from cosim.scenario.kinds.reconstruction import AnyReconstruction
 from cosim.scenario.kinds.regressor import RegressorDesign, RegressorKind
 from cosim.theory.assessment.accuracy import check_step
 from cosim.theory.disturbances.structure import check_distinguishable
 from cosim.theory.disturbed_plant import DisturbedPlant, disturbed_plant
 from cosim.theory.observers.observer import StateSpace
+from cosim.theory.reconstruction.filters import ConsistentFilter, FirstOrderFilter
 
 
 class IdentifierSource:
@@ -196,7 +198,6 @@ class ObserverSource:
 
     def __init__(self, name: str, kind: UnknownInputObserverKind, context: BuildContext) -> None:
         self.name = name
-        self.filter_rate = kind.filter_rate
         self._kind = kind
         self._context = context
 
@@ -216,9 +217,22 @@ class ObserverSource:
         return self._kind.transient(self.name, self._context)
 
     @property
+    def reconstruction(self) -> AnyReconstruction:
+        """How it makes delta."""
+        return self._kind.reconstruction(self.name, self._context)
+
+    @property
     def window(self) -> float:
         """How long it has no delta [s]."""
-        return self._kind.reconstruction(self.name, self._context).window
+        return self.reconstruction.window
+
+    @property
+    def filter_rate(self) -> float | None:
+        """The rate of its filter [rad/s]; None: it has none, or a window."""
+        reconstruction = self.reconstruction
+        if isinstance(reconstruction, FirstOrderFilter | ConsistentFilter):
+            return reconstruction.rate
+        return None
 
     @property
     def sampled_by(self) -> str | None:

@@ -106,11 +106,10 @@ def _computed(start: StartTable, source: IdentifierSource) -> IdentificationStar
             "start: (36)-(38) need one observer that drives the regressor alone; "
             "give start as a time in s instead"
         )
-    window = observer.window
     return identification_start_time(
         lambda_obs=observer.design.design.lambda_obs,
-        filter_rate=None if window else observer.filter_rate,
-        window=window or None,
+        filter_rate=observer.filter_rate,
+        window=observer.window or None,
         delays=source.regression.delays,
         epsilon_observer=start.epsilon_observer,
         epsilon_filter=start.epsilon_filter,

@@ -35,6 +35,7 @@ from cosim.scenario.kinds.reconstruction import (
     DEFAULT_ORDER,
     FILTERS,
     AnyReconstruction,
+    AveragedReconstruction,
     FilterName,
     averaging_kernel,
     averaging_observer,
@@ -47,13 +48,23 @@ from cosim.scenario.kinds.reconstruction import (
 )
 from cosim.scenario.kinds.variants import foreign_keys, variants_with
 from cosim.scenario.linearizing import DesignModel, MovingModel, design_model, split
-from cosim.scenario.schema import Flag, Number, NumberRow, NumberRows, TomlTable, Whole, matrix
+from cosim.scenario.schema import (
+    Flag,
+    Number,
+    NumberRow,
+    NumberRows,
+    PoleRow,
+    TomlTable,
+    Whole,
+    matrix,
+)
 from cosim.theory.observers import observer
 from cosim.theory.observers.assumptions import plain_modes
 from cosim.theory.plants.descriptor import MATRICES, ReducedSystem, UserCoordinates, reduce
 from cosim.theory.reconstruction.filters import (
     HIGHEST_ORDER,
     ConsistentFilter,
+    DirectReconstruction,
     FirstOrderFilter,
     SavitzkyGolay,
 )
@@ -119,8 +130,10 @@ class UnknownInputObserverKind(ExportableKind):
         'or { fmu = "x.fmu", disturbance = "d" }'
     )
     L: NumberRow | NumberRows | None = Field(None, description="gain; or give poles")
-    poles: NumberRow | None = Field(
-        None, description="eigenvalues of M - L C3 that L can move [1/s]"
+    poles: PoleRow | None = Field(
+        None,
+        description="eigenvalues of M - L C3 that L can move [1/s]; complex ones as texts, in "
+        'pairs: ["-3+2j", "-3-2j"]',
     )
     x_a0: NumberRow | None = Field(
         None, description="initial estimate of x_a; default: consistent with y(0)"
@@ -137,8 +150,9 @@ class UnknownInputObserverKind(ExportableKind):
     )
     filter_rate: Number | None = Field(
         None,
-        description="lambda_f of the derivative filter (19) [rad/s], needed with a first-order or "
-        "consistent filter; a window does not use it",
+        description="lambda_f of the derivative filter (19) [rad/s], needed with a first-order "
+        "filter of a derivative, which a delta that reaches y directly needs not, or a consistent "
+        "one; a window does not use it",
     )
     q0: NumberRow | None = Field(
         None, description="initial state of the first-order filter; default: no transient"
@@ -180,7 +194,9 @@ class UnknownInputObserverKind(ExportableKind):
         self._record(name, context, model, design, reconstruction)
         if self.relinearize:
             return self._relinearized(name, context)
-        if isinstance(reconstruction, FirstOrderFilter):
+        if isinstance(reconstruction, DirectReconstruction):
+            self._warn_of_filter(name, context)
+        if not isinstance(reconstruction, AveragedReconstruction):
             return Linear(self._filter_model(model, design))
         averaged = self._averaged_model(model, design)
         return averaging_observer(averaged, model.reduced, reconstruction)
@@ -227,7 +243,7 @@ class UnknownInputObserverKind(ExportableKind):
                 f"{name!r}: relinearize = true needs the FMU of its model, which an exported "
                 "observer has not; needed relinearize = false"
             )
-        if isinstance(reconstruction, FirstOrderFilter):
+        if not isinstance(reconstruction, AveragedReconstruction):
             return self.linear_model(name, context)
         model, design = self.design(name, context)
         averaged = self._averaged_model(model, design)
@@ -300,6 +316,9 @@ class UnknownInputObserverKind(ExportableKind):
             If a number does not fit, or nothing can be chosen.
         """
         self._check_keys()
+        if self._is_unfiltered(self.design(name, context).design):
+            return DirectReconstruction()
+        self._check_needed()
         step = context.step_ns / NANOSECONDS
         if self.filter == "auto":
             return self._chosen(name, context)
@@ -333,10 +352,27 @@ class UnknownInputObserverKind(ExportableKind):
         reconstruction = self.reconstruction(name, context)
         return delta_transient(model.reduced, design, reconstruction)
 
-    def _check_keys(self) -> None:
+    def _is_unfiltered(self, design: observer.ObserverDesign) -> bool:
+        """Return whether there is no derivative that a first-order filter would be of."""
+        is_of_derivative = self.filter == "first-order"
+        return is_of_derivative and design.is_direct and not self.relinearize
+
+    def _warn_of_filter(self, name: str, context: BuildContext) -> None:
+        """Say which keys of a filter have no effect."""
+        given = [key for key in ("filter_rate", "q0") if getattr(self, key) is not None]
+        if given:
+            context.warn(
+                name,
+                f"{' and '.join(given)}: without effect, as delta follows from y directly, without "
+                "a derivative that is to be filtered; leave it out",
+            )
+
+    def _check_needed(self) -> None:
         for key in FILTERS[self.filter].needed:
             if getattr(self, key) is None:
                 raise UsageError(f"{key} is missing; needed with filter = {self.filter!r}")
+
+    def _check_keys(self) -> None:
         for key in sorted(foreign_keys(FILTERS, self.filter)):
             if getattr(self, key) is not None:
                 filters = " or ".join(map(repr, variants_with(FILTERS, key)))
@@ -468,7 +504,7 @@ class UnknownInputObserverKind(ExportableKind):
             "eigenvalues": plain_modes(design.eigenvalues),
             "fixed_modes": plain_modes(design.fixed_modes),
             "lambda_obs": design.lambda_obs,
-            "reconstruction": plain_reconstruction(reconstruction, is_direct=design.is_direct),
+            "reconstruction": plain_reconstruction(reconstruction),
             **gains,
         }
         lags = {output: self.lag(name, output, context) for output in ("delta", "x_b", "x")}
@@ -485,8 +521,8 @@ class UnknownInputObserverKind(ExportableKind):
         names = " and ".join(signal for signal, is_held in held.items() if is_held)
         if not names or product <= HOLD_LIMIT:
             return []
-        if not self.relinearize and self.design(name, context).design.is_direct:
-            return []  # no derivative is used
+        if self._is_unfiltered(self.design(name, context).design):
+            return []
         gain = product / -math.expm1(-product) - 1.0
         return [
             f"zero-order hold of {names} over the step (discrete, extrapolated in a "
@@ -506,7 +542,10 @@ class UnknownInputObserverKind(ExportableKind):
                 f"the design model {self.model!r} has no disturbance, and this observer is for an "
                 "unknown one; needed a model with Bd, or with B and disturbances"
             )
-        return DesignedObserver(model, self._design_on(model.reduced))
+        design = self._design_on(model.reduced)
+        if self._is_unfiltered(design):
+            design = replace(design, filter_rate=None)
+        return DesignedObserver(model, design)
 
     def _design_on(self, reduced: ReducedSystem) -> observer.ObserverDesign:
         """Design the observer on a model of this form.

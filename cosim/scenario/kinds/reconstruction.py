@@ -23,17 +23,17 @@ from cosim.theory.observers import observer
 from cosim.theory.plants.descriptor import ReducedSystem
 from cosim.theory.reconstruction.filter_choice import Conditions, choose
 from cosim.theory.reconstruction.filters import (
-    Bias,
     ConsistentFilter,
+    DirectReconstruction,
     FirstOrderFilter,
     SavitzkyGolay,
 )
 from cosim.theory.reconstruction.noise_gain import noise_gain, windowed_noise_gain
 from cosim.theory.reconstruction.noise_level import noise_level
 
-AnyReconstruction: TypeAlias = FirstOrderFilter | ConsistentFilter | SavitzkyGolay
+AveragedReconstruction: TypeAlias = ConsistentFilter | SavitzkyGolay
+AnyReconstruction: TypeAlias = DirectReconstruction | FirstOrderFilter | AveragedReconstruction
 FilterName: TypeAlias = Literal["first-order", "consistent", "savitzky-golay", "auto"]
-DIRECT: Final = "direct"  # a reconstruction without a derivative
 DEFAULT_ORDER: Final = 4  # of the polynomial of a window
 
 FILTERS: Mapping[FilterName, Variant] = MappingProxyType(
@@ -49,14 +49,8 @@ FILTERS: Mapping[FilterName, Variant] = MappingProxyType(
 )
 
 
-def plain_reconstruction(reconstruction: AnyReconstruction, *, is_direct: bool) -> dict[str, Any]:
-    """Return what a recording keeps of a reconstruction.
-
-    Where delta ``is_direct`` the filter of a derivative has no effect, and is not there.
-    """
-    if is_direct and isinstance(reconstruction, FirstOrderFilter):
-        no_bias = Bias(0.0, 0, "delta")
-        return {"filter": DIRECT, "lag": 0.0, "bias": asdict(no_bias)}
+def plain_reconstruction(reconstruction: AnyReconstruction) -> dict[str, Any]:
+    """Return what a recording keeps of a reconstruction."""
     plain: dict[str, Any] = {
         "filter": reconstruction.name,
         "lag": reconstruction.lag,
@@ -65,13 +59,13 @@ def plain_reconstruction(reconstruction: AnyReconstruction, *, is_direct: bool) 
     if isinstance(reconstruction, SavitzkyGolay):
         plain["half_width"] = reconstruction.lag
         plain["order"] = reconstruction.order
-    else:
+    elif not isinstance(reconstruction, DirectReconstruction):
         plain["filter_rate"] = reconstruction.rate
     return plain
 
 
 def averaging_observer(
-    model: AveragedModel, reduced: ReducedSystem, reconstruction: ConsistentFilter | SavitzkyGolay
+    model: AveragedModel, reduced: ReducedSystem, reconstruction: AveragedReconstruction
 ) -> Windowed | Smoothed:
     """Build the observer with its averages."""
     if isinstance(reconstruction, SavitzkyGolay):
@@ -94,7 +88,7 @@ def delta_transient(
 ) -> observer.StateSpace:
     """Return the modes of the errors of delta, and how they enter it; there are no inputs."""
     n_a = len(reduced.A_a)
-    if isinstance(reconstruction, FirstOrderFilter):
+    if not isinstance(reconstruction, AveragedReconstruction):
         system = observer.realize(reduced, design)
         return _autonomous(system.A, system.C[observer.delta_rows(reduced)][0])
     realization = observer.realize_averages(reduced, design)
@@ -128,7 +122,7 @@ def noise_gains(
     n_d = len(design.G)
     of_y = slice(n_u, n_u + n_y)
     mask = np.full(n_u + n_y, held)
-    if isinstance(reconstruction, FirstOrderFilter):
+    if not isinstance(reconstruction, AveragedReconstruction):
         system = observer.realize(reduced, design)
         discrete = first_order_hold(system.A, system.B, h, mask)
         delta = observer.delta_rows(reduced)

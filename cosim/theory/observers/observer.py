@@ -147,7 +147,8 @@ def design(
         Eigenvalues [1/s] of `M - L C3` on the observable part: as many as are not fixed. Exactly
         one of ``L`` and ``poles``.
     filter_rate : float, optional
-        `lambda_f` of the derivative filter (19) [rad/s]; not needed for a window.
+        `lambda_f` of the derivative filter (19) [rad/s]; not needed for a window, or where delta
+        follows from y without a derivative.
 
     Raises
     ------
@@ -336,29 +337,32 @@ def realize(reduced: ReducedSystem, observer: ObserverDesign) -> StateSpace:
     -------
     StateSpace
         Inputs (u, y), states (z, q) with q of the size of y, outputs (x_a hat or x hat, delta hat,
-        x_b hat, z, q).
+        x_b hat, z, q). Without a filter there is no q.
 
     Raises
     ------
     AssumptionError
-        If the observer is designed without a filter.
+        If the observer is designed without a filter, and delta needs a derivative.
     """
     rate = observer.filter_rate
-    if rate is None:
+    if rate is None and not observer.is_direct:
         raise AssumptionError("(19): no filter_rate; needed a positive finite rate [rad/s]")
     n_y, n_a = reduced.C3.shape
-    identity = np.eye(n_a + n_y)
+    n_q = 0 if rate is None else n_y
+    identity = np.eye(n_a + n_q)
     Z = identity[:n_a]  # z of (z, q)
     Q = identity[n_a:]  # q of (z, q)
     signals = _signals_of(reduced, observer, Z)
     Y = _w_of_inputs(reduced)
-    w_dot = _LinearMap(-rate * Q, rate * Y)
+    w_dot = _LinearMap(np.zeros((n_y, n_a)), np.zeros_like(Y))
+    if rate is not None:
+        w_dot = _LinearMap(-rate * Q, rate * Y)
     delta = _reconstruction(observer.G, w_dot, signals)
     first, *others = [_state_estimate(state, signals, delta) for state in state_maps(reduced)]
     estimates = [first, delta, *others]
-    no_feedthrough = np.zeros((n_a + n_y, Y.shape[1]))
-    A = np.vstack([signals.z_dot.of_x, w_dot.of_x])
-    B = np.vstack([signals.z_dot.of_v, w_dot.of_v])
+    no_feedthrough = np.zeros((n_a + n_q, Y.shape[1]))
+    A = np.vstack([signals.z_dot.of_x, w_dot.of_x[:n_q]])
+    B = np.vstack([signals.z_dot.of_v, w_dot.of_v[:n_q]])
     C = np.vstack([*(estimate.of_x for estimate in estimates), Z, Q])
     D = np.vstack([*(estimate.of_v for estimate in estimates), no_feedthrough])
     return StateSpace(A, B, C, D)
@@ -440,8 +444,8 @@ def initial_state_map(
 ) -> tuple[Vector, Matrix]:
     """Compute the initial state of the realized observer as `x(0) = X0 + Xw [u(0); y(0)]`.
 
-    The states are those of :func:`realize`; the first ``n_a`` are those of
-    :func:`realize_averages`.
+    The states are those of :func:`realize` with a filter; the first ``n_a`` are those without one,
+    and those of :func:`realize_averages`.
 
     Parameters
     ----------
@@ -512,7 +516,7 @@ def identification_start_time(
         Filter rate (19) [rad/s].
     window : float, optional
         In place of a filter, the length of the window that delta is summed up over [s]: T_f, for
-        what is older has no weight. Exactly one of both.
+        what is older has no weight. Without both T_f is 0: delta follows from y at once.
     delays : sequence of float
         `D_j` [s].
     epsilon_observer, epsilon_filter : float
@@ -523,8 +527,8 @@ def identification_start_time(
     AssumptionError
         If a rate or the window is not positive, a fraction not in (0, 1), or there is no delay.
     """
-    if (filter_rate is None) == (window is None):
-        raise AssumptionError("(36)-(38): needed either filter_rate or window")
+    if filter_rate is not None and window is not None:
+        raise AssumptionError("(36)-(38): found filter_rate and window; needed one of them")
     _check_positive("rate", {"lambda_obs": lambda_obs, "filter_rate": filter_rate})
     _check_positive("time", {"window": window})
     _check_fractions({"epsilon_observer": epsilon_observer, "epsilon_filter": epsilon_filter})

@@ -110,10 +110,13 @@ def _check_poles(
         raise AssumptionError(
             f"{words.design}: poles {modes(poles)}; needed finite poles with negative real parts"
         )
-    conjugates = np.sort_complex(poles.conj())
-    if not np.array_equal(poles, conjugates):
+    given = Counter(poles.tolist())
+    conjugates = Counter(poles.conj().tolist())
+    missing = list((conjugates - given).elements())
+    if missing:
         raise AssumptionError(
-            f"{words.design}: poles {modes(poles)}; complex poles come in conjugate pairs"
+            f"{words.design}: poles {modes(poles)}; complex poles come in conjugate pairs, and "
+            f"{modes(missing)} is missing"
         )
 
 

@@ -39,7 +39,7 @@ import math
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
-from typing import Final, Protocol
+from typing import ClassVar, Final, Protocol
 
 import numpy as np
 
@@ -104,6 +104,16 @@ class DisturbanceFilter(Protocol):
         The error relative to its amplitude is the distance from 1.
         """
         ...
+
+
+@dataclass(frozen=True)
+class DirectReconstruction:
+    """No filter: delta follows from y without a derivative."""
+
+    name: ClassVar[str] = "direct"
+    lag: ClassVar[float] = 0.0
+    window: ClassVar[float] = 0.0
+    bias: ClassVar[Bias] = Bias(0.0, 0, "delta")
 
 
 @dataclass(frozen=True)
