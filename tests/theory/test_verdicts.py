@@ -9,11 +9,14 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.signal import lfilter
 
+import cosim.theory.assessment.assessing
+import cosim.theory.assessment.consistency
 import cosim.theory.assessment.problem
 from cosim.theory.assessment.advice import advised
 from cosim.theory.assessment.assessing import assess, assess_near
 from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.verdicts import Verdict, judge
+from cosim.theory.disturbances.families import Exponential, TExponential
 from cosim.theory.disturbed_plant import DataSet
 from cosim.theory.estimators.output_error import fit_output_error
 from cosim.theory.plants.descriptor import reduce
@@ -27,6 +30,7 @@ from tests.theory.experiments import (
     exact,
     noisy,
     record,
+    simulate,
     times,
 )
 
@@ -236,6 +240,31 @@ def test_of_two_optima_that_noise_cannot_tell_apart_none_is_identifiable(sigma, 
     assert advice is found
 
 
+@pytest.mark.parametrize("seed", [0, 1, 3])
+def test_decays_under_one_alpha_are_searched_however_small_the_noise(seed):
+    """Two decays near each other are like two others, so that a wrong optimum passes every test.
+
+    Of the three seeds one has its deeper optimum near the wrong theta, whose interval for one of
+    the two parameters is ten times as short as the distance to the truth.
+    """
+    t = np.arange(1001) * 2e-2
+    disturbance = 1.5 * np.exp(-0.3 * t) + (0.3 + t) * np.exp(-0.4 * t)
+    noise = 3e-4 * np.random.default_rng(seed).normal(size=(len(t), 1))
+    ones = np.ones((len(t), 2))
+    data = DataSet(t, simulate(t, disturbance) + noise, np.sin(t)[:, np.newaxis], ones)
+    problem = OutputErrorProblem([data], design(), (Exponential(), TExponential()))
+    wrong = np.array([-0.345, -0.49])
+    near = assess_near(problem, wrong)
+    assert near.consistency.passed
+    np.testing.assert_allclose(near.fit.theta, wrong, atol=0.01)
+    found = assess(problem, wrong)
+    assert [parameter.verdict for parameter in found.parameters] == [Verdict.WEAK] * 2
+    assert found.other_optimum is not None
+    both = np.array([found.fit.theta, found.other_optimum])
+    # the bound for theta[0] is 0.014
+    np.testing.assert_allclose(both[both[:, 0].argmax()], [-0.3, -0.4], atol=0.03)
+
+
 def test_two_optima_within_one_interval_are_one_estimate():
     """A bound at the truth stays fixed, and nothing is said of another theta."""
     data = [noisy("good", 0.15, 1, h=2e-2)]
@@ -254,6 +283,20 @@ def test_data_far_above_the_noise_are_not_searched(monkeypatch):
     data = [noisy("good", 1e-3, seed=7, h=COARSE)]
     found = assess(OutputErrorProblem(data, design(), FAMILIES), START)
     assert [parameter.verdict for parameter in found.parameters] == GOOD
+
+
+def test_optima_far_worse_cost_no_examination(monkeypatch):
+    """A few samples say that they are: nothing but the fit that is reported is examined."""
+    examined = []
+
+    def examine(fitted):
+        examined.append(fitted)
+        return cosim.theory.assessment.consistency.examine(fitted)
+
+    monkeypatch.setattr(cosim.theory.assessment.assessing, "examine", examine)
+    data = [noisy("good", 1e-3, seed=7, h=COARSE)]
+    found = assess(OutputErrorProblem(data, design(), FAMILIES), START)
+    assert [one.fit.theta.tolist() for one in examined] == [found.fit.theta.tolist()]
 
 
 def test_other_estimates_are_held_against_output_error():

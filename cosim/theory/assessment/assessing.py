@@ -102,46 +102,77 @@ def assess(problem: OutputErrorProblem, start: Vector | None = None) -> Assessme
     if excess <= SAME_OPTIMUM:
         return _beside_rival(best)
     assessment = _assessed(best)
-    if SAME_OPTIMUM < excess <= NO_RIVAL * largest_chance(problem.generators.parameters):
-        assessment = _beside(assessment, _assessed(other))
-    return assessment
+    return _beside(assessment, _assessed(other)) if _is_rival(excess, problem) else assessment
 
 
 def _beside_rival(examined: _Examined) -> Assessment:
     """Assess a fit beside another optimum that explains the data as well, where there is one.
 
-    It is looked for where several terms may exchange their parts, and nothing else is in doubt.
+    It is looked for where several terms may exchange their parts.
     """
     assessment = _assessed(examined)
-    fit = examined.fitted.fit
-    problem = examined.fitted.problem
-    several = sum(1 for count in problem.generators.count if count) > 1
-    certain = all(one.verdict is Verdict.IDENTIFIABLE for one in assessment.parameters)
-    if not several or not certain:
+    several = sum(1 for count in examined.fitted.problem.generators.count if count) > 1
+    if not several or not assessment.is_settled:
         return assessment
-    other = _rival(problem, fit, examined.fitted.noise)
-    if other is None:
-        return assessment
-    excess = _excess(*sorted((examined.fitted, other.fitted), key=residual_size))
-    if SAME_OPTIMUM < excess <= NO_RIVAL * largest_chance(problem.generators.parameters):
-        assessment = _beside(assessment, _assessed(other))
-    return assessment
+    other = _rival(examined.fitted)
+    return assessment if other is None else _beside(assessment, _assessed(other))
 
 
-def _rival(problem: OutputErrorProblem, fit: OutputErrorFit, noise: NoiseModel) -> _Examined | None:
-    """Return the best fit from another optimum of a few samples; None: there is none apart."""
+def _rival(own: FittedModel) -> _Examined | None:
+    """Return the fit from another optimum of a few samples that is a rival; None: there is none.
+
+    What is far worse in a few samples is so in all of them, so that few are fitted to all.
+    """
+    thinned = own.problem.thinned()
+    white = replace(own.noise, a=own.noise.a[:, :0])
     try:
-        optima = problem.search_optima(noise)
-        for one in optima:
-            theta = problem.in_order(one.theta)
-            reach = APART * np.hypot(one.standard_error, fit.standard_error)
-            rounding = SAME_THETA * np.maximum(np.abs(theta), np.abs(fit.theta))
-            if (np.abs(theta - problem.in_order(fit.theta)) > reach + rounding).any():
-                rival = _white(problem, theta)
-                return rival if rival.is_settled else None
+        optima = thinned.search_optima(white)
+        near = thinned.fit(own.fit.theta, white)
+        for optimum in optima:
+            if not _may_be_rival(near, optimum):
+                break
+            theta = own.problem.in_order(optimum.theta)
+            if not _is_apart(own, theta, optimum.standard_error):
+                continue
+            rival = _settled_rival(own, theta)
+            if rival is not None:
+                return rival
     except AssumptionError:  # too few samples, or a response that is not finite there
         return None
     return None
+
+
+def _settled_rival(own: FittedModel, theta: Vector) -> _Examined | None:
+    """Fit from a theta; None where that is no rival."""
+    problem = own.problem
+    is_known = problem.stated is not None
+    fitted = fit_with_noise(problem, theta, first_noise(problem), is_known=is_known)
+    if not _is_apart(own, problem.in_order(fitted.fit.theta), fitted.fit.standard_error):
+        return None
+    best, other = sorted((own, fitted), key=residual_size)
+    excess = _excess(best, other)
+    if excess <= SAME_OPTIMUM or (best is own and not _is_rival(excess, problem)):
+        return None
+    rival = _Examined(fitted, examine(fitted))
+    return rival if rival.is_settled else None
+
+
+def _may_be_rival(own: OutputErrorFit, other: OutputErrorFit) -> bool:
+    """Return whether another optimum is no more than far worse."""
+    excess = excess_squares(own.deviation, other.deviation, own.freedom)
+    return excess <= NO_RIVAL * largest_chance(len(own.theta))
+
+
+def _is_rival(excess: float, problem: OutputErrorProblem) -> bool:
+    return SAME_OPTIMUM < excess <= NO_RIVAL * largest_chance(problem.generators.parameters)
+
+
+def _is_apart(own: FittedModel, theta: Vector, standard_error: Vector) -> bool:
+    """Return whether a theta is another one than that of a fit."""
+    ordered = own.problem.in_order(own.fit.theta)
+    reach = APART * np.hypot(standard_error, own.fit.standard_error)
+    rounding = SAME_THETA * np.maximum(np.abs(theta), np.abs(ordered))
+    return bool((np.abs(theta - ordered) > reach + rounding).any())
 
 
 def assess_near(problem: OutputErrorProblem, start: Vector) -> Assessment:
@@ -315,7 +346,8 @@ def _beside(best: Assessment, other: Assessment) -> Assessment:
     Which is better may be another one with the color of the noise than without it.
 
     Under noise two optima far apart may both leave what noise leaves. Which of them is the deeper
-    one is then chance, unless the difference of their sums of squares is more than noise makes.
+    one is then chance, unless the difference of their sums of squares is more than noise makes. Of
+    two that are not one estimate every interval is to contain the other value, or is no interval.
     """
     if not best.is_settled:
         return other if other.is_settled else best
@@ -327,21 +359,19 @@ def _beside(best: Assessment, other: Assessment) -> Assessment:
     threshold = largest_chance(len(best.parameters))
     if not SAME_OPTIMUM < excess <= threshold:
         return best
-    theta = ", ".join(f"{value:.4g}" for value in other.fit.theta)
-    parameters = []
-    is_apart = False
-    for j, parameter in enumerate(best.parameters):
-        distance = abs(float(other.fit.theta[j] - best.fit.theta[j]))
-        reach = float(np.nansum([best.half_width[j], other.half_width[j]]))
-        if parameter.verdict.has_interval and distance > reach:
-            is_apart = True
-            parameter = replace(
-                parameter,
-                verdict=Verdict.WEAK,
-                reason=f"theta = {theta} explains the data too: the sum of squares is larger by "
-                f"{excess:.2g} variances, and noise makes up to {threshold:.2g} of difference",
-            )
-        parameters.append(parameter)
-    if not is_apart:
+    distances = np.abs(other.fit.theta - best.fit.theta)
+    reach = np.nansum([best.half_width, other.half_width], axis=0)
+    has_interval = np.array([one.verdict.has_interval for one in best.parameters])
+    if not (has_interval & (distances > reach)).any():
         return best
-    return replace(best, parameters=tuple(parameters), other_optimum=other.fit.theta)
+    theta = ", ".join(f"{value:.4g}" for value in other.fit.theta)
+    reason = (
+        f"theta = {theta} explains the data too: the sum of squares is larger by {excess:.2g} "
+        f"variances, and noise makes up to {threshold:.2g} of difference"
+    )
+    is_outside = has_interval & (distances > np.nan_to_num(best.half_width))
+    parameters = tuple(
+        replace(own, verdict=Verdict.WEAK, reason=reason) if outside else own
+        for own, outside in zip(best.parameters, is_outside, strict=True)
+    )
+    return replace(best, parameters=parameters, other_optimum=other.fit.theta)

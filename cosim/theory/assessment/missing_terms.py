@@ -18,7 +18,6 @@ from cosim.theory.estimators.output_error import (
     FALSE_PRESENCE,
     OutputErrorFit,
     presence_threshold,
-    squares_at,
 )
 from cosim.theory.quantiles import chi_square_above
 
@@ -27,14 +26,13 @@ def silent_terms(fitted: FittedModel) -> dict[int, str]:
     """Return the terms without any effect on the output, and why they have none."""
     reasons = {}
     fit = fitted.fit
-    responses = [record.make(fit.theta) for record in fit.records]
     first = 0
     for i, family in enumerate(fitted.problem.families):
         columns = slice(first, first + family.v)
         first += family.v
         if not any(data.alpha[:, i].any() for data in fitted.problem.data):
             reasons[i] = f"alpha of terms[{i}] is 0 at every sample"
-        elif not any(R[:, columns].any() for R in responses):
+        elif not any(R[:, columns].any() for R in fit.triangles):
             reasons[i] = f"terms[{i}] does not reach y"
     return reasons
 
@@ -89,16 +87,15 @@ def _explained_by(
     matrices = problem.generators
     unknowns = max(matrices.size) * len(problem.data) + max(matrices.count)
     allowed = chi_square_above(FALSE_PRESENCE, unknowns) * whole.fit.deviation**2
-    least = squares_at(larger.records, larger.theta)
     own = problem.of_terms(kept)
     fit = own.fit(whole.fit.theta[problem.parameters_of(kept)], whole.noise)
-    if not _explains(fit, least + allowed):
+    if not _explains(fit, larger.squares + allowed):
         fit = own.fit(own.search_start(whole.noise), whole.noise)
-    return fit if _explains(fit, least + allowed) else None
+    return fit if _explains(fit, larger.squares + allowed) else None
 
 
 def _explains(fit: OutputErrorFit, most: float) -> bool:
-    return fit.converged and squares_at(fit.records, fit.theta) <= most
+    return fit.converged and fit.squares <= most
 
 
 def _is_present(fit: OutputErrorFit, kept: Sequence[int], term: int, whole: FittedModel) -> bool:

@@ -131,25 +131,29 @@ class OutputErrorProblem:
         )
 
     def search_optima(self, noise: NoiseModel) -> list[OutputErrorFit]:
-        """Return the optima that a coarse search finds in every so many samples, the best first.
+        """Return the optima that a coarse search finds, as if the noise were white, the best first.
 
         Raises
         ------
         AssumptionError
             As :func:`cosim.theory.estimators.output_error.fit_output_error`.
         """
-        data = []
-        for one in self.data:
-            every = max(1, len(one.t) // MOST_SAMPLES)
-            data.append(one.thinned(every))
         return search_optima(
-            data,
+            self.data,
             self.plant,
             self.families,
             noise=replace(noise, a=noise.a[:, :0]),
             offset=self.offset,
             bounds=self.bounds,
         )
+
+    def thinned(self) -> OutputErrorProblem:
+        """Return the problem of every so many samples, in which other optima are searched."""
+        data = []
+        for one in self.data:
+            every = max(1, len(one.t) // MOST_SAMPLES)
+            data.append(one.thinned(every))
+        return self.of_data(data)
 
     def of_data(self, data: Sequence[DataSet]) -> OutputErrorProblem:
         """Return the same for other data."""

@@ -28,7 +28,7 @@ from cosim.theory.assessment.consistency import (
 from cosim.theory.assessment.fitted_model import FittedModel
 from cosim.theory.assessment.verdicts import Assessment
 from cosim.theory.disturbed_plant import DataSet, NoiseModel, white_noise
-from cosim.theory.estimators.output_error import NO_BOUNDS, OutputErrorFit, squares_at
+from cosim.theory.estimators.output_error import NO_BOUNDS, OutputErrorFit
 from cosim.theory.quantiles import chi_square_above
 
 
@@ -165,8 +165,7 @@ def _difference(
     excess: Vector = np.maximum(np.abs(apart) - allowed, 0.0) * np.sign(apart)
     covariance = assessment.fit.covariance + own.fit.covariance
     of_theta = _squared_length(excess[tested], covariance[np.ix_(tested, tested)])
-    of_own = squares_at(own.fit.records, own.fit.theta)
-    squares = squares_at(held.records, held.theta) - of_own
+    squares = held.squares - own.fit.squares
     of_residual = squares / own.fit.deviation**2 if own.fit.deviation > 0.0 else 0.0
     place = int(np.argmax(np.where(tested, np.abs(excess), -1.0)))
     statistic = min(of_theta, max(of_residual, 0.0))

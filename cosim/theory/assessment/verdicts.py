@@ -439,8 +439,7 @@ class VerdictMaker:
         expected = half_width**2 / variance
         ends = [fit.theta + side * half_width * direction for side in (1.0, -1.0)]
         squares = [squares_at(fit.records, end) for end in ends]
-        base = squares_at(fit.records, fit.theta)
-        return growth_of_squares(squares, base, fit.deviation**2 * expected)
+        return growth_of_squares(squares, fit.squares, fit.deviation**2 * expected)
 
     def _weak_direction(self) -> str:
         """Name the combination of parameters that is known least."""

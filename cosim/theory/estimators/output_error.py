@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from types import MappingProxyType
 from typing import Final
 
@@ -99,6 +100,17 @@ class OutputErrorFit:
         """Which parameters the data determine, shape (P,)."""
         states = [state is ParameterState.ESTIMATED for state in self.states]
         return np.array(states, np.bool_)
+
+    @cached_property
+    def triangles(self) -> tuple[Matrix, ...]:
+        """The triangle R of each record at theta."""
+        return tuple(record.make(self.theta) for record in self.records)
+
+    @cached_property
+    def squares(self) -> float:
+        """The sum of squares at theta, the linear unknowns of each record at their best."""
+        pairs = zip(self.records, self.triangles, strict=True)
+        return sum(_least_squares(record, R) for record, R in pairs)
 
 
 def fit_output_error(
@@ -196,11 +208,10 @@ def longest_span(data: Sequence[DataSet]) -> float:
 
 def squares_at(records: Sequence[ResponseRecord], theta: Vector) -> float:
     """Return the sum of squares at ``theta``, the linear unknowns of each record at their best."""
-    return sum(_least_squares(record, theta) for record in records)
+    return sum(_least_squares(record, record.make(theta)) for record in records)
 
 
-def _least_squares(record: ResponseRecord, theta: Vector) -> float:
-    R = record.make(theta)
+def _least_squares(record: ResponseRecord, R: Matrix) -> float:
     linear = record.model.linear
     lengths = np.linalg.norm(R[:, :linear], axis=0)
     lengths[lengths == 0.0] = 1.0
