@@ -35,6 +35,7 @@ from cosim.errors import LogError, UsageError
 from cosim.native.step import affine, matrix_exponential
 from cosim.theory.compensation.activation import Activation
 from cosim.theory.compensation.design import (
+    CertifiedCompensator,
     CompensatorGains,
     ControlledPlant,
     certify_compensator,
@@ -111,7 +112,7 @@ class Compensator:
         self._gains = gains
         self._plant = plant
         self._observer = observer
-        self._options = options
+        self.options = options
         self.interface = _interface(gains, options)
         self._columns = self.interface.input_columns()
         y = self._columns["y"].start
@@ -124,25 +125,35 @@ class Compensator:
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Certify the loop and compute what a step needs, or take what was recorded."""
-        arrays = dict(recorded) or self._design(h, held)
+        arrays = dict(recorded) or self.design(self.certified(h, held), h)
         counts = _counts(arrays, len(self._gains.box.lower))
         check_design(arrays, self._shapes(counts))
         self._arrays = arrays
         self._counts = counts
         lower, upper = arrays["theta"]
-        self._activation = Activation(lower, upper, self._options.largest_error)
+        self._activation = Activation(lower, upper, self.options.largest_error)
         return arrays
 
-    def _design(self, h: float, held: Mask) -> dict[str, NDArray[np.float64]]:
+    def certified(self, h: float, held: Mask) -> CertifiedCompensator:
+        """Certify the loop with a communication step, and design the internal model for it.
+
+        Raises
+        ------
+        AssumptionError
+            If the loop is not stable, or that cannot be proven.
+        """
         system = ControlledPlant(
             plant=self._plant,
             observer=self._observer,
-            regulated=self._options.regulated,
+            regulated=self.options.regulated,
             h=h,
-            u_held=bool(held[self._columns[self._options.state]].all()),
+            u_held=bool(held[self._columns[self.options.state]].all()),
             y_held=bool(held[self._columns["y"]].any()),
         )
-        certified = certify_compensator(self._gains, system)
+        return certify_compensator(self._gains, system)
+
+    def design(self, certified: CertifiedCompensator, h: float) -> dict[str, NDArray[np.float64]]:
+        """Return the arrays that a step needs."""
         rates = [certified.base_rate, certified.rate, float(certified.cells)]
         finite = [rate if math.isfinite(rate) else 0.0 for rate in rates]
         gains = self._gains
@@ -165,7 +176,7 @@ class Compensator:
             shapes = self._shapes((0,) * parameters)
             return {name: np.zeros(shapes[name]) for name in ("K_w", "X", "H")}
         of_known = [self._of_known(X @ gains.deviation) for X in schedule.X]
-        H = -schedule.B_w if self._options.anti_windup else np.zeros_like(schedule.B_w)
+        H = -schedule.B_w if self.options.anti_windup else np.zeros_like(schedule.B_w)
         nodes = tuple(count + 1 for count in schedule.counts)
         tables = {"K_w": schedule.K_w, "X": np.stack(of_known), "H": H}
         return {
@@ -175,7 +186,7 @@ class Compensator:
     def _of_known(self, of_x_a: Matrix) -> Matrix:
         """Return a gain of (x_a, delta, r) as one of the inputs."""
         n = self._gains.K.shape[1]
-        return np.hstack([of_x_a[:, :n] @ self._options.R, of_x_a[:, n:]])
+        return np.hstack([of_x_a[:, :n] @ self.options.R, of_x_a[:, n:]])
 
     def _shapes(self, counts: Sequence[int]) -> dict[str, tuple[int, ...]]:
         n_u = len(self._gains.K)
@@ -244,8 +255,8 @@ class Compensator:
         self._w = affine([(self._generator, driven)])
 
     def _limited(self, v: Vector) -> Vector:
-        above = np.maximum(v, self._options.lower)
-        return np.minimum(above, self._options.upper)
+        above = np.maximum(v, self.options.lower)
+        return np.minimum(above, self.options.upper)
 
     def _follow(self, row: Vector, known: Vector) -> None:
         """Switch the internal model on, or follow theta, where the estimate is good enough."""

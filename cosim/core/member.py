@@ -200,7 +200,8 @@ class Member:
         except LogError as error:  # of the recorded design, which has no name there
             raise LogError(f"{self.name!r}: {error}") from error
         except AssumptionError as error:  # of the method, which has no name there either
-            raise AssumptionError(f"{self.name!r}: {error}") from error
+            evidence = f"{self.name!r}: {error.evidence}"
+            raise AssumptionError(evidence, error.verdict, error.cure) from error
         except CosimError:
             raise
         except Exception as error:

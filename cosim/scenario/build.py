@@ -137,6 +137,8 @@ class Builder:
         Those that could be built.
     port_maps : mapping of component name to PortMap
         Of those of them whose ports are renamed.
+    given_states : mapping of component name to GivenStates
+        Initial states that the run may have to change.
 
     Raises
     ------
@@ -172,7 +174,7 @@ class Builder:
         self._recording = recording
         self._replaced = replaced or {}
         self._periods: dict[str, int] = {}
-        self._given_states: dict[str, GivenStates] = {}
+        self.given_states: dict[str, GivenStates] = {}
         self._invalid: set[str] = set()  # components whose connections are not checked
         self._check_models()
         for name, interface in self._replaced.items():
@@ -257,14 +259,13 @@ class Builder:
             self._periods[name] = period
             given = spec.given_states(name, self.context)
             if given is not None:
-                self._given_states[name] = given
+                self.given_states[name] = given
         except DependsOnInvalid:
             pass
         except (CosimError, ValueError) as error:
             self.problems.append((("components", name), str(error)))
         except (ArithmeticError, MemoryError) as error:  # of numbers near the largest or smallest
-            text = f"a number is too large or too small to compute with: {error}"
-            self.problems.append((("components", name), text))
+            self.problems.append((("components", name), out_of_range(error)))
 
     def _drop_repeated_problems(self) -> None:
         """Drop what a component says of another that it reads, which says that itself."""
@@ -346,18 +347,18 @@ class Builder:
             With every problem of the file.
         """
         if self.problems:
-            raise self.scenario.document.report([*self.problems, *self._loop_problems()])
+            raise self.scenario.document.report([*self.problems, *self.graph_problems()])
 
-    def _loop_problems(self) -> list[Problem]:
-        """Return the problem of the graph as a whole, where all that it is made of is right."""
+    def graph_problems(self) -> list[Problem]:
+        """Return the problems of the graph as a whole, where all that it is made of is right."""
         keys = [key for key, _ in self.problems]
         if self._invalid or any(key[:1] == ("connections",) for key in keys):
             return []
         try:
-            self._graph()
+            graph = self._graph()
         except CosimError as error:
             return [(("connections",), str(error))]
-        return []
+        return self._jumps(graph)
 
     def experiment(self) -> Experiment:
         """Return the experiment.
@@ -387,7 +388,7 @@ class Builder:
             files=frozenset(context.files),
             identified=context.identified,
             models=context.models,
-            given_states=self._given_states,
+            given_states=self.given_states,
         )
 
     def _jumps(self, graph: Graph) -> list[Problem]:
@@ -472,6 +473,11 @@ class Builder:
             input_interpolation=settings.input_interpolation,
             periods=self._periods,
         )
+
+
+def out_of_range(error: Exception) -> str:
+    """Return in words that a number has left the range of numbers."""
+    return f"a number is too large or too small to compute with: {error}"
 
 
 def _how(source: Port, jumping: Sequence[Port]) -> str:

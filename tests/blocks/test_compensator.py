@@ -155,7 +155,7 @@ def test_an_unstable_interval_is_refused_before_the_run():
     """With the theta that fails: the certificate is part of the design."""
     reduced = drive()
     gains = designed(reduced, lower=1.0, upper=7.0)
-    options = compensator()._options
+    options = compensator().options
     component = Compensator(gains, plant_of(reduced), observer_of(reduced), options)
     with pytest.raises(AssumptionError, match="NOT_STABLE_IN_THE_INTERVAL"):
         component.prepare(0.2, np.zeros(10, np.bool_), {})

@@ -380,7 +380,7 @@ def test_an_interval_where_the_loop_is_unstable_is_refused():
     schedule = scheduled(gains, gains.box, 16)
     rate = rate_at(reduced, gains, schedule, 7.0, h=SLOW)
     assert rate > 0.1
-    message = rf"at theta = 7 it grows at {rate:.3g} 1/s; the largest .* would do: \["
+    message = rf"at theta = 7 it grows at {rate:.3g} 1/s .NOT_.*; the largest .* would do: \["
     with pytest.raises(AssumptionError, match=message) as refused:
         certify_compensator(gains, sampled(reduced, SLOW))
     lower, upper = re.search(r"would do: \[(.*), (.*)\]", str(refused.value)).groups()
@@ -397,7 +397,7 @@ def test_two_sines_whose_intervals_overlap_are_refused():
     """Where both have one rate, one copy of the mode is driven by nothing."""
     reduced = drive()
     gains = designed(reduced, lower=[1.0, 1.5], upper=[2.0, 2.5], families=(Sine(), Sine()))
-    with pytest.raises(AssumptionError, match=r"two of them are alike|not stable for every theta"):
+    with pytest.raises(AssumptionError, match=r"2 modes of it are alike, .*NOT_STABILIZABLE"):
         certify_compensator(gains, sampled(reduced, H))
 
 

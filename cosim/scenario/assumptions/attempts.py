@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, Final, TypeAlias
 
 from cosim.errors import AssumptionError, UsageError
+from cosim.scenario.build import out_of_range
 from cosim.scenario.context import DependsOnInvalid
 from cosim.theory.observers.assumptions import AssumptionVerdict, checked, refused, undecided
 
@@ -27,5 +28,7 @@ def attempted(name: str, check: Callable[[], Evidence]) -> AssumptionVerdict:
         return checked(name, check)
     except DependsOnInvalid as error:
         return undecided(name, str(error) or RESTS_ON_INVALID)
-    except UsageError as error:
+    except (UsageError, ValueError) as error:
         return refused(name, AssumptionError(str(error)))
+    except (ArithmeticError, MemoryError) as error:
+        return refused(name, AssumptionError(out_of_range(error)))

@@ -1,4 +1,4 @@
-"""All assumptions of a scenario: of its models, observers, regressors and identifiers."""
+"""All assumptions of a scenario: of its models, its components, and the beginning of its run."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ from cosim.core.contracts import prepare
 from cosim.core.port import Port
 from cosim.errors import AssumptionError, UsageError
 from cosim.scenario.assumptions.attempts import RESTS_ON_INVALID, attempted
+from cosim.scenario.assumptions.beginning import BEGINNING, Beginning
+from cosim.scenario.assumptions.compensation import CompensatorCheck, driven_by
 from cosim.scenario.assumptions.identification import IdentifierCheck, communication_points
 from cosim.scenario.assumptions.regression import RegressorCheck
 from cosim.scenario.build import Builder
@@ -24,6 +26,7 @@ from cosim.scenario.context import DependsOnInvalid
 from cosim.scenario.execution import load
 from cosim.scenario.experiment_design.subject import disturbance_among, parameters_by_term
 from cosim.scenario.kinds.base import Kind
+from cosim.scenario.kinds.compensators import CompensatorKind
 from cosim.scenario.kinds.identification import IdentifierKind
 from cosim.scenario.kinds.observers import UnknownInputObserverKind
 from cosim.scenario.kinds.regressor import RegressorKind
@@ -81,7 +84,7 @@ def check_assumptions(
 ) -> AssumptionReport:
     """Check every assumption that a scenario rests on, also where one fails.
 
-    Nothing is run.
+    What a run does before its first step is done, no step is.
 
     Parameters
     ----------
@@ -94,19 +97,12 @@ def check_assumptions(
     ------
     ScenarioError
         With every problem of the file that is not one of its assumptions.
-    UsageError
-        If there is no model, observer, regressor or identifier in it.
     """
     loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
     edited = loaded.edit(set=mapping_argument("set", set))
     with ExitStack() as resources:
         builder = Builder(edited, resources)
         verdicts = _Check(builder).verdicts()
-    if not verdicts:
-        raise UsageError(
-            f"{edited.name}: found no model, observer, regressor or identifier, so that there is "
-            "no assumption to check; needed one of them"
-        )
     return AssumptionReport(edited.name, tuple(verdicts))
 
 
@@ -117,19 +113,28 @@ class _Check:
         self._builder = builder
         self._scenario = builder.scenario
         self._context = builder.context
+        self._beginning = Beginning(builder)
 
     def verdicts(self) -> list[tuple[str, AssumptionVerdict]]:
         """Return all verdicts, with what each is of."""
         found: list[tuple[str, AssumptionVerdict]] = []
         for name in self._scenario.file.models:
             found += [(f"models.{name}", verdict) for verdict in self._of_model(name)]
-        checks = (self._of_observer, self._of_regressor, self._of_identifier)
+        checks = (
+            self._of_observer,
+            self._of_regressor,
+            self._of_identifier,
+            self._of_compensator,
+        )
         for check in checks:  # what rests on another comes behind it
             for name, kind in self._scenario.specs.items():
                 self._context.begin(name)
                 for verdict in check(name, kind):
                     found.append((name, _resting_on(found, verdict)))
-        return found + [(FILE, verdict) for verdict in self._others(found)]
+        others = self._others(found)
+        if not others:
+            others = [_resting_on(found, attempted(BEGINNING, self._beginning.check))]
+        return found + [(FILE, verdict) for verdict in others]
 
     def _of_model(self, name: str) -> list[AssumptionVerdict]:
         try:
@@ -184,6 +189,17 @@ class _Check:
         theta = None if regressor is None else self._theta(regressor)
         return IdentifierCheck(name, kind, self._builder, theta, self._delta()).verdicts()
 
+    def _of_compensator(self, name: str, kind: Kind) -> list[AssumptionVerdict]:
+        if not isinstance(kind, CompensatorKind):
+            return []
+        theta = None
+        identifier = driven_by(name, self._builder)
+        if identifier is not None and kind.terms is None:
+            regressor = self._context.driver(Port(identifier, "regressor"))
+            theta = None if regressor is None else self._theta(regressor)
+        check = CompensatorCheck(name, kind, self._builder, self._beginning, theta, self._delta())
+        return check.verdicts()
+
     def _theta(self, regressor: str) -> Vector | None:
         """Return theta of the disturbance in the order of a regressor; None: it is not known."""
         disturbance = disturbance_among(self._scenario, self._scenario.specs)
@@ -215,7 +231,7 @@ class _Check:
         """Return what else stands against a run, beside the assumptions."""
         said = [verdict.evidence for _, verdict in found if verdict.fulfilled is False]
         others = []
-        for key, text in self._builder.problems:
+        for key, text in self._beginning.problems:
             if not any(evidence in text for evidence in said):
                 place = ".".join(map(str, key))
                 others.append(refused(place, AssumptionError(text)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from itertools import chain
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -132,20 +132,29 @@ class CompensatorKind(Kind):
         return self.unit or {}
 
     def build(self, name: str, context: BuildContext) -> Component:
-        observer, kind = _observer(name, context)
-        designed = kind.design(observer, context)
-        if designed.model.constant:
-            raise UsageError(
-                f"the design model of {observer!r} has a constant input: it was linearized away "
-                "from an equilibrium; needed one at an equilibrium"
-            )
-        gains = self._gains(name, designed, context)
-        reduced = designed.model.reduced
-        regulated = self._regulated(len(reduced.C3))
+        gains = self.gains(name, context)
+        component = self.compensator(name, context, gains)
+        observed = observer_in_loop(name, context)
+        for problem in _other_parts(name, observed.name, context):
+            context.warn(name, f"{problem}: the loop that was certified is one without it")
+        record = self._record(self._regulated(observed.reduced), gains.box)
+        context.add_metadata(name, {"compensation": record})
+        return component
+
+    def compensator(self, name: str, context: BuildContext, gains: CompensatorGains) -> Compensator:
+        """Return the compensator itself, with its gains.
+
+        Raises
+        ------
+        UsageError, AssumptionError
+            If its options do not fit the plant and the observer.
+        """
+        observed = observer_in_loop(name, context)
+        reduced = observed.reduced
         state, *_ = state_maps(reduced)
-        if kind.lag(observer, state.name, context):
+        if observed.kind.lag(observed.name, state.name, context):
             raise UsageError(
-                f"{state.name} of {observer!r} lags, as it depends on delta; needed filter = "
+                f"{state.name} of {observed.name!r} lags, as it depends on delta; needed filter = "
                 '"first-order"'
             )
         coordinates = reduced.coordinates
@@ -156,25 +165,36 @@ class CompensatorKind(Kind):
             lower=_limits("lower", self.lower, -math.inf, len(gains.K)),
             upper=_limits("upper", self.upper, math.inf, len(gains.K)),
             anti_windup=self.anti_windup,
-            regulated=regulated,
+            regulated=self._regulated(reduced),
             n_y=len(reduced.C3),
         )
         plant = StateSpace(reduced.A_a, reduced.B_1a, reduced.C3, reduced.C4)
-        estimates = self._estimates(observer, kind, designed, options.R)
-        for problem in _other_parts(name, observer, context):
-            context.warn(name, f"{problem}: the loop that was certified is one without it")
-        context.add_metadata(name, {"compensation": self._record(gains, regulated)})
-        return Compensator(gains, plant, estimates, options)
+        return Compensator(gains, plant, self._estimates(observed, options.R), options)
 
-    def _regulated(self, n_y: int) -> tuple[int, ...]:
-        return tuple(range(n_y)) if self.regulated is None else self.regulated
+    def _regulated(self, reduced: ReducedSystem) -> tuple[int, ...]:
+        return tuple(range(len(reduced.C3))) if self.regulated is None else self.regulated
 
-    def _gains(
-        self, name: str, designed: DesignedObserver, context: BuildContext
-    ) -> CompensatorGains:
-        reduced = designed.model.reduced
-        plant = regulated_plant(reduced, self._regulated(len(reduced.C3)))
-        K = self._state_feedback(plant, reduced)
+    def state_feedback(self, name: str, context: BuildContext) -> tuple[RegulatedPlant, Matrix]:
+        """Return the plant with its regulated outputs, and K of ``u = -K x_a``.
+
+        Raises
+        ------
+        UsageError, AssumptionError
+            If there is no observer to design on, or no such gain.
+        """
+        reduced = observer_in_loop(name, context).reduced
+        plant = regulated_plant(reduced, self._regulated(reduced))
+        return plant, self._state_feedback(plant, reduced)
+
+    def gains(self, name: str, context: BuildContext) -> CompensatorGains:
+        """Return the gains, and the internal model.
+
+        Raises
+        ------
+        UsageError, AssumptionError
+            If no controller rejects the disturbance, or follows r.
+        """
+        plant, K = self.state_feedback(name, context)
         F = no_gain(plant, 0)
         if self.feedforward:
             _need_driver(name, "delta", "feedforward = true", context)
@@ -182,7 +202,7 @@ class CompensatorKind(Kind):
         N = no_gain(plant, len(plant.C))
         if context.drivers(Port(name, "r")):
             N = reference_gain(plant, K)
-        families = self._families(name, context)
+        families = self.families(name, context)
         model, box = self._model(families, len(plant.C))
         decay_rate = None
         if self.internal_model:
@@ -208,7 +228,7 @@ class CompensatorKind(Kind):
 
     # --- the internal model ---
 
-    def _families(self, name: str, context: BuildContext) -> Sequence[Family]:
+    def families(self, name: str, context: BuildContext) -> Sequence[Family]:
         """Return the families given, or those of the identifier that drives theta."""
         if self.terms is not None:
             self._check_alphas(unchecked([term.alpha for term in self.terms]), context)
@@ -263,21 +283,15 @@ class CompensatorKind(Kind):
             for signal in ("theta", "standard_error"):
                 _need_driver(name, signal, "internal_model = true", context)
 
-    def _estimates(
-        self,
-        observer: str,
-        kind: UnknownInputObserverKind,
-        designed: DesignedObserver,
-        R: Matrix,
-    ) -> StateSpace:
+    def _estimates(self, observed: ObserverInLoop, R: Matrix) -> StateSpace:
         """Return the observer from (u, y) to x_a, and to delta where it is fed forward."""
-        model, design = designed
-        if kind.filter == "first-order":
+        model, design = observed.designed
+        if observed.kind.filter == "first-order":
             system = realize(model.reduced, design)
         elif self.feedforward:
             raise UsageError(
-                f"feedforward: {observer!r} has filter = {kind.filter!r}, whose delta is of the "
-                'past; needed filter = "first-order", or feedforward = false'
+                f"feedforward: {observed.name!r} has filter = {observed.kind.filter!r}, whose "
+                'delta is of the past; needed filter = "first-order", or feedforward = false'
             )
         else:
             system = realize_averages(model.reduced, design).system
@@ -290,8 +304,8 @@ class CompensatorKind(Kind):
             D.append(system.D[delta])
         return StateSpace(system.A, system.B, np.vstack(C), np.vstack(D))
 
-    def _record(self, gains: CompensatorGains, regulated: tuple[int, ...]) -> dict[str, Any]:
-        intervals = zip(gains.box.lower.tolist(), gains.box.upper.tolist(), strict=True)
+    def _record(self, regulated: tuple[int, ...], box: ParameterBox) -> dict[str, Any]:
+        intervals = zip(box.lower.tolist(), box.upper.tolist(), strict=True)
         return {
             "regulated": list(regulated),
             "internal_model": self.internal_model,
@@ -299,6 +313,37 @@ class CompensatorKind(Kind):
             "interval": [list(interval) for interval in intervals],
             "largest_error": self.largest_error,
         }
+
+
+class ObserverInLoop(NamedTuple):
+    """The observer that a controller is designed on."""
+
+    name: str
+    kind: UnknownInputObserverKind
+    designed: DesignedObserver
+
+    @property
+    def reduced(self) -> ReducedSystem:
+        """Its design model."""
+        return self.designed.model.reduced
+
+
+def observer_in_loop(name: str, context: BuildContext) -> ObserverInLoop:
+    """Return the observer that a compensator is designed on.
+
+    Raises
+    ------
+    UsageError
+        If there is none, or it is not one that a loop can be proven stable with.
+    """
+    observer, kind = _observer(name, context)
+    designed = kind.design(observer, context)
+    if designed.model.constant:
+        raise UsageError(
+            f"the design model of {observer!r} has a constant input: it was linearized away "
+            "from an equilibrium; needed one at an equilibrium"
+        )
+    return ObserverInLoop(observer, kind, designed)
 
 
 def _observer(name: str, context: BuildContext) -> tuple[str, UnknownInputObserverKind]:

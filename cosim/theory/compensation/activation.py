@@ -57,6 +57,16 @@ class Activation:
             f"within the certified [{lower:.6g}, {upper:.6g}]"
         )
 
+    def largest_standard_error(self, theta: Vector) -> Vector:
+        """Return the largest standard error with which a theta is good enough, shape (P,).
+
+        Not above zero: it never is.
+        """
+        half = 0.5 * (self.upper - self.lower)
+        small = self.largest_error * np.maximum(np.abs(theta), half)
+        room = np.minimum(theta - self.lower, self.upper - theta)
+        return np.minimum(small, room / HALF_WIDTH)
+
     def _is_inside(self, theta: Vector, error: Vector) -> Mask:
         reach = HALF_WIDTH * error
         above = theta - reach >= self.lower

@@ -31,6 +31,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import product
 from typing import NamedTuple
@@ -117,9 +118,10 @@ def stabilize(
     S = model.S(theta)
     A_K = plant.A - plant.B @ K
     C_K = plant.C - plant.D @ K
-    X = _sylvester(S, A_K, model.b @ C_K, balancing(plant.A))
+    where = f"at theta = {_numbers(theta)} " if len(theta) else ""
+    X = _sylvester(S, A_K, model.b @ C_K, balancing(plant.A), where)
     B_w = model.b @ plant.D - X @ plant.B
-    K_w = _least_effort(S, B_w, 0.5 * decay_rate)
+    K_w = _least_effort(S, B_w, 0.5 * decay_rate, where)
     return Stabilization(K_w=K_w, X=X, B_w=B_w)
 
 
@@ -139,7 +141,7 @@ def decay_rate_of(plant: RegulatedPlant, K: Matrix, given: float | None) -> floa
     return rate
 
 
-def _sylvester(S: Matrix, A: Matrix, right: Matrix, units: Vector) -> Matrix:
+def _sylvester(S: Matrix, A: Matrix, right: Matrix, units: Vector, where: str) -> Matrix:
     """Solve ``S X - X A + right = 0``, in units of the states that balance A."""
     from scipy.linalg import solve_sylvester  # takes long to import, and is rarely needed
 
@@ -150,13 +152,13 @@ def _sylvester(S: Matrix, A: Matrix, right: Matrix, units: Vector) -> Matrix:
     size = np.abs(S) @ np.abs(X) + np.abs(X) @ np.abs(balanced) + np.abs(scaled)
     if not np.isfinite(X).all() or np.abs(residual).max() > RESIDUAL * size.max():
         raise AssumptionError(
-            "internal model: a mode of the disturbance is one of the state feedback, too; needed "
-            "another state feedback"
+            f"internal model: {where}a mode of the disturbance is one of the state feedback, too",
+            cure="needed another state feedback",
         )
     return np.asarray(X / units, np.float64)
 
 
-def _least_effort(S: Matrix, B: Matrix, shift: float) -> Matrix:
+def _least_effort(S: Matrix, B: Matrix, shift: float, where: str) -> Matrix:
     """Compute the gain that mirrors the modes of S right of ``-shift`` about it, no others.
 
     It is the regulator of S + shift I without a weight of the state. There is none where a mode is
@@ -168,31 +170,64 @@ def _least_effort(S: Matrix, B: Matrix, shift: float) -> Matrix:
     size = np.linalg.norm(B) or 1.0
     scaled = B / size
     no_weight = np.zeros((n, n))
-    reason = ""
     for further in FURTHER:
         shifted = S + further * shift * np.eye(n)
-        try:
+        with suppress(np.linalg.LinAlgError, ValueError):
             P = solve_continuous_are(shifted, scaled, no_weight, np.eye(m))
-        except (np.linalg.LinAlgError, ValueError) as error:
-            reason = str(error)
-        else:
             gain: Matrix = scaled.T @ P / size
             return gain
     raise AssumptionError(
-        f"internal model: u does not reach all its modes, or two of them are alike ({reason}); "
-        "needed components of the disturbance whose intervals of theta are apart, or another "
-        "decay_rate"
+        f"internal model: {where}{_unreached(S, scaled)} (NOT_STABILIZABLE)",
+        "NOT_STABILIZABLE",
+        "needed an interval without that theta, components of the disturbance whose intervals are "
+        "apart, or another decay_rate",
     )
 
 
-def check_zeros(plant: RegulatedPlant, model: InternalModel, box: ParameterBox) -> None:
+def _unreached(S: Matrix, B: Matrix) -> str:
+    """Return in words which mode of S the columns of B reach least (Popov, Belevitch, Hautus)."""
+    n, m = B.shape
+    least = math.inf
+    mode = 0j
+    alike = 0
+    for eigenvalue in np.linalg.eigvals(S):
+        shifted = S - eigenvalue * np.eye(n)
+        values = np.linalg.svd(np.hstack([shifted, B]), compute_uv=False)
+        if values[-1] < least:
+            least = float(values[-1])
+            mode = complex(eigenvalue)
+            of_shifted = np.linalg.svd(shifted, compute_uv=False)
+            alike = int((of_shifted <= NEAR * max(1.0, of_shifted[0])).sum())
+    text = modes(np.array([mode]))
+    if alike > m:
+        return f"{alike} modes of it are alike, at {text}, and {m} input(s) cannot tell them apart"
+    return f"u does not reach its mode {text}"
+
+
+class NearestZero(NamedTuple):
+    """The transmission zero that is closest to a mode of the disturbance [1/s], and for which."""
+
+    zero: complex
+    mode: complex
+    theta: tuple[float, ...]
+
+
+def check_zeros(
+    plant: RegulatedPlant, model: InternalModel, box: ParameterBox
+) -> NearestZero | None:
     """Check that no transmission zero is an eigenvalue of S for a theta of the box.
+
+    Returns
+    -------
+    NearestZero or None
+        None: there are no zeros.
 
     Raises
     ------
     AssumptionError
         If one is: no controller rejects the disturbance there.
     """
+    nearest: NearestZero | None = None
     for zero in plant.zeros:
         theta, mode = _closest(complex(zero), model, box)
         scale = max(abs(zero), float(np.linalg.norm(model.S(theta), 2)), 1e-300)
@@ -203,9 +238,13 @@ def check_zeros(plant: RegulatedPlant, model: InternalModel, box: ParameterBox) 
             raise AssumptionError(
                 f"internal model: the transmission zero {modes([mode])} from u to the regulated "
                 f"outputs is a mode of the disturbance{where}, where no controller rejects it "
-                "(TRANSMISSION_ZERO); needed an interval of theta without it, or other regulated "
-                "outputs"
+                "(TRANSMISSION_ZERO)",
+                "TRANSMISSION_ZERO",
+                "needed an interval of theta without it, or other regulated outputs",
             )
+        if nearest is None or abs(mode - zero) < abs(nearest.mode - nearest.zero):
+            nearest = NearestZero(complex(zero), mode, tuple(theta.tolist()))
+    return nearest
 
 
 def _nearest_mode(model: InternalModel, theta: Vector, s: complex) -> complex:
@@ -362,7 +401,8 @@ def check_base_loop(system: ControlledPlant, gains: CompensatorGains) -> float:
         )
     raise AssumptionError(
         f"the sampled loop of {what} is not stable: an eigenvalue of modulus {radius:.9g}, needed "
-        f"below 1; needed {cure}"
+        "below 1",
+        cure=f"needed {cure}",
     )
 
 
@@ -436,6 +476,8 @@ class CertifiedCompensator:
         At which the loop without the internal model decays [1/s].
     rate : float
         At which that with it decays, the least in the box of theta; NaN: it is not used.
+    theta : tuple of float
+        Where that is.
     cells : int
         1: the proof holds for a theta that varies in the whole box, too.
     """
@@ -443,6 +485,7 @@ class CertifiedCompensator:
     schedule: Schedule | None
     base_rate: float
     rate: float
+    theta: tuple[float, ...]
     cells: int
 
 
@@ -459,53 +502,64 @@ def certify_compensator(gains: CompensatorGains, system: ControlledPlant) -> Cer
     """
     base_rate = check_base_loop(system, gains)
     if gains.decay_rate is None:
-        return CertifiedCompensator(None, base_rate, NAN, 0)
-    attempt = _Attempt(False, "", None, Certificate(False, 0, NAN, ()))
+        return CertifiedCompensator(None, base_rate, NAN, (), 0)
+    problem = ""
     refinements = _refinements(gains.box)
     for parts in refinements:
         most_cells = MOST_CELLS if parts == refinements[-1] else FEW_CELLS
-        attempt = _attempt(gains, system, scheduled(gains, gains.box, parts), most_cells)
-        if attempt.proven and attempt.schedule is not None:
+        attempt = _attempt(gains, system, gains.box, parts, most_cells)
+        problem = attempt.problem
+        if attempt.schedule is not None:
             certificate = attempt.certificate
             return CertifiedCompensator(
-                attempt.schedule, base_rate, certificate.rate, certificate.cells
+                attempt.schedule, base_rate, certificate.rate, certificate.theta, certificate.cells
             )
-    certificate = attempt.certificate
-    cure = "none about its center"
     factor = _largest_factor(gains, system)
-    if factor > 0.0:
-        cure = gains.box.scaled(factor).text
-    state = f"decays at {certificate.rate:.3g} 1/s, and near it that cannot be proven"
-    if certificate.rate <= 0.0:
-        state = f"grows at {-certificate.rate:.3g} 1/s"
+    largest = gains.box.scaled(factor).text if factor > 0.0 else "none about its center"
     raise AssumptionError(
-        f"{attempt.what} is not stable for every theta of {gains.box.text}: at theta = "
-        f"{_numbers(certificate.theta)} it {state}; the largest interval that would do: {cure}; or "
-        "another decay_rate or state feedback (NOT_STABLE_IN_THE_INTERVAL)"
+        f"{problem} (NOT_STABLE_IN_THE_INTERVAL)",
+        "NOT_STABLE_IN_THE_INTERVAL",
+        f"the largest interval that would do: {largest}; or another decay_rate or state feedback",
     )
 
 
 class _Attempt(NamedTuple):
-    """What became of a schedule: ``what`` is the loop that ``certificate`` is of."""
+    """What became of the gains of a box; ``problem`` is empty, and they are there, if proven."""
 
-    proven: bool
-    what: str
+    problem: str
     schedule: Schedule | None
     certificate: Certificate
 
 
 def _attempt(
-    gains: CompensatorGains, system: ControlledPlant, schedule: Schedule, most_cells: int
+    gains: CompensatorGains,
+    system: ControlledPlant,
+    box: ParameterBox,
+    parts: int,
+    most_cells: int,
 ) -> _Attempt:
-    """Try to prove both loops with a schedule."""
+    """Design the gains of a box, and try to prove both loops with them."""
+    schedule = scheduled(gains, box, parts)
     certificate = certify(sampled_loop(system, gains, schedule), most_cells)
-    what = "the loop with the internal model"
     if not certificate.proven:
-        return _Attempt(False, what, schedule, certificate)
+        problem = _instability("the loop with the internal model", box, certificate)
+        return _Attempt(problem, None, certificate)
     at_limit = certify(saturated_loop(system, gains, schedule), most_cells)
     if not at_limit.proven:
-        return _Attempt(False, "the internal model with u at a limit", schedule, at_limit)
-    return _Attempt(True, what, schedule, certificate)
+        problem = _instability("the internal model with u at a limit", box, at_limit)
+        return _Attempt(problem, None, at_limit)
+    return _Attempt("", schedule, certificate)
+
+
+def _instability(what: str, box: ParameterBox, certificate: Certificate) -> str:
+    """Return in words where a loop is not proven to be stable."""
+    state = f"decays at {certificate.rate:.3g} 1/s, and near it that cannot be proven"
+    if certificate.rate <= 0.0:
+        state = f"grows at {-certificate.rate:.3g} 1/s"
+    return (
+        f"{what} is not stable for every theta of {box.text}: at theta = "
+        f"{_numbers(certificate.theta)} it {state}"
+    )
 
 
 def _refinements(box: ParameterBox) -> list[int]:
@@ -524,14 +578,25 @@ def _largest_factor(gains: CompensatorGains, system: ControlledPlant) -> float:
     high = 1.0
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
-        schedule = scheduled(gains, gains.box.scaled(middle), parts)
-        if is_stable_on_grid(sampled_loop(system, gains, schedule)):
+        if _is_stable(gains, system, gains.box.scaled(middle), parts):
             low = middle
         else:
             high = middle
     for margin in MARGINS:
         factor = low * (1.0 - margin)
-        schedule = scheduled(gains, gains.box.scaled(factor), parts)
-        if _attempt(gains, system, schedule, MOST_CELLS).proven:
-            return factor
+        with suppress(AssumptionError):  # there are no gains at a node of its own
+            attempt = _attempt(gains, system, gains.box.scaled(factor), parts, MOST_CELLS)
+            if attempt.schedule is not None:
+                return factor
     return 0.0
+
+
+def _is_stable(
+    gains: CompensatorGains, system: ControlledPlant, box: ParameterBox, parts: int
+) -> bool:
+    """Return whether there are gains of a box, and the loop with them is stable on a grid."""
+    try:
+        schedule = scheduled(gains, box, parts)
+    except AssumptionError:
+        return False
+    return is_stable_on_grid(sampled_loop(system, gains, schedule))

@@ -100,8 +100,10 @@ def regulated_plant(reduced: ReducedSystem, outputs: Sequence[int]) -> Regulated
         )
     if n_u < len(chosen):
         raise AssumptionError(
-            f"{n_u} input(s) for {len(chosen)} regulated outputs; needed as many inputs: regulate "
-            "fewer elements of y, or add an input (FEWER_INPUTS_THAN_REGULATED_OUTPUTS)"
+            f"{n_u} input(s) for {len(chosen)} regulated outputs, needed as many inputs "
+            "(FEWER_INPUTS_THAN_REGULATED_OUTPUTS)",
+            "FEWER_INPUTS_THAN_REGULATED_OUTPUTS",
+            "regulate fewer elements of y, or add an input",
         )
     C = reduced.C3[chosen]
     D = reduced.C4[chosen]
@@ -227,14 +229,26 @@ def _static_gain(plant: RegulatedPlant, K: Matrix, right: Matrix, what: str) -> 
 def _stabilizable_part(A: Matrix, B: Matrix) -> Matrix:
     """Return an orthonormal basis of what u does not reach; refuse it where it is not stable."""
     unreached = _unreached(A, B)
-    left = np.linalg.eigvals(unreached.T @ A.T @ unreached).astype(np.complex128)
+    left = _modes_of(unreached, A)
     unstable = left[left.real >= 0.0]
     if len(unstable):
         raise AssumptionError(
-            f"state feedback: u does not reach the mode {modes(unstable)}, which is not stable; "
-            "needed another input (NOT_STABILIZABLE)"
+            f"state feedback: u does not reach the mode {modes(unstable)}, which is not stable "
+            "(NOT_STABILIZABLE)",
+            "NOT_STABILIZABLE",
+            "needed another input",
         )
     return unreached
+
+
+def unreached_modes(plant: RegulatedPlant) -> ComplexVector:
+    """Return the modes of the plant that u does not reach, shape ``(k,)`` [1/s]."""
+    return _modes_of(_unreached(plant.A, plant.B), plant.A)
+
+
+def _modes_of(unreached: Matrix, A: Matrix) -> ComplexVector:
+    """Return the modes in a left invariant subspace of A, given by an orthonormal basis."""
+    return np.linalg.eigvals(unreached.T @ A.T @ unreached).astype(np.complex128)
 
 
 def _unreached(A: Matrix, B: Matrix) -> Matrix:
@@ -260,8 +274,7 @@ def balancing(A: Matrix) -> Vector:
 def _placed(A: Matrix, B: Matrix, poles: Sequence[complex], unreached: Matrix) -> Matrix:
     """Place the poles on the part that u reaches, by duality with the observer."""
     W = orthogonal_complement(unreached)
-    outside = unreached.T @ A.T @ unreached
-    fixed = np.linalg.eigvals(outside).astype(np.complex128)
+    fixed = _modes_of(unreached, A)
     reached = W.T @ A.T @ W
     dual = place(reached, B.T @ W, poles, fixed, STATE_FEEDBACK)
     gain: Matrix = dual.T @ W.T

@@ -1,0 +1,88 @@
+"""What a run does before its first step: the graph, the designs, the initial values."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from cosim.core.contracts import Design
+from cosim.core.graph import Graph
+from cosim.errors import AssumptionError, RunError
+from cosim.scenario.assumptions.attempts import Evidence
+from cosim.scenario.build import Builder
+from cosim.scenario.context import DependsOnInvalid
+from cosim.scenario.initial_states import change_text, changed_states
+from cosim.scenario.problems import Problem
+
+BEGINNING: Final = "beginning of the run"
+
+
+class Beginning:
+    """The beginning of the run of a scenario, as a run goes about it.
+
+    Parameters
+    ----------
+    builder : Builder
+
+    Attributes
+    ----------
+    designs : dict of component name to Design
+        Those that were computed to be checked.
+    refused : list of str
+        The components that have no design.
+    """
+
+    def __init__(self, builder: Builder) -> None:
+        self._builder = builder
+        self.designs: dict[str, Design] = {}
+        self.refused: list[str] = []
+
+    @cached_property
+    def problems(self) -> list[Problem]:
+        """Every problem of the file and of the graph."""
+        return [*self._builder.problems, *self._builder.graph_problems()]
+
+    @cached_property
+    def graph(self) -> Graph:
+        """The graph.
+
+        Raises
+        ------
+        DependsOnInvalid
+            If there is a problem.
+        """
+        if self.problems:
+            raise DependsOnInvalid
+        return self._builder.graph()
+
+    def check(self) -> Evidence:
+        """Prepare and initialize every component.
+
+        Raises
+        ------
+        DependsOnInvalid
+            If a component, or its design, is not valid.
+        UsageError
+            As the run would.
+        """
+        graph = self.graph
+        if self.refused:
+            raise DependsOnInvalid(f"there is no design of {', '.join(map(repr, self.refused))}")
+        clock = self._builder.clock
+        row = np.zeros(graph.layout.width)
+        try:
+            graph.prepare(clock.step_ns, self.designs)
+            graph.initialize(clock.start_time, row)
+        except RunError as error:
+            raise AssumptionError(str(error)) from error
+        count = len(graph.components)
+        evidence = (
+            f"{count} component(s) are designed for steps of {clock.step_ns / 1e9:g} s and have "
+            "their initial values"
+        )
+        changes = changed_states(graph, self._builder.given_states, row)
+        for name, changed in changes.items():
+            evidence += f"; {name}: {change_text(changed)}"
+        return evidence, {"components": count}
