@@ -97,6 +97,11 @@ FORCE = [[0.0], [1.0]]
 TANKS = [[-0.5, 0.0], [0.5, -0.2]]
 
 
+PATH = [[-1, 1, 0], [0, -3, 0], [1, 0, -5]]  # the second level into the first, into the third
+INTO_PATH = [[1, 0], [0, 1], [0, 0]]
+ALONG_PATH = [[1, 0, 0], [0, 0, 1]]
+
+
 def systems() -> list[KnownSystem]:
     """Return all of them; those that differ by which side of a border they are on are neighbors."""
     paper = matrices(
@@ -155,6 +160,37 @@ def systems() -> list[KnownSystem]:
             "DEPENDENT_DISTURBANCES",
         ),
         KnownSystem("nearly one direction", matrices(TANKS, [[1, 2], [1, 2.001]], two), GOOD, ()),
+        KnownSystem(
+            "a tank that flows nowhere",
+            matrices([[-1, 0], [0, -2]], [[0], [1]], [[1, 0]]),
+            "NO_TRANSFER",
+        ),
+        KnownSystem(
+            "a tank that leaks into the other",
+            matrices([[-1, 1e-4], [0, -2]], [[0], [1]], [[1, 0]]),
+            "RELATIVE_DEGREE",
+        ),
+        KnownSystem(
+            "the second of two flows nowhere",
+            matrices(np.diag([-1, -2, -3]), [[1, 0], [0, 0], [0, 1]], [[1, 0, 0], [0, 1, 0]]),
+            "NO_TRANSFER",
+        ),
+        KnownSystem("two in one path", matrices(PATH, INTO_PATH, ALONG_PATH), "NO_TRANSFER"),
+        KnownSystem(
+            "two in one path, and each level",
+            matrices(PATH, INTO_PATH, np.eye(3)),
+            GOOD,
+        ),
+        KnownSystem(
+            "algebraic states that nothing measures",
+            matrices(
+                [[-1, 0, 0], [0, -2, 1], [0, 0, 1]],
+                [[0], [0], [1]],
+                [[1, 0, 0]],
+                E=np.diag([1.0, 1.0, 0.0]),
+            ),
+            "NO_TRANSFER",
+        ),
         KnownSystem(
             "direct path, zero at -3", matrices([[-2]], [[1]], [[1]], Dd=[[1]]), GOOD, (-3,)
         ),

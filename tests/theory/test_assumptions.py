@@ -59,8 +59,30 @@ def test_there_are_30_systems():
         "FEWER_OUTPUTS_THAN_DISTURBANCES",
         "DEPENDENT_DISTURBANCES",
         "RELATIVE_DEGREE",
+        "NO_TRANSFER",
         "NOT_DETECTABLE",
     }
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        (
+            "a tank that flows nowhere",
+            r"rank 0 at every s, needed 1 .*: delta\[0\] never reaches y",
+        ),
+        ("the second of two flows nowhere", r"rank 1 at every s, needed 2 .*: delta\[1\] never"),
+        ("two in one path", "rank 1 at every s, needed 2 .*: some disturbances .* same paths"),
+    ],
+)
+def test_a_disturbance_that_never_reaches_y_needs_another_output(name, words):
+    """No derivative of y, and no fit to it, has what y does not have: that is no cure."""
+    (known,) = [one for one in SYSTEMS if one.name == name]
+    with pytest.raises(AssumptionError, match=words) as caught:
+        observer.design(reduce(known.matrices.system), poles=[])
+    assert caught.value.cure.startswith("measure an")
+    assert "integrator" not in str(caught.value)
+    assert "offline" not in str(caught.value)
 
 
 @pytest.mark.parametrize("known", SYSTEMS, ids=lambda known: known.name)

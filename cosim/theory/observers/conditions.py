@@ -1,7 +1,8 @@
 """Conditions under which the observer exists, each refused with a named verdict and its evidence.
 
-FEWER_OUTPUTS_THAN_DISTURBANCES, DEPENDENT_DISTURBANCES, RELATIVE_DEGREE: (14) fails, the
-disturbance is not decoupled. NOT_DETECTABLE: an invariant zero is not stable, and no gain moves it.
+FEWER_OUTPUTS_THAN_DISTURBANCES, DEPENDENT_DISTURBANCES, RELATIVE_DEGREE, NO_TRANSFER: (14) fails,
+the disturbance is not decoupled; of the last two, more derivatives of y have it in the one case, and
+none in the other. NOT_DETECTABLE: an invariant zero is not stable, and no gain moves it.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ _MEASURE: Final = (
     "measure an output that one integrator leads to (a rate, a force), or fit it to y offline"
 )
 ROUNDING_OF_EIGENVALUES: Final = 100.0 * EPSILON  # relative to the terms of their matrix
+TRANSFER_POINTS: Final = (0.9 + 1.3j, -0.6 + 0.7j, 7e-3 + 2e-3j, 1e-5 - 4e-5j)  # s over |A_a|
 MOST_SHOWN: Final = 12  # entries of a matrix in a message
 
 
@@ -92,6 +94,7 @@ def decouple(reduced: ReducedSystem, weights: Vector) -> Decoupling:
     values = values_between(C @ B, np.abs(C) @ np.abs(B))
     reached = int((values > tolerance).sum())
     if reached < remaining:
+        _check_transfer(reduced, tolerance)
         raise AssumptionError(
             _relative_degree(reduced, split, reached, tolerance), "RELATIVE_DEGREE", _MEASURE
         )
@@ -147,6 +150,60 @@ def _check_independent(reduced: ReducedSystem, tolerance: float) -> None:
         "DEPENDENT_DISTURBANCES",
         "merge them into one",
     )
+
+
+def _check_transfer(reduced: ReducedSystem, tolerance: float) -> None:
+    """Check that the transfer from delta to y has full column rank.
+
+    Raises
+    ------
+    AssumptionError
+        If it has not: y does not have all of delta, whatever is done with it.
+    """
+    n_d = reduced.C5.shape[1]
+    rank = _rank_of_transfer(reduced, list(range(n_d)), tolerance)
+    if rank == n_d:
+        return
+    problem = (
+        f"Assumption 5 (14): the transfer C (s E - A)^-1 Bd + Dd from delta to y has rank {rank} "
+        f"at every s, needed {n_d} (NO_TRANSFER): "
+    )
+    absent = [j for j in range(n_d) if not _rank_of_transfer(reduced, [j], tolerance)]
+    if absent:
+        names = ", ".join(f"delta[{j}]" for j in absent)
+        raise AssumptionError(
+            f"{problem}{names} never reaches y, and no derivative of y has it",
+            "NO_TRANSFER",
+            f"measure an output that {names} acts on, or leave it out",
+        )
+    raise AssumptionError(
+        f"{problem}some disturbances reach y on the same paths, and no derivative of y "
+        "distinguishes them",
+        "NO_TRANSFER",
+        "measure another output, on which they act differently, or merge disturbances that act "
+        "together",
+    )
+
+
+def _rank_of_transfer(reduced: ReducedSystem, columns: list[int], tolerance: float) -> int:
+    """Return the rank of the transfer from some elements of delta to y at almost every s.
+
+    That is the largest one at a few points, far from the eigenvalues of A_a and near to them, up
+    to rounding.
+    """
+    A = reduced.A_a
+    B = reduced.B_2a[:, columns]
+    D = reduced.C5[:, columns]
+    size = float(np.linalg.norm(A, 2)) or 1.0
+    rank = 0
+    for point in TRANSFER_POINTS:
+        shifted = point * size * np.eye(len(A)) - A
+        inverse = np.linalg.inv(shifted)
+        transfer = reduced.C3 @ inverse @ B + D
+        terms = np.abs(reduced.C3) @ np.abs(inverse) @ np.abs(B) + np.abs(D)
+        rounding = ROUNDING_OF_EIGENVALUES * float(np.linalg.cond(shifted))
+        rank = max(rank, rank_between(transfer, terms, max(tolerance, rounding)))
+    return rank
 
 
 def _split(reduced: ReducedSystem, weights: Vector, tolerance: float) -> _Split:
