@@ -71,6 +71,17 @@ def clock_of(scenario: Scenario) -> Clock:
     return Clock(settings.stop, settings.step, start_time=settings.start_time)
 
 
+def _first_element(port: Port) -> int:
+    """Return where a port begins in its signal."""
+    match port.element:
+        case None:
+            return 0
+        case int():
+            return port.element
+        case range():
+            return port.element.start
+
+
 class DependsOnInvalid(UsageError):
     """A component cannot be checked because something that it reads is wrong and reported."""
 
@@ -214,6 +225,21 @@ class ScenarioBuildContext:
         """Return the component that drives an input alone; None: there is no such component."""
         self._need_connected(to)
         return self._scenario.driver(to)
+
+    def sources(self, to: Port) -> list[Port]:
+        """Return the outputs, or elements of these, that drive an input, one behind the other.
+
+        None of them: nothing drives it, or a matrix mixes them.
+        """
+        self._need_connected(to)
+        connections = self._scenario.connections
+        ports = [port for port in connections if port.whole == to]
+        sources: list[Port] = []
+        for port in sorted(ports, key=_first_element):
+            if connections[port].matrix.ndim:
+                return []
+            sources += connections[port].sources
+        return sources
 
     def drivers(self, to: Port) -> Mapping[str, Kind]:
         """Return the components that drive an input, as a whole or by its elements."""

@@ -134,6 +134,13 @@ class BuildContext(Protocol):
         """Return the component that drives an input alone; None: there is no such component."""
         ...
 
+    def sources(self, to: Port) -> Sequence[Port]:
+        """Return the outputs, or elements of these, that drive an input, one behind the other.
+
+        None of them: nothing drives it, or a matrix mixes them.
+        """
+        ...
+
     def file(self, path: str) -> Path:
         """Return the path of a file named in the scenario."""
         ...

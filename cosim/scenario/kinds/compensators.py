@@ -15,13 +15,13 @@ from cosim.blocks.compensator import Compensator, CompensatorOptions
 from cosim.core.contracts import Component
 from cosim.core.port import Port
 from cosim.errors import UsageError
-from cosim.native.alphas import Alpha, AlphaSignal
-from cosim.native.expression import Program
-from cosim.native.step import evaluate_at
-from cosim.scenario.kinds.alphas import unchecked
 from cosim.scenario.kinds.base import BuildContext, Kind, PortUnits, unit_of
-from cosim.scenario.kinds.identification import IdentifierKind
-from cosim.scenario.kinds.identification_source import IdentifierSource
+from cosim.scenario.kinds.compensator_terms import (
+    ClassTerm,
+    check_constant,
+    check_meaning,
+    internal_model_terms,
+)
 from cosim.scenario.kinds.observers import DesignedObserver, UnknownInputObserverKind
 from cosim.scenario.kinds.plants import PlantKind
 from cosim.scenario.kinds.sensors import SensorKind
@@ -53,7 +53,6 @@ from cosim.theory.plants.descriptor import ReducedSystem, UserCoordinates, state
 from cosim.theory.plants.geometry import without_rounding
 
 LARGEST_ERROR = 0.05
-SAMPLES = 1009  # of an alpha that must not vary
 
 
 class CompensatorKind(Kind):
@@ -133,6 +132,8 @@ class CompensatorKind(Kind):
 
     def build(self, name: str, context: BuildContext) -> Component:
         gains = self.gains(name, context)
+        if self.internal_model:
+            check_meaning(name, self._class_terms(name, context), context)
         component = self.compensator(name, context, gains)
         observed = observer_in_loop(name, context)
         for problem in _other_parts(name, observed.name, context):
@@ -228,30 +229,15 @@ class CompensatorKind(Kind):
 
     # --- the internal model ---
 
-    def families(self, name: str, context: BuildContext) -> Sequence[Family]:
+    def families(self, name: str, context: BuildContext) -> list[Family]:
         """Return the families given, or those of the identifier that drives theta."""
-        if self.terms is not None:
-            self._check_alphas(unchecked([term.alpha for term in self.terms]), context)
-            return [term.generator() for term in self.terms]
-        driver = context.driver(Port(name, "theta"))
-        kind = None if driver is None else context.spec(driver)
-        if driver is None or not isinstance(kind, IdentifierKind):
-            return []
-        regression = IdentifierSource(driver, context).regression
-        self._check_alphas(regression.alphas, context)
-        return regression.families
+        return [term.family for term in self._class_terms(name, context)]
 
-    def _check_alphas(self, alphas: Sequence[Alpha], context: BuildContext) -> None:
-        """Refuse alphas that vary: the internal model is a system with constant coefficients."""
-        if not self.internal_model:
-            return
-        for alpha in alphas:
-            if isinstance(alpha, AlphaSignal) or _varies(alpha, context):
-                raise UsageError(
-                    f"internal_model: alpha = {alpha.text!r} varies, and the internal model is of "
-                    "disturbances with constant alphas; needed these, or internal_model = false "
-                    "with feedforward = true"
-                )
+    def _class_terms(self, name: str, context: BuildContext) -> list[ClassTerm]:
+        terms = internal_model_terms(name, self.terms, context)
+        if self.internal_model:
+            check_constant(terms, context)
+        return terms
 
     def _model(
         self, families: Sequence[Family], outputs: int
@@ -387,14 +373,6 @@ def _gain_of_x_a(K: Matrix, coordinates: UserCoordinates) -> Matrix:
 def _need_driver(name: str, signal: str, key: str, context: BuildContext) -> None:
     if not context.drivers(Port(name, signal)):
         raise UsageError(f"{key} needs {signal!r}, and nothing drives it; connect it")
-
-
-def _varies(alpha: Program, context: BuildContext) -> bool:
-    clock = context.clock
-    parts = np.arange(SAMPLES) * math.sqrt(2.0) % 1.0  # no period divides them
-    times = clock.start_time + (clock.stop - clock.start_time) * parts
-    values = evaluate_at([alpha], np.asarray(times, np.float64))
-    return bool(np.ptp(values) > 0.0)
 
 
 def _other_parts(name: str, observer: str, context: BuildContext) -> list[str]:
