@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import chain
 
 import numpy as np
 
 from cosim.arrays import Matrix, Vector
 from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
-from cosim.native.alphas import Alpha, PastAlphas, signals_among
+from cosim.native.alphas import Alpha, AlphaSignal, PastAlphas, signals_among
 from cosim.native.step import LARGEST_MEMORY, RegressorConstants, RegressorStep
 from cosim.theory.disturbances.regression import Term
 
@@ -97,46 +98,59 @@ class Regressor:
 
 
 class ElementRegressors:
-    """Regressors of the elements of a disturbance, side by side: input delta, output mu.
+    """Regressors of the elements of a disturbance, side by side: inputs as of one, output mu.
 
     Parameters
     ----------
     elements : sequence of Regressor
-        One an element of delta, their alphas expressions; what they make stands one behind the
-        other in mu.
+        One an element of delta; what they make stands one behind the other in mu.
+    signals : sequence of sequence of AlphaSignal
+        Of each element, those that drive its input alpha, one an element of that input: here they
+        are elements of one input that all share.
     """
 
-    def __init__(self, elements: Sequence[Regressor]) -> None:
+    def __init__(
+        self, elements: Sequence[Regressor], signals: Sequence[Sequence[AlphaSignal]]
+    ) -> None:
         self._elements = tuple(elements)
         inputs = [element.interface.inputs[0] for element in elements]
         is_optional = any(signal.optional for signal in inputs)
         delta = Signal("delta", len(inputs), role="input", optional=is_optional)
+        alpha = alpha_signals(list(chain.from_iterable(signals)))
         size = sum(element.interface.outputs[0].size for element in elements)
-        feeds = any(element.interface.feedthrough["mu"] for element in elements)
+        fed: set[str] = set()
+        self._columns = []
+        for e, (element, own) in enumerate(zip(elements, signals, strict=True)):
+            fed |= set(element.interface.feedthrough["mu"] or ())
+            self._columns.append([e, *(len(inputs) + signal.element for signal in own)])
         self.interface = Interface(
-            (delta,),
+            (delta, *alpha),
             (Signal("mu", size, optional=True),),
-            {"mu": ("delta",) if feeds else ()},
+            {"mu": tuple(sorted(fed))},
             rollback=True,
         )
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Forget the past."""
-        parts = [one.initialize(t, u[[e]]) for e, one in enumerate(self._elements)]
+        parts = [one.initialize(t, u[columns]) for one, columns in self._each()]
         return np.concatenate(parts)
 
     def outputs(self, t: float, u: Vector) -> Vector:
         """Return mu at the time reached."""
-        parts = [one.outputs(t, u[[e]]) for e, one in enumerate(self._elements)]
+        parts = [one.outputs(t, u[columns]) for one, columns in self._each()]
         return np.concatenate(parts)
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Take K samples."""
-        parts = [
-            one.advance(t, h, np.ascontiguousarray(u[:, [e]]))
-            for e, one in enumerate(self._elements)
-        ]
+        parts = []
+        for one, columns in self._each():
+            own = np.ascontiguousarray(u[:, columns])
+            parts.append(one.advance(t, h, own))
         return np.hstack(parts)
+
+    def _each(self) -> Iterator[tuple[Regressor, list[int]]]:
+        """Yield the regressors, each with its columns of the inputs."""
+        return zip(self._elements, self._columns, strict=True)
 
     def save(self) -> tuple[Vector, ...]:
         """Copy the delayed samples."""

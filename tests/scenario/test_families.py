@@ -347,6 +347,31 @@ def test_two_disturbances_are_identified_together(tmp_path):
     assert np.isclose(np.abs(mu[100:, 3:]), np.abs(first)[:, np.newaxis]).any(axis=1).all()
 
 
+def test_elements_may_have_signals_as_alphas(tmp_path):
+    """The bits of expressions; one element has the first signal, the other one both of them.
+
+    Steps of 1/128 s: instants and delays are exact, so that alphas are read at the very same ones.
+    """
+    terms = [*TWO, {**TWO[1], "alpha": TWO[0]["alpha"], "theta": -0.4}]
+    places = {TWO[0]["alpha"]: "schedule.y[0]", TWO[1]["alpha"]: "schedule.y[1]"}
+    by_text = identified(tmp_path, terms, [0.5, 1.0, 1.5], text=PAIR)
+    text = by_text.document.text
+    for alpha, place in places.items():
+        text = text.replace(f"alpha = '{alpha}'", f'alpha = {{ from = "{place}" }}')
+    expressions = ", ".join(map(repr, places))
+    schedule = f'[components.schedule]\nkind = "expression"\ny = [{expressions}]\n'
+    text = text.replace("[components.u]", f"{schedule}[components.u]", 1)
+    by_signal = parse(Document(text, "signals", tmp_path))
+    short = {"scenario.step": 1.0 / 128.0, "scenario.stop": 4.0, "identifier.period": 1.0}
+    expected = cosim.run(by_text, set=short)
+    found = cosim.run(by_signal, set=short)
+    for name in ("delta.y", "regressor.mu", "identifier.theta"):
+        np.testing.assert_array_equal(found[name], expected[name])
+    assert np.isfinite(found["identifier.theta"][-1]).all()
+    told = recorded_identification(found)["identifier"]
+    assert [one.verdict for one in told.parameters] == len(terms) * ["IDENTIFIABLE"]
+
+
 @pytest.mark.parametrize(
     ("terms", "more", "message"),
     [

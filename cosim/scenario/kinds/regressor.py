@@ -20,7 +20,7 @@ from cosim.errors import UsageError
 from cosim.fmi.exporting import kernels
 from cosim.fmi.exporting.kernels import DiscreteModel
 from cosim.fmi.exporting.specifications import Exportable
-from cosim.native.alphas import Alpha, signals_among
+from cosim.native.alphas import Alpha, AlphaSignal, PastAlphas, signals_among
 from cosim.native.rayleigh import MOST_TERMS
 from cosim.native.step import RegressorConstants
 from cosim.scenario.kinds.alphas import (
@@ -110,12 +110,15 @@ class RegressorDesign:
 
     @property
     def constants(self) -> RegressorConstants:
-        """The numbers of what makes mu; of several elements only their number is used."""
+        """The numbers of what makes mu; of several elements their alphas, and how many mu has."""
         if not self.each:
             return self._of_one().constants
         count = len(self.terms)
+        first = self.each[0].constants
+        ages = [self.lag + delay for delay in self.delays]
         return replace(
-            self.each[0].constants,
+            first,
+            alphas=PastAlphas(alphas=self.group_alphas, ages=ages, h=first.alphas.h),
             row=np.zeros(count, np.int64),
             factor=np.zeros((count, 0), np.int64),
             sign=np.ones(count),
@@ -180,6 +183,9 @@ class RegressorDesign:
         AssumptionError
             If they are not.
         """
+        for element, one in enumerate(self.each):
+            own = [i for i, of_term in enumerate(self.elements) if of_term == element]
+            one.check_recorded(t, alpha[:, own])
         if not self.known.unknown or len(self.groups) < 2 or self.each:
             return
         ages = np.array(self.delays)
@@ -195,14 +201,24 @@ class RegressorDesign:
 
     def component(self) -> Regressor | ElementRegressors:
         """Return a component that makes the signals of the regression."""
-        if self.each:
-            return ElementRegressors([one._of_one() for one in self.each])
-        return self._of_one()
+        if not self.each:
+            return self._of_one()
+        signals = [signals_among(one.group_alphas) for one in self.each]
+        return ElementRegressors([one._of_one() for one in self.each], signals)
 
     def _of_one(self) -> Regressor:
+        """Return the regressor of one element of delta: its input alpha has its own signals."""
+        own = {
+            signal.element: place for place, signal in enumerate(signals_among(self.group_alphas))
+        }
+        alphas: list[Alpha] = []
+        for alpha in self.group_alphas:
+            if isinstance(alpha, AlphaSignal):
+                alpha = replace(alpha, element=own[alpha.element])
+            alphas.append(alpha)
         return Regressor(
             self.terms,
-            alphas=self.group_alphas,
+            alphas=alphas,
             steps=self.steps,
             delays=self.delays,
             lag=self.lag,
@@ -294,7 +310,7 @@ class RegressorKind(ExportableKind):
         members: list[list[int]] = [[] for _ in range(count)]
         for i, term in enumerate(self.terms):
             members[term.element].append(i)
-        self._check_elements(members, families, alphas)
+        self._check_elements(members, families)
         lag = context.lag(Port(name, "delta"))
         each = []
         for own in members:
@@ -385,7 +401,6 @@ class RegressorKind(ExportableKind):
         self,
         members: Sequence[Sequence[int]],
         families: Sequence[Family],
-        alphas: Sequence[Alpha],
     ) -> None:
         """Check that every element of delta has terms, and the longest of them its delays."""
         for element, own in enumerate(members):
@@ -394,11 +409,6 @@ class RegressorKind(ExportableKind):
                     f"terms: none is of element {element}; needed at least one for each of the "
                     f"{len(members)} elements of delta"
                 )
-        if len(members) > 1 and signals_among(alphas):
-            raise UsageError(
-                f"terms are of {len(members)} elements of delta, and an alpha is a signal; needed "
-                "expressions in t as alphas, or one element"
-            )
         longest = max(sum(families[i].v for i in own) for own in members)
         regression.check_delays(self.delays, longest + 1)
 
