@@ -1,8 +1,8 @@
 """Conditions under which the observer exists, each refused with a named verdict and its evidence.
 
 FEWER_OUTPUTS_THAN_DISTURBANCES, DEPENDENT_DISTURBANCES, RELATIVE_DEGREE, NO_TRANSFER: (14) fails,
-the disturbance is not decoupled; of the last two, more derivatives of y have it in the one case, and
-none in the other. NOT_DETECTABLE: an invariant zero is not stable, and no gain moves it.
+the disturbance is not decoupled; with the last one y has it not at all, not even by more
+derivatives. NOT_DETECTABLE: an invariant zero is not stable, and no gain moves it.
 """
 
 from __future__ import annotations
