@@ -37,7 +37,8 @@ class OutputErrorIdentifier:
     Inputs regressor (mu), delta, y and u; outputs theta, its standard errors, the deviation of the
     noise of y, and the amplitudes of the components at the beginning of the window. They have no
     value (NaN) until the data determine them, theta of a component that noise alone explains never.
-    An estimate rests on the samples before its instant. Where the noise of several outputs is not
+    An estimate rests on the samples before its instant. Its standard error is that of noise, or the
+    distance to the farthest other optimum that the samples do not rule out, where that is more. Where the noise of several outputs is not
     stated, they are weighed by the covariance of what the fit leaves.
 
     Where y is sampled at instants of its own, these count in its place: the inputs ``samples``

@@ -6,6 +6,7 @@
 #define LATER 1.4  /* a search that missed a component is repeated at so many times more samples */
 #define AGAIN 2.0  /* and one that found all */
 #define STARTS 8   /* points of the grid that y is fitted from */
+#define RIVALS 8   /* other minima that are kept from one search to the next */
 #define ROWS_A_TERM 2 /* rows of a regression before the first search */
 #define ITERATIONS 120 /* of a fit */
 #define START_ITERATIONS 20 /* of one from a start; but for the lowest others are not worth their time */
@@ -23,6 +24,7 @@ typedef struct {
     double *count, *taken, *has_theta, *next_search, *largest, *largest_delta, *rows, *summed;
     double *sums, *factors; /* of mu, and of the products of alphas in it */
     double *theta, *outputs;
+    double *rivals, *rival_theta; /* how many the last search left; (RIVALS, parameters) */
     double *R, *N;
     double *x;
     double *amplitudes, *work;             /* of y */
@@ -80,6 +82,8 @@ static storage storage_of(const cosim_identifier *s)
     m.factors = cosim_place(s->memory, &next, terms);
     m.theta = cosim_place(s->memory, &next, P);
     m.outputs = cosim_place(s->memory, &next, s->width);
+    m.rivals = cosim_place(s->memory, &next, 1);
+    m.rival_theta = cosim_place(s->memory, &next, RIVALS * P);
     m.R = cosim_place(s->memory, &next, terms * terms);
     m.N = cosim_place(s->memory, &next, terms * terms);
     m.x = cosim_place(s->memory, &next, s->on_y ? 2 * s->on_y->states : 0);
@@ -492,6 +496,19 @@ static int32_t fit_weighed(const cosim_identifier *s, const storage *m, estimati
     return status;
 }
 
+static double largest_of(double a, double b) { return a > b ? a : b; }
+
+/* How far the parameter of another minimum is that the samples did not rule out. */
+static double farthest_rival(const cosim_identifier *s, const storage *m, int32_t parameter,
+                             double theta)
+{
+    const int32_t P = s->rayleigh->parameters;
+    double farthest = 0.0;
+    for (int32_t i = 0; i < (int32_t)*m->rivals; ++i)
+        farthest = largest_of(farthest, fabs(m->rival_theta[i * P + parameter] - theta));
+    return farthest;
+}
+
 /* Only what is fitted to y has errors: the noise of delta is not white. Those of outputs that are
  * more exact than they are taken for say nothing of the others. */
 static void write_outputs(const cosim_identifier *s, const storage *m, const estimation *e)
@@ -513,8 +530,9 @@ static void write_outputs(const cosim_identifier *s, const storage *m, const est
     for (int32_t i = 0; i < s->rayleigh->components; ++i) {
         for (int32_t k = 0; k < s->rayleigh->count[i]; ++k, ++j) {
             const int known = e->state[j] == COSIM_ESTIMATED || e->state[j] == COSIM_FIXED;
+            const double own = sqrt(factor * e->covariance[j * P + j]);
             theta[j] = known ? e->estimate[j] : cosim_no_value();
-            error[j] = known ? sqrt(factor * e->covariance[j * P + j]) : cosim_no_value();
+            error[j] = known ? largest_of(own, farthest_rival(s, m, j, theta[j])) : cosim_no_value();
         }
         for (int32_t k = 0; k < s->rayleigh->size[i]; ++k, ++column)
             amplitudes[column] = e->experiment.amplitudes[column];
@@ -621,6 +639,18 @@ static int is_known(const cosim_identifier *s, const double *start, const candid
     return 0;
 }
 
+/* Of all theta of the same model take the one that is reported; returns whether it is another. */
+static int put_in_order(const cosim_identifier *s, double *theta)
+{
+    const size_t size = (size_t)s->rayleigh->parameters * sizeof *theta;
+    double before[COSIM_MOST_PARAMETERS];
+    if (!s->grid)
+        return 0;
+    memcpy(before, theta, size);
+    cosim_start_grid_order(s->grid, theta);
+    return memcmp(before, theta, size) != 0;
+}
+
 /* Fit y from the starts behind the fits that there are; returns how many there are then. */
 static int32_t fit_starts(const cosim_identifier *s, const storage *m, int32_t count,
                           double *starts, candidate *fits, int32_t fitted)
@@ -632,7 +662,11 @@ static int32_t fit_starts(const cosim_identifier *s, const storage *m, int32_t c
             continue;
         prepare_last_fit(s, m, theta, &e);
         e.fit.most_iterations = START_ITERATIONS;
-        const int32_t status = cosim_output_error_fit(&e.fit);
+        int32_t status = cosim_output_error_fit(&e.fit);
+        if (status == COSIM_OK && put_in_order(s, theta)) {
+            prepare_last_fit(s, m, theta, &e);
+            status = cosim_output_error_fit(&e.fit);
+        }
         if (status != COSIM_NO_VALUE)
             fits[fitted++] = candidate_of(s, theta, &e, status);
     }
@@ -651,14 +685,34 @@ static void go_on(const cosim_identifier *s, const storage *m, candidate *c)
         *c = candidate_of(s, theta, &e, status);
 }
 
+/* Keep the rivals of the best fit, the nearest to it in squares, until the next search. */
+static void keep_rivals(const cosim_identifier *s, const storage *m, candidate *best,
+                        int32_t fitted, const candidate *fits)
+{
+    const int32_t P = s->rayleigh->parameters;
+    double squares[RIVALS];
+    int64_t places[RIVALS];
+    int32_t count = 0;
+    for (int32_t i = 0; i < fitted; ++i)
+        if (is_rival(s, &fits[i], best))
+            count = cosim_keep_smallest(fits[i].squares, i, count, RIVALS, squares, places);
+    for (int32_t i = 0; i < count; ++i)
+        memcpy(m->rival_theta + i * P, fits[places[i]].theta, (size_t)P * sizeof *best->theta);
+    *m->rivals = count;
+    best->is_certain = best->is_certain && !count;
+}
+
 /* `best`: the best fit from all starts, and from what it was. Returns whether there is one. */
 static int search(const cosim_identifier *s, const storage *m, int found, candidate *best)
 {
-    double starts[(STARTS + 1) * COSIM_MOST_PARAMETERS];
-    candidate fits[STARTS + 2];
-    int32_t count = start_on_regression(s, m, starts), fitted = 0;
-    if (s->grid && (!count || !found))
-        count += starts_on_grid(s, m, starts + count * s->rayleigh->parameters);
+    const int32_t P = s->rayleigh->parameters;
+    double starts[(STARTS + 1 + RIVALS) * COSIM_MOST_PARAMETERS];
+    candidate fits[STARTS + RIVALS + 2];
+    int32_t count = (int32_t)*m->rivals, fitted = 0;
+    memcpy(starts, m->rival_theta, (size_t)(count * P) * sizeof *starts);
+    count += start_on_regression(s, m, starts + count * P);
+    if (s->grid && (count == 0 || !found))
+        count += starts_on_grid(s, m, starts + count * P);
     if (found)
         fits[fitted++] = *best;
     fitted = fit_starts(s, m, count, starts, fits, fitted);
@@ -674,9 +728,7 @@ static int search(const cosim_identifier *s, const storage *m, int found, candid
     for (int32_t i = 1; i < fitted; ++i)
         if (is_better(&fits[i], best))
             *best = fits[i];
-    for (int32_t i = 0; i < fitted; ++i)
-        if (is_rival(s, &fits[i], best))
-            best->is_certain = 0;
+    keep_rivals(s, m, best, fitted, fits);
     return best->is_minimum;
 }
 
@@ -718,7 +770,7 @@ static void estimate(const cosim_identifier *s, const storage *m)
         }
         /* before mu counts there may be too few samples to tell minima apart */
         found = found && (best.is_certain || *m->time >= s->start);
-        const int is_whole = found && best.present == P;
+        const int is_whole = found && best.present == P && *m->rivals == 0.0;
         *m->next_search = ceil((is_whole ? AGAIN : LATER) * *m->count);
     }
     *m->has_theta = found;
