@@ -1,5 +1,8 @@
 """`cosim check SCENARIO` and the beginning of a run: a compensator, the graph, initial values."""
 
+from contextlib import ExitStack
+
+import numpy as np
 import pytest
 
 import cosim
@@ -13,7 +16,9 @@ from cosim.scenario.assumptions.compensation import (
     ZEROS,
 )
 from cosim.scenario.assumptions.report import FILE, check_assumptions
+from cosim.scenario.build import Builder
 from cosim.scenario.execution import load
+from cosim.theory.observers.assumptions import INDEX
 
 OF_COMPENSATOR = (FEEDBACK, ZEROS, STABILITY, ACTIVATION, LIMITS)
 
@@ -162,3 +167,23 @@ def test_a_scenario_without_any_assumption_has_a_beginning(tmp_path):
     assert report.fulfilled
     assert list(report.of(FILE)) == [BEGINNING]
     assert "2 component(s) are designed for steps of 0.1 s" in report.of(FILE)[BEGINNING].evidence
+
+
+def test_a_model_that_is_not_known_well_is_said_by_check_and_run(tmp_path):
+    """E = Q diag(1, 1e-9) Q': what is left of its second equation rests on nine digits less."""
+    Q = np.array([[0.8, -0.6], [0.6, 0.8]])
+    E = (Q * [1.0, 1e-9] @ Q.T).tolist()
+    path = tmp_path / "stiff.toml"
+    path.write_text(
+        '[scenario]\nname = "stiff"\nstop = 0.1\nstep = 0.01\n[models.stiff]\n'
+        f"E = {E}\nA = [[-1.0, 0.5], [0.2, -2.0]]\nBu = [[1.0], [0.0]]\nC = [[1.0, 0.0]]\n"
+        '[components.plant]\nkind = "descriptor"\nmodel = "stiff"\nx0 = [0.0, 0.0]\n'
+        '[components.u]\nkind = "constant"\nvalue = 1.0\n[connections]\n"plant.u" = "u.y"\n'
+    )
+    words = "the reduced system is known only up to"
+    index = check_assumptions(path).of("models.stiff")[INDEX]
+    assert index.fulfilled
+    assert words in index.evidence
+    with ExitStack() as resources:
+        warnings = Builder(load(path), resources).experiment().warnings
+    assert any(name == "plant" and words in text for name, text in warnings)

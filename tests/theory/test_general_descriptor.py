@@ -2,11 +2,17 @@
 
 import re
 
+import mpmath
 import numpy as np
 import pytest
 
 from cosim.errors import AssumptionError
-from cosim.theory.plants.descriptor import DescriptorSystem, pencil_index, reduce
+from cosim.theory.plants.descriptor import (
+    LEAST_ACCURACY,
+    DescriptorSystem,
+    pencil_index,
+    reduce,
+)
 from tests.theory.academic import academic
 from tests.theory.scrambled import Matrices, index_one, mixing
 
@@ -192,6 +198,106 @@ def test_the_index_is_found_in_any_coordinates(seed):
             reduce(system)
     else:
         assert len(reduce(system).A_a) == len(A) - len(chains)
+
+
+# --- E, or A22, between two ranks ---
+
+
+def near_a_lower_rank(seed, *, E=0.0, A22=0.0):
+    """Return a random system in mixed coordinates: E or A22 have a small singular value."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(3, 9))
+    n_a = int(rng.integers(1, n - 1))
+    plain_E = np.diag(np.repeat([1.0, 0.0], [n_a, n - n_a]))
+    plain_E[n_a, n_a] = E
+    A = rng.normal(size=(n, n))
+    if A22:
+        left, values, right = np.linalg.svd(A[n_a:, n_a:])
+        values[-1] = A22
+        A[n_a:, n_a:] = left * values @ right
+    P = np.linalg.qr(rng.normal(size=(n, n)))[0]
+    Q = np.linalg.qr(rng.normal(size=(n, n)))[0]
+    B = rng.normal(size=(n, 1))
+    return DescriptorSystem.general(E=P @ plain_E @ Q, A=P @ A @ Q, Bu=B, C=np.eye(n))
+
+
+def exactly(matrix):
+    return mpmath.matrix(matrix.tolist())
+
+
+def error_of_states(system, reduced, s):
+    """Return how far x of u = exp(s t) is from that of the pencil, in 40 digits, relative."""
+    with mpmath.workdps(40):
+        pencil = mpmath.mpc(s) * exactly(system.E) - exactly(system.A)
+        expected = mpmath.lu_solve(pencil, exactly(system.Bu))
+        n_a = len(reduced.A_a)
+        rates = mpmath.mpc(s) * mpmath.eye(n_a) - exactly(reduced.A_a)
+        x_a = mpmath.lu_solve(rates, exactly(reduced.B_1a))
+        x = exactly(reduced.coordinates.X) * x_a + exactly(reduced.coordinates.Xu)
+        largest = max(abs(value) for value in expected)
+        return float(max(abs(value) for value in x - expected) / largest)
+
+
+def check_border(seed, small):
+    """Check that what is accepted is as good as it says; return the verdict on the rest."""
+    system = near_a_lower_rank(seed, **small)
+    try:
+        reduced = reduce(system)
+    except AssumptionError as error:
+        return error.verdict
+    assert reduced.accuracy <= LEAST_ACCURACY
+    for s in (0.5j, 2.0 + 1.0j):
+        assert error_of_states(system, reduced, s) <= reduced.accuracy
+    assert bool(reduced.inaccuracy) is (reduced.accuracy > 1e-6)
+    return ""
+
+
+# verdicts that a small value may have, from those of a clear rank to those of the lower one
+BORDERS = [
+    ({"E": 1e-6}, {""}),
+    ({"E": 1e-8}, {""}),
+    ({"E": 1e-11}, {"", "RANK_OF_E_UNCLEAR"}),
+    ({"E": 1e-12}, {"RANK_OF_E_UNCLEAR"}),
+    ({"E": 1e-13}, {"", "RANK_OF_E_UNCLEAR"}),
+    ({"E": 1e-16}, {""}),
+    ({"A22": 1e-6}, {""}),
+    ({"A22": 1e-8}, {""}),
+    ({"A22": 1e-11}, {"", "INDEX_UNCLEAR"}),
+    ({"A22": 1e-12}, {"INDEX_UNCLEAR", "INDEX_2"}),
+    ({"A22": 1e-15}, {"INDEX_2"}),
+    ({}, {""}),
+]
+
+
+@pytest.mark.parametrize(("small", "verdicts"), BORDERS, ids=[str(small) for small, _ in BORDERS])
+def test_what_is_reduced_near_a_lower_rank_is_as_good_as_it_says(small, verdicts):
+    """Nothing is accepted and more wrong than its accuracy; nothing well conditioned is refused.
+
+    What is refused is refused for what is near to a lower rank, E or A22.
+    """
+    assert {check_border(seed, small) for seed in range(6)} <= verdicts
+
+
+@pytest.mark.campaign
+def test_borders_at_length():
+    """The same for 12 x 150 systems."""
+    for small, verdicts in BORDERS:
+        assert {check_border(seed, small) for seed in range(100, 250)} <= verdicts
+
+
+def test_an_unclear_rank_is_said_with_the_singular_values_and_the_gap():
+    """It is not A22 that is to blame, and what can be done about it is said."""
+    system = near_a_lower_rank(0, E=1e-12)
+    with pytest.raises(AssumptionError) as caught:
+        reduce(system)
+    text = str(caught.value)
+    values = np.linalg.svd(system.E, compute_uv=False)
+    rank = int((values > 1e-13).sum())
+    assert f"the rank of E is not clear: {rank} of its {len(values)} singular values" in text
+    assert re.search(r"the last of them \S+e-1[123] of the first, the next value \S+e-1[67]", text)
+    assert "A22" not in text
+    assert "give E exactly" in caught.value.cure
+    assert reduce(near_a_lower_rank(0)).inaccuracy == ""
 
 
 @pytest.mark.parametrize(

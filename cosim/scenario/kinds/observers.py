@@ -192,6 +192,8 @@ class UnknownInputObserverKind(ExportableKind):
         model, design = self.design(name, context)
         reconstruction = self.reconstruction(name, context)
         self._record(name, context, model, design, reconstruction)
+        if model.reduced.inaccuracy:
+            context.warn(name, model.reduced.inaccuracy)
         if self.relinearize:
             return self._relinearized(name, context)
         if isinstance(reconstruction, DirectReconstruction):

@@ -75,6 +75,9 @@ class DescriptorKind(PlantKind, LinearKind):
         if self.solver not in SOLVERS:
             raise UsageError(f"solver: found {self.solver!r}; {nearest(self.solver, SOLVERS)}")
         instance = GeneratedInstance.of(self.linear_model(name, context), name)
+        inaccuracy = reduce(context.model(self.model)).inaccuracy
+        if inaccuracy:
+            context.warn(name, inaccuracy)
         component = ModelExchange(instance, solver=self.solver)
         context.add_metadata(name, component.metadata)
         return component

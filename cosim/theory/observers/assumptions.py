@@ -150,19 +150,21 @@ def _singular_pencil(system: DescriptorSystem, values: Mapping[str, Any]) -> Ass
 
 
 def _index(system: DescriptorSystem) -> tuple[str, dict[str, Any]]:
-    reduce(system)
+    reduced = reduce(system)
+    known = f"; {reduced.inaccuracy}" if reduced.inaccuracy else ""
     scales = system.scales
     decomposition = decompose(scales.scaled_E(system.E), system.n_a)
     n = len(system.A)
     dynamic = len(decomposition.values)
     values: dict[str, Any] = {"index": int(dynamic < n), "states": n, "rank_of_E": dynamic}
+    values["accuracy"] = reduced.accuracy
     if dynamic == n:
-        return f"index 0: E is regular, {n} dynamic states", values
+        return f"index 0: E is regular, {n} dynamic states{known}", values
     A22 = decomposition.U2.T @ scales.scaled_E(system.A) @ decomposition.V2
     values["condition_of_A22"] = float(np.linalg.cond(A22))
     evidence = (
         f"index 1: A22 is regular, condition {values['condition_of_A22']:.3g}; {dynamic} dynamic "
-        f"and {n - dynamic} algebraic states"
+        f"and {n - dynamic} algebraic states{known}"
     )
     return evidence, values
 

@@ -33,7 +33,13 @@ from cosim.arrays import Matrix, Vector, frozen
 from cosim.errors import AssumptionError
 from cosim.theory.plants.elimination import DATA, Eliminated, PartitionedMatrices, eliminate
 from cosim.theory.plants.geometry import normalized, output_nulling, rank
-from cosim.theory.plants.pencil import RankDecomposition, decompose, determined_rank, shuffle
+from cosim.theory.plants.pencil import (
+    RankDecomposition,
+    decompose,
+    determined_rank,
+    rounding_of,
+    shuffle,
+)
 from cosim.theory.plants.scaling import Scales, scales_of, state_space_scales, within_range
 
 ComplexVector: TypeAlias = NDArray[np.complex128]  # shape (n,)
@@ -151,6 +157,10 @@ class DescriptorSystem:
 
 
 MATRICES = ("E", "A", "Bu", "Bd", "C", "Du", "Dd")
+GOOD_ACCURACY = 1e-6  # of a reduced system, beyond which it is said
+LEAST_ACCURACY = 1e-3  # beyond which it is refused
+MOST_VALUES = 12  # singular values that a message lists
+UNCLEAR = 1e-6  # growth of rounding from which on no rank of A22 is known
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -185,7 +195,8 @@ class ReducedSystem:
     ``C4 (n_y, n_u)``, ``C5 (n_y, n_d)``; ``Kx (n_b, n_a)``, ``Ku (n_b, n_u)``, ``Kd (n_b, n_d)``.
 
     ``coordinates`` lead to the user's states; None where these are x_a and x_b themselves.
-    ``accuracy`` bounds the error of the entries, where the system is of size one.
+    ``accuracy`` bounds the error of the entries, where the system is of size one; beyond
+    ``LEAST_ACCURACY`` there is none.
     """
 
     A_a: Matrix
@@ -205,6 +216,16 @@ class ReducedSystem:
         for field in fields(self)[:9]:
             matrix = _finite_matrix(field.name, getattr(self, field.name))
             object.__setattr__(self, field.name, matrix)
+
+    @property
+    def inaccuracy(self) -> str:
+        """What is to be said of the accuracy; empty: nothing."""
+        if self.accuracy <= GOOD_ACCURACY:
+            return ""
+        return (
+            f"the reduced system is known only up to {self.accuracy:.1g} of its size, as it rests "
+            "on an E, or algebraic equations, that nearly lose rank"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,7 +292,7 @@ def reduce(system: DescriptorSystem) -> ReducedSystem:
     ------
     AssumptionError
         If the pencil `s E - A` is singular, or has an index above 1 (Assumption 2), or there are
-        no dynamic states.
+        no dynamic states; or if E or A22 is so near to a lower rank that rounding decides.
     """
     scales = system.scales
     E = scales.scaled_E(system.E)
@@ -281,10 +302,13 @@ def reduce(system: DescriptorSystem) -> ReducedSystem:
     decomposition = decompose(E, known_rank)
     _check_index(E, A, decomposition)
     if system.n_a is not None:
-        return _reduced_partitioned(system, scales, system.n_a)
-    if len(decomposition.values) == n:
-        return _reduced_regular(system, scales, decomposition.growth)
-    return _reduced_singular(system, scales, decomposition)
+        reduced = _reduced_partitioned(system, scales, system.n_a)
+    elif len(decomposition.values) == n:
+        reduced = _reduced_regular(system, scales, decomposition.growth)
+    else:
+        reduced = _reduced_singular(system, scales, decomposition)
+    _check_accuracy(reduced.accuracy, A, decomposition)
+    return reduced
 
 
 def algebraic_state(reduced: ReducedSystem, x_a: Vector, *, u: Vector, delta: Vector) -> Vector:
@@ -305,12 +329,16 @@ def pencil_index(system: DescriptorSystem) -> int:
     Raises
     ------
     AssumptionError
-        If the pencil is singular: `det(s E - A) = 0` at every s.
+        If the pencil is singular: `det(s E - A) = 0` at every s; or the rank of E is not clear.
     """
     scales = system.scales
     E = scales.scaled_E(system.E)
     A = scales.scaled_E(system.A)
-    return shuffle(E, A, decompose(E, system.n_a)).index
+    decomposition = decompose(E, system.n_a)
+    index = shuffle(E, A, decomposition).index
+    if index > 1 and _is_unclear(A, decomposition):
+        raise _unclear_rank(decomposition)
+    return index
 
 
 def _reduced_partitioned(system: DescriptorSystem, scales: Scales, n_a: int) -> ReducedSystem:
@@ -396,10 +424,13 @@ def _in_user_units(
         D=(outputs * eliminated.D[0] / units[0], outputs * eliminated.D[1] / units[1]),
         Kv=(eliminated.Kv[0] / units[0], eliminated.Kv[1] / units[1]),
     )
-    return _reduced(in_units, coordinates)
+    neglected = float(decomposition.neglected.max(initial=0.0)) / decomposition.growth
+    return _reduced(in_units, coordinates, neglected)
 
 
-def _reduced(left: Eliminated, coordinates: UserCoordinates | None = None) -> ReducedSystem:
+def _reduced(
+    left: Eliminated, coordinates: UserCoordinates | None = None, neglected: float = 0.0
+) -> ReducedSystem:
     B_1a, B_2a = left.B
     C4, C5 = left.D
     Ku, Kd = left.Kv
@@ -414,7 +445,7 @@ def _reduced(left: Eliminated, coordinates: UserCoordinates | None = None) -> Re
         Ku=Ku,
         Kd=Kd,
         coordinates=coordinates,
-        accuracy=DATA * len(left.A) * left.amplification,
+        accuracy=(DATA + neglected) * len(left.A) * left.amplification,
     )
 
 
@@ -437,6 +468,8 @@ def _check_index(E: Matrix, A: Matrix, decomposition: RankDecomposition) -> None
     determined = determined_rank(decomposition, A)
     if determined == n - dynamic:
         return
+    if _is_unclear(A, decomposition):
+        raise _unclear_rank(decomposition)
     A22 = decomposition.U2.T @ A @ decomposition.V2
     condition = float(np.linalg.cond(A22))
     evidence = f"rank {determined} of {n - dynamic}, condition {condition:.3g}"
@@ -458,6 +491,66 @@ def _check_index(E: Matrix, A: Matrix, decomposition: RankDecomposition) -> None
         f"INDEX_{index}",
         f"differentiate the algebraic equations that do not determine x_b {index - 1} time(s) and "
         "substitute them, or model what was neglected there (a small mass, capacity or resistance)",
+    )
+
+
+def _is_unclear(A: Matrix, decomposition: RankDecomposition) -> bool:
+    """Return whether A22 is only singular as its coordinates, those of E, are not known."""
+    rounding = rounding_of(len(A)) * decomposition.growth
+    exact = replace(decomposition, growth=1.0)
+    algebraic = len(A) - len(decomposition.values)
+    return rounding > UNCLEAR and determined_rank(exact, A) == algebraic
+
+
+def _check_accuracy(accuracy: float, A: Matrix, decomposition: RankDecomposition) -> None:
+    """Check that a reduced system is known well enough to be one.
+
+    Raises
+    ------
+    AssumptionError
+        If it is not; E is to blame for it, or A22.
+    """
+    if accuracy <= LEAST_ACCURACY:
+        return
+    if DATA * len(A) * decomposition.growth > GOOD_ACCURACY:
+        raise _unclear_rank(decomposition, accuracy)
+    A22 = decomposition.U2.T @ A @ decomposition.V2
+    condition = float(np.linalg.cond(A22))
+    raise AssumptionError(
+        f"Assumption 2 (3): A22 is nearly singular (condition {condition:.3g}), and the reduced "
+        f"system would be known only up to {accuracy:.1g} of its size, needed "
+        f"{LEAST_ACCURACY:g} (INDEX_UNCLEAR)",
+        "INDEX_UNCLEAR",
+        "give the algebraic equations exactly, or in other units, or model what was neglected in "
+        "them (a small mass, capacity or resistance)",
+    )
+
+
+def _unclear_rank(
+    decomposition: RankDecomposition, accuracy: float | None = None
+) -> AssumptionError:
+    """Return the error of an E whose smallest singular values may be rounding, or not."""
+    values = decomposition.values
+    everything = np.concatenate([values, decomposition.neglected]) / values[0]
+    rank = len(values)
+    begin = min(max(rank - MOST_VALUES // 2, 0), max(len(everything) - MOST_VALUES, 0))
+    listed = ", ".join(f"{value:.1e}" for value in everything[begin : begin + MOST_VALUES])
+    gap = f"the last of them {everything[rank - 1]:.1e} of the first"
+    if rank < len(everything):
+        gap += f", the next value {everything[rank]:.1e}"
+    loss = "the coordinates in which E is diag(I, 0) are known too badly to tell the index"
+    if accuracy is not None:
+        loss = (
+            f"the reduced system would be known only up to {accuracy:.1g} of its size, needed "
+            f"{LEAST_ACCURACY:g}"
+        )
+    return AssumptionError(
+        f"Assumption 1 (1): the rank of E is not clear: {rank} of its {len(everything)} singular "
+        f"values, {listed}, count as not zero, {gap}, where the system is of size one; {loss} "
+        "(RANK_OF_E_UNCLEAR)",
+        "RANK_OF_E_UNCLEAR",
+        "give E exactly, with zeros where there are none else, or in units in which its entries "
+        "are of one size, or in the partitioned form with n_a",
     )
 
 

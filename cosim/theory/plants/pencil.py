@@ -35,7 +35,8 @@ POINTS: Final = (0.37, 0.83, -1.71, 2.93, -0.61)  # s, where E is as large as A
 class RankDecomposition:
     """The singular value decomposition `E = U1 diag(values) V1'`, rounding left out.
 
-    Shapes: ``U1 (n, r)``, ``U2 (n, n - r)``, ``V1 (n, r)``, ``V2 (n, n - r)``, ``values (r,)``.
+    Shapes: ``U1 (n, r)``, ``U2 (n, n - r)``, ``V1 (n, r)``, ``V2 (n, n - r)``, ``values (r,)``,
+    ``neglected (n - r,)``: the values that are left out.
     ``growth`` is how many times rounding of the data grows in these coordinates.
     """
 
@@ -44,6 +45,7 @@ class RankDecomposition:
     V1: Matrix
     V2: Matrix
     values: Vector
+    neglected: Vector
     growth: float
 
 
@@ -98,6 +100,7 @@ def decompose(E: Matrix, rank: int | None = None) -> RankDecomposition:
         V1=V[:, :rank],
         V2=V[:, rank:],
         values=values[:rank],
+        neglected=values[rank:],
         growth=growth,
     )
 
