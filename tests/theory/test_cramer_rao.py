@@ -35,7 +35,8 @@ ALPHAS = (
     1.0 + 0.8 * np.cos(3.1 * T),
 )
 DIFFERENCE = 1e-3
-MOST_AMBIGUOUS = 0.4  # of all seeds: three exponentials of different alphas have two such optima
+# of all seeds: how often another optimum is told that explains y as well
+MOST_AMBIGUOUS = 0.05
 
 EXPONENTIALS = [
     ClosedForm(Exponential(), (theta,), (size,))
@@ -43,6 +44,8 @@ EXPONENTIALS = [
 ]
 SINE = ClosedForm(Sine(), (0.8,), (1.0, 0.5))
 DAMPED = ClosedForm(DampedSine(), (0.15, 2.0), (1.0, 0.5))
+# theta of other constants whose y is as good as the same under the noise, by case and sharing
+RIVALS = {("3 exp", False): (-0.29968, -0.79547, -3.53672)}
 CASES = {
     "exponential": EXPONENTIALS[1:2],
     "sine": [SINE],
@@ -145,23 +148,47 @@ class Case:
         families = [form.family for form in self.forms]
         return assess(OutputErrorProblem([data], self.plant, families))
 
-    def estimate(self, sigma, seed):
-        """Return the estimates; NaN where another optimum is told that explains y as well."""
+    def estimates(self, sigma, seed):
+        """Return the estimate, and the other one that is told to explain y as well."""
         assessment = self.assessment(sigma, seed)
-        if assessment.other_optimum is not None:
-            return np.full(len(self.truth), np.nan)
-        if assessment.parameters:
-            return assessment.fit.theta
-        return np.array([one.value for one in amplitude_verdicts(assessment)[0]], np.float64)
+        if not assessment.parameters:
+            values = [one.value for one in amplitude_verdicts(assessment)[0]]
+            return np.array([values], np.float64)
+        other = assessment.other_optimum
+        both = [assessment.fit.theta] if other is None else [assessment.fit.theta, other]
+        return np.array(both)
+
+    def distance(self, theta):
+        """Return how far y without noise is from what other exponentials explain."""
+        parts = [np.exp(value * T) for value in theta]
+        columns = [self.response(np.zeros((len(parts), len(T))), x0) for x0 in np.eye(2)]
+        for k, part in enumerate(parts):
+            alone = np.zeros((len(parts), len(T)))
+            alone[k] = part
+            columns.append(self.response(alone))
+        J = np.array(columns).T
+        solution = np.linalg.lstsq(J, self.clean, rcond=None)[0]
+        return float(np.linalg.norm(self.clean - J @ solution))
 
 
 def ratios(name, shared, seeds):
-    """Return the errors, root mean square over seeds, over the bounds."""
+    """Return the errors, root mean square over seeds, over the bounds.
+
+    Of two optima that are told the one near the truth counts: the data cannot say which it is.
+    """
     case = Case(CASES[name], shared)
     sigma = case.noise()
-    errors = np.array([case.estimate(sigma, seed) - case.truth for seed in range(seeds)])
-    assert np.isnan(errors).any(axis=1).mean() <= MOST_AMBIGUOUS
-    return np.sqrt(np.nanmean(errors**2, axis=0)) / (sigma * case.bounds())
+    bounds = sigma * case.bounds()
+    errors = []
+    told = 0
+    for seed in range(seeds):
+        of_each = (case.estimates(sigma, seed) - case.truth) / bounds
+        errors.append(of_each[np.abs(of_each).max(axis=1).argmin()])
+        told += len(of_each) > 1
+    if (name, shared) not in RIVALS:
+        assert told <= MOST_AMBIGUOUS * seeds
+    print(f"{name}, {'one alpha' if shared else 'an alpha each'}: {told} of {seeds} told")
+    return np.sqrt(np.mean(np.square(errors), axis=0))
 
 
 @pytest.mark.parametrize(
@@ -172,18 +199,40 @@ def test_estimates_of_mixtures_reach_the_bound(name, shared):
     assert (ratios(name, shared, seeds=3) ** 2 * 3 <= chi2.isf(1e-4, 3)).all()
 
 
-def test_where_noise_chooses_between_two_optima_that_is_told():
-    """Three exponentials, an alpha each: a wrong theta explains more than the true one.
+@pytest.mark.parametrize(("name", "shared"), RIVALS)
+def test_another_theta_explains_the_same_within_the_noise(name, shared):
+    """By a simulation apart from the package: y differs by less than one deviation in all.
 
-    The true one is the other optimum, within four of its bounds.
+    So no test tells them apart, and a bound at the truth says nothing of it.
+    """
+    case = Case(CASES[name], shared)
+    assert case.distance(RIVALS[name, shared]) < case.noise()
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_where_noise_chooses_between_two_optima_that_is_told(seed):
+    """Three exponentials, an alpha each: of seed 1 a wrong theta explains more than the true one.
+
+    In any case both are told, and one is within four bounds of the truth.
     """
     case = Case(CASES["3 exp"], False)
     sigma = case.noise()
-    assessment = case.assessment(sigma, seed=1)
+    assessment = case.assessment(sigma, seed)
     bounds = sigma * case.bounds()
-    assert abs(assessment.fit.theta[2] - case.truth[2]) > 50.0 * bounds[2]
     assert str(assessment.parameters[2].verdict) == "WEAK"
-    assert (np.abs(assessment.other_optimum - case.truth) <= 4.0 * bounds).all()
+    both = [assessment.fit.theta, assessment.other_optimum]
+    if seed == 1:
+        both.reverse()
+    assert (np.abs(both[0] - case.truth) <= 4.0 * bounds).all()
+    np.testing.assert_allclose(both[1], RIVALS["3 exp", False], atol=0.1)
+
+
+def test_four_exponentials_under_one_alpha_are_found():
+    """Of this seed the grid leads to two that are close together, with amplitudes that cancel."""
+    case = Case(CASES["4 exp"], True)
+    sigma = case.noise()
+    errors = case.estimates(sigma, seed=1)[0] - case.truth
+    assert (np.abs(errors) <= 4.0 * sigma * case.bounds()).all()
 
 
 @pytest.mark.campaign
@@ -193,4 +242,6 @@ def test_estimates_are_within_one_and_a_half_of_the_bound(name, shared):
     """Every family, and mixtures of up to four terms, from a search without any start."""
     if len(CASES[name]) == 1 and not shared:
         pytest.skip("one term has one alpha")
-    assert (ratios(name, shared, seeds=200) <= 1.5).all()
+    found = ratios(name, shared, seeds=200)
+    print(found)
+    assert (found <= 1.5).all()

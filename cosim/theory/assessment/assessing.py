@@ -90,7 +90,7 @@ def assess(problem: OutputErrorProblem, start: Vector | None = None) -> Assessme
         If sizes do not fit, a bound excludes every value, or there are fewer samples than unknowns.
     """
     if start is None:
-        return _beside_rival(_white(problem, None))
+        return _beside_rival(_searched(problem))
     near = _near(problem, start)
     if near is not None and near.is_settled and near.is_clear:
         return _beside_rival(near)
@@ -111,8 +111,7 @@ def _beside_rival(examined: _Examined) -> Assessment:
     It is looked for where several terms may exchange their parts.
     """
     assessment = _assessed(examined)
-    several = sum(1 for count in examined.fitted.problem.generators.count if count) > 1
-    if not several or not assessment.is_settled:
+    if not examined.fitted.problem.has_several or not assessment.is_settled:
         return assessment
     other = _rival(examined.fitted)
     return assessment if other is None else _beside(assessment, _assessed(other))
@@ -126,7 +125,7 @@ def _rival(own: FittedModel) -> _Examined | None:
     thinned = own.problem.thinned()
     white = replace(own.noise, a=own.noise.a[:, :0])
     try:
-        optima = thinned.search_optima(white)
+        optima = thinned.search_optima(own.fit.theta, white)
         near = thinned.fit(own.fit.theta, white)
         for optimum in optima:
             if not _may_be_rival(near, optimum):
@@ -171,8 +170,9 @@ def _is_apart(own: FittedModel, theta: Vector, standard_error: Vector) -> bool:
     """Return whether a theta is another one than that of a fit."""
     ordered = own.problem.in_order(own.fit.theta)
     reach = APART * np.hypot(standard_error, own.fit.standard_error)
-    rounding = SAME_THETA * np.maximum(np.abs(theta), np.abs(ordered))
-    return bool((np.abs(theta - ordered) > reach + rounding).any())
+    sizes = np.maximum(np.abs(theta), np.abs(ordered))
+    distances = np.abs(theta - ordered)
+    return bool((distances > reach + SAME_THETA * sizes).any())
 
 
 def assess_near(problem: OutputErrorProblem, start: Vector) -> Assessment:
@@ -205,7 +205,7 @@ def _near(problem: OutputErrorProblem, theta: Vector) -> _Examined | None:
 
 def _searched_like(problem: OutputErrorProblem, theta: Vector) -> _Examined:
     """Fit from a search, with interchangeable terms in the order of another theta."""
-    searched = _white(problem, None)
+    searched = _searched(problem)
     fit = searched.fitted.fit
     ordered = ordered_like(fit.theta, theta, problem)
     if not fit.converged or np.array_equal(ordered, fit.theta):
@@ -225,12 +225,32 @@ def _by_residual(near: _Examined, searched: _Examined) -> tuple[_Examined, _Exam
     return best, other
 
 
-def _white(problem: OutputErrorProblem, start: Vector | None) -> _Examined:
-    """Fit for white noise, from a start or a search."""
+def _searched(problem: OutputErrorProblem) -> _Examined:
+    """Fit from a search, or from starts spread over the box where these explain more.
+
+    They are tried where the search leaves more than noise does. Terms may hide one another so well
+    that it leads to two close together, with amplitudes that cancel, from which no fit comes back.
+    """
     noise = first_noise(problem)
-    if start is None:
-        start = problem.in_order(problem.search_start(noise))
-    return _fitted(problem, start, noise, is_known=problem.stated is not None)
+    found = _white(problem, problem.in_order(problem.search_start(noise)))
+    is_explained = found.fitted.fit.converged and not found.consistency.is_structured
+    if is_explained or not problem.has_several:
+        return found
+    thinned = problem.thinned()
+    optima = thinned.spread_optima(noise)
+    if not optima:
+        return found
+    near = thinned.fit(found.fitted.fit.theta, noise)
+    excess = excess_squares(optima[0].deviation, near.deviation, near.freedom)
+    if excess <= largest_chance(len(near.theta)):
+        return found
+    wider = _white(problem, problem.in_order(optima[0].theta))
+    return min(found, wider, key=_residual_size)
+
+
+def _white(problem: OutputErrorProblem, start: Vector) -> _Examined:
+    """Fit for white noise, from a start."""
+    return _fitted(problem, start, first_noise(problem), is_known=problem.stated is not None)
 
 
 def _fitted(

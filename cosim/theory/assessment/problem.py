@@ -15,10 +15,10 @@ from cosim.native.output_error import Generators
 from cosim.theory.covariance import is_covariance
 from cosim.theory.disturbances.families import Family, even_parameters, generators
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel, check_sizes
+from cosim.theory.estimators.other_optima import search_optima, spread_optima
 from cosim.theory.estimators.output_error import OutputErrorFit, bound_vectors, fit_output_error
 from cosim.theory.estimators.start_grid import (
     interchangeable_terms,
-    search_optima,
     search_start,
 )
 from cosim.theory.interchangeable import in_order
@@ -85,6 +85,11 @@ class OutputErrorProblem:
         """For every term the last one before it that is interchangeable with it, or -1."""
         return interchangeable_terms(self.data, self.plant, self.generators, self.bounds)
 
+    @property
+    def has_several(self) -> bool:
+        """Whether there are several terms with parameters, which may exchange their parts."""
+        return sum(1 for count in self.generators.count if count) > 1
+
     def in_order(self, theta: Vector) -> Vector:
         """Return the one of all theta of the same model that is told, shape (P,)."""
         even = even_parameters(self.families)
@@ -130,8 +135,8 @@ class OutputErrorProblem:
             bounds=self.bounds,
         )
 
-    def search_optima(self, noise: NoiseModel) -> list[OutputErrorFit]:
-        """Return the optima that a coarse search finds, as if the noise were white, the best first.
+    def search_optima(self, known: Vector, noise: NoiseModel) -> list[OutputErrorFit]:
+        """Return optima beside a known one, as if the noise were white, the best first.
 
         Raises
         ------
@@ -139,6 +144,24 @@ class OutputErrorProblem:
             As :func:`cosim.theory.estimators.output_error.fit_output_error`.
         """
         return search_optima(
+            self.data,
+            self.plant,
+            self.families,
+            known,
+            noise=replace(noise, a=noise.a[:, :0]),
+            offset=self.offset,
+            bounds=self.bounds,
+        )
+
+    def spread_optima(self, noise: NoiseModel) -> list[OutputErrorFit]:
+        """Return the optima that spread starts lead to, as if the noise were white, the best first.
+
+        Raises
+        ------
+        AssumptionError
+            As :func:`cosim.theory.estimators.output_error.fit_output_error`.
+        """
+        return spread_optima(
             self.data,
             self.plant,
             self.families,

@@ -16,7 +16,7 @@ online (``identifier.c``) as well as for recorded data (:func:`search_start`).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import chain, product
 from typing import Final
 
@@ -59,8 +59,6 @@ SINH: Final = compile_expression("sinh(t)")
 ASINH: Final = compile_expression("sign(t)*log(abs(t) + sqrt(t*t + 1))")
 FINE: Final = 4.0  # steps begin to grow at this part of the smaller end of a box
 FEW_POINTS: Final = 6  # along a parameter whose steps grow, of a component with others
-COARSE_POINTS: Final = 32  # along a parameter, where it is asked whether there are other optima
-STARTS_OF_OPTIMA: Final = 5  # that are fitted from then
 ROUNDS: Final = 3  # of a search around the best fit of the last one
 STARTS_BESIDE: Final = 3  # of which so many are fitted from
 ROWS: Final = 1024  # of the regression: means of successive samples
@@ -148,7 +146,7 @@ def start_grid(
     component = []
     for i, generator in enumerate(generators.each):
         own = generator.theta
-        regular = _points(lower[own], upper[own], counts[own], grades[own])
+        regular = points_of_box(lower[own], upper[own], counts[own], grades[own])
         others = [theta[own] for theta in beside if generators.count[i]]
         grid = np.vstack([regular, *others])
         for theta in grid:
@@ -194,6 +192,68 @@ def _at_points(
     )
 
 
+@dataclass(frozen=True, eq=False)
+class RecordsOnGrid:
+    """Records of y as regressions on all points of a grid.
+
+    Parameters
+    ----------
+    constants : StartGridConstants
+    grid : StartGridModel
+    triangles : tuple of Matrix
+        R of each record.
+    """
+
+    constants: StartGridConstants
+    grid: StartGridModel
+    triangles: tuple[Matrix, ...]
+
+    def search(self, most: int) -> Matrix:
+        """Return the best combinations of points, the best first, shape (at most most, P)."""
+        return self.grid.search(self.triangles, most)
+
+
+def records_on_grid(
+    records: Sequence[ResponseRecord],
+    lower: Vector,
+    upper: Vector,
+    *,
+    points: int | Sequence[int],
+    graded: Sequence[bool] = (),
+    alike: Sequence[int] = (),
+    beside: Sequence[Vector] = (),
+) -> RecordsOnGrid:
+    """Pass over records of y, at least one, with all points of a grid.
+
+    Parameters
+    ----------
+    records : sequence of ResponseRecord
+        Under the same theta; a point is as good as the sum of its squares over all of them.
+    lower, upper : Vector, shape (P,)
+        The box.
+    points, graded, alike, beside
+        As of :func:`start_grid`.
+    """
+    triangles = []
+    for record in records:
+        is_measured = ~np.isnan(record.residual).any(axis=1)
+        samples = int(is_measured.sum())
+        constants = start_grid(
+            record.model.constants,
+            lower,
+            upper,
+            points=points,
+            average=max(1, samples // ROWS),
+            graded=graded,
+            alike=alike,
+            beside=beside,
+        )
+        grid = StartGridModel(constants)
+        on_grid = ResponseRecord(grid.model, record.residual, record.alpha, record.interval)
+        triangles.append(on_grid.make(np.zeros(0)))
+    return RecordsOnGrid(constants, grid, tuple(triangles))
+
+
 def search_starts(
     records: Sequence[ResponseRecord],
     lower: Vector,
@@ -209,37 +269,15 @@ def search_starts(
 
     Parameters
     ----------
-    records : sequence of ResponseRecord
-        Under the same theta; a point is as good as the sum of its squares over all of them.
-    lower, upper : Vector, shape (P,)
-        The box.
-    points, graded, alike, beside
-        As of :func:`start_grid`.
+    records, lower, upper, points, graded, alike, beside
+        As of :func:`records_on_grid`.
     most : int
         Starts at most.
     """
-    triangles = []
-    grid = None
-    for record in records:
-        is_measured = ~np.isnan(record.residual).any(axis=1)
-        samples = int(is_measured.sum())
-        average = max(1, samples // ROWS)
-        constants = start_grid(
-            record.model.constants,
-            lower,
-            upper,
-            points=points,
-            average=average,
-            graded=graded,
-            alike=alike,
-            beside=beside,
-        )
-        grid = StartGridModel(constants)
-        on_grid = ResponseRecord(grid.model, record.residual, record.alpha, record.interval)
-        triangles.append(on_grid.make(np.zeros(0)))
-    if grid is None:
-        return np.zeros((0, len(lower)))
-    return grid.search(triangles, most)
+    on_grid = records_on_grid(
+        records, lower, upper, points=points, graded=graded, alike=alike, beside=beside
+    )
+    return on_grid.search(most)
 
 
 def interchangeable_terms(
@@ -329,37 +367,6 @@ def search_start(
     return best.theta
 
 
-def search_optima(
-    data: Sequence[DataSet],
-    plant: DisturbedPlant,
-    families: Sequence[Family],
-    *,
-    noise: NoiseModel,
-    offset: bool = False,
-    bounds: Mapping[int, tuple[float, float]] = NO_BOUNDS,
-) -> list[OutputErrorFit]:
-    """Return the optima that a coarse grid leads to, the best first; as :func:`search_start`."""
-    matrices = generators(families)
-    records = response_records(data, plant, matrices, noise=noise, offset=offset)
-    spacing = min(data_set.sampling_interval for data_set in data)
-    box = box_of_search(families, span=longest_span(data), spacing=spacing, bounds=bounds)
-    starts = search_starts(
-        records,
-        box.lower,
-        box.upper,
-        points=axis_points(matrices, box.graded, most=COARSE_POINTS, columns=COLUMNS),
-        most=STARTS_OF_OPTIMA,
-        graded=box.graded,
-        alike=interchangeable_terms(data, plant, matrices, bounds),
-    )
-    fits = [
-        fit_output_error(data, plant, families, start, noise=noise, offset=offset, bounds=bounds)
-        for start in starts
-    ]
-    converged = [fit for fit in fits if fit.converged]
-    return sorted(converged, key=lambda fit: fit.deviation)
-
-
 def _best_of(fits: Sequence[OutputErrorFit]) -> OutputErrorFit:
     """Return the fit that explains most; of those that differ by chance one that has converged."""
     best = min(fits, key=lambda fit: fit.deviation)
@@ -435,7 +442,9 @@ def _points_on_an_axis(parameters: int) -> int:
     return points
 
 
-def _points(lower: Vector, upper: Vector, points: Sequence[int], graded: Sequence[bool]) -> Matrix:
+def points_of_box(
+    lower: Vector, upper: Vector, points: Sequence[int], graded: Sequence[bool]
+) -> Matrix:
     """Return the middles of equal parts of the box, shape (count, parameters).
 
     Of parameters whose steps grow these are parts of their inverse hyperbolic sine, in units of

@@ -1,0 +1,260 @@
+"""Optima of output error other than one that is known, and those that a grid misses.
+
+The sum of squares has several minima: a term may take the part of another one, or of noise. A
+coarse grid leads to some. Others are found **beside** a known optimum: all terms but one stay where
+they are, and every minimum along the parameters of the one is a start. On a grid alone these are
+hidden by what the distance of points costs the terms that are known well. Where neither explains
+the data, starts are **spread** over the box, those of interchangeable terms far from one another:
+two that come close together stay so, with amplitudes that cancel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.arrays import Matrix, Vector
+from cosim.errors import StartError
+from cosim.native.output_error import Generators
+from cosim.theory.disturbances.families import Family, SearchBox, generators
+from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel
+from cosim.theory.estimators.output_error import (
+    NO_BOUNDS,
+    OutputErrorFit,
+    fit_output_error,
+    longest_span,
+    response_records,
+)
+from cosim.theory.estimators.start_grid import (
+    COLUMNS,
+    RecordsOnGrid,
+    axis_points,
+    box_of_search,
+    interchangeable_terms,
+    points_of_box,
+    records_on_grid,
+)
+from cosim.theory.interchangeable import groups_of
+
+COARSE_POINTS: Final = 32  # along a parameter
+STARTS_OF_GRID: Final = 5
+STARTS_OF_TERM: Final = 2  # minima along the parameters of one term
+STARTS_SPREAD: Final = 12
+AXIS_POINTS: Final = 256  # along a parameter, among which spread starts are
+ROOT_STEPS: Final = 40  # of an iteration that triples the digits of 1.32 and less in three
+# of a column beside others, relative to its own length: below it is none
+DEPENDENT: Final = 1e-6
+
+
+def search_optima(
+    data: Sequence[DataSet],
+    plant: DisturbedPlant,
+    families: Sequence[Family],
+    known: Vector,
+    *,
+    noise: NoiseModel,
+    offset: bool = False,
+    bounds: Mapping[int, tuple[float, float]] = NO_BOUNDS,
+) -> list[OutputErrorFit]:
+    """Return the optima that a coarse grid leads to, and those beside a known one, the best first.
+
+    Parameters
+    ----------
+    data, plant, families, noise, offset, bounds
+        As for :func:`fit_output_error`; the noise without an autoregressive model.
+    known : Vector, shape (P,)
+        Theta of the optimum.
+    """
+    matrices = generators(families)
+    records = response_records(data, plant, matrices, noise=noise, offset=offset)
+    box = _box(data, families, bounds)
+    on_grid = records_on_grid(
+        records,
+        box.lower,
+        box.upper,
+        points=axis_points(matrices, box.graded, most=COARSE_POINTS, columns=COLUMNS),
+        graded=box.graded,
+        alike=interchangeable_terms(data, plant, matrices, bounds),
+        beside=[known],
+    )
+    starts = [*on_grid.search(STARTS_OF_GRID), *_starts_beside(on_grid, matrices, known)]
+    return _fits_from(starts, data, plant, families, noise=noise, offset=offset, bounds=bounds)
+
+
+def spread_optima(
+    data: Sequence[DataSet],
+    plant: DisturbedPlant,
+    families: Sequence[Family],
+    *,
+    noise: NoiseModel,
+    offset: bool = False,
+    bounds: Mapping[int, tuple[float, float]] = NO_BOUNDS,
+) -> list[OutputErrorFit]:
+    """Return the optima that starts spread over the box lead to, the best first.
+
+    Parameters
+    ----------
+    data, plant, families, noise, offset, bounds
+        As for :func:`search_optima`.
+    """
+    matrices = generators(families)
+    box = _box(data, families, bounds)
+    alike = interchangeable_terms(data, plant, matrices, bounds)
+    starts = _spread_starts(box, matrices, alike)
+    return _fits_from(starts, data, plant, families, noise=noise, offset=offset, bounds=bounds)
+
+
+def _box(
+    data: Sequence[DataSet], families: Sequence[Family], bounds: Mapping[int, tuple[float, float]]
+) -> SearchBox:
+    spacing = min(data_set.sampling_interval for data_set in data)
+    return box_of_search(families, span=longest_span(data), spacing=spacing, bounds=bounds)
+
+
+def _fits_from(
+    starts: Sequence[Vector],
+    data: Sequence[DataSet],
+    plant: DisturbedPlant,
+    families: Sequence[Family],
+    *,
+    noise: NoiseModel,
+    offset: bool,
+    bounds: Mapping[int, tuple[float, float]],
+) -> list[OutputErrorFit]:
+    """Return the fits from starts that have converged, the best first."""
+    fits = []
+    for start in starts:
+        try:
+            fit = fit_output_error(
+                data, plant, families, start, noise=noise, offset=offset, bounds=bounds
+            )
+        except StartError:
+            continue
+        if fit.converged:
+            fits.append(fit)
+    return sorted(fits, key=lambda fit: fit.deviation)
+
+
+def _spread_starts(box: SearchBox, matrices: Generators, alike: Sequence[int]) -> list[Vector]:
+    """Return starts that fill the box evenly, each part of it for one of interchangeable terms.
+
+    The sequence is that of M. Roberts (2018): multiples of the powers of the root of
+    ``x^(P+1) = x + 1``.
+    """
+    P = matrices.parameters
+    root = 2.0
+    for _ in range(ROOT_STEPS):
+        root = (1.0 + root) ** (1.0 / (P + 1.0))
+    ratios = root ** -np.arange(1.0, P + 1.0)
+    places = np.outer(np.arange(1, STARTS_SPREAD + 1), ratios) % 1.0
+    for group in groups_of(alike):
+        for k, term in enumerate(group):
+            if matrices.count[term]:
+                last = matrices.each[term].theta.stop - 1
+                places[:, last] = (k + places[:, last]) / len(group)
+    starts = np.empty_like(places)
+    for j in range(P):
+        own = slice(j, j + 1)
+        axis = points_of_box(box.lower[own], box.upper[own], [AXIS_POINTS], box.graded[own])[:, 0]
+        starts[:, j] = axis[(places[:, j] * len(axis)).astype(np.intp)]
+    return list(starts)
+
+
+def _starts_beside(on_grid: RecordsOnGrid, matrices: Generators, known: Vector) -> Iterator[Vector]:
+    """Yield the known theta with the part of one term at other minima of the squares along it.
+
+    The known part is the last point of each term, so that all others explain what they can.
+    """
+    for i, generator in enumerate(matrices.each):
+        if not matrices.count[i]:
+            continue
+        squares = _squares_along(on_grid, i)
+        points = _points_of(on_grid, i)
+        for place in _minima_apart(points, squares)[:STARTS_OF_TERM]:
+            start = known.copy()
+            start[generator.theta] = points[place]
+            yield start
+
+
+def _points_of(on_grid: RecordsOnGrid, term: int) -> Matrix:
+    """Return the points of a term, shape (points, parameters of the term)."""
+    constants = on_grid.constants
+    entries = np.multiply(constants.points, constants.count)
+    end = entries[: term + 1].sum()
+    own = constants.theta[end - entries[term] : end]
+    return own.reshape(constants.points[term], constants.count[term])
+
+
+def _squares_along(on_grid: RecordsOnGrid, term: int) -> Vector:
+    """Return the sum of squares at each point of a term, all others at their last points."""
+    constants = on_grid.constants
+    sizes = np.array(constants.size)
+    widths = sizes * np.array(constants.points)
+    ends = np.cumsum(widths)
+    own = slice(ends[term] - widths[term], ends[term])
+    others = []
+    for k, end in enumerate(ends):
+        if k != term:
+            others.append(np.arange(end - sizes[k], end))
+    squares = np.zeros(constants.points[term])
+    for R in on_grid.triangles:
+        x0_and_offset = np.arange(ends[-1], R.shape[1] - 1)
+        fixed = R[:, np.concatenate([*others, x0_and_offset])]
+        squares += _squares_beside(R[:, own], fixed, R[:, -1], constants.size[term])
+    return squares
+
+
+def _squares_beside(columns: Matrix, fixed: Matrix, residual: Vector, V: int) -> Vector:
+    """Return the least squares with each V columns beside fixed ones; infinite where dependent."""
+    basis = _orthonormal(fixed)
+    rest = residual - basis @ (basis.T @ residual)
+    free = columns - basis @ (basis.T @ columns)
+    free -= basis @ (basis.T @ free)  # rounding is taken from what is left
+    points = columns.shape[1] // V
+    by_point = free.T.reshape(points, V, len(residual)).transpose(0, 2, 1)
+    Q, R = np.linalg.qr(by_point)
+    pivots = np.abs(np.diagonal(R, axis1=1, axis2=2))
+    lengths = np.linalg.norm(columns, axis=0).reshape(points, V)
+    is_dependent = (pivots <= DEPENDENT * lengths).any(axis=1)
+    explained = np.sum((rest @ Q) ** 2, axis=1)
+    squares: Vector = np.where(is_dependent, np.inf, rest @ rest - explained)
+    return squares
+
+
+def _orthonormal(columns: Matrix) -> Matrix:
+    """Return an orthonormal basis of columns; dependent ones are left out."""
+    lengths = np.linalg.norm(columns, axis=0)
+    is_there = lengths > 0.0
+    scaled = columns[:, is_there] / lengths[is_there]
+    vectors, sizes, _ = np.linalg.svd(scaled, full_matrices=False)
+    smallest = DEPENDENT * sizes.max(initial=0.0)
+    basis: Matrix = vectors[:, sizes > smallest]
+    return basis
+
+
+def _minima_apart(points: Matrix, squares: Vector) -> list[int]:
+    """Return the points that no neighbor betters, but for those around the last, the best first.
+
+    Neighbors differ by at most one step in each parameter.
+    """
+    steps = _steps_along_axes(points)
+    of_known = steps[-1]
+    minima = []
+    for k, own in enumerate(steps[:-1]):
+        is_near = np.abs(steps - own).max(axis=1) <= 1
+        is_least = np.isfinite(squares[k]) and squares[k] <= squares[:-1][is_near[:-1]].min()
+        if is_least and np.abs(own - of_known).max() > 1:
+            minima.append(k)
+    return sorted(minima, key=lambda k: float(squares[k]))
+
+
+def _steps_along_axes(points: Matrix) -> NDArray[np.intp]:
+    """Return where each point is along each axis of the grid; of the last one the nearest place."""
+    steps = np.empty(points.shape, np.intp)
+    for j, values in enumerate(points.T):
+        axis = np.unique(values[:-1])
+        steps[:, j] = np.abs(values[:, np.newaxis] - axis).argmin(axis=1)
+    return steps
