@@ -128,9 +128,13 @@ def test_the_input_does_not_change_the_bound_but_leaks_through_the_filter(design
     for factor, trial in zip((1.0, 10.0), trials, strict=True):
         grown = trials[0].with_input(factor)
         np.testing.assert_allclose(grown.delta[1:], trial.regression.delta[1:], atol=1e-10)
-    one, ten = (one for one in designed.of("input", "rayleigh"))
-    assert [one.settings["input"], ten.settings["input"]] == ["0 u", "10 u"]
-    assert one.ratio < ten.ratio
+    (without,) = designed.of("input", "rayleigh")
+    assert without.settings["input"] == "0 u"
+    (tenfold,) = [
+        one for one in designed.omitted if (one.choice, one.method) == ("input", "rayleigh")
+    ]
+    assert tenfold.settings == ({"input": "10 u"},)
+    assert tenfold.reason.startswith("no estimate")
     assert any("no input changes the bound" in note for note in designed.notes)
 
 
@@ -220,6 +224,32 @@ def test_the_table_shows_the_best_of_every_choice(designed, capsys):
     for text in ("error of theta[1]", "as it is", "of bound", "regressor.delays=[0.0,"):
         assert text in out
     assert out.count("\nfilter\t") == 6
+
+
+def test_every_choice_has_a_row_or_a_reason(capsys):
+    """Steps that the delays do not fit, or too few of them; filters and windows too long to try."""
+    from cosim.report.tables.experiment_design import print_design
+
+    settings = {**TINY, "scenario.step": 0.02, "regressor.delays": [0.1, 0.3, 0.5]}
+    design = cosim.design("academic-noisy", set=settings, longest=0.5)
+    ranked = {one.settings["scenario.step"] for one in design.of("step", "output-error")}
+    of_steps = {one.reason: one.settings for one in design.omitted if one.choice == "step"}
+    left_out = {}
+    for reason, group in of_steps.items():
+        left_out |= {one["scenario.step"]: reason for one in group}
+    assert ranked | left_out.keys() == {0.002, 0.004, 0.01, 0.04, 0.1, 0.2}
+    assert not ranked & left_out.keys()
+    assert "delays[0]: 0.1 s is not a whole number of 0.04 s steps; nearest" in left_out[0.04]
+    assert left_out[0.1] == "not tried: needed 200 to 100000 steps in the run" == left_out[0.2]
+    assert all(np.isfinite(one.ratio) for one in design.designs if one.choice != "scenario")
+    of_filters = [one for one in design.omitted if one.choice == "filter" and not one.method]
+    assert any("10 % of the run" in one.reason for one in of_filters)
+    assert any("time constants" in one.reason for one in of_filters)
+    assert [one.to_dict() for one in design.omitted] == design.to_dict()["omitted"]
+    print_design(design, as_json=False)
+    out = capsys.readouterr().out
+    assert "\nstep: scenario.step=0.1, scenario.step=0.2: not tried: needed 200" in out
+    assert all(out.count(one.reason) >= 1 for one in design.omitted)
 
 
 def test_alphas_that_are_signals_are_those_of_the_run(tmp_path):

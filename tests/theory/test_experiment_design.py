@@ -251,7 +251,8 @@ def test_an_information_that_is_singular_to_rounding_has_no_least_squares():
     """Two components of one rate under one alpha: their regressors are dependent."""
     both = experiment(size=1e-15)
     of = replace(both, delta=np.exp(-0.1 * T), names=("a", "a"), alpha=np.ones((len(T), 2)))
-    assert of.least_squares((50, 100, 150)) is None
+    with pytest.raises(AssumptionError, match="no estimate: the rows of the regression are dep"):
+        of.least_squares((50, 100, 150))
 
 
 @pytest.mark.parametrize("size", [1e-6, 1e-8])

@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
+from collections.abc import Mapping
 from typing import Any, Final
 
 from cosim.report.summary import numbers_text
 from cosim.report.tables.console import new_table, print_json, print_line, print_table
-from cosim.scenario.experiment_design.ranking import ExperimentDesign, RankedDesign
+from cosim.scenario.experiment_design.ranking import ExperimentDesign, OmittedDesigns
 
 _SHOWN: Final = 3  # designs of a choice and a method
 _TITLES: Final = {"scenario": "as it is"}
@@ -32,15 +33,25 @@ def print_design(design: ExperimentDesign, *, as_json: bool) -> None:
         if shown[kind] <= _SHOWN:
             cells = [_number(error) for error in one.error]
             choice = _TITLES.get(one.choice, one.choice)
-            table.add_row(choice, _settings(one), one.method, *cells, _number(one.ratio))
+            table.add_row(choice, _settings(one.settings), one.method, *cells, _number(one.ratio))
     print_table(table)
+    for omitted in design.omitted:
+        print_line(_omission(omitted))
     for note in design.notes:
         print_line(note)
 
 
-def _settings(design: RankedDesign) -> str:
-    """Write what a design sets as the options that set it."""
-    return " ".join(f"{key}={_value(value)}" for key, value in design.settings.items())
+def _omission(omitted: OmittedDesigns) -> str:
+    """Write which choices have no row, and why."""
+    choices = ", ".join(filter(None, map(_settings, omitted.settings)))
+    choice = _TITLES.get(omitted.choice, omitted.choice)
+    what = " ".join(filter(None, (f"{choice}:", omitted.method, choices)))
+    return f"{what}: {omitted.reason}" if not what.endswith(":") else f"{what} {omitted.reason}"
+
+
+def _settings(settings: Mapping[str, Any]) -> str:
+    """Write what is set as the options that set it."""
+    return " ".join(f"{key}={_value(value)}" for key, value in settings.items())
 
 
 def _number(error: float) -> str:

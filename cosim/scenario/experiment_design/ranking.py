@@ -24,6 +24,7 @@ from cosim.theory.experiment_design.predictions import PredictedEstimate, Regres
 
 RegressionMethod: TypeAlias = Literal["rayleigh", "least-squares"]
 _Variant: TypeAlias = tuple[RegressionExperiment, tuple[int, ...], RegressionMethod]
+_Omission: TypeAlias = tuple[str, str, str]  # choice, method, reason
 REGRESSION_METHODS: Final[tuple[RegressionMethod, ...]] = ("rayleigh", "least-squares")
 OUTPUT_ERROR: Final = "output-error"
 
@@ -41,6 +42,7 @@ _FASTEST: Final = 1.0  # filter_rate times step, of the fastest filter
 _SLOWEST: Final = 100.0  # filter_rate times the run, of the slowest filter
 _WINDOWS: Final = (0.5, 0.25, 0.125)  # of the run: of output error
 _INPUTS: Final = (0.0, 10.0)  # times the input of the scenario
+_UNDETERMINED: Final = "no estimate: the data do not determine theta"
 _MODEL_ERROR: Final = 1e-3  # of y, above which a model is not that of the plant
 
 
@@ -86,6 +88,36 @@ class RankedDesign:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
+class OmittedDesigns:
+    """Choices that have no error to be expected, all for one reason.
+
+    Parameters
+    ----------
+    choice : str
+        As of a :class:`RankedDesign`.
+    method : str
+        Of the estimator; empty: all of them.
+    settings : tuple of mapping of dotted key to value
+        What each choice sets.
+    reason : str
+    """
+
+    choice: str
+    method: str
+    settings: tuple[Mapping[str, Any], ...]
+    reason: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return {
+            "choice": self.choice,
+            "method": self.method,
+            "settings": [dict(one) for one in self.settings],
+            "reason": self.reason,
+        }
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class ExperimentDesign:
     """Choices for a scenario, ranked by the error of theta that is to be expected.
 
@@ -100,7 +132,10 @@ class ExperimentDesign:
     bound : Vector, shape (P,)
         The least standard errors of theta from y, by output error, with the scenario as it is.
     designs : tuple of RankedDesign
-        By choice; within a choice and a method the best first.
+        By choice; within a choice and a method the best first. Those of the scenario as it is may
+        have an infinite error, no others.
+    omitted : tuple of OmittedDesigns
+        What was not tried, is refused, or finds no theta.
     notes : tuple of str
     """
 
@@ -111,6 +146,7 @@ class ExperimentDesign:
     noise_source: str
     bound: Vector
     designs: tuple[RankedDesign, ...]
+    omitted: tuple[OmittedDesigns, ...]
     notes: tuple[str, ...]
 
     def of(self, choice: str, method: str) -> tuple[RankedDesign, ...]:
@@ -129,6 +165,7 @@ class ExperimentDesign:
             "noise": self.noise_source,
             "bound": self.bound.tolist(),
             "designs": [design.to_dict() for design in self.designs],
+            "omitted": [omitted.to_dict() for omitted in self.omitted],
             "notes": list(self.notes),
         }
 
@@ -194,7 +231,8 @@ class _Ranking:
     subject: DesignSubject
     trial: Trial
     bound: Vector = field(init=False)
-    predictions: dict[_Variant, PredictedEstimate | None] = field(default_factory=dict, init=False)
+    predictions: dict[_Variant, PredictedEstimate | str] = field(default_factory=dict, init=False)
+    omissions: dict[_Omission, list[Mapping[str, Any]]] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
         accuracy = self.trial.bound()
@@ -235,6 +273,7 @@ class _Ranking:
             noise_source=self.subject.noise_source,
             bound=self.bound,
             designs=tuple(designs),
+            omitted=self._omitted(),
             notes=tuple(self._notes(designs, with_input=with_input)),
         )
 
@@ -259,9 +298,20 @@ class _Ranking:
             for filter_name in ("first-order", "consistent"):
                 variants.append({"filter": filter_name, "filter_rate": float(f"{rate:.3g}")})
             rate /= math.sqrt(10.0)
+        self._omit(
+            "filter",
+            {f"{name}.filter_rate": float(f"{rate:.3g}")},
+            f"not tried, nor slower ones: the run has fewer than {_SLOWEST:g} time constants of it",
+        )
         for samples in _HALF_WIDTHS:
-            if samples * h <= _WIDEST * span:
-                half_width = round(samples * h, 9)
+            half_width = round(samples * h, 9)
+            if samples * h > _WIDEST * span:
+                self._omit(
+                    "filter",
+                    {f"{name}.half_width": half_width},
+                    f"not tried: the window is longer than {100.0 * 2.0 * _WIDEST:g} % of the run",
+                )
+            else:
                 variants.append(
                     {
                         "filter": "savitzky-golay",
@@ -272,17 +322,23 @@ class _Ranking:
         trials = []
         for variant in variants:
             settings = {f"{name}.{key}": value for key, value in variant.items()}
-            trials += self._tried(settings, {name: {**kept, **variant}})
+            trials += self._tried("filter", settings, {name: {**kept, **variant}})
         return trials
 
     def _steps(self) -> list[RankedDesign]:
         designs = []
         for factor in _FACTORS:
             h = float(f"{factor * self.trial.step:.12g}")
-            if not _FEWEST_SAMPLES <= self.trial.span / h <= _MOST_SAMPLES:
-                continue
             edits = {"scenario.step": h}
-            for trial in self._tried(edits):
+            samples = self.trial.span / h
+            if not _FEWEST_SAMPLES <= samples <= _MOST_SAMPLES:
+                self._omit(
+                    "step",
+                    edits,
+                    f"not tried: needed {_FEWEST_SAMPLES} to {_MOST_SAMPLES} steps in the run",
+                )
+                continue
+            for trial in self._tried("step", edits):
                 designs += self._output_error("step", trial, (math.inf,))
                 designs += self._of_methods("step", trial.regression, trial.steps, edits)
         return designs
@@ -321,13 +377,29 @@ class _Ranking:
     # --- predictions ---
 
     def _tried(
-        self, settings: Mapping[str, Any], edits: Mapping[str, Any] | None = None
+        self, choice: str, settings: Mapping[str, Any], edits: Mapping[str, Any] | None = None
     ) -> list[Trial]:
         """Return a variant; none where the scenario refuses it."""
         try:
             return [trial_of(self.subject, settings, edits)]
-        except CosimError:
+        except CosimError as error:
+            reason = "; ".join(line.strip() for line in str(error).splitlines())
+            self._omit(choice, settings, reason)
             return []
+
+    def _omit(
+        self, choice: str, settings: Mapping[str, Any], reason: str, method: str = ""
+    ) -> None:
+        """Keep what a choice sets and why it has no error to be expected."""
+        same = self.omissions.setdefault((choice, method, reason), [])
+        if settings not in same:
+            same.append(settings)
+
+    def _omitted(self) -> tuple[OmittedDesigns, ...]:
+        return tuple(
+            OmittedDesigns(choice=choice, method=method, settings=tuple(settings), reason=reason)
+            for (choice, method, reason), settings in self.omissions.items()
+        )
 
     def _as_they_are(self, choice: str, trials: Iterable[Trial]) -> list[RankedDesign]:
         designs = []
@@ -345,10 +417,25 @@ class _Ranking:
         designs = []
         for method in REGRESSION_METHODS:
             predicted = self._predicted(regression, steps, method)
-            if predicted is None:
-                predicted = _no_estimate(len(self.bound))
-            designs.append(self._design(choice, settings, method, predicted))
+            designs += self._designed(choice, settings, method, predicted)
         return designs
+
+    def _designed(
+        self,
+        choice: str,
+        settings: Mapping[str, Any],
+        method: str,
+        predicted: PredictedEstimate | str,
+    ) -> list[RankedDesign]:
+        """Return a design where it has an error to be expected; of the scenario in any case."""
+        reason = predicted if isinstance(predicted, str) else _UNDETERMINED
+        if isinstance(predicted, str):
+            predicted = _no_estimate(len(self.bound))
+        designed = self._design(choice, settings, method, predicted)
+        if math.isfinite(designed.ratio):
+            return [designed]
+        self._omit(choice, settings, reason, method)
+        return [designed] if choice == "scenario" else []
 
     def _ranked(
         self,
@@ -359,11 +446,9 @@ class _Ranking:
         settings: Mapping[str, Any],
     ) -> list[RankedDesign]:
         predicted = self._predicted(regression, steps, method)
-        if predicted is None:
-            return []
         delays = [round(count * regression.step, 9) for count in steps]
         chosen = {**settings, f"{self.subject.regressor}.delays": delays}
-        return [self._design(choice, chosen, method, predicted)]
+        return self._designed(choice, chosen, method, predicted)
 
     def _design(
         self,
@@ -392,15 +477,14 @@ class _Ranking:
             settings = dict(trial.settings)
             if math.isfinite(window):
                 settings[f"{self.subject.identifier}.window"] = window
-            covariance = trial.bound(window).covariance
-            predicted = PredictedEstimate(np.zeros(len(covariance)), covariance)
-            designs.append(self._design(choice, settings, OUTPUT_ERROR, predicted))
+            predicted = _of_bound(trial, window)
+            designs += self._designed(choice, settings, OUTPUT_ERROR, predicted)
         return designs
 
     def _predicted(
         self, regression: RegressionExperiment, steps: tuple[int, ...], method: RegressionMethod
-    ) -> PredictedEstimate | None:
-        """Return what a method is to find; None: nothing."""
+    ) -> PredictedEstimate | str:
+        """Return what a method is to find, or why it finds nothing."""
         key = (regression, steps, method)
         if key not in self.predictions:
             self.predictions[key] = self._computed(*key)
@@ -408,13 +492,13 @@ class _Ranking:
 
     def _computed(
         self, regression: RegressionExperiment, steps: tuple[int, ...], method: RegressionMethod
-    ) -> PredictedEstimate | None:
+    ) -> PredictedEstimate | str:
         try:
             if method == "rayleigh":
                 return regression.rayleigh(steps)
             return regression.least_squares(steps, P0=self.subject.identifier_kind.P0)
-        except AssumptionError:
-            return None
+        except AssumptionError as error:
+            return str(error)
 
     def _ratio(self, predicted: PredictedEstimate) -> float:
         is_known = np.isfinite(self.bound)
@@ -424,7 +508,7 @@ class _Ranking:
         self, regression: RegressionExperiment, steps: tuple[int, ...], method: RegressionMethod
     ) -> float:
         predicted = self._predicted(regression, steps, method)
-        if predicted is None:
+        if isinstance(predicted, str):
             return math.inf
         ratio = self._ratio(predicted)
         return ratio if math.isfinite(ratio) else math.inf
@@ -443,7 +527,8 @@ class _Ranking:
                 longest=math.floor(longest / trial.step + 1e-9),
                 starts=starts,
             )
-        except AssumptionError:
+        except AssumptionError as error:
+            self._omit("delays", {}, str(error), method)
             return None
         return found.steps
 
@@ -498,6 +583,15 @@ class _Ranking:
             "known, and is subtracted; through the filter u leaks into delta hat, here "
             f"{self.trial.leakage:.2g} of it, which is bias of the estimators on the regression"
         )
+
+
+def _of_bound(trial: Trial, window: float) -> PredictedEstimate | str:
+    """Return what output error is to find from the last seconds of y, or why it finds nothing."""
+    try:
+        covariance = trial.bound(window).covariance
+    except AssumptionError as error:
+        return str(error)
+    return PredictedEstimate(np.zeros(len(covariance)), covariance)
 
 
 def _no_estimate(parameters: int) -> PredictedEstimate:

@@ -182,14 +182,13 @@ class RegressionExperiment:
 
     def least_squares(
         self, steps: tuple[int, ...], *, P0: float | None = None
-    ) -> PredictedEstimate | None:
+    ) -> PredictedEstimate:
         """Predict least squares (33)-(35) with delays of so many samples.
-
-        None: it has no theta.
 
         Raises
         ------
         AssumptionError
+            If it has no theta.
             If the delays do not fit the record or the formulas (35).
         """
         delays = [count * self.step for count in steps]
@@ -200,7 +199,7 @@ class RegressionExperiment:
             information[1:, 1:] += np.eye(recovery.n_eta) / P0
         of_m = information[1:, 1:]
         if not _is_regular(of_m):
-            return None
+            raise AssumptionError("no estimate: the rows of the regression are dependent")
         inverse = np.linalg.inv(of_m)
         eta = -inverse @ information[1:, 0]
         theta = recover(recovery, eta)
@@ -214,19 +213,20 @@ class RegressionExperiment:
             change = recover(recovery, ahead) - recover(recovery, behind)
             slopes[:, k] = change / (2.0 * difference)
         if not np.isfinite(slopes).all():
-            return None
+            raise AssumptionError("no estimate: the formulas (35) have no theta for what it finds")
         d = np.hstack([np.zeros((len(theta), 1)), -slopes @ inverse])
         g = np.concatenate([[1.0], eta])
         return PredictedEstimate(theta - self.theta, regression.covariance(d, g))
 
-    def rayleigh(self, steps: tuple[int, ...]) -> PredictedEstimate | None:
+    def rayleigh(self, steps: tuple[int, ...]) -> PredictedEstimate:
         """Predict the Rayleigh quotient with delays of so many samples.
 
-        Its rows are means over half of the smallest difference of delays. None: it has no theta.
+        Its rows are means over half of the smallest difference of delays.
 
         Raises
         ------
         AssumptionError
+            If it has no theta.
             If the delays do not fit the record, or the regression is too large.
         """
         gap = int(np.diff(np.sort(np.array(steps))).min())
@@ -241,7 +241,7 @@ class RegressionExperiment:
         R = regression.triangle
         status, theta, _ = RayleighModel(constants).minimize(R, N, self.theta)
         if status != 0:
-            return None
+            raise AssumptionError("no estimate: the quotient has no minimum near theta")
 
         def gradient(point: Vector) -> tuple[Vector, Matrix, Vector]:
             chi, slopes = self.terms.minors.chi(point, delays)
@@ -259,7 +259,7 @@ class RegressionExperiment:
             H[:, k] = change / (2.0 * difference)
         _, c, chi = gradient(theta)
         if not abs(np.linalg.det(H)) > 0.0:
-            return None
+            raise AssumptionError("no estimate: the minimum of the quotient is flat")
         d = np.asarray(-np.linalg.solve(H, c), np.float64)
         return PredictedEstimate(theta - self.theta, regression.covariance(d, chi))
 
