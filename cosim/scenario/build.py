@@ -46,8 +46,9 @@ if TYPE_CHECKING:
 
 
 _HELD_IN_LOOP: Final = (
-    "{source} depends on what it drives, so that '{to}' takes it with a zero-order hold: an error "
-    "of first order in the step, which no identifier has in its model; needed a small step"
+    "{source} depends on what it drives, so that '{to}' takes it with a zero-order hold, on the "
+    "mean {delay:g} s late: an error of first order in the step, which no identifier has in its "
+    "model; needed a small step"
 )
 
 
@@ -429,6 +430,7 @@ class Builder:
         """Yield (component, text) where a disturbance is in a loop, by signals among its alphas."""
         if graph.input_interpolation == "zero-order":
             return
+        delay = 0.5 * self.clock.step_ns / 1e9
         for stage in graph.stages:
             loop = {member.name for member in stage.members}
             for to, connection in graph.connections.items():
@@ -440,7 +442,8 @@ class Builder:
                 for source in connection.sources:
                     is_inside = source.component in loop
                     if is_inside and held.any() and self._is_modulated(source.component):
-                        yield source.component, _HELD_IN_LOOP.format(source=source, to=to)
+                        text = _HELD_IN_LOOP.format(source=source, to=to, delay=delay)
+                        yield source.component, text
 
     def _is_modulated(self, name: str) -> bool:
         """Return whether a component has inputs that must not jump, such as alphas."""

@@ -309,6 +309,7 @@ def test_an_alpha_out_of_the_plant_that_it_disturbs_is_warned_of(tmp_path):
     run = cosim.run(path, set={**RUN, "scenario.stop": 2.5})
     said = dict(recorded_warnings(run))["delta"]
     assert "delta.y depends on what it drives, so that 'plant.delta' takes it with" in said
+    assert f"on the mean {0.5 * RUN['scenario.step']:g} s late" in said
     t = run.time("delta.y")
     exact = run["plant.x_a"][:, 1] * np.exp(THETA[0] * t) + values(t)[:, 1] * np.exp(THETA[1] * t)
     np.testing.assert_allclose(run["delta.y"], exact, rtol=1e-14)

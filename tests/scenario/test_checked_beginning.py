@@ -7,6 +7,7 @@ import pytest
 
 import cosim
 from cosim.errors import CosimError
+from cosim.report.tables.assumptions import print_assumptions
 from cosim.scenario.assumptions.beginning import BEGINNING
 from cosim.scenario.assumptions.compensation import (
     ACTIVATION,
@@ -169,7 +170,7 @@ def test_a_scenario_without_any_assumption_has_a_beginning(tmp_path):
     assert "2 component(s) are designed for steps of 0.1 s" in report.of(FILE)[BEGINNING].evidence
 
 
-def test_a_model_that_is_not_known_well_is_said_by_check_and_run(tmp_path):
+def test_a_model_that_is_not_known_well_is_said_by_check_and_run(tmp_path, capsys):
     """E = Q diag(1, 1e-9) Q': what is left of its second equation rests on nine digits less."""
     Q = np.array([[0.8, -0.6], [0.6, 0.8]])
     E = (Q * [1.0, 1e-9] @ Q.T).tolist()
@@ -181,9 +182,14 @@ def test_a_model_that_is_not_known_well_is_said_by_check_and_run(tmp_path):
         '[components.u]\nkind = "constant"\nvalue = 1.0\n[connections]\n"plant.u" = "u.y"\n'
     )
     words = "the reduced system is known only up to"
-    index = check_assumptions(path).of("models.stiff")[INDEX]
+    report = check_assumptions(path)
+    index = report.of("models.stiff")[INDEX]
     assert index.fulfilled
     assert words in index.evidence
     with ExitStack() as resources:
         warnings = Builder(load(path), resources).experiment().warnings
     assert any(name == "plant" and words in text for name, text in warnings)
+    assert report.warnings == warnings
+    assert report.to_dict()["warnings"] == [{"of": name, "text": text} for name, text in warnings]
+    print_assumptions(report, as_json=False)
+    assert f"warning: plant: {words}" in capsys.readouterr().err

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from cosim.report.tables.console import new_table, print_json, print_table
+from cosim.report.tables.console import new_table, print_json, print_line, print_table
 from cosim.scenario.assumptions.report import AssumptionReport
 
 _WORDS: Final = {True: "fulfilled", False: "NOT FULFILLED", None: "not decided"}
@@ -15,6 +15,8 @@ def print_assumptions(report: AssumptionReport, *, as_json: bool) -> None:
     if as_json:
         print_json(report.to_dict())
         return
+    for component, text in report.warnings:
+        print_line(f"warning: {component}: {text}", error=True)
     verdicts = [verdict for _, verdict in report.verdicts]
     failing = sum(verdict.fulfilled is False for verdict in verdicts)
     open_ones = sum(verdict.fulfilled is None for verdict in verdicts)

@@ -55,7 +55,12 @@ class Beginning:
         """
         if self.problems:
             raise DependsOnInvalid
-        return self._builder.graph()
+        return self._builder.experiment().graph
+
+    @property
+    def warnings(self) -> tuple[tuple[str, str], ...]:
+        """What the run warns of, by component, each once."""
+        return tuple(dict.fromkeys(self._builder.context.warnings))
 
     def check(self) -> Evidence:
         """Prepare and initialize every component.

@@ -59,10 +59,13 @@ class AssumptionReport:
     scenario : str
     verdicts : tuple of (str, AssumptionVerdict)
         With the model or the component that each is of.
+    warnings : tuple of (str, str)
+        What a run would warn of, with the component that each is of.
     """
 
     scenario: str
     verdicts: tuple[tuple[str, AssumptionVerdict], ...]
+    warnings: tuple[tuple[str, str], ...]
 
     @property
     def fulfilled(self) -> bool:
@@ -76,7 +79,12 @@ class AssumptionReport:
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
         verdicts = [{"of": name, **verdict.to_dict()} for name, verdict in self.verdicts]
-        return {"scenario": self.scenario, "fulfilled": self.fulfilled, "assumptions": verdicts}
+        return {
+            "scenario": self.scenario,
+            "fulfilled": self.fulfilled,
+            "assumptions": verdicts,
+            "warnings": [{"of": name, "text": text} for name, text in self.warnings],
+        }
 
 
 def check_assumptions(
@@ -102,8 +110,9 @@ def check_assumptions(
     edited = loaded.edit(set=mapping_argument("set", set))
     with ExitStack() as resources:
         builder = Builder(edited, resources)
-        verdicts = _Check(builder).verdicts()
-    return AssumptionReport(edited.name, tuple(verdicts))
+        check = _Check(builder)
+        verdicts = tuple(check.verdicts())
+        return AssumptionReport(edited.name, verdicts, check.warnings)
 
 
 class _Check:
@@ -114,6 +123,11 @@ class _Check:
         self._scenario = builder.scenario
         self._context = builder.context
         self._beginning = Beginning(builder)
+
+    @property
+    def warnings(self) -> tuple[tuple[str, str], ...]:
+        """What a run would warn of, after the checks."""
+        return self._beginning.warnings
 
     def verdicts(self) -> list[tuple[str, AssumptionVerdict]]:
         """Return all verdicts, with what each is of."""
