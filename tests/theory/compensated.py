@@ -6,7 +6,6 @@ from scipy.linalg import expm
 from cosim.theory.compensation.design import (
     CompensatorGains,
     ControlledPlant,
-    check_zeros,
     decay_rate_of,
 )
 from cosim.theory.compensation.internal_model import ParameterBox, internal_model
@@ -17,6 +16,7 @@ from cosim.theory.compensation.state_feedback import (
     regulated_plant,
     state_feedback,
 )
+from cosim.theory.compensation.transmission_zeros import check_zeros
 from cosim.theory.disturbances.families import Sine
 from cosim.theory.observers.observer import StateSpace, design, realize
 from cosim.theory.plants.descriptor import DescriptorSystem, reduce

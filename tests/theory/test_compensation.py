@@ -16,7 +16,6 @@ from cosim.theory.compensation.design import (
     CompensatorGains,
     ControlledPlant,
     certify_compensator,
-    check_zeros,
     sampled_loop,
     saturated_loop,
     scheduled,
@@ -32,7 +31,15 @@ from cosim.theory.compensation.state_feedback import (
     regulated_plant,
     state_feedback,
 )
-from cosim.theory.disturbances.families import FAMILIES, Exponential, Sine
+from cosim.theory.compensation.transmission_zeros import blocks_of, check_zeros, closest_mode
+from cosim.theory.disturbances.families import (
+    FAMILIES,
+    DampedSine,
+    Exponential,
+    Polynomial,
+    Sine,
+)
+from cosim.theory.disturbances.linear_family import LinearFamily
 from cosim.theory.observers.observer import StateSpace, design, realize
 from cosim.theory.plants.descriptor import DescriptorSystem, reduce
 from tests.theory.compensated import designed, drive, growth, loop_matrix, plant_of, sampled
@@ -208,6 +215,33 @@ def test_a_transmission_zero_at_a_mode_of_the_disturbance_is_refused():
     check_zeros(plant, model, ParameterBox(np.array([1.4]), np.array([2.0])))
 
 
+def test_the_mode_closest_to_a_zero_is_found_among_six_parameters():
+    """A block whose six parameters are the coefficients of its polynomial, beside one with two.
+
+    The zero is an eigenvalue for a theta inside the box, so that the distance is none.
+    """
+    companion = np.eye(6, k=1)
+    slopes = []
+    for j in range(6):
+        slope = np.zeros((6, 6))
+        slope[5, j] = -1.0
+        slopes.append(tuple(map(tuple, slope.tolist())))
+    names = tuple(f"a{j}" for j in range(6))
+    rows = tuple(map(tuple, companion.tolist()))
+    linear = LinearFamily(rows, tuple(slopes), (1.0, 0.0, 0.0, 0.0, 0.0, 0.0), names, None)
+    model = internal_model([linear, DampedSine()], 2)
+    blocks = blocks_of(model)
+    assert sorted(block.parameters for block in blocks) == [(0, 1, 2, 3, 4, 5), (6, 7)]
+    a = np.poly([-0.2, -0.5, -0.3 + 0.9j, -0.3 - 0.9j, -0.1 + 1.4j, -0.1 - 1.4j]).real[:0:-1]
+    box = ParameterBox(np.append(a - 0.02, [0.0, 3.0]), np.append(a + 0.01, [0.1, 4.0]))
+    theta, mode = closest_mode(-0.1 + 1.4j, blocks, box)
+    assert abs(mode - (-0.1 + 1.4j)) < 1e-8
+    assert abs(np.linalg.eigvals(model.S(theta)) - mode).min() < 1e-12
+    # the other block is closer to what it makes
+    theta, mode = closest_mode(-0.03 + 3.2j, blocks, box)
+    assert np.allclose(theta[6:], [0.03, 3.2], rtol=0.0, atol=1e-8)
+
+
 def test_of_several_transmission_zeros_the_one_that_is_a_mode_is_named():
     """The velocity y = s (s + 5) / (...) u has the zeros 0 and -5; 0 is a mode for every theta."""
     A = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-6.0, -11.0, -6.0]])
@@ -342,6 +376,50 @@ def test_the_proof_does_not_depend_on_the_units_of_u_and_y(of_u, of_y):
     expected = certify_compensator(designed(inner, lower=1.5, upper=2.5), sampled(inner, H))
     assert certified.rate == pytest.approx(expected.rate, rel=1e-6)
     assert certified.cells <= 8 * expected.cells
+
+
+@pytest.mark.parametrize(("slower", "steps"), [(1.0, 1.0), (1e3, 1.0), (1.0, 1e3), (1e3, 1e3)])
+def test_the_proof_depends_neither_on_the_unit_of_time_nor_on_the_step(slower, steps):
+    """A vibration and a ramp, all rates a thousand times lower, the step a thousandth, or both.
+
+    In the other unit of time the loop is the same one, to rounding. With a step far shorter than
+    all that happens it is that of continuous time; the step of 0.01 s is worth 2 % of the rate.
+    """
+    inner = drive()
+    reduced = replace(
+        inner, A_a=inner.A_a / slower, B_1a=inner.B_1a / slower, B_2a=inner.B_2a / slower
+    )
+    families = (Sine(), FAMILIES["ramp"])
+    gains = designed(reduced, lower=1.0 / slower, upper=2.0 / slower, families=families)
+    poles = [-6.0 / slower, -8.0 / slower]
+    observed = realize(reduced, design(reduced, poles=poles, filter_rate=50.0 / slower))
+    observer = StateSpace(observed.A, observed.B, observed.C[:4], observed.D[:4])
+    h = H * slower / steps
+    system = ControlledPlant(plant=plant_of(reduced), observer=observer, regulated=(0,), h=h)
+    certified = certify_compensator(gains, system)
+    expected = certify_compensator(
+        designed(inner, lower=1.0, upper=2.0, families=families), sampled(inner, H)
+    )
+    assert certified.rate * slower == pytest.approx(
+        expected.rate, rel=1e-5 if steps == 1.0 else 0.02
+    )
+    assert certified.cells <= 2 * expected.cells
+
+
+@pytest.mark.parametrize("rate", [0.4, 2e-3])
+@pytest.mark.parametrize("degree", [1, 5])
+def test_the_gain_of_a_polynomial_is_accurate_at_any_rate(degree, rate):
+    """All modes at 0 move to minus the rate: the coefficients of (s + rate)^(degree + 1)."""
+    n = degree + 1
+    model = internal_model([Polynomial(degree)], 1)
+    A = np.array([[-1.0]])
+    one = np.eye(1)
+    plant = regulated_plant(reduce(DescriptorSystem.general(A=A, Bu=one, Bd=one, C=one)), [0])
+    gains = stabilize(plant, np.zeros((1, 1)), model, np.zeros(0), rate)
+    closed = model.S(np.zeros(0)) - gains.B_w @ gains.K_w
+    units = rate ** -np.arange(float(n))  # in which the model has entries of its rate
+    scaled = closed * units / units[:, np.newaxis] / rate
+    assert np.allclose(np.poly(scaled), np.poly(-np.ones(n)), rtol=0.0, atol=1e-9)
 
 
 def test_a_loop_far_from_what_can_be_proven_is_refused():

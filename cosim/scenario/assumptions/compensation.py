@@ -19,13 +19,14 @@ from cosim.scenario.build import Builder
 from cosim.scenario.context import DependsOnInvalid
 from cosim.scenario.kinds.compensators import CompensatorKind
 from cosim.theory.compensation.activation import Activation
-from cosim.theory.compensation.design import CompensatorGains, check_zeros
+from cosim.theory.compensation.design import CompensatorGains
 from cosim.theory.compensation.state_feedback import (
     RegulatedPlant,
     slowest_rate,
     unreached_modes,
 )
 from cosim.theory.compensation.steady_input import KnownDisturbance, steady_input
+from cosim.theory.compensation.transmission_zeros import check_zeros
 from cosim.theory.observers.assumptions import AssumptionVerdict, plain_modes
 from cosim.theory.observers.placement import modes
 

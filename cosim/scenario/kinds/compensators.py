@@ -29,7 +29,6 @@ from cosim.scenario.kinds.terms import FamilyTerm
 from cosim.scenario.schema import Flag, Number, NumberRow, NumberRows, PoleRow, Whole, matrix
 from cosim.theory.compensation.design import (
     CompensatorGains,
-    check_zeros,
     decay_rate_of,
     stabilize,
 )
@@ -47,6 +46,7 @@ from cosim.theory.compensation.state_feedback import (
     state_feedback,
     weight_matrix,
 )
+from cosim.theory.compensation.transmission_zeros import check_zeros
 from cosim.theory.disturbances.families import Family
 from cosim.theory.observers.observer import StateSpace, delta_rows, realize, realize_averages
 from cosim.theory.plants.descriptor import ReducedSystem, UserCoordinates, state_maps

@@ -2,42 +2,45 @@
 
 One communication step takes the state xi of the sampled loop to ``Phi(theta) xi``. The internal
 model depends on theta, and its gains, which are interpolated between nodes (:mod:`.schedule`). It
-is discretized exactly: with ``Z = [S(theta), G(theta); 0, 0]``
+is discretized exactly: with M = h S(theta) and g = h G
 
-    Phi = Phi_0 + U K_w (X V - W) + J [I 0] exp(h Z) N
+    Phi = Phi_0 + U K_w (X V - W) + J (exp(M) W + phi(M) g e),    phi(M) = sum of M^k / (k + 1)!
 
-U is what the next u does, V takes the deviation of x_hat, W the state of the internal model, N what
-drives it, and J puts its new state in its place. With u at a limit there is only the last term,
-with G = -B_w and N = [I; K_w].
+U is what the next u does, V takes the deviation of x_hat, W the state of the internal model, e is
+what drives it by G, and J puts its new state in its place. With u at a limit there is only the last
+term, with G = -B_w and e = K_w W.
 
-K_w, X, B_w and S are multi-affine in theta between nodes. Take the center theta_c of a cell there
-and a T with ``||T Phi(theta_c) T^-1|| < 1``, from a Lyapunov equation. For every theta of the cell,
-with Delta = h Z - h Z_c,
+K_w, X, B_w and S are multi-affine in theta between nodes. Take the center of a cell there and a T
+with ``||T Phi T^-1|| < 1`` at it, from a Lyapunov equation. For every theta of the cell, where M
+differs by m from that of the center, the series of both functions say that
 
-    exp(h Z) = exp(h Z_c) + L Delta + R,    ||R|| <= ||Delta||^2 / 2 exp(||h Z_c|| + ||Delta||)
+    exp(M + m) = exp(M) + L m + R,      ||R|| <= ||m||^2/2 exp(||M|| + ||m||)
+    phi(M + m) = phi(M) + l m + r,      ||r|| <= ||m||^2/6 exp(||M|| + ||m||)
+                                        ||l m|| <= ||m||/2 exp(||M||)
 
-where L is the derivative of the exponential at h Z_c, which is linear. What drives the internal
-model is in units in which ``h G`` is of size one, so that the bound of R does not depend on those
-of the user. What of ``T Phi T^-1`` is of first order in the changes of K_w, X, Delta and N is
-multi-affine in theta, and its norm is largest at a corner of the cell; the products of two changes
-and R are bounded by norms, also largest at a corner. If all that and an allowance for rounding are
-less than 1 together, then ``||T xi||`` falls at every step, for every theta of the cell, also for
-one that varies from step to step. Cells where they are not are halved. With one cell the proof is
-of a theta that varies in the whole box, with several of a constant one in it, and of one that
-varies slowly.
+with the derivatives L and l, which are linear. w is in units in which the internal model with its
+gain is balanced, and what drives it in units in which g is of size one, so that the bounds depend
+neither on the units of signals nor on that of time. What of ``T Phi T^-1`` is of first order in the
+changes of K_w, X, M, g and e is multi-affine in theta, and its norm is largest at a corner of the
+cell; the products of two changes, R and r are bounded by norms, also largest at a corner. If all
+that and an allowance for rounding are less than 1 together, then ``||T xi||`` falls at every step,
+for every theta of the cell, also for one that varies from step to step. Cells where they are not
+are halved. With one cell the proof is of a theta that varies in the whole box, with several of a
+constant one in it, and of one that varies slowly.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
 from cosim.filters import ignored_warnings
@@ -47,10 +50,12 @@ from cosim.theory.compensation.schedule import Schedule, Stabilization
 from cosim.theory.compensation.state_feedback import balancing
 from cosim.theory.plants.descriptor import ComplexMatrix
 
-MOST_CELLS = 250  # beyond those between the nodes, where nothing else is said
+MOST_CORNERS = 1000  # of cells beyond those between the nodes, where nothing else is said
+MOST_CELLS = 250
 GRID = 9  # most points on a side of the box where instability is looked for first
-GRID_POINTS = 800  # and in the box
+GRID_POINTS = 300  # and in the box
 ROUNDING = 1e3  # of the products with T, in units of the float spacing
+EPSILON = float(np.finfo(np.float64).eps)
 LARGEST_EXPONENT = 700.0  # of the bound of R, beyond which it proves nothing
 
 
@@ -104,32 +109,39 @@ class SampledLoop:
     def at(self, theta: Vector) -> _ModelAt:
         """Return what depends on theta."""
         gains = self.schedule.at(theta)
+        M = self.h * self.model.S(theta)
         G = -gains.B_w if self.at_limit else self.model.b
-        dynamics = np.hstack([self.model.S(theta), G / self.units])
-        n_w, n = dynamics.shape
-        no_dynamics = np.zeros((n - n_w, n))
-        Z = self.h * np.vstack([dynamics, no_dynamics])
         driving = gains.K_w @ self.w if self.at_limit else self.error
-        N = np.vstack([self.w, self.units[:, np.newaxis] * driving])
-        return _ModelAt(gains, Z, N)
+        g = self.h * G / self.units
+        e = self.units[:, np.newaxis] * driving
+        return _ModelAt(gains, M, g, e)
 
     def Phi(self, theta: Vector) -> Matrix:
         """Return what a step does to xi, shape ``(n, n)``."""
         model = self.at(theta)
-        gains = model.gains
-        correction = gains.K_w @ self.gains_input(model)
-        step = matrix_exponential(model.Z)
-        return self.fixed + self.of_u @ correction + self.placed(step @ model.N)
+        correction = model.gains.K_w @ self.gains_input(model)
+        of_step = _Exponential.of(model)
+        new_w = of_step.E @ self.w + of_step.F @ model.e
+        return self.fixed + self.of_u @ correction + self.placed(new_w)
 
     def gains_input(self, model: _ModelAt) -> Matrix:
         """Return `X V - W`, which K_w multiplies."""
         return model.gains.X @ self.deviation - self.w
 
-    def placed(self, rows: Matrix) -> Matrix:
-        """Return `J [I 0] rows`."""
+    def placed(self, of_w: Matrix) -> Matrix:
+        """Return what a step does to w in its place, shape ``(n, n)``."""
         total = np.zeros_like(self.fixed)
-        total[self.rows] = rows[: len(self.w)]
+        total[self.rows] = of_w
         return total
+
+    def balanced(self) -> SampledLoop:
+        """Return the loop with w in units in which the internal model with its gain is balanced."""
+        center = self.schedule.box.center
+        gains = self.schedule.at(center)
+        S = self.model.S(center)
+        units = balancing(S - gains.B_w @ gains.K_w)
+        model = self.model.in_units(units)
+        return replace(self, model=model, schedule=self.schedule.in_units(units))
 
     def radius(self, theta: Vector) -> float:
         """Return the largest modulus of an eigenvalue of Phi."""
@@ -138,11 +150,60 @@ class SampledLoop:
 
 
 class _ModelAt(NamedTuple):
-    """The gains, h Z and N of a loop at one theta."""
+    """The gains of a loop at one theta, M, g, and e, which drives w in units."""
 
     gains: Stabilization
-    Z: Matrix
-    N: Matrix
+    M: Matrix
+    g: Matrix
+    e: Matrix
+
+    def less(self, other: _ModelAt) -> _ModelAt:
+        """Return the differences from those at another theta."""
+        gains = Stabilization(
+            K_w=self.gains.K_w - other.gains.K_w,
+            X=self.gains.X - other.gains.X,
+            B_w=self.gains.B_w - other.gains.B_w,
+        )
+        return _ModelAt(gains, self.M - other.M, self.g - other.g, self.e - other.e)
+
+
+class _Exponential(NamedTuple):
+    """`exp(M)` and `phi(M) g`."""
+
+    E: Matrix
+    F: Matrix
+
+    @classmethod
+    def of(cls, model: _ModelAt) -> _Exponential:
+        """Compute both, the upper rows of the exponential of ``[M, g; 0, 0]``."""
+        return cls._of_rows(matrix_exponential(_above_zeros(model.M, model.g)), len(model.M))
+
+    @classmethod
+    def derivative(cls, center: _ModelAt, change: _ModelAt) -> _Exponential:
+        """Compute their derivative in the direction of a change.
+
+        It is the upper right block of the exponential of ``[Z, change; 0, Z]``.
+        """
+        Z = _above_zeros(center.M, center.g)
+        direction = _above_zeros(change.M, change.g)
+        upper = np.hstack([Z, direction])
+        lower = np.hstack([np.zeros_like(Z), Z])
+        both = matrix_exponential(np.vstack([upper, lower]))
+        n = len(Z)
+        return cls._of_rows(both[:n, n:], len(center.M))
+
+    @classmethod
+    def _of_rows(cls, exponential: Matrix, n_w: int) -> _Exponential:
+        rows = exponential[:n_w]
+        return cls(rows[:, :n_w], rows[:, n_w:])
+
+
+def _above_zeros(M: Matrix, g: Matrix) -> Matrix:
+    """Return `[M, g; 0, 0]`, which is square."""
+    rows = np.hstack([M, g])
+    n_w, n = rows.shape
+    zeros = np.zeros((n - n_w, n))
+    return np.vstack([rows, zeros])
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,14 +228,16 @@ class Certificate:
     theta: tuple[float, ...]
 
 
-def certify(loop: SampledLoop, most_cells: int = MOST_CELLS) -> Certificate:
+def certify(loop: SampledLoop, most_corners: int = MOST_CORNERS) -> Certificate:
     """Prove that a loop is stable in the box of its schedule, or find where it is not."""
+    loop = loop.balanced()
     slowest, theta = _on_grid(loop)
     where = tuple(theta.tolist())
     if slowest >= 1.0:
         return Certificate(False, 0, _rate(slowest, loop), where)
     waiting = loop.schedule.cells()
-    most = len(waiting) + most_cells
+    corners = 2 ** len(loop.schedule.box.lower)
+    most = len(waiting) + min(most_corners // corners, MOST_CELLS)
     cells = 0
     while waiting:
         cell = waiting.pop()
@@ -251,26 +314,56 @@ def _contracting(
 ) -> Iterator[Matrix]:
     """Yield matrices T in whose norm Phi contracts, where they can be computed.
 
-    P of ``Phi' P Phi - r^2 P = -Q`` is T'T; r is halfway from the spectral radius to 1. Q weighs
-    the modes as they are long in units that balance Phi, or such that what changes in the cell is
-    small between them, whatever the units are.
+    P of ``Phi' P Phi - r^2 P = -Q`` is T'T; r is halfway from the spectral radius to 1. In units
+    that balance Phi over its slowest time, Q weighs all states alike, or the modes as they are
+    long, or such that what changes in the cell is small between them.
     """
-    units = balancing(Phi)
-    rows = units[:, np.newaxis]
-    balanced = Phi * units / rows
-    _, vectors = np.linalg.eig(balanced)
+    units = _slow_units(Phi, radius)
+    balanced = Phi * units / units[:, np.newaxis]
     contracting = balanced / (0.5 * (1.0 + radius))
-    with suppress(np.linalg.LinAlgError):  # fewer eigenvectors than states, or P is not positive
-        modal = np.linalg.inv(vectors)
+    with suppress(np.linalg.LinAlgError):  # P is not positive, or modes are alike
+        yield _factor(contracting, np.eye(len(Phi))) / units
+    with suppress(np.linalg.LinAlgError):
+        modal = _modal(balanced)
         yield _factor(contracting, modal) / units
     with suppress(np.linalg.LinAlgError):
-        modal = np.linalg.inv(vectors)
-        between_modes = np.zeros_like(Phi)
-        for theta in _corners(cell):
-            change = (loop.Phi(theta) - Phi) * units / rows
-            between_modes += np.abs(modal @ change @ vectors)
-        weights = balancing(between_modes)
+        modal = _modal(balanced)
+        weights = _weights_of_modes(loop, cell, Phi, modal, units)
         yield _factor(contracting, modal / weights[:, np.newaxis]) / units
+
+
+def _slow_units(Phi: Matrix, radius: float) -> Vector:
+    """Return units that balance what as many steps do as the slowest mode takes to decay.
+
+    Within one step u follows x with a large gain and x follows u hardly: units that balance these
+    are too large for what x and the internal model do to each other in the end.
+    """
+    units = balancing(Phi)
+    balanced = Phi * units / units[:, np.newaxis]
+    steps = int(1.0 / (1.0 - radius))
+    effects = np.abs(np.linalg.matrix_power(balanced, max(steps, 1)))
+    rounding = EPSILON * effects.max()
+    return units * balancing(effects + rounding)
+
+
+def _modal(matrix: Matrix) -> ComplexMatrix:
+    """Return the rows that take a state to its modes."""
+    _, vectors = np.linalg.eig(matrix)
+    rows: ComplexMatrix = np.linalg.inv(vectors)
+    return rows
+
+
+def _weights_of_modes(
+    loop: SampledLoop, cell: ParameterBox, Phi: Matrix, modal: ComplexMatrix, units: Vector
+) -> Vector:
+    """Return units of the modes that balance what changes between them in a cell."""
+    vectors = np.linalg.inv(modal)
+    between_modes = np.zeros_like(Phi)
+    for theta in _corners(cell):
+        change = loop.Phi(theta) - Phi
+        balanced = change * units / units[:, np.newaxis]
+        between_modes += np.abs(modal @ balanced @ vectors)
+    return balancing(between_modes)
 
 
 def _factor(contracting: Matrix, modal: Matrix | ComplexMatrix) -> Matrix:
@@ -293,37 +386,62 @@ def _bound(loop: SampledLoop, cell: ParameterBox, Phi: Matrix, T: Matrix) -> flo
     """Return a bound of `||T Phi(theta) T^-1||` for every theta of a cell."""
     inverse = np.linalg.inv(T)
     center = loop.at(cell.center)
-    step = matrix_exponential(center.Z)
-    seen = loop.gains_input(center)
-    of_next_u = T @ loop.of_u
-    of_x = loop.deviation @ inverse
-    corners = [loop.at(theta) for theta in _corners(cell)]
-    # units of u and w in which the changes of K_w and X are multiplied
-    u = _sizes(of_next_u, axis=0)
-    w = _sizes(np.hstack([there.gains.X @ of_x for there in corners]), axis=1)
+    changes = [loop.at(theta).less(center) for theta in _corners(cell)]
+    step = _Exponential.of(center)
     first_order = 0.0
-    changes = np.zeros(5)
-    for there in corners:
-        K_w = there.gains.K_w - center.gains.K_w
-        X = there.gains.X - center.gains.X
-        Z = there.Z - center.Z
-        N = there.N - center.N
-        derivative = _derivative(center.Z, Z)
-        change_of_u = K_w @ seen + center.gains.K_w @ X @ loop.deviation
-        change_of_w = derivative @ center.N + step @ N
-        linear = Phi + loop.of_u @ change_of_u + loop.placed(change_of_w)
+    for change in changes:
+        linear = Phi + _first_order(loop, center, step, change)
         first_order = max(first_order, _norm(T @ linear @ inverse))
-        scaled_K_w = u[:, np.newaxis] * K_w * w
-        scaled_X = X @ of_x / w[:, np.newaxis]
-        sizes = [scaled_K_w, scaled_X, Z, N @ inverse, derivative]
-        changes = np.maximum(changes, [_norm(size) for size in sizes])
-    of_K, of_X, of_Z, of_N, of_exponential = changes.tolist()
-    of_products = _norm(of_next_u / u) * of_K * of_X
-    of_remainder = _remainder(_norm(center.Z), of_Z) * (_norm(center.N @ inverse) + of_N)
-    of_model = of_remainder + of_exponential * of_N
+    of_gains = _product_of_gains(center, changes, T @ loop.of_u, loop.deviation @ inverse)
+    of_model = _second_order_of_model(center, changes, loop.w, inverse)
+    of_new_w = _norm(T[:, loop.rows])
     magnitudes = np.abs(T) @ np.abs(Phi) @ np.abs(inverse)
-    rounding = ROUNDING * float(np.finfo(np.float64).eps) * _norm(magnitudes)
-    return first_order + of_products + _norm(T[:, loop.rows]) * of_model + rounding
+    rounding = ROUNDING * EPSILON * _norm(magnitudes)
+    return first_order + of_gains + of_new_w * of_model + rounding
+
+
+def _first_order(
+    loop: SampledLoop, center: _ModelAt, step: _Exponential, change: _ModelAt
+) -> Matrix:
+    """Return what Phi changes by, but for products of changes."""
+    derivative = _Exponential.derivative(center, change)
+    seen = loop.gains_input(center)
+    change_of_seen = change.gains.X @ loop.deviation
+    of_u = change.gains.K_w @ seen + center.gains.K_w @ change_of_seen
+    of_model = derivative.E @ loop.w + derivative.F @ center.e
+    of_driving = step.F @ change.e
+    return loop.of_u @ of_u + loop.placed(of_model + of_driving)
+
+
+def _product_of_gains(
+    center: _ModelAt, changes: Sequence[_ModelAt], of_next_u: Matrix, of_x: Matrix
+) -> float:
+    """Bound what the product of the changes of K_w and X does, in units of u and w of its own."""
+    seen = [(center.gains.X + change.gains.X) @ of_x for change in changes]
+    u = _sizes(of_next_u, axis=0)
+    w = _sizes(np.hstack(seen), axis=1)
+    of_K_w = [_norm(u[:, np.newaxis] * change.gains.K_w * w) for change in changes]
+    of_X = [_norm(change.gains.X @ of_x / w[:, np.newaxis]) for change in changes]
+    return _norm(of_next_u / u) * max(of_K_w) * max(of_X)
+
+
+def _second_order_of_model(
+    center: _ModelAt, changes: Sequence[_ModelAt], W: Matrix, inverse: NDArray[np.floating[Any]]
+) -> float:
+    """Bound R, r and the products of the changes of phi(M), g and e."""
+    M = _norm(center.M)
+    m = max(_norm(change.M) for change in changes)
+    if M + m > LARGEST_EXPONENT:
+        return math.inf
+    g = _norm(center.g)
+    of_g = max(_norm(change.g) for change in changes)
+    e = _norm(center.e @ inverse)
+    of_e = max(_norm(change.e @ inverse) for change in changes)
+    powers = m**2 * math.exp(M + m)
+    of_remainders = powers * (_norm(W @ inverse) / 2.0 + (g + of_g) * (e + of_e) / 6.0)
+    of_phi = 0.5 * m * math.exp(M)
+    of_products = of_phi * (g * of_e + of_g * e + of_g * of_e)
+    return of_remainders + of_products + math.exp(M) * of_g * of_e
 
 
 def _sizes(matrix: Matrix, axis: int) -> Vector:
@@ -332,27 +450,6 @@ def _sizes(matrix: Matrix, axis: int) -> Vector:
     return np.where(sizes > 0.0, sizes, 1.0)
 
 
-def _remainder(size: float, change: float) -> float:
-    """Return the bound of R by the norms of h Z_c and Delta."""
-    if change == 0.0:
-        return 0.0
-    if size + change > LARGEST_EXPONENT:
-        return math.inf
-    return 0.5 * change**2 * math.exp(size + change)
-
-
-def _derivative(Z: Matrix, change: Matrix) -> Matrix:
-    """Return the derivative of the exponential at Z in the direction of a change.
-
-    It is the upper right block of the exponential of ``[Z, change; 0, Z]``.
-    """
-    n = len(Z)
-    upper = np.hstack([Z, change])
-    lower = np.hstack([np.zeros((n, n)), Z])
-    both = matrix_exponential(np.vstack([upper, lower]))
-    return both[:n, n:]
-
-
-def _norm(matrix: Matrix) -> float:
+def _norm(matrix: NDArray[np.floating[Any]]) -> float:
     """Return the largest singular value."""
     return float(np.linalg.norm(matrix, 2))

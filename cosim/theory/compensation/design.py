@@ -42,7 +42,7 @@ from cosim.arrays import NAN, Matrix, Vector
 from cosim.errors import AssumptionError
 from cosim.native.step import first_order_hold
 from cosim.theory.compensation.certificate import (
-    MOST_CELLS,
+    MOST_CORNERS,
     Certificate,
     SampledLoop,
     certify,
@@ -60,12 +60,14 @@ from cosim.theory.observers.observer import StateSpace
 from cosim.theory.observers.placement import modes
 
 PARTS = (4, 16)  # into which the interval of each parameter is cut, until the proof succeeds
-MOST_NODES = 700
+FEW_PARTS = (2, 1)  # of many parameters
+MOST_NODES = 300
 BISECTIONS = 8  # of an interval that would do
 MARGINS = (0.02, 0.1, 0.3, 0.6, 0.9, 0.97, 0.99)  # by which it shrinks until it is proven
-FEW_CELLS = 60  # of a proof that is tried while there are others to try
+FEW_CORNERS = 240  # of cells of a proof that is tried while there are others to try
 RESIDUAL = 1e-9  # of the Sylvester equation, relative to its terms
-FURTHER = (1.0, 1.02, 1.05)  # times the shift of the modes that is tried
+ROUNDING = 1e-12  # relative to S, of the real part of a mode that stays where it is
+ALIKE = 1e-11  # of motions of length one: the least effort that tells them apart, over the largest
 NEAR = 1e-6  # relative distance from an eigenvalue of S at which a zero counts as on it
 
 
@@ -161,27 +163,32 @@ def _sylvester(S: Matrix, A: Matrix, right: Matrix, units: Vector, where: str) -
 def _least_effort(S: Matrix, B: Matrix, shift: float, where: str) -> Matrix:
     """Compute the gain that mirrors the modes of S right of ``-shift`` about it, no others.
 
-    It is the regulator of S + shift I without a weight of the state. There is none where a mode is
-    at ``-shift``: then about a point somewhat further left.
+    It is the regulator of A = S + shift I without a weight of the state. With orthonormal rows V'
+    of the modes that grow, ``V' A = a V'``, it is ``V' B`` by the inverse of W, where
+    ``a W + W a' = V' B B' V``: the effort that a motion takes is W^-1.
     """
-    from scipy.linalg import solve_continuous_are  # takes long to import, and is rarely needed
+    from scipy.linalg import schur, solve_continuous_lyapunov  # take long to import
 
-    n, m = B.shape
-    size = np.linalg.norm(B) or 1.0
-    scaled = B / size
-    no_weight = np.zeros((n, n))
-    for further in FURTHER:
-        shifted = S + further * shift * np.eye(n)
-        with suppress(np.linalg.LinAlgError, ValueError):
-            P = solve_continuous_are(shifted, scaled, no_weight, np.eye(m))
-            gain: Matrix = scaled.T @ P / size
-            return gain
-    raise AssumptionError(
-        f"internal model: {where}{_unreached(S, scaled)} (NOT_STABILIZABLE)",
-        "NOT_STABILIZABLE",
-        "needed an interval without that theta, components of the disturbance whose intervals are "
-        "apart, or another decay_rate",
-    )
+    n = len(S)
+    A = S + shift * np.eye(n)
+    least = ROUNDING * np.linalg.norm(A, 2)
+    T, Z, moved = schur(A.T, sort=lambda real, imaginary: real > least)
+    a = T[:moved, :moved].T
+    V = Z[:, :moved]
+    b = V.T @ B
+    W = solve_continuous_lyapunov(a, b @ b.T)
+    lengths = np.sqrt(np.maximum(np.diag(W), np.finfo(np.float64).tiny))
+    correlation = W / lengths / lengths[:, np.newaxis]
+    if moved and np.linalg.eigvalsh(correlation).min() < ALIKE:
+        raise AssumptionError(
+            f"internal model: {where}{_unreached(S, B)} (NOT_STABILIZABLE)",
+            "NOT_STABILIZABLE",
+            "needed an interval without that theta, components of the disturbance whose intervals "
+            "are apart, or another decay_rate",
+        )
+    of_modes = np.linalg.solve(correlation, V.T / lengths[:, np.newaxis])
+    gain: Matrix = (b / lengths[:, np.newaxis]).T @ of_modes
+    return gain
 
 
 def _unreached(S: Matrix, B: Matrix) -> str:
@@ -202,75 +209,6 @@ def _unreached(S: Matrix, B: Matrix) -> str:
     if alike > m:
         return f"{alike} modes of it are alike, at {text}, and {m} input(s) cannot tell them apart"
     return f"u does not reach its mode {text}"
-
-
-class NearestZero(NamedTuple):
-    """The transmission zero that is closest to a mode of the disturbance [1/s], and for which."""
-
-    zero: complex
-    mode: complex
-    theta: tuple[float, ...]
-
-
-def check_zeros(
-    plant: RegulatedPlant, model: InternalModel, box: ParameterBox
-) -> NearestZero | None:
-    """Check that no transmission zero is an eigenvalue of S for a theta of the box.
-
-    Returns
-    -------
-    NearestZero or None
-        None: there are no zeros.
-
-    Raises
-    ------
-    AssumptionError
-        If one is: no controller rejects the disturbance there.
-    """
-    nearest: NearestZero | None = None
-    for zero in plant.zeros:
-        theta, mode = _closest(complex(zero), model, box)
-        scale = max(abs(zero), float(np.linalg.norm(model.S(theta), 2)), 1e-300)
-        if abs(mode - zero) <= NEAR * scale or plant.has_zero_at(mode):
-            corners = [box.lower, box.upper]
-            is_of_all = all(_nearest_mode(model, corner, mode) == mode for corner in corners)
-            where = "" if is_of_all else f" at theta = {_numbers(theta)}"
-            raise AssumptionError(
-                f"internal model: the transmission zero {modes([mode])} from u to the regulated "
-                f"outputs is a mode of the disturbance{where}, where no controller rejects it "
-                "(TRANSMISSION_ZERO)",
-                "TRANSMISSION_ZERO",
-                "needed an interval of theta without it, or other regulated outputs",
-            )
-        if nearest is None or abs(mode - zero) < abs(nearest.mode - nearest.zero):
-            nearest = NearestZero(complex(zero), mode, tuple(theta.tolist()))
-    return nearest
-
-
-def _nearest_mode(model: InternalModel, theta: Vector, s: complex) -> complex:
-    """Return the eigenvalue of S closest to s."""
-    eigenvalues = np.linalg.eigvals(model.S(theta))
-    return complex(eigenvalues[np.abs(eigenvalues - s).argmin()])
-
-
-def _closest(s: complex, model: InternalModel, box: ParameterBox) -> tuple[Vector, complex]:
-    """Return the theta of a box with the eigenvalue of S closest to s, and that eigenvalue."""
-    cell = box
-    theta = box.center
-    mode = complex(math.inf)
-    points = 21 if len(theta) <= 1 else 9
-    while True:
-        for point in cell.grid(points):
-            nearest = _nearest_mode(model, point, s)
-            if abs(nearest - s) < abs(mode - s):
-                mode = nearest
-                theta = point
-        width = cell.upper - cell.lower
-        if (width <= 1e-9 * np.maximum(np.abs(theta), 1e-9)).all():
-            return theta, mode
-        lower = np.maximum(theta - width / (points - 1), box.lower)
-        upper = np.minimum(theta + width / (points - 1), box.upper)
-        cell = ParameterBox(lower, upper)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -506,20 +444,24 @@ def certify_compensator(gains: CompensatorGains, system: ControlledPlant) -> Cer
     problem = ""
     refinements = _refinements(gains.box)
     for parts in refinements:
-        most_cells = MOST_CELLS if parts == refinements[-1] else FEW_CELLS
-        attempt = _attempt(gains, system, gains.box, parts, most_cells)
+        most_corners = MOST_CORNERS if parts == refinements[-1] else FEW_CORNERS
+        attempt = _attempt(gains, system, gains.box, parts, most_corners)
         problem = attempt.problem
         if attempt.schedule is not None:
             certificate = attempt.certificate
             return CertifiedCompensator(
                 attempt.schedule, base_rate, certificate.rate, certificate.theta, certificate.cells
             )
-    factor = _largest_factor(gains, system)
-    largest = gains.box.scaled(factor).text if factor > 0.0 else "none about its center"
+    cure = "needed another decay_rate or state feedback"
+    if len(gains.box.lower):
+        factor = _largest_factor(gains, system)
+        largest = gains.box.scaled(factor).text if factor > 0.0 else "none about its center"
+        cure = (
+            f"the largest interval that would do: {largest}; or another decay_rate or state "
+            "feedback"
+        )
     raise AssumptionError(
-        f"{problem} (NOT_STABLE_IN_THE_INTERVAL)",
-        "NOT_STABLE_IN_THE_INTERVAL",
-        f"the largest interval that would do: {largest}; or another decay_rate or state feedback",
+        f"{problem} (NOT_STABLE_IN_THE_INTERVAL)", "NOT_STABLE_IN_THE_INTERVAL", cure
     )
 
 
@@ -536,15 +478,15 @@ def _attempt(
     system: ControlledPlant,
     box: ParameterBox,
     parts: int,
-    most_cells: int,
+    most_corners: int,
 ) -> _Attempt:
     """Design the gains of a box, and try to prove both loops with them."""
     schedule = scheduled(gains, box, parts)
-    certificate = certify(sampled_loop(system, gains, schedule), most_cells)
+    certificate = certify(sampled_loop(system, gains, schedule), most_corners)
     if not certificate.proven:
         problem = _instability("the loop with the internal model", box, certificate)
         return _Attempt(problem, None, certificate)
-    at_limit = certify(saturated_loop(system, gains, schedule), most_cells)
+    at_limit = certify(saturated_loop(system, gains, schedule), most_corners)
     if not at_limit.proven:
         problem = _instability("the internal model with u at a limit", box, at_limit)
         return _Attempt(problem, None, at_limit)
@@ -556,6 +498,8 @@ def _instability(what: str, box: ParameterBox, certificate: Certificate) -> str:
     state = f"decays at {certificate.rate:.3g} 1/s, and near it that cannot be proven"
     if certificate.rate <= 0.0:
         state = f"grows at {-certificate.rate:.3g} 1/s"
+    if not certificate.theta:
+        return f"{what} is not proven to be stable: it {state}"
     return (
         f"{what} is not stable for every theta of {box.text}: at theta = "
         f"{_numbers(certificate.theta)} it {state}"
@@ -565,7 +509,9 @@ def _instability(what: str, box: ParameterBox, certificate: Certificate) -> str:
 def _refinements(box: ParameterBox) -> list[int]:
     """Return how finely the box is cut, with as many nodes as can be afforded."""
     sides = max(int((box.lower < box.upper).sum()), 1)
-    return [parts for parts in PARTS if (parts + 1) ** sides <= MOST_NODES] or [1]
+    affordable = [parts for parts in PARTS if (parts + 1) ** sides <= MOST_NODES]
+    few = [parts for parts in FEW_PARTS if (parts + 1) ** sides <= MOST_NODES]
+    return affordable or few[:1] or [1]
 
 
 def _largest_factor(gains: CompensatorGains, system: ControlledPlant) -> float:
@@ -585,7 +531,7 @@ def _largest_factor(gains: CompensatorGains, system: ControlledPlant) -> float:
     for margin in MARGINS:
         factor = low * (1.0 - margin)
         with suppress(AssumptionError):  # there are no gains at a node of its own
-            attempt = _attempt(gains, system, gains.box.scaled(factor), parts, MOST_CELLS)
+            attempt = _attempt(gains, system, gains.box.scaled(factor), parts, FEW_CORNERS)
             if attempt.schedule is not None:
                 return factor
     return 0.0

@@ -115,6 +115,12 @@ class InternalModel:
             total += value * slope
         return total
 
+    def in_units(self, units: Vector) -> InternalModel:
+        """Return it with w in other units, shape ``(n_w,)``."""
+        rows = units[:, np.newaxis]
+        slopes = [slope * units / rows for slope in self.S1]
+        return InternalModel(self.S0 * units / rows, tuple(slopes), self.b / rows)
+
 
 def internal_model(families: Sequence[Family], outputs: int) -> InternalModel:
     """Build the internal model of a disturbance class, a copy for each of so many outputs.

@@ -6,7 +6,7 @@ Multilinear interpolation, affine in each parameter: the certificate rests on th
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -61,6 +61,11 @@ class Schedule:
             X=blended(self.X, corners),
             B_w=blended(self.B_w, corners),
         )
+
+    def in_units(self, units: Vector) -> Schedule:
+        """Return it with w in other units, shape ``(n_w,)``."""
+        rows = units[:, np.newaxis]
+        return replace(self, K_w=self.K_w * units, X=self.X / rows, B_w=self.B_w / rows)
 
     def cells(self) -> list[ParameterBox]:
         """Return the boxes between neighboring nodes."""

@@ -267,7 +267,10 @@ def balancing(A: Matrix) -> Vector:
     """Return units of the states in which the rows and columns of A are of one size, shape (n,)."""
     from scipy.linalg import matrix_balance  # takes long to import, and is rarely needed
 
-    _, (scales, _) = matrix_balance(A, permute=False, separate=True)
+    between_states = A - np.diag(
+        np.diag(A)
+    )  # LAPACK counts the diagonal, which units do not change
+    _, (scales, _) = matrix_balance(between_states, permute=False, separate=True)
     return np.asarray(scales, np.float64)
 
 
