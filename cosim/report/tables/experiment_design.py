@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from cosim.report.summary import numbers_text
 from cosim.report.tables.console import new_table, print_json, print_line, print_table
-from cosim.scenario.experiment_design.ranking import ExperimentDesign, OmittedDesigns
+from cosim.scenario.experiment_design.designs import ExperimentDesign, OmittedDesigns
 
 _SHOWN: Final = 3  # designs of a choice and a method
 _TITLES: Final = {"scenario": "as it is"}
@@ -22,18 +22,19 @@ def print_design(design: ExperimentDesign, *, as_json: bool) -> None:
         print_json(design.to_dict())
         return
     parameters = range(len(design.theta))
-    errors = [f"error of theta[{j}]" for j in parameters]
+    titles = [f"error of theta[{j}]" for j in parameters]
     noise = numbers_text(design.deviations.tolist())
     title = f"{design.identifier}: predicted errors, noise of y {noise} ({design.noise_source})"
-    table = new_table(title, ("", "set", "method", *errors, "of bound"))
+    table = new_table(title, ("", "set", "method", *titles, "of bound"))
     shown: Counter[tuple[str, str]] = Counter()
-    for one in design.designs:
-        kind = (one.choice, one.method)
-        shown[kind] += 1
-        if shown[kind] <= _SHOWN:
-            cells = [_number(error) for error in one.error]
-            choice = _TITLES.get(one.choice, one.choice)
-            table.add_row(choice, _settings(one.settings), one.method, *cells, _number(one.ratio))
+    for ranked in design.designs:
+        group = (ranked.choice, ranked.method)
+        shown[group] += 1
+        if shown[group] <= _SHOWN:
+            errors = [_number(error) for error in ranked.error]
+            choice = _TITLES.get(ranked.choice, ranked.choice)
+            settings = _settings(ranked.settings)
+            table.add_row(choice, settings, ranked.method, *errors, _number(ranked.ratio))
     print_table(table)
     for omitted in design.omitted:
         print_line(_omission(omitted))
@@ -43,10 +44,10 @@ def print_design(design: ExperimentDesign, *, as_json: bool) -> None:
 
 def _omission(omitted: OmittedDesigns) -> str:
     """Write which choices have no row, and why."""
-    choices = ", ".join(filter(None, map(_settings, omitted.settings)))
     choice = _TITLES.get(omitted.choice, omitted.choice)
-    what = " ".join(filter(None, (f"{choice}:", omitted.method, choices)))
-    return f"{what}: {omitted.reason}" if not what.endswith(":") else f"{what} {omitted.reason}"
+    settings = ", ".join(filter(None, map(_settings, omitted.settings)))
+    of_method = " ".join(filter(None, (omitted.method, settings)))
+    return ": ".join(filter(None, (choice, of_method, omitted.reason)))
 
 
 def _settings(settings: Mapping[str, Any]) -> str:

@@ -15,6 +15,11 @@ from cosim.arguments import mapping_argument, truth_argument
 from cosim.arrays import Vector
 from cosim.errors import AssumptionError, CosimError, UsageError
 from cosim.scenario.execution import load
+from cosim.scenario.experiment_design.designs import (
+    ExperimentDesign,
+    OmittedDesigns,
+    RankedDesign,
+)
 from cosim.scenario.experiment_design.subject import DesignSubject, subject_of
 from cosim.scenario.experiment_design.trial import Trial, trial_of
 from cosim.scenario.kinds.reconstruction import DEFAULT_ORDER, FILTERS
@@ -44,130 +49,6 @@ _WINDOWS: Final = (0.5, 0.25, 0.125)  # of the run: of output error
 _INPUTS: Final = (0.0, 10.0)  # times the input of the scenario
 _UNDETERMINED: Final = "no estimate: the data do not determine theta"
 _MODEL_ERROR: Final = 1e-3  # of y, above which a model is not that of the plant
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class RankedDesign:
-    """A choice, and the error of theta that is to be expected with it.
-
-    Parameters
-    ----------
-    choice : str
-        What is chosen: ``scenario`` for all as it is, ``delays``, ``filter``, ``step``, ``window``,
-        ``input``, or ``together``.
-    settings : mapping of dotted key to value
-        What the choice sets.
-    method : str
-        Of the estimator.
-    bias, standard_error, error : Vector, shape (P,)
-        Mean of the estimates less theta, their deviation, and both together as root mean square;
-        infinite where the estimator finds no theta.
-    ratio : float
-        The largest error over the Cramer-Rao bound of y with the scenario as it is.
-    """
-
-    choice: str
-    settings: Mapping[str, Any]
-    method: str
-    bias: Vector
-    standard_error: Vector
-    error: Vector
-    ratio: float
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
-        return {
-            "choice": self.choice,
-            "settings": dict(self.settings),
-            "method": self.method,
-            "bias": self.bias.tolist(),
-            "standard_error": self.standard_error.tolist(),
-            "error": self.error.tolist(),
-            "ratio": self.ratio,
-        }
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class OmittedDesigns:
-    """Choices that have no error to be expected, all for one reason.
-
-    Parameters
-    ----------
-    choice : str
-        As of a :class:`RankedDesign`.
-    method : str
-        Of the estimator; empty: all of them.
-    settings : tuple of mapping of dotted key to value
-        What each choice sets.
-    reason : str
-    """
-
-    choice: str
-    method: str
-    settings: tuple[Mapping[str, Any], ...]
-    reason: str
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
-        return {
-            "choice": self.choice,
-            "method": self.method,
-            "settings": [dict(one) for one in self.settings],
-            "reason": self.reason,
-        }
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class ExperimentDesign:
-    """Choices for a scenario, ranked by the error of theta that is to be expected.
-
-    Parameters
-    ----------
-    scenario : str
-    identifier : str
-    theta : Vector, shape (P,)
-    deviations : Vector, shape (n_y,)
-        Of the noise of y.
-    noise_source : str
-    bound : Vector, shape (P,)
-        The least standard errors of theta from y, by output error, with the scenario as it is.
-    designs : tuple of RankedDesign
-        By choice; within a choice and a method the best first. Those of the scenario as it is may
-        have an infinite error, no others.
-    omitted : tuple of OmittedDesigns
-        What was not tried, is refused, or finds no theta.
-    notes : tuple of str
-    """
-
-    scenario: str
-    identifier: str
-    theta: Vector
-    deviations: Vector
-    noise_source: str
-    bound: Vector
-    designs: tuple[RankedDesign, ...]
-    omitted: tuple[OmittedDesigns, ...]
-    notes: tuple[str, ...]
-
-    def of(self, choice: str, method: str) -> tuple[RankedDesign, ...]:
-        """Return the designs of a choice and a method, the best first."""
-        return tuple(
-            design for design in self.designs if design.choice == choice and design.method == method
-        )
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
-        return {
-            "scenario": self.scenario,
-            "identifier": self.identifier,
-            "theta": self.theta.tolist(),
-            "deviations": self.deviations.tolist(),
-            "noise": self.noise_source,
-            "bound": self.bound.tolist(),
-            "designs": [design.to_dict() for design in self.designs],
-            "omitted": [omitted.to_dict() for omitted in self.omitted],
-            "notes": list(self.notes),
-        }
 
 
 def design(
@@ -280,50 +161,54 @@ class _Ranking:
     # --- choices ---
 
     def _delays(self, method: RegressionMethod, longest: float) -> list[RankedDesign]:
-        found = self._best_delays(self.trial, method, longest, [self.trial.steps])
-        if found is None:
+        steps = self._best_delays(self.trial, method, longest, [self.trial.steps])
+        if steps is None:
             return []
-        return self._ranked("delays", self.trial.regression, found, method, {})
+        return self._ranked("delays", self.trial.regression, steps, method, {})
 
     def _filters(self) -> list[Trial]:
         """Return variants of the filter of delta."""
         name = self.subject.observer
         table = self.subject.scenario.tree["components"][name]
         kept = {key: value for key, value in table.items() if key not in _FILTER_KEYS}
-        h = self.trial.step
-        span = self.trial.span
+        trials = []
+        for variant in (*self._rate_variants(), *self._window_variants()):
+            settings = {f"{name}.{key}": value for key, value in variant.items()}
+            trials += self._tried("filter", settings, {name: {**kept, **variant}})
+        return trials
+
+    def _rate_variants(self) -> list[dict[str, Any]]:
+        """Return the keys of filters with a rate, from the fastest to the slowest."""
         variants: list[dict[str, Any]] = []
-        rate = _FASTEST / h
-        while rate * span >= _SLOWEST:
+        rate = _FASTEST / self.trial.step
+        while rate * self.trial.span >= _SLOWEST:
             for filter_name in ("first-order", "consistent"):
                 variants.append({"filter": filter_name, "filter_rate": float(f"{rate:.3g}")})
             rate /= math.sqrt(10.0)
         self._omit(
             "filter",
-            {f"{name}.filter_rate": float(f"{rate:.3g}")},
+            {f"{self.subject.observer}.filter_rate": float(f"{rate:.3g}")},
             f"not tried, nor slower ones: the run has fewer than {_SLOWEST:g} time constants of it",
         )
+        return variants
+
+    def _window_variants(self) -> list[dict[str, Any]]:
+        """Return the keys of filters with a window, from the shortest to the longest."""
+        variants: list[dict[str, Any]] = []
         for samples in _HALF_WIDTHS:
-            half_width = round(samples * h, 9)
-            if samples * h > _WIDEST * span:
+            exact = samples * self.trial.step
+            half_width = round(exact, 9)
+            if exact > _WIDEST * self.trial.span:
                 self._omit(
                     "filter",
-                    {f"{name}.half_width": half_width},
+                    {f"{self.subject.observer}.half_width": half_width},
                     f"not tried: the window is longer than {100.0 * 2.0 * _WIDEST:g} % of the run",
                 )
-            else:
-                variants.append(
-                    {
-                        "filter": "savitzky-golay",
-                        "half_width": half_width,
-                        "order": DEFAULT_ORDER,
-                    }
-                )
-        trials = []
-        for variant in variants:
-            settings = {f"{name}.{key}": value for key, value in variant.items()}
-            trials += self._tried("filter", settings, {name: {**kept, **variant}})
-        return trials
+                continue
+            variants.append(
+                {"filter": "savitzky-golay", "half_width": half_width, "order": DEFAULT_ORDER}
+            )
+        return variants
 
     def _steps(self) -> list[RankedDesign]:
         designs = []
@@ -358,9 +243,9 @@ class _Ranking:
             return self._error_of(trial.regression, steps, method)
 
         best, _ = min(product(variants, known), key=error)
-        found = self._best_delays(best, method, longest, known)
-        if found is not None:
-            known.append(found)
+        other = self._best_delays(best, method, longest, known)
+        if other is not None:
+            known.append(other)
         best, steps = min(product(variants, known), key=error)
         return self._ranked("together", best.regression, steps, method, best.settings)
 
@@ -521,7 +406,7 @@ class _Ranking:
         starts: Sequence[tuple[int, ...]],
     ) -> tuple[int, ...] | None:
         try:
-            found = search_delays(
+            search = search_delays(
                 lambda steps: self._error_of(trial.regression, steps, method),
                 count=trial.regression.delays_needed,
                 longest=math.floor(longest / trial.step + 1e-9),
@@ -530,7 +415,7 @@ class _Ranking:
         except AssumptionError as error:
             self._omit("delays", {}, str(error), method)
             return None
-        return found.steps
+        return search.steps
 
     # --- words ---
 
@@ -555,13 +440,15 @@ class _Ranking:
     def _note_on_delays(
         self, designs: Sequence[RankedDesign], method: RegressionMethod
     ) -> list[str]:
-        by_choice = {one.choice: one for one in reversed(designs) if one.method == method}
+        by_choice = {
+            design.choice: design for design in reversed(designs) if design.method == method
+        }
         if not {"scenario", "delays"} <= by_choice.keys():
             return []
         before = by_choice["scenario"]
         after = by_choice["delays"]
         listed = ", ".join(f"{delay:g}" for delay in self.subject.regressor_kind.delays)
-        best = min(one.ratio for one in designs if one.method == method)
+        best = min(design.ratio for design in designs if design.method == method)
         if not math.isfinite(before.ratio):
             return [
                 f"{method}: no estimate with the delays ({listed}); the best choice of all stays "
@@ -604,6 +491,6 @@ def _best_first(designs: Sequence[RankedDesign]) -> list[RankedDesign]:
     methods = (OUTPUT_ERROR, *REGRESSION_METHODS)
     ordered = []
     for method in methods:
-        own = [one for one in designs if one.method == method]
-        ordered += sorted(own, key=lambda one: one.ratio)
+        own = [design for design in designs if design.method == method]
+        ordered += sorted(own, key=lambda design: design.ratio)
     return ordered
