@@ -8,11 +8,11 @@ import pytest
 
 from cosim.errors import AssumptionError
 from cosim.theory.plants.descriptor import (
-    LEAST_ACCURACY,
     DescriptorSystem,
     pencil_index,
     reduce,
 )
+from cosim.theory.plants.index import LEAST_ACCURACY
 from tests.theory.academic import academic
 from tests.theory.scrambled import Matrices, index_one, mixing
 

@@ -33,17 +33,18 @@ from cosim.arrays import Matrix, Vector, frozen
 from cosim.errors import AssumptionError
 from cosim.theory.plants.elimination import DATA, Eliminated, PartitionedMatrices, eliminate
 from cosim.theory.plants.geometry import normalized, output_nulling, rank
-from cosim.theory.plants.pencil import (
-    RankDecomposition,
-    decompose,
-    determined_rank,
-    rounding_of,
-    shuffle,
+from cosim.theory.plants.index import (
+    GOOD_ACCURACY,
+    check_accuracy,
+    check_index,
+    check_rank,
 )
+from cosim.theory.plants.pencil import RankDecomposition, decompose, shuffle
 from cosim.theory.plants.scaling import Scales, scales_of, state_space_scales, within_range
 
 ComplexVector: TypeAlias = NDArray[np.complex128]  # shape (n,)
 ComplexMatrix: TypeAlias = NDArray[np.complex128]  # shape (n, m)
+MATRICES = ("E", "A", "Bu", "Bd", "C", "Du", "Dd")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -156,13 +157,6 @@ class DescriptorSystem:
         return scales_of(self.E, self.A, B, self.C, D)
 
 
-MATRICES = ("E", "A", "Bu", "Bd", "C", "Du", "Dd")
-GOOD_ACCURACY = 1e-6  # of a reduced system, beyond which it is said
-LEAST_ACCURACY = 1e-3  # beyond which it is refused
-MOST_VALUES = 12  # singular values that a message lists
-UNCLEAR = 1e-6  # growth of rounding from which on no rank of A22 is known
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class UserCoordinates:
     """The user's states ``x = X x_a + Xu u + Xd delta``, and back: ``x_a = R x``.
@@ -196,7 +190,7 @@ class ReducedSystem:
 
     ``coordinates`` lead to the user's states; None where these are x_a and x_b themselves.
     ``accuracy`` bounds the error of the entries, where the system is of size one; beyond
-    ``LEAST_ACCURACY`` there is none.
+    a limit (:func:`~cosim.theory.plants.index.check_accuracy`) there is none.
     """
 
     A_a: Matrix
@@ -300,14 +294,14 @@ def reduce(system: DescriptorSystem) -> ReducedSystem:
     n = len(A)
     known_rank = n if np.array_equal(system.E, np.eye(n)) else system.n_a
     decomposition = decompose(E, known_rank)
-    _check_index(E, A, decomposition)
+    check_index(E, A, decomposition)
     if system.n_a is not None:
         reduced = _reduced_partitioned(system, scales, system.n_a)
     elif len(decomposition.values) == n:
         reduced = _reduced_regular(system, scales, decomposition.growth)
     else:
         reduced = _reduced_singular(system, scales, decomposition)
-    _check_accuracy(reduced.accuracy, A, decomposition)
+    check_accuracy(reduced.accuracy, A, decomposition)
     return reduced
 
 
@@ -336,8 +330,8 @@ def pencil_index(system: DescriptorSystem) -> int:
     A = scales.scaled_E(system.A)
     decomposition = decompose(E, system.n_a)
     index = shuffle(E, A, decomposition).index
-    if index > 1 and _is_unclear(A, decomposition):
-        raise _unclear_rank(decomposition)
+    if index > 1:
+        check_rank(A, decomposition)
     return index
 
 
@@ -446,111 +440,6 @@ def _reduced(
         Kd=Kd,
         coordinates=coordinates,
         accuracy=(DATA + neglected) * len(left.A) * left.amplification,
-    )
-
-
-def _check_index(E: Matrix, A: Matrix, decomposition: RankDecomposition) -> None:
-    """Check that a scaled pencil has dynamic states, and index 0 or 1.
-
-    Raises
-    ------
-    AssumptionError
-        If it does not, with evidence and what to do.
-    """
-    n = len(A)
-    dynamic = len(decomposition.values)
-    if dynamic == 0:
-        raise AssumptionError(
-            f"Assumption 1 (1): E = 0 ({n} x {n}): there are no dynamic states, and all equations "
-            "are algebraic",
-            cure="needed a model with dynamics (a static one is the gain of a connection)",
-        )
-    determined = determined_rank(decomposition, A)
-    if determined == n - dynamic:
-        return
-    if _is_unclear(A, decomposition):
-        raise _unclear_rank(decomposition)
-    A22 = decomposition.U2.T @ A @ decomposition.V2
-    condition = float(np.linalg.cond(A22))
-    evidence = f"rank {determined} of {n - dynamic}, condition {condition:.3g}"
-    problem = (
-        f"Assumption 2 (3): A22 is singular ({evidence}), so x_b is not determined by the "
-        "algebraic equation; "
-    )
-    try:
-        structure = shuffle(E, A, decomposition)
-    except AssumptionError as error:
-        evidence = f"{problem}{error.evidence}"
-        raise AssumptionError(evidence, error.verdict, error.cure) from error
-    index = structure.index
-    ranks = ", ".join(map(str, structure.ranks))
-    dynamics = "" if structure.finite else ", and no finite eigenvalue: no dynamics at all"
-    raise AssumptionError(
-        f"{problem}INDEX_{index}: the pencil s E - A has index {index}, needed 1 (ranks of E by "
-        f"shuffles: {ranks} of {n}){dynamics}",
-        f"INDEX_{index}",
-        f"differentiate the algebraic equations that do not determine x_b {index - 1} time(s) and "
-        "substitute them, or model what was neglected there (a small mass, capacity or resistance)",
-    )
-
-
-def _is_unclear(A: Matrix, decomposition: RankDecomposition) -> bool:
-    """Return whether A22 is only singular as its coordinates, those of E, are not known."""
-    rounding = rounding_of(len(A)) * decomposition.growth
-    exact = replace(decomposition, growth=1.0)
-    algebraic = len(A) - len(decomposition.values)
-    return rounding > UNCLEAR and determined_rank(exact, A) == algebraic
-
-
-def _check_accuracy(accuracy: float, A: Matrix, decomposition: RankDecomposition) -> None:
-    """Check that a reduced system is known well enough to be one.
-
-    Raises
-    ------
-    AssumptionError
-        If it is not; E is to blame for it, or A22.
-    """
-    if accuracy <= LEAST_ACCURACY:
-        return
-    if DATA * len(A) * decomposition.growth > GOOD_ACCURACY:
-        raise _unclear_rank(decomposition, accuracy)
-    A22 = decomposition.U2.T @ A @ decomposition.V2
-    condition = float(np.linalg.cond(A22))
-    raise AssumptionError(
-        f"Assumption 2 (3): A22 is nearly singular (condition {condition:.3g}), and the reduced "
-        f"system would be known only up to {accuracy:.1g} of its size, needed "
-        f"{LEAST_ACCURACY:g} (INDEX_UNCLEAR)",
-        "INDEX_UNCLEAR",
-        "give the algebraic equations exactly, or in other units, or model what was neglected in "
-        "them (a small mass, capacity or resistance)",
-    )
-
-
-def _unclear_rank(
-    decomposition: RankDecomposition, accuracy: float | None = None
-) -> AssumptionError:
-    """Return the error of an E whose smallest singular values may be rounding, or not."""
-    values = decomposition.values
-    everything = np.concatenate([values, decomposition.neglected]) / values[0]
-    rank = len(values)
-    begin = min(max(rank - MOST_VALUES // 2, 0), max(len(everything) - MOST_VALUES, 0))
-    listed = ", ".join(f"{value:.1e}" for value in everything[begin : begin + MOST_VALUES])
-    gap = f"the last of them {everything[rank - 1]:.1e} of the first"
-    if rank < len(everything):
-        gap += f", the next value {everything[rank]:.1e}"
-    loss = "the coordinates in which E is diag(I, 0) are known too badly to tell the index"
-    if accuracy is not None:
-        loss = (
-            f"the reduced system would be known only up to {accuracy:.1g} of its size, needed "
-            f"{LEAST_ACCURACY:g}"
-        )
-    return AssumptionError(
-        f"Assumption 1 (1): the rank of E is not clear: {rank} of its {len(everything)} singular "
-        f"values, {listed}, count as not zero, {gap}, where the system is of size one; {loss} "
-        "(RANK_OF_E_UNCLEAR)",
-        "RANK_OF_E_UNCLEAR",
-        "give E exactly, with zeros where there are none else, or in units in which its entries "
-        "are of one size, or in the partitioned form with n_a",
     )
 
 
