@@ -276,6 +276,22 @@ def test_the_version_is_that_of_the_package(call):
     assert call("--version") == (0, f"cosim {__version__}\n", "")
 
 
+@pytest.mark.parametrize(("given", "expected"), [(None, "1"), ("2", "2")])
+def test_linear_algebra_has_one_thread_unless_the_environment_has_another_number(
+    given, expected, monkeypatch
+):
+    """It is set before numpy is imported, which would not see it later."""
+    from cosim.__main__ import main
+
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", given or "")
+    if given is None:
+        monkeypatch.delenv("OPENBLAS_NUM_THREADS")
+    monkeypatch.setattr("sys.argv", ["cosim", "--version"])
+    with pytest.raises(SystemExit):
+        main()
+    assert os.environ["OPENBLAS_NUM_THREADS"] == expected
+
+
 def test_an_export_has_a_place_by_default(call, tmp_path):
     """It is not replaced unless that is asked for."""
     arguments = ("export", "academic", "--component", "plant")

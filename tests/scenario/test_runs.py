@@ -170,7 +170,7 @@ def test_replay_is_bit_exact_with_another_blas(logged, core):
     _, path, _ = logged
     done = subprocess.run(
         [sys.executable, "-m", "cosim", "replay", str(path), "--verify"],
-        env={**os.environ, "OPENBLAS_CORETYPE": core},
+        env={**os.environ, "OPENBLAS_CORETYPE": core, "OPENBLAS_NUM_THREADS": "2"},
         capture_output=True,
         text=True,
         check=False,
