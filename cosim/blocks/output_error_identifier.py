@@ -38,8 +38,9 @@ class OutputErrorIdentifier:
     noise of y, and the amplitudes of the components at the beginning of the window. They have no
     value (NaN) until the data determine them, theta of a component that noise alone explains never.
     An estimate rests on the samples before its instant. Its standard error is that of noise, or the
-    distance to the farthest other optimum that the samples do not rule out, where that is more. Where the noise of several outputs is not
-    stated, they are weighed by the covariance of what the fit leaves.
+    distance to the farthest other optimum that the samples do not rule out, where that is more.
+    Where the noise of several outputs is not stated, they are weighed by the covariance of what the
+    fit leaves.
 
     Where y is sampled at instants of its own, these count in its place: the inputs ``samples``
     (the ``most`` values of a step for each output, one output behind the other) and
