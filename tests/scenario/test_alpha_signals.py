@@ -315,6 +315,50 @@ def test_an_alpha_out_of_the_plant_that_it_disturbs_is_warned_of(tmp_path):
     np.testing.assert_allclose(run["delta.y"], exact, rtol=1e-14)
 
 
+FEEDBACK = """
+[scenario]
+name = "feedback"
+stop = 4.0
+step = 0.02
+[models.spring]
+n_a = 2
+A = [[0.0, 1.0], [-4.0, -0.4]]
+Bu = [[0.0], [0.0]]
+Bd = [[0.0], [1.0]]
+C = [[1.0, 0.0]]
+[components.u]
+kind = "constant"
+value = 0.0
+[components.plant]
+kind = "descriptor"
+model = "spring"
+x_a0 = [1.0, 0.0]
+[components.delta]
+kind = "disturbance"
+terms = [{ alpha = { from = "plant.y" }, family = "constant", constants = [1.5] }]
+[connections]
+"plant.u" = "u.y"
+"plant.delta" = "delta.y"
+"""
+
+
+def test_a_disturbance_out_of_its_plant_is_half_a_step_late(tmp_path):
+    """With 1.5 y(t - h/2) = 1.5 (y - h/2 y') the spring moves as here, but for the order h^2."""
+    path = tmp_path / "feedback.toml"
+    path.write_text(FEEDBACK)
+    run = cosim.run(path)
+    t = run.time("plant.y")
+
+    def course(delay):
+        A = np.array([[0.0, 1.0], [1.5 - 4.0, -1.5 * delay - 0.4]])
+        values, vectors = np.linalg.eig(A)
+        weights = np.linalg.solve(vectors, [1.0, 0.0])
+        return ((vectors[0] * weights) * np.exp(np.outer(t, values))).sum(axis=1).real
+
+    said = np.abs(run["plant.y"] - course(0.01)).max()
+    assert said < 0.05 * np.abs(run["plant.y"] - course(0.0)).max()
+
+
 def test_its_blocks_keep_the_contract_of_a_component():
     """One call of K steps is K calls of one step; outputs change nothing; restore undoes."""
     alphas = [AlphaSignal("speed.y", 0, 0.0105), compile_expression(ALPHAS[0])]

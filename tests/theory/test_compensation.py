@@ -31,6 +31,7 @@ from cosim.theory.compensation.state_feedback import (
     regulated_plant,
     state_feedback,
 )
+from cosim.theory.compensation.steady_input import KnownDisturbance, steady_input
 from cosim.theory.compensation.transmission_zeros import blocks_of, check_zeros, closest_mode
 from cosim.theory.disturbances.families import (
     FAMILIES,
@@ -149,6 +150,41 @@ def test_regulated_outputs_that_no_controller_holds_are_refused():
     velocity = regulated_plant(reduced, [1])
     with pytest.raises(AssumptionError, match=r"feedforward of delta: .* zero at 0"):
         feedforward(velocity, np.zeros((1, 4)))
+
+
+def test_the_input_that_rejects_a_disturbance_inverts_the_plant():
+    """The transfers to the position are (0.8 s + 4) / d of u and (s^2 + 1.8 s + 5) / d of delta.
+
+    Of 1 + 2 t it is a - 2.5 t with 0.8 (-2.5) + 4 a = -(1.8 x 2 + 5), of exp(-0.3 t) a multiple.
+    """
+    plant = regulated_plant(drive(), [0])
+    t = H * np.arange(1001)
+    ramp = KnownDisturbance([Polynomial(1)], [np.zeros(0)], 1.0 + 2.0 * t, H)
+    # v at the end is 1000 steps of rounding from that at the start
+    tolerance = {"rtol": 0.0, "atol": 1e-11}
+    u = steady_input(plant, ramp)
+    np.testing.assert_allclose(u[:, 0], -6.6 / 4.0 - 2.5 * t, **tolerance)
+    decay = np.exp(-0.3 * t)
+    u = steady_input(plant, KnownDisturbance([Exponential()], [np.array([-0.3])], decay, H))
+    np.testing.assert_allclose(u[:, 0], -4.55 / 3.76 * decay, **tolerance)
+
+
+def test_no_input_is_said_for_another_disturbance_or_at_a_zero():
+    """A course that the components do not make; a constant that s/(s + 1) of u cannot reject."""
+    t = H * np.arange(1001)
+    other = KnownDisturbance([Exponential()], [np.array([-0.4])], np.exp(-0.3 * t), H)
+    assert steady_input(regulated_plant(drive(), [0]), other) is None
+    washed_out = RegulatedPlant(
+        A=-np.eye(2),
+        B=np.array([[0.0], [1.0]]),
+        Bd=np.array([[1.0], [0.0]]),
+        C=np.array([[1.0, -1.0]]),
+        D=np.array([[1.0]]),
+        Dd=np.zeros((1, 1)),
+        zeros=np.zeros(1, np.complex128),
+    )
+    constant = KnownDisturbance([Polynomial(0)], [np.zeros(0)], np.ones(1001), H)
+    assert steady_input(washed_out, constant) is None
 
 
 # --- the internal model ---
