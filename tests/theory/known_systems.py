@@ -100,6 +100,7 @@ TANKS = [[-0.5, 0.0], [0.5, -0.2]]
 PATH = [[-1, 1, 0], [0, -3, 0], [1, 0, -5]]  # the second level into the first, into the third
 INTO_PATH = [[1, 0], [0, 1], [0, 0]]
 ALONG_PATH = [[1, 0, 0], [0, 0, 1]]
+BELOW = [[-1, 0, 0], [4, -2, 1], [4, 2, -3]]  # the first tank into two others that exchange
 
 
 def systems() -> list[KnownSystem]:
@@ -173,6 +174,16 @@ def systems() -> list[KnownSystem]:
         KnownSystem(
             "the second of two flows nowhere",
             matrices(np.diag([-1, -2, -3]), [[1, 0], [0, 0], [0, 1]], [[1, 0, 0], [0, 1, 0]]),
+            "NO_TRANSFER",
+        ),
+        KnownSystem(
+            "a tank below the one that is measured",
+            matrices(BELOW, [[0], [1], [0]], [[1, 0, 0]]),
+            "NO_TRANSFER",
+        ),
+        KnownSystem(
+            "one of two tanks below those that are measured",
+            matrices(BELOW, [[1, 0], [0, 0], [0, 1]], [[1, 0, 0], [2, 0, 0]]),
             "NO_TRANSFER",
         ),
         KnownSystem("two in one path", matrices(PATH, INTO_PATH, ALONG_PATH), "NO_TRANSFER"),

@@ -16,8 +16,8 @@ from cosim.arrays import Matrix, Vector
 from cosim.errors import AssumptionError
 from cosim.theory.observers.placement import modes
 from cosim.theory.plants.descriptor import ComplexVector, ReducedSystem
-from cosim.theory.plants.geometry import RANK_TOLERANCE
-from cosim.theory.plants.pencil import EPSILON, SINGULAR
+from cosim.theory.plants.geometry import RANK_TOLERANCE, normalized
+from cosim.theory.plants.pencil import EPSILON, SINGULAR, rounding_of
 from cosim.theory.plants.scaling import rank_between, values_between
 
 _MEASURE: Final = (
@@ -188,21 +188,22 @@ def _check_transfer(reduced: ReducedSystem, tolerance: float) -> None:
 def _rank_of_transfer(reduced: ReducedSystem, columns: list[int], tolerance: float) -> int:
     """Return the rank of the transfer from some elements of delta to y at almost every s.
 
-    That is the largest one at a few points, far from the eigenvalues of A_a and near to them, up
-    to rounding.
+    It is that of ``[s I - A_a, B_2a; -C3, C5]`` less the number of states, the largest one at a few
+    points, far from the eigenvalues of A_a and near to them. Singular values of this matrix are
+    known up to the rounding of its entries; an inverse of `s I - A_a` may have nothing but rounding
+    where its exact entries are zero.
     """
-    A = reduced.A_a
-    B = reduced.B_2a[:, columns]
-    D = reduced.C5[:, columns]
-    size = float(np.linalg.norm(A, 2)) or 1.0
+    n = len(reduced.A_a)
+    rate = float(np.linalg.norm(reduced.A_a, 2)) or 1.0
+    inputs = np.vstack([reduced.B_2a[:, columns] / rate, reduced.C5[:, columns]])
+    right = normalized(inputs, axis=0)
+    below = normalized(np.hstack([-reduced.C3, right[n:]]), axis=1)
+    dynamics = reduced.A_a / rate
     rank = 0
     for point in TRANSFER_POINTS:
-        shifted = point * size * np.eye(len(A)) - A
-        inverse = np.linalg.inv(shifted)
-        transfer = reduced.C3 @ inverse @ B + D
-        terms = np.abs(reduced.C3) @ np.abs(inverse) @ np.abs(B) + np.abs(D)
-        rounding = ROUNDING_OF_EIGENVALUES * float(np.linalg.cond(shifted))
-        rank = max(rank, rank_between(transfer, terms, max(tolerance, rounding)))
+        above = np.hstack([point * np.eye(n) - dynamics, right[:n]])
+        values = np.linalg.svd(np.vstack([above, below]), compute_uv=False)
+        rank = max(rank, int((values > max(tolerance, rounding_of(n))).sum()) - n)
     return rank
 
 
