@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from cosim.core.port import Port
+from cosim.core.port import ElementIndex, Port
 from cosim.errors import UsageError
 from cosim.native.alphas import Alpha, AlphaSignal
 from cosim.native.step import evaluate_at
@@ -42,10 +42,14 @@ class ClassTerm:
 
 @dataclass(frozen=True, eq=False)
 class _TermParameter:
-    """A parameter of a term: an element of theta."""
+    """A parameter of a term of a component: an element of theta."""
 
+    component: str
     term: ClassTerm
     name: str
+
+    def __str__(self) -> str:
+        return f"{self.name!r} of {self.term.label} of {self.component!r}"
 
 
 def class_terms(families: Sequence[Family], alphas: Sequence[Alpha]) -> list[ClassTerm]:
@@ -104,92 +108,109 @@ def check_meaning(name: str, terms: Sequence[ClassTerm], context: BuildContext) 
     UsageError
         If a parameter is taken as another one, or is of a term whose alpha varies.
     """
-    driving: dict[str, list[ClassTerm]] = {}
-    taken: list[_TermParameter | None] = []
-    origins: list[str] = []
-    for source in context.sources(Port(name, "theta")):
-        identifier = source.component
-        if not isinstance(context.spec(identifier), IdentifierKind) or source.signal != "theta":
-            return
-        if identifier not in driving:
-            driving[identifier] = _identified_terms(identifier, context)
-        elements = _elements(driving[identifier], source)
-        taken += elements
-        origins += [identifier] * len(elements)
-    own = _parameters(terms)
+    sources = context.sources(Port(name, "theta"))
+    if not all(_is_identified(source, context) for source in sources):
+        return
+    identified = _identified(sources, context)
+    taken = _taken(sources, identified)
+    own = _parameters(name, terms)
     if len(own) != len(taken):
         return  # sizes that differ are refused with the connections
-    for j, (target, parameter, origin) in enumerate(zip(own, taken, origins, strict=True)):
-        if parameter is not None:
-            _check_parameter(name, f"theta[{j}]", target, parameter, origin, context)
+    for j, (target, source) in enumerate(zip(own, taken, strict=True)):
+        if source is not None:
+            _check_parameter(f"theta[{j}]", target, source, context)
     used = {parameter.term for parameter in taken if parameter is not None}
-    for identifier, identified in driving.items():
-        for term in identified:
-            if term not in used and not _is_covered(term, terms, context):
-                context.warn(
-                    name,
-                    f"{term.label} of {identifier!r} is not in the internal model, which does not "
-                    "reject what that term makes",
-                )
+    for identifier, others in identified.items():
+        unused = [term for term in others if term not in used]
+        for term in _uncovered(unused, terms, context):
+            text = f"{term.label} of {identifier!r} is not in the internal model"
+            context.warn(name, f"{text}, which does not reject what that term makes")
 
 
-def _parameters(terms: Sequence[ClassTerm]) -> list[_TermParameter]:
+def _identified(sources: Iterable[Port], context: BuildContext) -> dict[str, list[ClassTerm]]:
+    """Return the terms of the identifiers among sources, by their names."""
+    identifiers = dict.fromkeys(source.component for source in sources)
+    return {identifier: _identified_terms(identifier, context) for identifier in identifiers}
+
+
+def _is_identified(source: Port, context: BuildContext) -> bool:
+    """Return whether an output is the theta, or elements of it, of an identifier."""
+    return source.signal == "theta" and isinstance(context.spec(source.component), IdentifierKind)
+
+
+def _taken(
+    sources: Sequence[Port], identified: Mapping[str, Sequence[ClassTerm]]
+) -> list[_TermParameter | None]:
+    """Return the parameters that an input theta takes, in its order; None: there is none."""
+    taken: list[_TermParameter | None] = []
+    for source in sources:
+        parameters = _parameters(source.component, identified[source.component])
+        taken += _elements(parameters, source.element)
+    return taken
+
+
+def _parameters(component: str, terms: Sequence[ClassTerm]) -> list[_TermParameter]:
     parameters = []
     for term in terms:
-        parameters += [_TermParameter(term, name) for name in term.family.parameters]
+        parameters += [_TermParameter(component, term, name) for name in term.family.parameters]
     return parameters
 
 
-def _elements(terms: Sequence[ClassTerm], source: Port) -> list[_TermParameter | None]:
-    """Return the parameters that an output theta, or elements of it, are; None: there is none."""
-    parameters = _parameters(terms)
-    match source.element:
+def _elements(
+    parameters: Sequence[_TermParameter], element: ElementIndex
+) -> list[_TermParameter | None]:
+    """Return the parameters that elements of an output theta are; None: there is none."""
+    match element:
         case None:
             return list(parameters)
         case int():
-            wanted = range(source.element, source.element + 1)
+            wanted = range(element, element + 1)
         case range():
-            wanted = source.element
+            wanted = element
     return [parameters[i] if i < len(parameters) else None for i in wanted]
 
 
 def _check_parameter(
-    name: str,
-    element: str,
-    target: _TermParameter,
-    source: _TermParameter,
-    origin: str,
-    context: BuildContext,
+    element: str, target: _TermParameter, source: _TermParameter, context: BuildContext
 ) -> None:
-    """Check that a parameter is taken as what it is."""
-    found = f"{element} is {source.name!r} of {source.term.label} of {origin!r}"
-    as_other = f"{found}, and is taken as {target.name!r} of {target.term.label} of {name!r}"
+    """Check that an element of theta is taken as the parameter that it is.
+
+    Raises
+    ------
+    UsageError
+        If it is taken as another one, or its alpha varies.
+    """
+    origin = f"{element} is {source}"
     is_any = isinstance(target.term.family, LinearFamily)
     if _varies(source.term.alpha, context):
-        told = f"{found}, whose alpha = {source.term.alpha.text!r} varies"
+        varying = f"{origin}, whose alpha = {source.term.alpha.text!r} varies"
         if not is_any:
             raise UsageError(
-                f"terms: {told}, and the internal model is of a constant alpha; needed a term "
+                f"terms: {varying}, and the internal model is of a constant alpha; needed a term "
                 'of family = "linear" that makes both together, or internal_model = false with '
                 "feedforward = true"
             )
-        context.warn(name, f"{told}; {target.term.label} has to make both together")
-    elif target.term.family == source.term.family and target.name == source.name:
+        context.warn(target.component, f"{varying}; {target.term.label} has to make both together")
         return
-    elif is_any or target.name == source.name:
-        context.warn(name, f"{as_other}; the internal model rejects what that term makes")
-    else:
+    if target.term.family == source.term.family and target.name == source.name:
+        return
+    as_other = f"{origin}, and is taken as {target}"
+    if not is_any and target.name != source.name:
         raise UsageError(
-            f"terms: {as_other}; needed the terms of {origin!r}, which are the default: leave "
-            "terms out"
+            f"terms: {as_other}; needed the terms of {source.component!r}, which are the default: "
+            "leave terms out"
         )
+    context.warn(target.component, f"{as_other}; the internal model rejects what that term makes")
 
 
-def _is_covered(term: ClassTerm, own: Sequence[ClassTerm], context: BuildContext) -> bool:
-    """Return whether one of the terms makes all that a term makes."""
-    if _varies(term.alpha, context):
-        return False
-    return any(_includes(other.family, term.family) for other in own)
+def _uncovered(
+    others: Iterable[ClassTerm], own: Sequence[ClassTerm], context: BuildContext
+) -> Iterator[ClassTerm]:
+    """Yield the terms of others whose signals no term makes."""
+    for other in others:
+        is_included = any(_includes(term.family, other.family) for term in own)
+        if not is_included or _varies(other.alpha, context):
+            yield other
 
 
 def _includes(family: Family, other: Family) -> bool:

@@ -31,13 +31,13 @@ class Activation:
 
     def allows(self, theta: Vector, error: Vector) -> bool:
         """Return whether an estimate with its standard error is good enough; NaN: it is not."""
-        return bool((self._is_inside(theta, error) & self._is_small(theta, error)).all())
+        return bool(self._is_good(theta, error).all())
 
     def reason(self, theta: Vector, error: Vector) -> str:
         """Return why an estimate is not good enough; empty: it is."""
-        if self.allows(theta, error):
+        unmet = np.flatnonzero(~self._is_good(theta, error))
+        if not len(unmet):
             return ""
-        unmet = np.flatnonzero(~(self._is_inside(theta, error) & self._is_small(theta, error)))
         j = int(unmet[0])
         name = "theta" if len(theta) == 1 else f"theta[{j}]"
         value = float(theta[j])
@@ -60,12 +60,13 @@ class Activation:
     def largest_standard_error(self, theta: Vector) -> Vector:
         """Return the largest standard error with which a theta is good enough, shape (P,).
 
-        Not above zero: it never is.
+        Where it is not above zero there is none.
         """
-        half = 0.5 * (self.upper - self.lower)
-        small = self.largest_error * np.maximum(np.abs(theta), half)
         room = np.minimum(theta - self.lower, self.upper - theta)
-        return np.minimum(small, room / HALF_WIDTH)
+        return np.minimum(self._small(theta), room / HALF_WIDTH)
+
+    def _is_good(self, theta: Vector, error: Vector) -> Mask:
+        return self._is_inside(theta, error) & (error <= self._small(theta))
 
     def _is_inside(self, theta: Vector, error: Vector) -> Mask:
         reach = HALF_WIDTH * error
@@ -73,6 +74,7 @@ class Activation:
         below = theta + reach <= self.upper
         return above & below
 
-    def _is_small(self, theta: Vector, error: Vector) -> Mask:
-        half = 0.5 * (self.upper - self.lower)
-        return error <= self.largest_error * np.maximum(np.abs(theta), half)
+    def _small(self, theta: Vector) -> Vector:
+        """Return the largest standard error that is small."""
+        half_width = 0.5 * (self.upper - self.lower)
+        return self.largest_error * np.maximum(np.abs(theta), half_width)
