@@ -124,6 +124,13 @@ class IdentificationProblem:
         searched = replace(self.rayleigh, lower=first, upper=last)
         return replace(self, rayleigh=searched)
 
+    def without_lag(self, lag: float) -> IdentificationProblem:
+        """Return the problem of a delta that does not lag so much [s] as that of the observer."""
+        past = self.products.alphas
+        ages = [age - lag for age in past.ages]
+        products = replace(self.products, alphas=replace(past, ages=ages))
+        return replace(self, products=products)
+
     def lagging(self, lag: float) -> PastAlphas:
         """Return the alphas of the components, as late as delta, which lags so much [s]."""
         past = self.products.alphas

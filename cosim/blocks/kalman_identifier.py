@@ -148,7 +148,7 @@ class AugmentedKalmanIdentifier:
         """Return the filter without samples."""
         (start,) = design["start"]
         schedule = replace(self.schedule, start=float(start), lag=0.0, window=0)
-        problem = self.problem
+        problem = self.problem.without_lag(self.schedule.lag)
         infinite = np.full(problem.rayleigh.generators.parameters, np.inf)
         on_delta = problem.model_of_delta(h, design)
         projection = problem.stage_constants(schedule, on_delta, -infinite, infinite)

@@ -113,7 +113,8 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         description="of output-error and the Kalman filters: standard deviation of the noise of y, "
         "one number or one for each output; default of output-error: that of the residual, of "
         f"augmented-kalman {augmented_kalman.DEVIATION:g}, of extended-kalman "
-        f"{extended_kalman.DEVIATION:g}, more than the noise, for what its linearization errs",
+        f"{extended_kalman.DEVIATION:g}, more than the noise, for what its linearization errs: a "
+        "component that makes less of y than that has no theta",
     )
     covariance: NumberRows | None = Field(
         None,
@@ -352,6 +353,9 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         gaps = np.diff(np.sort(np.array(source.regression.delays, np.float64)))
         half_gap = 0.5 * float(gaps.min())
         weight = 1.0 if self.forgetting is None else math.exp(-step / self.forgetting)
+        lag = source.regression.lag
+        if "delta" in METHODS[self.method].inputs:
+            lag = context.lag(Port(source.identifier, "delta"))
         return IdentificationSchedule(
             period=self.period_steps(source.identifier, clock.step_ns),
             steps=clock.steps,
@@ -360,7 +364,7 @@ class IdentifierKind(PeriodicKind, ExportableKind):
             forgetting=weight,
             start=begin,
             settled=clock.start_time + source.window,
-            lag=context.lag(Port(source.identifier, "delta")),
+            lag=lag,
         )
 
     # --- keys ---
