@@ -347,6 +347,50 @@ def test_two_disturbances_are_identified_together(tmp_path):
     assert np.isclose(np.abs(mu[100:, 3:]), np.abs(first)[:, np.newaxis]).any(axis=1).all()
 
 
+PERIODIC = [
+    {"alpha": "1.35 + 0.25*sin(2*pi*t)", "family": "exponential", "theta": -0.1},
+    {"alpha": "1.1 + 0.2*cos(2*pi*t)", "family": "exponential", "theta": -0.3},
+]
+SCALED = [
+    {"family": "sine", "theta": 1.3, "phase": 0.4},
+    {"alpha": "exp(-0.1*t)", "family": "exponential", "theta": -0.2},
+]
+
+
+@pytest.mark.parametrize("terms", [PERIODIC, SCALED])
+def test_output_error_needs_no_independent_products(terms, tmp_path):
+    """Delays of whole periods of the alphas; an alpha that a delay scales. Without noise: exact.
+
+    Methods on the regression need them and refuse what is periodic with the delays.
+    """
+    delays = [1.0, 2.0, 3.0, 4.0][: 3 + (terms is SCALED)]
+    log = cosim.run(identified(tmp_path, terms, delays), set={"identifier.period": 1.0})
+    expected = [term["theta"] for term in terms]
+    np.testing.assert_allclose(log["identifier.theta"][-1], expected, rtol=0, atol=1e-6)
+    told = recorded_identification(log)["identifier"]
+    assert [one.verdict for one in told.parameters] == 2 * ["IDENTIFIABLE"]
+
+
+def test_methods_on_the_regression_refuse_dependent_products(tmp_path):
+    """By the identifier, which says that output error needs none."""
+    scenario = identified(tmp_path, PERIODIC, [1.0, 2.0, 3.0], 'method = "least-squares"')
+    message = (
+        r"identifier: \(26\).* have rank 1; .*or method = \"output-error\", which needs neither"
+    )
+    with pytest.raises(CosimError, match=message):
+        cosim.run(scenario)
+
+
+def test_terms_that_an_exponential_ratio_of_alphas_exchanges_are_refused(tmp_path):
+    """exp(0.5 t) times the one is the other: (-0.1, -0.3) and (-0.8, 0.4) make the same signal."""
+    terms = [{**PERIODIC[0], "alpha": "2"}, {**PERIODIC[1], "alpha": "-exp(-0.5*t)"}]
+    message = (
+        r"regressor: .*'2' is a multiple of exp\(0\.5 t\) times alpha .* with their parameters"
+    )
+    with pytest.raises(CosimError, match=message):
+        cosim.run(identified(tmp_path, terms, [1.0, 2.0, 3.0]))
+
+
 def test_elements_may_have_signals_as_alphas(tmp_path):
     """The bits of expressions; one element has the first signal, the other one both of them.
 

@@ -134,6 +134,9 @@ class RegressorCheck:
         times = design.times_before(self.context.clock)
         sampled = design.known(times.ravel()).reshape(*times.shape, len(design.groups))
         margin = regression.independence(design.terms, sampled)
+        if margin <= regression.COLLINEAR:
+            dependent = f"the products of {names} are dependent"
+            return f'{dependent}, so that method = "output-error" is needed', margin
         return (
             f"the products of {names} are independent: smallest singular value {margin:.2g}, "
             f"dependent below {regression.COLLINEAR:.0e}"

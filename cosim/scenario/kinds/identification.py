@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -204,6 +205,8 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         source.check_step()
         self._check_parameters(source.regression)
         self._check_regression(source.regression)
+        if self._needs_regression:
+            source.regression.check_independent(context.clock)
         begin = start_time(self.start, source, context)
         problem = source.missing_model()
         for note in source.unchecked(is_judged=not problem):
@@ -251,7 +254,9 @@ class IdentifierKind(PeriodicKind, ExportableKind):
             families=families,
             alphas=source.regression.alphas,
             regressor=source.regressor,
-            check_alphas=source.regression.check_recorded,
+            check_alphas=partial(
+                source.regression.check_recorded, estimates_eta=self._needs_regression
+            ),
             offset=self.offset,
             bounds=bounds,
             stated=stated,
@@ -385,6 +390,11 @@ class IdentifierKind(PeriodicKind, ExportableKind):
                 f'method = "{self.method}": estimates theta alone, and the terms ({names}) have no '
                 'parameter; for their amplitudes method = "output-error" or "projection"'
             )
+
+    @property
+    def _needs_regression(self) -> bool:
+        """Whether theta rests on the regression, which else only gives a start, or nothing."""
+        return self.method not in ("output-error", "extended-kalman")
 
     def _check_regression(self, design: RegressorDesign) -> None:
         """Check that the method can do with the regression of these terms."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Final, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from cosim.arrays import Matrix, Vector
@@ -44,7 +45,7 @@ from cosim.scenario.kinds.terms import FamilyTerm, element_count, families_of
 from cosim.scenario.schema import NumberRow
 from cosim.theory.disturbances import regression
 from cosim.theory.disturbances.families import AlphaGroup, Family, group_by_alpha
-from cosim.theory.disturbances.structure import check_distinguishable
+from cosim.theory.disturbances.structure import check_distinguishable, check_exchangeable
 
 ALPHA_WAY_OUT = (
     "needed a continuous alpha: the regression multiplies alphas of different instants, "
@@ -146,30 +147,49 @@ class RegressorDesign:
             grid = np.linspace(min(first, clock.stop), clock.stop, SAMPLES)
         return grid[:, np.newaxis] - ages
 
-    def check_products(self, alphas: Callable[[Vector], Matrix], times: Matrix) -> None:
-        """Check that the products of the alphas of the groups are independent.
-
-        Parameters
-        ----------
-        alphas : callable
-            Their values at instants ``(N,)`` [s], shape ``(N, groups)``.
-        times : Matrix, shape (N, rows)
-            At which they are needed [s].
+    def check_alphas(self, clock: Clock) -> None:
+        """Check, as far as it is known before the run, that the alphas are different ones.
 
         Raises
         ------
         AssumptionError
             If they are not.
         """
-        names = [alpha.text for alpha in self.group_alphas]
-        sampled = alphas(times.ravel()).reshape(*times.shape, len(names))
-        if self.needs_independence:
-            regression.check_alpha_products(self.terms, sampled, names)
-        else:
-            regression.check_proportional(sampled, names)
+        if len(self.groups) > 1 and not self.known.unknown:
+            self._check_different(self.known, self.times_before(clock))
 
-    def check_recorded(self, t: Vector, alpha: Matrix) -> None:
-        """Check that the products are independent where only the run has computed them.
+    def check_independent(self, clock: Clock) -> None:
+        """Check, as far as it is known before the run, that eta can be estimated.
+
+        Raises
+        ------
+        AssumptionError
+            If the products of the alphas are not independent.
+        """
+        for one in self.each or [self]:
+            if one.needs_independence and len(one.groups) > 1 and not one.known.unknown:
+                one._check_independent(one.known, one.times_before(clock))
+
+    def _check_different(self, alphas: Callable[[Vector], Matrix], times: Matrix) -> None:
+        """Check alphas ``(N, groups)`` at instants ``(N,)``, in a run at ``times (N, rows)``."""
+        names, sampled = self._sampled(alphas, times)
+        regression.check_proportional(sampled, names)
+        families = [[self.families[i] for i in group.components] for group in self.groups]
+        check_exchangeable(times.ravel(), sampled.reshape(-1, len(names)), families, names)
+
+    def _check_independent(self, alphas: Callable[[Vector], Matrix], times: Matrix) -> None:
+        names, sampled = self._sampled(alphas, times)
+        regression.check_alpha_products(self.terms, sampled, names)
+
+    def _sampled(
+        self, alphas: Callable[[Vector], Matrix], times: Matrix
+    ) -> tuple[list[str], NDArray[np.float64]]:
+        """Return the names of the alphas, and their values, shape ``(N, rows, groups)``."""
+        names = [alpha.text for alpha in self.group_alphas]
+        return names, alphas(times.ravel()).reshape(*times.shape, len(names))
+
+    def check_recorded(self, t: Vector, alpha: Matrix, *, estimates_eta: bool) -> None:
+        """Check the alphas where only the run has computed them.
 
         Parameters
         ----------
@@ -177,15 +197,17 @@ class RegressorDesign:
             Instants of the run [s].
         alpha : Matrix, shape (N, terms)
             The known factor of every term.
+        estimates_eta : bool
+            Their products have to be independent.
 
         Raises
         ------
         AssumptionError
-            If they are not.
+            If they are not different, or their products are not independent.
         """
         for element, one in enumerate(self.each):
             own = [i for i, of_term in enumerate(self.elements) if of_term == element]
-            one.check_recorded(t, alpha[:, own])
+            one.check_recorded(t, alpha[:, own], estimates_eta=estimates_eta)
         if not self.known.unknown or len(self.groups) < 2 or self.each:
             return
         ages = np.array(self.delays)
@@ -197,7 +219,10 @@ class RegressorDesign:
             return np.array([np.interp(times, t, column) for column in columns]).T
 
         grid = np.linspace(t[0] + ages.max(), t[-1], SAMPLES)
-        self.check_products(recorded, grid[:, np.newaxis] - ages)
+        times = grid[:, np.newaxis] - ages
+        self._check_different(recorded, times)
+        if estimates_eta and self.needs_independence:
+            self._check_independent(recorded, times)
 
     def component(self) -> Regressor | ElementRegressors:
         """Return a component that makes the signals of the regression."""
@@ -344,8 +369,7 @@ class RegressorKind(ExportableKind):
             lag=lag,
             elements=[0] * len(families),
         )
-        if len(groups) > 1 and not known.unknown:
-            design.check_products(known, design.times_before(context.clock))
+        design.check_alphas(context.clock)
         return design
 
     def _of_all(

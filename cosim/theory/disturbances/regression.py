@@ -329,7 +329,7 @@ def _check_independent(columns: Matrix, row: int, names: Sequence[str]) -> None:
         raise AssumptionError(
             f"(26): the {needed} alpha products with delta(t - D_{row + 1}) of {listed} have rank "
             f"{independent}; choose delays that are no multiples of a period of alpha, and alphas "
-            "that a delay does not merely scale"
+            'that a delay does not merely scale, or method = "output-error", which needs neither'
         )
 
 

@@ -20,12 +20,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.arrays import Vector
+from cosim.arrays import Matrix, Vector
 from cosim.errors import AssumptionError
 from cosim.theory.disturbances.families import Family, Polynomial
 
 SAME: Final = 1e-6  # difference of two eigenvalues over the larger, or over 1, that is none
 TRIALS: Final = 2  # theta at which nothing agrees by chance
+EXPONENTS: Final = ("exponential", "damped-sine", "t-exponential")  # families that have one
+LARGE: Final = 1e-3  # of its largest value, from which on an alpha is divided by
+MANY: Final = 8  # samples that tell whether a ratio is an exponential
 STRAIGHT: Final = 0.02  # rate times run [rad] of a sine that is a straight line but for 5e-5
 
 
@@ -86,6 +89,60 @@ def check_distinguishable(
                 f"sine is a straight line in the {span:g} s of the run; needed a larger bound than "
                 f"{STRAIGHT / span:.3g} rad/s, a longer run, or one of the two"
             )
+
+
+def check_exchangeable(
+    t: Vector, alpha: Matrix, families: Sequence[Sequence[Family]], names: Sequence[str]
+) -> None:
+    """Check that no alpha makes of a term of another alpha one of its own.
+
+    Where the ratio of two alphas is an exponential, terms with an exponent take it up, and those
+    of one family fit the same data with their parameters exchanged.
+
+    Parameters
+    ----------
+    t : Vector, shape (N,)
+        Instants [s].
+    alpha : Matrix, shape (N, groups)
+        The alphas there.
+    families : sequence of sequence of Family
+        Of the terms of each alpha.
+    names : sequence of str
+        Of the alphas.
+
+    Raises
+    ------
+    AssumptionError
+        If two alphas do that.
+    """
+    exponents = [{one.name for one in of_alpha if one.name in EXPONENTS} for of_alpha in families]
+    for a, b in combinations(range(len(names)), 2):
+        shared = sorted(exponents[a] & exponents[b])
+        rate = _rate_of_ratio(t, alpha[:, a], alpha[:, b]) if shared else None
+        if rate is not None:
+            raise AssumptionError(
+                f"(21): alpha {names[a]!r} is a multiple of exp({rate:.4g} t) times alpha "
+                f"{names[b]!r}, so that the terms of family {shared[0]!r} fit the same data with "
+                f"their parameters exchanged; give them one alpha, which shifts the exponent by "
+                f"{rate:.4g}"
+            )
+
+
+def _rate_of_ratio(t: Vector, one: Vector, other: Vector) -> float | None:
+    """Return the rate of an exponential that is the ratio of two signals; None: it is none."""
+    size = np.abs(other)
+    large = size > LARGE * size.max(initial=0.0)
+    if large.sum() < MANY or not one[large].all():
+        return None
+    ratio = one[large] / other[large]
+    if np.sign(ratio).min() < np.sign(ratio).max():
+        return None
+    logarithm = np.log(np.abs(ratio))
+    instants = t[large] - t[large].mean()
+    rate = float(np.mean(instants * logarithm) / np.mean(instants**2))
+    residual = logarithm - logarithm.mean() - rate * instants
+    is_line = np.abs(residual).max() <= SAME * max(1.0, np.abs(logarithm).max())
+    return rate if is_line else None
 
 
 def _places(families: Sequence[Family]) -> list[range]:
