@@ -67,6 +67,7 @@ CASES = {
         STABILITY,
         "",
     ),
+    "much noise": ({"sensor.noise": 100.0}, ACTIVATION, ""),
     "theta elsewhere": ({"compensator.interval": [[1.7, 2.0]]}, ACTIVATION, ""),
     "narrow limits": ({"compensator.lower": -1.0, "compensator.upper": 1.0}, LIMITS, ""),
     "two outputs": (
@@ -76,7 +77,7 @@ CASES = {
     ),
     "a zero at the constant": ({"compensator.regulated": [1]}, ZEROS, "TRANSMISSION_ZERO"),
 }
-RUNS_ALL_THE_SAME = ("theta elsewhere", "narrow limits")
+RUNS_ALL_THE_SAME = ("much noise", "theta elsewhere", "narrow limits")
 
 
 @pytest.mark.parametrize("case", CASES)

@@ -12,11 +12,13 @@ import numpy as np
 from cosim.arrays import Matrix, Vector
 from cosim.blocks.compensator import Compensator
 from cosim.core.port import Port
-from cosim.errors import AssumptionError
+from cosim.errors import AssumptionError, UsageError
 from cosim.scenario.assumptions.attempts import Evidence, attempted
 from cosim.scenario.assumptions.beginning import Beginning
+from cosim.scenario.assumptions.identification import communication_points
 from cosim.scenario.build import Builder
 from cosim.scenario.context import DependsOnInvalid
+from cosim.scenario.experiment_design.subject import covariance_of, noise_of
 from cosim.scenario.kinds.compensators import CompensatorKind
 from cosim.theory.compensation.activation import Activation
 from cosim.theory.compensation.design import CompensatorGains
@@ -27,6 +29,9 @@ from cosim.theory.compensation.state_feedback import (
 )
 from cosim.theory.compensation.steady_input import KnownDisturbance, steady_input
 from cosim.theory.compensation.transmission_zeros import check_zeros
+from cosim.theory.disturbed_plant import DataSet
+from cosim.theory.experiment_design.bound import accuracy_bound
+from cosim.theory.forced_response import simulate
 from cosim.theory.observers.assumptions import AssumptionVerdict, plain_modes
 from cosim.theory.observers.placement import modes
 
@@ -168,11 +173,52 @@ class CompensatorCheck:
                 f"the internal model is never used: {reason}",
                 cure="needed an interval with the theta of the disturbance inside it",
             )
-        return (
-            f"{condition}: at theta = {_numbers(self.theta)} of the disturbance it needs a "
-            f"standard error of at most {_numbers(allowed)}",
-            values,
+        needed = (
+            f"at theta = {_numbers(self.theta)} of the disturbance it needs a standard error of at "
+            f"most {_numbers(allowed)}"
         )
+        reached = self._least_error()
+        if reached is None:
+            return f"{condition}: {needed}", values
+        values["least_standard_error"] = reached.tolist()
+        least = f"y allows {_numbers(reached)} at the end of the run (Cramer-Rao)"
+        if not (reached <= allowed).all():
+            raise AssumptionError(
+                f"the internal model is never used: {needed}, and {least}",
+                cure="needed a longer run, less noise of y, or a larger largest_error or interval",
+            )
+        return f"{condition}: {needed}; {least}", values
+
+    def _least_error(self) -> Vector | None:
+        """Return the least standard error of theta from all y of the run; None: it is not known.
+
+        What u does to y is known, so that the bound is that without u, also in this loop.
+        """
+        builder = self.builder
+        identifier = driven_by(self.name, builder)
+        identified = builder.context.identified.get(identifier or "")
+        if identifier is None or identified is None or self.delta is None or self.theta is None:
+            return None
+        try:
+            noise, _ = noise_of(builder.scenario, identifier, identified.observer)
+            alpha = identified.alpha(communication_points(builder.clock))
+        except UsageError:
+            return None
+        plant = identified.plant
+        covariance = covariance_of(noise, len(plant.C))
+        if covariance is None or identified.extent:
+            return None
+        t = communication_points(builder.clock)
+        delta = self.delta[:, np.newaxis]
+        lines = np.zeros(1, np.bool_)
+        x = simulate(plant.A, plant.Bd[:, :1], t, delta, np.zeros(len(plant.A)), lines)
+        y = x @ plant.C.T + delta @ plant.Dd[:, :1].T
+        data = DataSet(t, y, np.zeros((len(t), plant.B.shape[1])), alpha)
+        families = identified.families
+        bound = accuracy_bound(
+            plant, families, self.theta, data, noise=covariance, offset=identified.offset
+        )
+        return bound.standard_error
 
     def _limits(self) -> Evidence:
         options = self._compensator.options

@@ -90,14 +90,13 @@ class DesignSubject:
         UsageError
             If it is of another number of outputs.
         """
-        if self.noise.ndim == 2:
-            return self.noise
-        if len(self.noise) not in (1, outputs):
+        covariance = covariance_of(self.noise, outputs)
+        if covariance is None:
             raise UsageError(
                 f"noise: found {len(self.noise)} numbers; needed one, or one for each of {outputs} "
                 "outputs"
             )
-        return np.diag(np.broadcast_to(self.noise, outputs) ** 2)
+        return covariance
 
 
 def subject_of(
@@ -133,7 +132,7 @@ def subject_of(
         )
     upstream = _upstream(scenario, {observer})
     _check_models(scenario, upstream)
-    deviations, source = _noise(scenario, identifier, observer, noise)
+    deviations, source = noise_of(scenario, identifier, observer, noise)
     edits: dict[str, Any] = {}
     for name in upstream:
         kind = scenario.specs[name]
@@ -197,10 +196,28 @@ def _check_models(scenario: Scenario, upstream: frozenset[str]) -> None:
             )
 
 
-def _noise(
-    scenario: Scenario, identifier: str, observer: str, given: float | Sequence[float] | None
+def covariance_of(noise: Matrix, outputs: int) -> Matrix | None:
+    """Return the covariance of noise from deviations, or as it is; None: they do not fit y."""
+    if noise.ndim == 2:
+        return noise
+    if len(noise) not in (1, outputs):
+        return None
+    return np.diag(np.broadcast_to(noise, outputs) ** 2)
+
+
+def noise_of(
+    scenario: Scenario,
+    identifier: str,
+    observer: str,
+    given: float | Sequence[float] | None = None,
 ) -> tuple[Matrix, str]:
-    """Return deviations or covariance of the noise of y, and where they are from."""
+    """Return deviations or covariance of the noise of y, and where they are from.
+
+    Raises
+    ------
+    UsageError
+        If nothing says what they are.
+    """
     if given is not None:
         return _checked_deviations(given), option("noise")
     kind = scenario.specs[identifier]
