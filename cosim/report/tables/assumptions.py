@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Final
 
 from cosim.report.tables.console import new_table, print_json, print_line, print_table
@@ -17,21 +18,21 @@ def print_assumptions(report: AssumptionReport, *, as_json: bool) -> None:
         return
     for component, text in report.warnings:
         print_line(f"warning: {component}: {text}", error=True)
-    verdicts = [verdict for _, verdict in report.verdicts]
-    failing = sum(verdict.fulfilled is False for verdict in verdicts)
-    open_ones = sum(verdict.fulfilled is None for verdict in verdicts)
-    counts = f"{len(verdicts) - failing - open_ones} of {len(verdicts)} assumptions are fulfilled"
-    if failing:
-        counts += f", {failing} not"
-    if open_ones:
-        counts += f", {open_ones} not decided"
-    table = new_table(f"{report.scenario}: {counts}", ("", "", "", ""))
+    table = new_table(f"{report.scenario}: {_counts(report)}", ("", "", "", ""))
     for name, verdict in report.verdicts:
-        text = verdict.evidence
-        if verdict.cure:
-            text += f"; {verdict.cure}"
         word = _WORDS[verdict.fulfilled]
-        if verdict.verdict:
-            word += f": {verdict.verdict}"
-        table.add_row(name, verdict.name, word, text)
+        answer = ": ".join(filter(None, (word, verdict.verdict)))
+        text = "; ".join(filter(None, (verdict.evidence, verdict.cure)))
+        table.add_row(name, verdict.name, answer, text)
     print_table(table)
+
+
+def _counts(report: AssumptionReport) -> str:
+    """Write how many assumptions are fulfilled, are not, and are not decided."""
+    number = Counter(verdict.fulfilled for _, verdict in report.verdicts)
+    counts = f"{number[True]} of {number.total()} assumptions are fulfilled"
+    if number[False]:
+        counts += f", {number[False]} not"
+    if number[None]:
+        counts += f", {number[None]} not decided"
+    return counts

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import chain
 from pathlib import Path
 from typing import Any, Final
@@ -169,7 +170,7 @@ class _Check:
         except UsageError as error:
             return self._without_reduced(kind, error)
         verdicts_of_plant = list(observer_verdicts(reduced))
-        failing = [one.name for one in verdicts_of_plant if one.fulfilled is False]
+        failing = [verdict.name for verdict in verdicts_of_plant if verdict.fulfilled is False]
         if failing:
             return [*verdicts_of_plant, undecided(HURWITZ, f"{failing[0]} is not fulfilled")]
         gain = attempted(HURWITZ, lambda: gain_evidence(kind.design(name, context).design))
@@ -199,9 +200,8 @@ class _Check:
     def _of_identifier(self, name: str, kind: Kind) -> list[AssumptionVerdict]:
         if not isinstance(kind, IdentifierKind):
             return []
-        regressor = self._context.driver(Port(name, "regressor"))
-        theta = None if regressor is None else self._theta(regressor)
-        return IdentifierCheck(name, kind, self._builder, theta, self._delta()).verdicts()
+        theta = self._theta_behind(name)
+        return IdentifierCheck(name, kind, self._builder, theta, self._delta).verdicts()
 
     def _of_compensator(self, name: str, kind: Kind) -> list[AssumptionVerdict]:
         if not isinstance(kind, CompensatorKind):
@@ -209,10 +209,14 @@ class _Check:
         theta = None
         identifier = driven_by(name, self._builder)
         if identifier is not None and kind.terms is None:
-            regressor = self._context.driver(Port(identifier, "regressor"))
-            theta = None if regressor is None else self._theta(regressor)
-        check = CompensatorCheck(name, kind, self._builder, self._beginning, theta, self._delta())
+            theta = self._theta_behind(identifier)
+        check = CompensatorCheck(name, kind, self._builder, self._beginning, theta, self._delta)
         return check.verdicts()
+
+    def _theta_behind(self, identifier: str) -> Vector | None:
+        """Return theta of the disturbance in the order of an identifier; None: it is not known."""
+        regressor = self._context.driver(Port(identifier, "regressor"))
+        return None if regressor is None else self._theta(regressor)
 
     def _theta(self, regressor: str) -> Vector | None:
         """Return theta of the disturbance in the order of a regressor; None: it is not known."""
@@ -226,8 +230,9 @@ class _Check:
             return None
         return np.array(list(chain.from_iterable(own)))
 
+    @cached_property
     def _delta(self) -> Vector | None:
-        """Return the disturbance at the communication points; None: it is not known."""
+        """The disturbance at the communication points; None: it is not known."""
         name = disturbance_among(self._scenario, self._scenario.specs)
         component = None if name is None else self._builder.components.get(name)
         if component is None or component.interface.n_u or component.interface.n_y != 1:
@@ -243,10 +248,10 @@ class _Check:
 
     def _others(self, found: list[tuple[str, AssumptionVerdict]]) -> list[AssumptionVerdict]:
         """Return what else stands against a run, beside the assumptions."""
-        said = [verdict.evidence for _, verdict in found if verdict.fulfilled is False]
+        refusals = [verdict.evidence for _, verdict in found if verdict.fulfilled is False]
         others = []
         for key, text in self._beginning.problems:
-            if not any(evidence in text for evidence in said):
+            if not any(evidence in text for evidence in refusals):
                 place = ".".join(map(str, key))
                 others.append(refused(place, AssumptionError(text)))
         return others

@@ -17,7 +17,7 @@ from cosim.scenario.kinds.observers import DesignedObserver, UnknownInputObserve
 from cosim.scenario.kinds.reconstruction import AnyReconstruction
 from cosim.scenario.kinds.regressor import RegressorDesign, RegressorKind
 from cosim.theory.assessment.accuracy import check_step
-from cosim.theory.disturbances.structure import check_distinguishable
+from cosim.theory.disturbances.distinguishable import check_distinguishable
 from cosim.theory.disturbed_plant import DisturbedPlant, disturbed_plant
 from cosim.theory.observers.observer import StateSpace
 from cosim.theory.reconstruction.filters import ConsistentFilter, FirstOrderFilter

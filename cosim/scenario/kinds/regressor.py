@@ -44,8 +44,8 @@ from cosim.scenario.kinds.base import (
 from cosim.scenario.kinds.terms import FamilyTerm, element_count, families_of
 from cosim.scenario.schema import NumberRow
 from cosim.theory.disturbances import regression
+from cosim.theory.disturbances.distinguishable import check_distinguishable, check_exchangeable
 from cosim.theory.disturbances.families import AlphaGroup, Family, group_by_alpha
-from cosim.theory.disturbances.structure import check_distinguishable, check_exchangeable
 
 ALPHA_WAY_OUT = (
     "needed a continuous alpha: the regression multiplies alphas of different instants, "

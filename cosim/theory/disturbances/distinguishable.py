@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import combinations
 from typing import Final
 
@@ -22,7 +23,7 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
 from cosim.errors import AssumptionError
-from cosim.theory.disturbances.families import Family, Polynomial
+from cosim.theory.disturbances.families import DampedSine, Family, Polynomial, Sine
 
 SAME: Final = 1e-6  # difference of two eigenvalues over the larger, or over 1, that is none
 TRIALS: Final = 2  # theta at which nothing agrees by chance
@@ -61,34 +62,73 @@ def check_distinguishable(
         If two terms have an eigenvalue in common whatever theta is, or a sine is bounded to be so
         slow that it is a straight line beside a constant.
     """
-    places = _places(families)
-    spectra = []
-    for trial in range(TRIALS):
-        own = zip(families, places, strict=True)
-        spectra.append([_eigenvalues(family, at, bounds, trial) for family, at in own])
-    terms = zip(families, places, strict=True)
-    rates = [_largest_rate(family, at, bounds) for family, at in terms]
-    is_straight = [rate * span < STRAIGHT for rate in rates]
-    has_zero = [_has_zero(spectrum) for spectrum in spectra[0]]
-    for i, k in combinations(range(len(families)), 2):
+    terms = []
+    for family, places in zip(families, _places(families), strict=True):
+        spectra = [_eigenvalues(family, places, bounds, trial) for trial in range(TRIALS)]
+        terms.append(_Term(family, tuple(spectra), _largest_rate(family, places, bounds)))
+    for i, k in combinations(range(len(terms)), 2):
         if alphas[i] != alphas[k]:
             continue
         both = (
             f"terms[{i}] ({families[i].name}) and terms[{k}] ({families[k].name}) share alpha "
             f"{names[k]!r}"
         )
-        common = [_common(spectrum[k], spectrum[i]) for spectrum in spectra]
-        if all(value is not None for value in common):
-            raise AssumptionError(
-                f"{both}, and whatever theta is both make {_signal_of(common[0])}: no data tell "
-                f"their constants apart; {_merged(families[i], families[k])}"
-            )
-        if (is_straight[i] and has_zero[k]) or (is_straight[k] and has_zero[i]):
-            raise AssumptionError(
-                f"{both}, and the rate is bounded by {min(rates[i], rates[k]):g} rad/s: such a "
-                f"sine is a straight line in the {span:g} s of the run; needed a larger bound than "
-                f"{STRAIGHT / span:.3g} rad/s, a longer run, or one of the two"
-            )
+        _check_signals(terms[i], terms[k], both)
+        _check_rates(terms[i], terms[k], span, both)
+
+
+@dataclass(frozen=True, eq=False)
+class _Term:
+    """A term, what its generator has for eigenvalues at each trial, and the largest rate."""
+
+    family: Family
+    spectra: tuple[NDArray[np.complex128], ...]
+    rate: float
+
+    @property
+    def makes_constant(self) -> bool:
+        """Whether an eigenvalue is zero."""
+        return bool((np.abs(self.spectra[0]) <= SAME).any())
+
+    def is_straight(self, span: float) -> bool:
+        """Return whether it is a sine that is a straight line over a time [s]."""
+        return self.rate * span < STRAIGHT
+
+
+def _check_signals(first: _Term, second: _Term, both: str) -> None:
+    """Check that two terms have no eigenvalue in common whatever theta is.
+
+    Raises
+    ------
+    AssumptionError
+        If they have.
+    """
+    pairs = zip(first.spectra, second.spectra, strict=True)
+    common = [_common(of_second, of_first) for of_first, of_second in pairs]
+    if any(eigenvalue is None for eigenvalue in common):
+        return
+    raise AssumptionError(
+        f"{both}, and whatever theta is both make {_signal_of(common[0])}: no data tell "
+        f"their constants apart; {_merged(first.family, second.family)}"
+    )
+
+
+def _check_rates(first: _Term, second: _Term, span: float, both: str) -> None:
+    """Check that none of two terms is a sine as slow as a straight line beside a constant.
+
+    Raises
+    ------
+    AssumptionError
+        If one is.
+    """
+    of_first = first.is_straight(span) and second.makes_constant
+    of_second = second.is_straight(span) and first.makes_constant
+    if of_first or of_second:
+        raise AssumptionError(
+            f"{both}, and the rate is bounded by {min(first.rate, second.rate):g} rad/s: such a "
+            f"sine is a straight line in the {span:g} s of the run; needed a larger bound than "
+            f"{STRAIGHT / span:.3g} rad/s, a longer run, or one of the two"
+        )
 
 
 def check_exchangeable(
@@ -168,27 +208,24 @@ def _eigenvalues(
     return np.linalg.eigvals(family.G(theta)).astype(np.complex128)
 
 
-def _common(one: Vector | NDArray[np.complex128], other: NDArray[np.complex128]) -> complex | None:
-    for value in one:
+def _common(values: NDArray[np.complex128], other: NDArray[np.complex128]) -> complex | None:
+    """Return a value that stands in both, up to rounding; None: there is none."""
+    for value in values:
         distance = np.abs(other - value)
         if (distance <= SAME * max(1.0, abs(value))).any():
             return complex(value)
     return None
 
 
-def _has_zero(spectrum: NDArray[np.complex128]) -> bool:
-    return bool((np.abs(spectrum) <= SAME).any())
-
-
 def _largest_rate(
     family: Family, places: range, bounds: Mapping[int, tuple[float, float]]
 ) -> float:
     """Return the largest rate of a sine within its bounds; infinite: it has none."""
-    for name, j in zip(family.parameters, places, strict=True):
-        if name == "rate" and family.name in ("sine", "damped-sine"):
-            lower, upper = bounds.get(j, (-math.inf, math.inf))
-            return max(abs(lower), abs(upper))
-    return math.inf
+    if not isinstance(family, Sine | DampedSine):
+        return math.inf
+    j = places[family.parameters.index("rate")]
+    lower, upper = bounds.get(j, (-math.inf, math.inf))
+    return max(abs(lower), abs(upper))
 
 
 def _signal_of(eigenvalue: complex | None) -> str:
@@ -200,8 +237,8 @@ def _signal_of(eigenvalue: complex | None) -> str:
     return f"a sine of {abs(eigenvalue.imag):.4g} rad/s"
 
 
-def _merged(one: Family, other: Family) -> str:
-    if isinstance(one, Polynomial) and isinstance(other, Polynomial):
-        larger = max((one, other), key=lambda family: family.degree)
+def _merged(family: Family, other: Family) -> str:
+    if isinstance(family, Polynomial) and isinstance(other, Polynomial):
+        larger = max((family, other), key=lambda polynomial: polynomial.degree)
         return f"merge them: one term of family {larger.name!r} is the sum of both"
     return "merge them into one term, or leave one out"
