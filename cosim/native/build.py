@@ -45,6 +45,8 @@ SOURCES = (
     "process.c",
 )
 FLAGS = ("-std=c11", "-O2", "-ffp-contract=off", "-fPIC", "-shared")
+# of the package's own library, which is compiled once: a fifth less time, and the same bits
+OPTIONS = ("-O3",)
 LIBRARY = f"_cosim{'.dll' if sys.platform == 'win32' else '.so'}"
 _ZIG_SYSTEMS = {"linux": "linux-gnu", "darwin": "macos", "win32": "windows-gnu"}
 _ZIG_MACHINES = {"AMD64": "x86_64", "arm64": "aarch64"}
@@ -128,7 +130,7 @@ if "hatchling" in sys.modules:
         def initialize(self, version: str, build_data: dict[str, Any]) -> None:
             """Compile before the wheel is put together."""
             sources = [HERE / name for name in SOURCES]
-            compile_library(sources, HERE / LIBRARY)
+            compile_library(sources, HERE / LIBRARY, OPTIONS)
             build_data["artifacts"].append(f"cosim/native/{LIBRARY}")
             build_data["pure_python"] = False
             system = sysconfig.get_platform().replace("-", "_").replace(".", "_")

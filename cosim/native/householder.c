@@ -6,6 +6,26 @@
  * from column to column, and its reciprocal must not overflow. */
 #define SMALLEST 0x1p-960
 
+#define TOGETHER 4 /* rows whose columns are passed through once, each after the one before it */
+
+/* sums[c] += v_i row_i[c] for rows i in their order, v_i = row_i[j], c > j. */
+static void add_products(int32_t n, int32_t j, int32_t rows, const double *restrict block,
+                         double *restrict sums)
+{
+    int32_t i = 0;
+    for (; i + TOGETHER <= rows; i += TOGETHER) {
+        const double *a = block + i * n, *b = a + n, *c = b + n, *d = c + n;
+        const double va = a[j], vb = b[j], vc = c[j], vd = d[j];
+        for (int32_t k = j + 1; k < n; ++k)
+            sums[k] = (((sums[k] + va * a[k]) + vb * b[k]) + vc * c[k]) + vd * d[k];
+    }
+    for (; i < rows; ++i) {
+        const double *a = block + i * n;
+        for (int32_t k = j + 1; k < n; ++k)
+            sums[k] += a[j] * a[k];
+    }
+}
+
 /* One reflection a column: it maps (R_jj, block_0j, block_1j, ...) to (-+norm, 0, 0, ...). */
 void cosim_householder(int32_t n, double *R, int32_t rows, double *block, double *work)
 {
@@ -22,21 +42,17 @@ void cosim_householder(int32_t n, double *R, int32_t rows, double *block, double
         const double factor = 1.0 / (norm * (norm + fabs(r[j])));
         for (int32_t c = j + 1; c < n; ++c)
             work[c] = v * r[c];
-        for (int32_t i = 0; i < rows; ++i) {
-            const double *row = block + i * n;
-            const double vi = row[j];
-            for (int32_t c = j + 1; c < n; ++c)
-                work[c] += vi * row[c];
-        }
+        add_products(n, j, rows, block, work);
         for (int32_t c = j + 1; c < n; ++c) {
             work[c] *= factor;
             r[c] -= v * work[c];
         }
         for (int32_t i = 0; i < rows; ++i) {
-            double *row = block + i * n;
+            double *restrict row = block + i * n;
+            const double *restrict projection = work;
             const double vi = row[j];
             for (int32_t c = j + 1; c < n; ++c)
-                row[c] -= vi * work[c];
+                row[c] -= vi * projection[c];
         }
         r[j] = reflected;
     }

@@ -23,7 +23,7 @@ def test_the_kernels_compile_without_a_warning(tmp_path):
         command = [
             "cc",
             "-std=c11",
-            "-O2",
+            "-O3",
             "-Wall",
             "-Wextra",
             "-Wconversion",
@@ -132,6 +132,51 @@ def test_compilers_and_their_options_do_not_change_a_bit_of_the_elementary_funct
         result = subprocess.run([program], capture_output=True, text=True, check=True)
         hashes[name] = result.stdout
     assert len(set(hashes.values())) == 1, hashes
+
+
+ROTATIONS = """
+#include <stdio.h>
+#include <stdint.h>
+#include <string.h>
+#include "cosim.h"
+
+int main(void)
+{
+    static double R[40 * 40], block[67 * 40], work[40];
+    uint64_t state = 1, hash = 14695981039346656037u;
+    for (int n = 1; n <= 40; ++n)
+        for (int rows = 1; rows <= 67; rows += 3) {
+            for (int i = 0; i < n * rows; ++i) {
+                state = state * 6364136223846793005u + 1442695040888963407u;
+                block[i] = (double)(int64_t)state;
+            }
+            cosim_householder(n, R, rows, block, work);
+            for (int i = 0; i < n * n; ++i) {
+                uint64_t bits;
+                memcpy(&bits, R + i, sizeof bits);
+                hash = (hash ^ bits) * 1099511628211u;
+            }
+        }
+    printf("%llu", (unsigned long long)hash);
+    return 0;
+}
+"""
+
+
+@needs_cc
+def test_options_do_not_change_a_bit_of_the_rotations(tmp_path):
+    """Columns may be taken side by side, but the rows of each are summed in their order."""
+    (tmp_path / "main.c").write_text(ROTATIONS, encoding="utf-8")
+    flags = [flag for flag in build.FLAGS if flag not in ("-O2", "-shared")]
+    sources = [tmp_path / "main.c", build.HERE / "householder.c"]
+    hashes = set()
+    for options in (["-O2"], build.OPTIONS, ["-O3", "-march=native"]):
+        program = tmp_path / "program"
+        command = ["cc", *options, *flags, f"-I{build.HERE}", *sources, "-o", program, "-lm"]
+        subprocess.run(command, check=True)
+        result = subprocess.run([program], capture_output=True, text=True, check=True)
+        hashes.add(result.stdout)
+    assert len(hashes) == 1, hashes
 
 
 def runs_here(command):
