@@ -56,6 +56,39 @@ def test_the_excitation_is_that_of_the_exact_disturbance():
     assert report.of("identifier")[EXCITATION].cure == "raise P0 or leave it out"
 
 
+MANY = {
+    "regressor.delays": [0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5],
+    "delta.terms": [
+        {"family": "t-exponential", "theta": -0.2, "constants": [1.0, 0.5], "alpha": BOTH[0]},
+        {"family": "t-exponential", "theta": -0.4, "constants": [0.5, 1.0], "alpha": BOTH[1]},
+        {"family": "ramp", "constants": [1.0, 0.1]},
+    ],
+    "regressor.terms": [
+        {"family": "t-exponential", "alpha": BOTH[0]},
+        {"family": "t-exponential", "alpha": BOTH[1]},
+        {"family": "ramp"},
+    ],
+    "truth.identifier.theta": [-0.2, -0.4],
+}
+
+
+def test_what_fits_y_needs_a_disturbance_that_determines_theta_and_no_regression():
+    """Six functions under three alphas have 630 terms of (25), which output error is without."""
+    report = check_assumptions("academic", set=MANY)
+    assert report.fulfilled
+    assert "the disturbance determines theta" in report.of("identifier")[EXCITATION].evidence
+    absent = [dict(MANY["delta.terms"][0], constants=[0.0, 0.0]), *MANY["delta.terms"][1:]]
+    report = check_assumptions("academic", set=MANY | {"delta.terms": absent})
+    assert failing(report) == [("identifier", EXCITATION)]
+
+
+def test_a_method_that_cannot_do_with_the_terms_leaves_their_excitation_open():
+    """The method is refused; of a regression without an expansion (25) nothing is said."""
+    report = check_assumptions("academic", set=MANY | {"identifier.method": "rayleigh"})
+    assert failing(report) == [("identifier", METHOD)]
+    assert report.of("identifier")[EXCITATION].fulfilled is None
+
+
 COARSE = {"scenario.step": 0.01}
 UNSTABLE_ZERO = {"models.academic.A": [[0, 1, 1], [0, 2, 1], [1, 0, 1]]}
 CASES = {

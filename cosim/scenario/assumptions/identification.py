@@ -21,6 +21,7 @@ from cosim.scenario.kinds.regressor import RegressorDesign
 from cosim.theory.disturbances import regression
 from cosim.theory.disturbances.excitation import COMPARABLE, describe_excitation, information
 from cosim.theory.disturbances.families import generators
+from cosim.theory.experiment_design.effect_of_theta import effect_of_theta
 from cosim.theory.experiment_design.minors import Minors
 from cosim.theory.observers.assumptions import AssumptionVerdict, undecided
 
@@ -29,7 +30,8 @@ STEP: Final = "communication step"
 METHOD: Final = "method"
 EXCITATION: Final = "persistent excitation"
 LINEAR: Final = ("least-squares", "gradient", "drem")
-INSEPARABLE: Final = 1e-9  # of directions of chi by theta, relative to them: as good as none
+OF_Y: Final = ("output-error", "augmented-kalman", "extended-kalman")  # the others: of mu
+INSEPARABLE: Final = 1e-9  # of directions of chi or delta by theta, relative: as good as none
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +108,8 @@ class IdentifierCheck:
             n_eta = len(design.terms) - 1
             evidence = f"{method}: {n_eta} coefficients, with formulas (35) for theta"
             return evidence, {**values, "eta": n_eta}
-        return f"{method}: {parameters} parameters, from the model of y", values
+        origin = "the model of y" if method in OF_Y else "the regression"
+        return f"{method}: {parameters} parameters, from {origin}", values
 
     def _excitation(self) -> AssumptionVerdict:
         if self.theta is None or self.delta is None:
@@ -118,12 +121,44 @@ class IdentifierCheck:
     def _excited(self) -> Evidence:
         assert self.theta is not None
         design = self._source.regression
+        if self.kind.method in OF_Y:
+            return self._of_disturbance(design)
+        if not design.is_expanded:
+            raise DependsOnInvalid(f"method {self.kind.method!r} cannot do with these terms")
         mu = self._regression(design)
         clock = self.builder.clock
         step = clock.step_ns / 1e9
         if self.kind.method in LINEAR:
             return self._linear(information(mu[:, 1:], step))
         return _nonlinear(design, triangle(mu), self.theta)
+
+    def _of_disturbance(self, design: RegressorDesign) -> Evidence:
+        """Return whether the disturbance determines theta, for what is fitted to y."""
+        assert self.delta is not None
+        assert self.theta is not None
+        if design.known.unknown:
+            raise AssumptionError("alphas are known of the run alone")
+        t = communication_points(self.builder.clock)
+        of_groups = design.known(t)
+        alpha = np.empty((len(t), len(design.families)))
+        for b, group in enumerate(design.groups):
+            alpha[:, list(group.components)] = of_groups[:, [b]]
+        smallest = effect_of_theta(design.families, self.theta, t, alpha, self.delta)
+        change = 1.0 / (t[-1] - t[0])
+        numbers = {"smallest": smallest, "least": INSEPARABLE, "change": change}
+        effect = (
+            f"a change of theta by {change:.3g} along {{}} changes it by {{}} {smallest:.2g} of "
+            "itself, whatever its constants"
+        )
+        if smallest <= INSEPARABLE:
+            found = effect.format("one direction", "no more than")
+            raise AssumptionError(
+                f"the disturbance does not determine theta: {found}; a component is absent, or "
+                "two are alike",
+                cure="needed amplitudes that are not 0, and components that differ",
+            )
+        found = effect.format("any direction", "at least")
+        return f"without noise the disturbance determines theta: {found}", numbers
 
     def _linear(self, of_eta: Matrix) -> Evidence:
         eigenvalues = np.asarray(np.linalg.eigvalsh(of_eta), np.float64)
@@ -175,9 +210,11 @@ def _nonlinear(design: RegressorDesign, R: Matrix, theta: Vector) -> Evidence:
     numbers = {"smallest": smallest, "least": INSEPARABLE}
     if smallest <= INSEPARABLE:
         raise AssumptionError(
-            f"the disturbance does not determine theta: along one direction of it the regression "
-            f"changes by {smallest:.2g} of itself; a component is absent, or two are alike",
-            cure="needed amplitudes that are not 0, and components that differ",
+            f"the regression does not determine theta: along one direction of it the regression "
+            f"changes by {smallest:.2g} of itself; a component is absent, or two are alike, or "
+            "the alphas or delays differ too little",
+            cure="needed amplitudes that are not 0, components that differ, other delays, or "
+            'method = "output-error"',
         )
     return (
         f"without noise the regression determines theta: along every direction it changes by at "

@@ -41,11 +41,11 @@ class _GroupMinors:
             G = component.matrix(theta[component.theta])
             K = None
             for j, slope in zip(own, component.G1, strict=True):
-                K, of_slope = _rows_and_derivative(component.c, G, slope, delays)
+                K, of_slope = basis_and_derivative(component.c, G, slope, delays)
                 derivative = np.zeros((len(delays), width))
                 derivative[:, at : at + V] = of_slope
                 derivatives[j] = derivative
-            parts.append(_rows(component.c, G, delays) if K is None else K)
+            parts.append(basis_rows(component.c, G, delays) if K is None else K)
             at += V
         return np.hstack(parts), derivatives
 
@@ -106,16 +106,16 @@ class Minors:
         return chi, derivatives
 
 
-def _rows(c: Vector, G: Matrix, delays: Vector) -> Matrix:
+def basis_rows(c: Vector, G: Matrix, delays: Vector) -> Matrix:
     """Return ``c' expm(-G D)`` for every delay, shape (delays, V)."""
     rows: Matrix = np.einsum("a,nab->nb", c, transitions(G, -delays))
     return rows
 
 
-def _rows_and_derivative(
+def basis_and_derivative(
     c: Vector, G: Matrix, slope: Matrix, delays: Vector
 ) -> tuple[Matrix, Matrix]:
-    """Return the rows, and their derivatives by a parameter that G has this slope in."""
+    """Return these rows, and their derivatives by a parameter that G has this slope in."""
     V = len(c)
     augmented = np.zeros((2 * V, 2 * V))
     augmented[:V, :V] = G
@@ -123,5 +123,5 @@ def _rows_and_derivative(
     augmented[:V, V:] = slope
     beside_zeros = np.zeros(2 * V)
     beside_zeros[:V] = c
-    rows = _rows(beside_zeros, augmented, delays)
+    rows = basis_rows(beside_zeros, augmented, delays)
     return rows[:, :V], rows[:, V:]
