@@ -203,8 +203,11 @@ def test_the_index_is_found_in_any_coordinates(seed):
 # --- E, or A22, between two ranks ---
 
 
-def near_a_lower_rank(seed, *, E=0.0, A22=0.0):
-    """Return a random system in mixed coordinates: E or A22 have a small singular value."""
+def near_a_lower_rank(seed, *, E=0.0, A22=0.0, spread=0.0):
+    """Return a random system in mixed coordinates: E or A22 have a small singular value.
+
+    The equations are of sizes that differ by so many decades before they are mixed.
+    """
     rng = np.random.default_rng(seed)
     n = int(rng.integers(3, 9))
     n_a = int(rng.integers(1, n - 1))
@@ -218,6 +221,7 @@ def near_a_lower_rank(seed, *, E=0.0, A22=0.0):
     P = np.linalg.qr(rng.normal(size=(n, n)))[0]
     Q = np.linalg.qr(rng.normal(size=(n, n)))[0]
     B = rng.normal(size=(n, 1))
+    P = P * 10.0 ** rng.uniform(-spread / 2.0, spread / 2.0, n)
     return DescriptorSystem.general(E=P @ plain_E @ Q, A=P @ A @ Q, Bu=B, C=np.eye(n))
 
 
@@ -276,6 +280,15 @@ def test_what_is_reduced_near_a_lower_rank_is_as_good_as_it_says(small, verdicts
     What is refused is refused for what is near to a lower rank, E or A22.
     """
     assert {check_border(seed, small) for seed in range(6)} <= verdicts
+
+
+@pytest.mark.parametrize(("seed", "A22"), [(20, 1e-6), (75, 1e-6), (81, 1e-8), (54, 1e-13)])
+def test_what_is_left_of_large_terms_has_their_errors(seed, A22):
+    """Of x_b and its large gains little may be left in a reduced system, which is no more exact.
+
+    At 54 A22 has no inverse at all, though its equations are independent.
+    """
+    assert check_border(seed, {"A22": A22, "spread": 6.0}) == "INDEX_UNCLEAR"
 
 
 @pytest.mark.campaign

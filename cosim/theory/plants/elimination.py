@@ -56,13 +56,17 @@ class Eliminated:
 class _AlgebraicGain:
     """K of ``x_b = K (x_a, u, delta)``, the size of its terms, and bounds of errors.
 
-    ``error`` bounds that of K; ``per_column`` is the error that every column has in a row of data
-    whose size is one: its own, and by way of x_b.
+    ``equations`` are the sizes of the algebraic equations, ``columns`` those of the columns of K in
+    a row of data whose size is one; ``inverse`` is A22^-1. ``error`` bounds that of K;
+    ``per_column`` is the error that every column has in such a row: its own, and by way of x_b.
     """
 
     K: Matrix
     magnitudes: Matrix
+    inverse: Matrix
     error: Matrix
+    equations: Vector
+    columns: Vector
     per_column: Vector
     amplification: float
 
@@ -84,8 +88,8 @@ def eliminate(matrices: PartitionedMatrices, scales: Scales, growth: float) -> E
     B_u, B_delta = matrices.B
     D_u, D_delta = matrices.D
     gain = _algebraic_gain(matrices, scales, growth)
-    of_outputs = np.outer(scales.outputs, gain.per_column)
-    output_error = of_outputs + np.abs(C2) @ gain.error
+    own_error = np.outer(scales.outputs, gain.per_column)
+    output_error = own_error + np.abs(C2) @ gain.error
 
     def substituted(direct: Matrix, left: Matrix, columns: slice) -> Matrix:
         """Return ``direct + left K``, a coefficient after x_b was replaced by (8)."""
@@ -104,16 +108,35 @@ def eliminate(matrices: PartitionedMatrices, scales: Scales, growth: float) -> E
     delta = slice(end_of_u, None)
     of_u = substituted(B_u[:n_a], A12, u)
     of_delta = substituted(B_delta[:n_a], A12, delta)
+    A = substituted(matrices.A[:n_a, :n_a], A12, state)
+    C = substituted(matrices.C[:, :n_a], C2, state)
+    D = (feedthrough(D_u, u), feedthrough(D_delta, delta))
+    of_rates = _amplification(
+        np.hstack([A, of_u, of_delta]), A12 @ gain.inverse, gain, scales.equations[:n_a]
+    )
+    of_outputs = _amplification(np.hstack([C, *D]), C2 @ gain.inverse, gain, scales.outputs)
     return Eliminated(
-        A=substituted(matrices.A[:n_a, :n_a], A12, state),
+        A=A,
         B=(of_u, of_delta),
-        C=substituted(matrices.C[:, :n_a], C2, state),
-        D=(feedthrough(D_u, u), feedthrough(D_delta, delta)),
+        C=C,
+        D=D,
         K=gain.K[:, state],
         Kv=(gain.K[:, u], gain.K[:, delta]),
         Kv_error=(gain.error[:, u], gain.error[:, delta]),
-        amplification=gain.amplification,
+        amplification=max(gain.amplification, of_rates, of_outputs),
     )
+
+
+def _amplification(left: Matrix, of_equations: Matrix, gain: _AlgebraicGain, rows: Vector) -> float:
+    """Return how many times errors of the data grow in what is left of rows of such sizes.
+
+    They are relative to what is left where that is larger than the data: where large terms cancel,
+    it is no larger, but its errors are.
+    """
+    own_and_algebraic = rows + np.abs(of_equations) @ gain.equations
+    errors = np.outer(own_and_algebraic / rows, gain.per_column / gain.columns)
+    largest = float((np.abs(left) / np.outer(rows, gain.columns)).max(initial=1.0))
+    return float(errors.max(initial=0.0)) / (DATA * largest)
 
 
 def _algebraic_gain(matrices: PartitionedMatrices, scales: Scales, growth: float) -> _AlgebraicGain:
@@ -124,7 +147,8 @@ def _algebraic_gain(matrices: PartitionedMatrices, scales: Scales, growth: float
     right = np.hstack([matrices.A[n_a:, :n_a], B_u[n_a:], B_delta[n_a:]])
     solution = np.linalg.solve(A22, right)
     K: Matrix = (0.0 - solution).astype(np.float64)  # not -solution: no negative zeros
-    inverse: Matrix = np.abs(np.linalg.inv(A22)).astype(np.float64)
+    signed_inverse = np.linalg.inv(A22)
+    inverse: Matrix = np.abs(signed_inverse).astype(np.float64)
     terms = np.abs(A22) @ np.abs(K) + np.abs(right)
     own = np.concatenate([1.0 / scales.states[:n_a], 1.0 / scales.inputs])
     by_x_b = (1.0 / scales.states[n_a:]) @ np.abs(K)
@@ -137,7 +161,10 @@ def _algebraic_gain(matrices: PartitionedMatrices, scales: Scales, growth: float
     return _AlgebraicGain(
         K=np.where(significant, K, 0.0),
         magnitudes=inverse @ terms,
+        inverse=signed_inverse,
         error=error,
+        equations=equations,
+        columns=own,
         per_column=per_column,
         amplification=growth * (1.0 + largest),
     )

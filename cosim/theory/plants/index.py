@@ -16,6 +16,7 @@ from cosim.arrays import Matrix
 from cosim.errors import AssumptionError
 from cosim.theory.plants.elimination import DATA
 from cosim.theory.plants.pencil import (
+    EPSILON,
     RankDecomposition,
     determined_rank,
     rounding_of,
@@ -45,11 +46,12 @@ def check_index(E: Matrix, A: Matrix, decomposition: RankDecomposition) -> None:
             cure="needed a model with dynamics (a static one is the gain of a connection)",
         )
     determined = determined_rank(decomposition, A)
+    condition = _condition_of_A22(A, decomposition)
     if determined == n - dynamic:
+        if condition >= 1.0 / EPSILON:  # it has no inverse
+            check_accuracy(DATA * condition, A, decomposition)
         return
     check_rank(A, decomposition)
-    A22 = decomposition.U2.T @ A @ decomposition.V2
-    condition = float(np.linalg.cond(A22))
     evidence = f"rank {determined} of {n - dynamic}, condition {condition:.3g}"
     problem = (
         f"Assumption 2 (3): A22 is singular ({evidence}), so x_b is not determined by the "
@@ -99,8 +101,7 @@ def check_accuracy(accuracy: float, A: Matrix, decomposition: RankDecomposition)
         return
     if DATA * len(A) * decomposition.growth > GOOD_ACCURACY:
         raise _unclear_rank(decomposition, accuracy)
-    A22 = decomposition.U2.T @ A @ decomposition.V2
-    condition = float(np.linalg.cond(A22))
+    condition = _condition_of_A22(A, decomposition)
     raise AssumptionError(
         f"Assumption 2 (3): A22 is nearly singular (condition {condition:.3g}), and the reduced "
         f"system would be known only up to {accuracy:.1g} of its size, needed "
@@ -109,6 +110,12 @@ def check_accuracy(accuracy: float, A: Matrix, decomposition: RankDecomposition)
         "give the algebraic equations exactly, or in other units, or model what was neglected in "
         "them (a small mass, capacity or resistance)",
     )
+
+
+def _condition_of_A22(A: Matrix, decomposition: RankDecomposition) -> float:
+    """Return the condition of A22; 1 where there are no algebraic states."""
+    A22 = decomposition.U2.T @ A @ decomposition.V2
+    return float(np.linalg.cond(A22)) if A22.size else 1.0
 
 
 def _unclear_rank(
