@@ -132,20 +132,20 @@ class ElementRegressors:
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Forget the past."""
-        parts = [one.initialize(t, u[columns]) for one, columns in self._each()]
+        parts = [element.initialize(t, u[columns]) for element, columns in self._each()]
         return np.concatenate(parts)
 
     def outputs(self, t: float, u: Vector) -> Vector:
         """Return mu at the time reached."""
-        parts = [one.outputs(t, u[columns]) for one, columns in self._each()]
+        parts = [element.outputs(t, u[columns]) for element, columns in self._each()]
         return np.concatenate(parts)
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Take K samples."""
         parts = []
-        for one, columns in self._each():
+        for element, columns in self._each():
             own = np.ascontiguousarray(u[:, columns])
-            parts.append(one.advance(t, h, own))
+            parts.append(element.advance(t, h, own))
         return np.hstack(parts)
 
     def _each(self) -> Iterator[tuple[Regressor, list[int]]]:

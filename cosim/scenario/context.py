@@ -206,13 +206,13 @@ class ScenarioBuildContext:
             if record is not None and record.file == path:
                 self.models[name] = record.model_dump(mode="json")
                 return record.arrays
-        found = read_model_file(self.file(path), LETTERS)
-        missing = [letter for letter in ("A", "C") if letter not in found.matrices]
+        content = read_model_file(self.file(path), LETTERS)
+        missing = [letter for letter in ("A", "C") if letter not in content.matrices]
         if missing:
-            raise UsageError(missing_text(path, found, missing))
-        matrices = {letter: rows.tolist() for letter, rows in found.matrices.items()}
-        self.models[name] = {"file": path, "sha256": found.sha256, "matrices": matrices}
-        return found.matrices
+            raise UsageError(missing_text(path, content, missing))
+        matrices = {letter: rows.tolist() for letter, rows in content.matrices.items()}
+        self.models[name] = {"file": path, "sha256": content.sha256, "matrices": matrices}
+        return content.matrices
 
     def spec(self, name: str) -> Kind:
         """Return the table of another component, and record that it was read."""
@@ -367,10 +367,10 @@ class ScenarioBuildContext:
         if source.component not in self._sources_beside:
             self._sources_beside[source.component] = self._source(source.component, spec)
         component = self._sources_beside[source.component]
-        found = source.find({signal.name: signal for signal in component.interface.outputs})
-        if found is None:
+        matched = source.find({signal.name: signal for signal in component.interface.outputs})
+        if matched is None:
             raise unknown_port(source, component.interface, "output")
-        signal, elements = found
+        signal, elements = matched
         column = component.interface.output_columns()[signal.name].start + elements.start
         if spec.is_recorded or self._is_replayed(spec):
             return _interpolated(component, column, self.clock)
@@ -383,13 +383,13 @@ class ScenarioBuildContext:
         """Return a component without inputs, beside that of the run."""
         if self._recording is not None and self._is_replayed(spec):
             return Replay(self._recording, name)
-        said = len(self.warnings)
+        count = len(self.warnings)
         try:
             return spec.build(name, self)
         except CosimError as error:  # the problem of that component, which reports it itself
             raise DependsOnInvalid(str(error)) from error
         finally:
-            del self.warnings[said:]
+            del self.warnings[count:]  # it warns where it is built for the run
 
     def spectra(self, name: str) -> list[Spectrum]:
         """Return what is known of the signals of a component, by the tables of those it drives."""

@@ -83,7 +83,9 @@ def _signals(channel: Channel, row: Vector) -> dict[str, Vector]:
 
 def change_text(changes: Sequence[StateChangeRecord]) -> str:
     """Return in words what became of initial states."""
-    shown = [f"{one.entry} = {one.before:.6g} is {one.after:.6g}" for one in changes[:MOST_ENTRIES]]
+    shown = []
+    for change in changes[:MOST_ENTRIES]:
+        shown.append(f"{change.entry} = {change.before:.6g} is {change.after:.6g}")
     more = len(changes) - len(shown)
     if more:
         shown.append(f"and {more} more")

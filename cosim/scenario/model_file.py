@@ -73,8 +73,8 @@ def _variables(path: Path, content: bytes) -> dict[str, Matrix | OtherVariable]:
         raise UsageError(f"file {path} is no MAT-file: {error}; {CURE}") from error
 
 
-def missing_text(file: str, found: ModelFile, missing: list[str]) -> str:
+def missing_text(file: str, content: ModelFile, missing: list[str]) -> str:
     """Return what to say where a file lacks matrices of a model."""
-    names = listing([*found.matrices, *found.others]) or "nothing"
+    names = listing([*content.matrices, *content.others]) or "nothing"
     needed = " and ".join(missing)
     return f"file {file} has no {needed}; it has: {names}; needed A and C, by these names"

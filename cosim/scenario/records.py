@@ -122,10 +122,11 @@ class MessageRecorder:
         """Record which initial states are others than those that the scenario gives."""
         experiment = self._experiment
         changed = changed_states(experiment.graph, experiment.given_states, row)
+        plain = {}
         for name, changes in changed.items():
             self._recorder.message(self._reached_ns, "warning", name, change_text(changes))
-        if changed:
-            plain = {name: [one.model_dump() for one in changed[name]] for name in changed}
+            plain[name] = [change.model_dump() for change in changes]
+        if plain:
             self._recorder.result({INITIAL_STATES: plain})
 
     def _record_messages(self) -> None:

@@ -38,24 +38,24 @@ def interchangeable(
     each = generators.each
 
     def alike(i: int, k: int) -> bool:
-        one = each[i]
+        term = each[i]
         other = each[k]
         pairs = (
-            (one.c, other.c),
-            (one.G0, other.G0),
-            (one.G1, other.G1),
+            (term.c, other.c),
+            (term.G0, other.G0),
+            (term.G1, other.G1),
             (plant.Bd[:, i], plant.Bd[:, k]),
             (plant.Dd[:, i], plant.Dd[:, k]),
         )
         if not all(np.array_equal(a, b) for a, b in pairs):
             return False
-        places = zip(_places(one.theta), _places(other.theta), strict=True)
+        places = zip(_places(term.theta), _places(other.theta), strict=True)
         return all(bounds.get(a) == bounds.get(b) for a, b in places) and same_alpha(i, k)
 
     before = []
     for i in range(len(each)):
-        found = [k for k in range(i) if alike(i, k)]
-        before.append(found[-1] if found else -1)
+        earlier = [k for k in range(i) if alike(i, k)]
+        before.append(earlier[-1] if earlier else -1)
     return tuple(before)
 
 

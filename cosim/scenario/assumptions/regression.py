@@ -111,8 +111,7 @@ class RegressorCheck:
 
     def _alphas(self) -> Evidence:
         design = self.kind.design(self.name, self.context)
-        each = design.each or [design]
-        evidence = [self._alphas_of(one) for one in each]
+        evidence = [self._alphas_of(part) for part in design.by_element]
         texts = [text for text, _ in evidence]
         if design.each:
             texts = [f"element {element}: {text}" for element, text in enumerate(texts)]

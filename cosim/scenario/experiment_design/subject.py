@@ -176,13 +176,13 @@ def _driver(scenario: Scenario, component: str, signal: str, needed: type[Any]) 
 
 def _upstream(scenario: Scenario, components: Collection[str]) -> frozenset[str]:
     """Return the components that some follow, directly or through others, and themselves."""
-    found: set[str] = set()
+    upstream: set[str] = set()
     front = set(components)
     while front:
-        found |= front
+        upstream |= front
         sources = [scenario.sources_of(name) for name in front]
-        front = set().union(*sources) - found
-    return frozenset(found)
+        front = set().union(*sources) - upstream
+    return frozenset(upstream)
 
 
 def _check_models(scenario: Scenario, upstream: frozenset[str]) -> None:

@@ -360,7 +360,7 @@ class UnknownInputObserverKind(ExportableKind):
         return is_of_derivative and design.is_direct and not self.relinearize
 
     def _warn_of_filter(self, name: str, context: BuildContext) -> None:
-        """Say which keys of a filter have no effect."""
+        """Warn of keys of a filter that have no effect."""
         given = [key for key in ("filter_rate", "q0") if getattr(self, key) is not None]
         if given:
             context.warn(

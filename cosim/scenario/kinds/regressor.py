@@ -95,6 +95,11 @@ class RegressorDesign:
     each: Sequence[RegressorDesign] = ()
 
     @property
+    def by_element(self) -> Sequence[RegressorDesign]:
+        """The regression of each element of delta."""
+        return self.each or [self]
+
+    @property
     def is_expanded(self) -> bool:
         """Whether mu is that of (25); else it is delta at its delays."""
         return bool(self.terms[0].parts)
@@ -166,9 +171,9 @@ class RegressorDesign:
         AssumptionError
             If the products of the alphas are not independent.
         """
-        for one in self.each or [self]:
-            if one.needs_independence and len(one.groups) > 1 and not one.known.unknown:
-                one._check_independent(one.known, one.times_before(clock))
+        for part in self.by_element:
+            if part.needs_independence and len(part.groups) > 1 and not part.known.unknown:
+                part._check_independent(part.known, part.times_before(clock))
 
     def _check_different(self, alphas: Callable[[Vector], Matrix], times: Matrix) -> None:
         """Check alphas ``(N, groups)`` at instants ``(N,)``, in a run at ``times (N, rows)``."""
@@ -205,9 +210,9 @@ class RegressorDesign:
         AssumptionError
             If they are not different, or their products are not independent.
         """
-        for element, one in enumerate(self.each):
+        for element, part in enumerate(self.each):
             own = [i for i, of_term in enumerate(self.elements) if of_term == element]
-            one.check_recorded(t, alpha[:, own], estimates_eta=estimates_eta)
+            part.check_recorded(t, alpha[:, own], estimates_eta=estimates_eta)
         if not self.known.unknown or len(self.groups) < 2 or self.each:
             return
         ages = np.array(self.delays)
@@ -228,8 +233,8 @@ class RegressorDesign:
         """Return a component that makes the signals of the regression."""
         if not self.each:
             return self._of_one()
-        signals = [signals_among(one.group_alphas) for one in self.each]
-        return ElementRegressors([one._of_one() for one in self.each], signals)
+        signals = [signals_among(part.group_alphas) for part in self.each]
+        return ElementRegressors([part._of_one() for part in self.each], signals)
 
     def _of_one(self) -> Regressor:
         """Return the regressor of one element of delta: its input alpha has its own signals."""
@@ -276,8 +281,8 @@ class RegressorKind(ExportableKind):
 
     def build(self, name: str, context: BuildContext) -> Component:
         design = self.design(name, context)
-        for one in design.each or [design]:
-            warning = regression.linear_route_warning(one.sizes)
+        for part in design.by_element:
+            warning = regression.linear_route_warning(part.sizes)
             if warning:
                 context.warn(name, warning)
         if design.lag:
@@ -382,8 +387,8 @@ class RegressorKind(ExportableKind):
     ) -> RegressorDesign:
         """Return the regressions of all elements side by side."""
         groups = []
-        for own, one in zip(members, each, strict=True):
-            for group in one.groups:
+        for own, part in zip(members, each, strict=True):
+            for group in part.groups:
                 components = tuple(own[i] for i in group.components)
                 groups.append(replace(group, components=components))
         firsts = [alphas[group.components[0]] for group in groups]
@@ -392,7 +397,7 @@ class RegressorKind(ExportableKind):
             alphas=alphas,
             known=known_alphas(firsts, context),
             groups=groups,
-            terms=regression.delayed(sum(len(one.terms) for one in each)),
+            terms=regression.delayed(sum(len(part.terms) for part in each)),
             steps=self.delay_steps(context),
             delays=self.delays,
             lag=each[0].lag,

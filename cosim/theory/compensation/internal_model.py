@@ -62,8 +62,8 @@ class ParameterBox:
 
     def scaled(self, factor: float) -> ParameterBox:
         """Return the box with the same center, ``factor`` times as wide."""
-        half = 0.5 * factor * (self.upper - self.lower)
-        return ParameterBox(self.center - half, self.center + half)
+        half_width = 0.5 * factor * (self.upper - self.lower)
+        return ParameterBox(self.center - half_width, self.center + half_width)
 
     def halves(self, axis: int) -> tuple[ParameterBox, ParameterBox]:
         """Return both halves of the box, cut across the interval of a parameter."""

@@ -131,9 +131,9 @@ def closest_mode(
     for block in blocks:
         own = list(block.parameters)
         part = ParameterBox(box.lower[own], box.upper[own])
-        theta, found = _closest_of_block(s, block, part)
-        if abs(found - s) < abs(mode - s):
-            mode = found
+        theta, closest = _closest_of_block(s, block, part)
+        if abs(closest - s) < abs(mode - s):
+            mode = closest
             best = box.center.copy()
             best[own] = theta
     return best, mode

@@ -29,7 +29,7 @@ SAME: Final = 1e-6  # difference of two eigenvalues over the larger, or over 1, 
 TRIALS: Final = 2  # theta at which nothing agrees by chance
 EXPONENTS: Final = ("exponential", "damped-sine", "t-exponential")  # families that have one
 LARGE: Final = 1e-3  # of its largest value, from which on an alpha is divided by
-MANY: Final = 8  # samples that tell whether a ratio is an exponential
+MANY: Final = 8  # samples that show whether a ratio is an exponential
 STRAIGHT: Final = 0.02  # rate times run [rad] of a sine that is a straight line but for 5e-5
 
 
@@ -155,7 +155,9 @@ def check_exchangeable(
     AssumptionError
         If two alphas do that.
     """
-    exponents = [{one.name for one in of_alpha if one.name in EXPONENTS} for of_alpha in families]
+    exponents = []
+    for of_alpha in families:
+        exponents.append({family.name for family in of_alpha}.intersection(EXPONENTS))
     for a, b in combinations(range(len(names)), 2):
         shared = sorted(exponents[a] & exponents[b])
         rate = _rate_of_ratio(t, alpha[:, a], alpha[:, b]) if shared else None
@@ -168,13 +170,13 @@ def check_exchangeable(
             )
 
 
-def _rate_of_ratio(t: Vector, one: Vector, other: Vector) -> float | None:
+def _rate_of_ratio(t: Vector, signal: Vector, other: Vector) -> float | None:
     """Return the rate of an exponential that is the ratio of two signals; None: it is none."""
     size = np.abs(other)
     large = size > LARGE * size.max(initial=0.0)
-    if large.sum() < MANY or not one[large].all():
+    if large.sum() < MANY or not signal[large].all():
         return None
-    ratio = one[large] / other[large]
+    ratio = signal[large] / other[large]
     if np.sign(ratio).min() < np.sign(ratio).max():
         return None
     logarithm = np.log(np.abs(ratio))

@@ -147,11 +147,11 @@ class LinearFamily:
         best = none
         smallest = DEPENDENT
         for fraction in np.linspace(0.0, 1.0, TRIALS + 2)[1:-1]:
-            found = least_squares(difference, lower + fraction * (upper - lower), xtol=1e-15)
-            size = float(np.abs(found.fun).max())
+            solution = least_squares(difference, lower + fraction * (upper - lower), xtol=1e-15)
+            size = float(np.abs(solution.fun).max())
             if size < smallest:
                 smallest = size
-                best = np.asarray(found.x)
+                best = np.asarray(solution.x)
         return best
 
     # --- checks ---
@@ -307,7 +307,7 @@ class _Limits:
             values.real <= self._largest + slack,
             np.abs(values.imag) <= self._fastest + slack,
         )
-        return all(bool(one.all()) for one in within)
+        return all(bool(is_within.all()) for is_within in within)
 
 
 def _text(eigenvalue: complex) -> str:

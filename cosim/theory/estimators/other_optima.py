@@ -44,9 +44,8 @@ STARTS_OF_GRID: Final = 5
 STARTS_OF_TERM: Final = 2  # minima along the parameters of one term
 STARTS_SPREAD: Final = 12
 AXIS_POINTS: Final = 256  # along a parameter, among which spread starts are
-ROOT_STEPS: Final = 40  # of an iteration that triples the digits of 1.32 and less in three
-# of a column beside others, relative to its own length: below it is none
-DEPENDENT: Final = 1e-6
+ROOT_STEPS: Final = 40  # of a fixed-point iteration whose error is divided by 3 or more in each
+DEPENDENT: Final = 1e-6  # part of a column that others leave, relative to it: it is rounding
 
 
 def search_optima(

@@ -289,7 +289,8 @@ def interchangeable_terms(
     """Return for every term the last one before it that is interchangeable with it, or -1."""
 
     def same_alpha(i: int, k: int) -> bool:
-        return all(np.array_equal(one.alpha[:, i], one.alpha[:, k]) for one in data)
+        alphas = [data_set.alpha for data_set in data]
+        return all(np.array_equal(alpha[:, i], alpha[:, k]) for alpha in alphas)
 
     return interchangeable(matrices, plant, same_alpha, bounds)
 

@@ -212,10 +212,10 @@ class NoisyRegression:
         blocks = np.arange(-rows + 1, rows)
         apart = size * blocks
         total = np.zeros(len(blocks))
-        for one, other in self._distances(first, second):
-            of_one = self._of_sums(apart + one)
+        for distance, other in self._distances(first, second):
+            of_distance = self._of_sums(apart + distance)
             of_other = self._of_sums(apart + other)
-            total += of_one * of_other
+            total += of_distance * of_other
         return total
 
     def _of_sums(self, distance: NDArray[np.integer]) -> Vector:
@@ -240,13 +240,14 @@ class NoisyRegression:
     ) -> Vector | None:
         """Return the covariance of sums of products of two samples, as that of blocks."""
         total = None
-        for one, other in self._distances(first, second):
-            begin = max(-one, -other) - self._reach
-            end = min(-one, -other) + self._reach
+        for distance, other in self._distances(first, second):
+            begin = max(-distance, -other) - self._reach
+            end = min(-distance, -other) + self._reach
             if begin > end:
                 continue
             middle = np.arange(begin, end + 1)
-            values = self.noise.covariance(middle + one) * self.noise.covariance(middle + other)
+            of_distance = self.noise.covariance(middle + distance)
+            values = of_distance * self.noise.covariance(middle + other)
             place = np.floor_divide(middle, size)
             fraction = middle / size - place
             binned = np.zeros(2 * rows + 1)
@@ -268,12 +269,12 @@ def _means(values: Matrix, size: int) -> Matrix:
 
 
 def _inner_products(
-    one: NDArray[np.complex128], other: NDArray[np.complex128], length: int
+    spectra: NDArray[np.complex128], other: NDArray[np.complex128], length: int
 ) -> Matrix:
     """Return the sums over all samples of products of real signals, from their spectra."""
-    twice = np.full(one.shape[1], 2.0)
+    twice = np.full(spectra.shape[1], 2.0)
     twice[0] = 1.0
     if length % 2 == 0:
         twice[-1] = 1.0
-    products: Matrix = ((one * twice) @ other.conj().T).real / length
+    products: Matrix = ((spectra * twice) @ other.conj().T).real / length
     return products
