@@ -147,8 +147,8 @@ def _algebraic_gain(matrices: PartitionedMatrices, scales: Scales, growth: float
     right = np.hstack([matrices.A[n_a:, :n_a], B_u[n_a:], B_delta[n_a:]])
     solution = np.linalg.solve(A22, right)
     K: Matrix = (0.0 - solution).astype(np.float64)  # not -solution: no negative zeros
-    signed_inverse = np.linalg.inv(A22)
-    inverse: Matrix = np.abs(signed_inverse).astype(np.float64)
+    signed_inverse: Matrix = np.linalg.inv(A22).astype(np.float64)
+    inverse = np.abs(signed_inverse)
     terms = np.abs(A22) @ np.abs(K) + np.abs(right)
     own = np.concatenate([1.0 / scales.states[:n_a], 1.0 / scales.inputs])
     by_x_b = (1.0 / scales.states[n_a:]) @ np.abs(K)
