@@ -380,22 +380,26 @@ def _other_parts(name: str, observer: str, context: BuildContext) -> list[str]:
     problems = []
     if context.driver(Port(observer, "u")) != name:
         problems.append(f"something is between its u and the u of {observer!r}")
-    measured = Port(observer, "y")
-    sensor = context.driver(measured)
+    sensor = context.driver(Port(observer, "y"))
     if sensor is None:
         return [*problems, f"several components drive the y of {observer!r}"]
-    plant: str | None = sensor
     kind = context.spec(sensor)
-    if isinstance(kind, SensorKind):
-        if kind.delay or kind.jitter or kind.most_in_a_step(sensor, context):
-            problems.append(f"{sensor!r} delays or samples y")
-        plant = context.driver(Port(sensor, "u"))
-    of_plant = None if plant is None else context.spec(plant)
-    if plant is None or not isinstance(of_plant, PlantKind):
-        return [*problems, f"something is between the plant and the y of {observer!r}"]
-    if of_plant.follows_inputs and context.driver(Port(plant, "u")) != name:
-        problems.append(f"something is between its u and the u of {plant!r}")
-    return problems
+    if not isinstance(kind, SensorKind):
+        return problems + _before_plant(name, sensor, observer, context)
+    if kind.delay or kind.jitter or kind.most_in_a_step(sensor, context):
+        problems.append(f"{sensor!r} delays or samples y")
+    measured = context.driver(Port(sensor, "u"))
+    return problems + _before_plant(name, measured, observer, context)
+
+
+def _before_plant(name: str, plant: str | None, observer: str, context: BuildContext) -> list[str]:
+    """Return what is between the compensator and the plant, if it is one, that is measured."""
+    kind = None if plant is None else context.spec(plant)
+    if plant is None or not isinstance(kind, PlantKind):
+        return [f"something is between the plant and the y of {observer!r}"]
+    if kind.follows_inputs and context.driver(Port(plant, "u")) != name:
+        return [f"something is between its u and the u of {plant!r}"]
+    return []
 
 
 def _limits(key: str, given: float | NumberRow | None, none: float, n_u: int) -> Vector:
