@@ -283,15 +283,41 @@ def test_an_interval_that_cannot_be_certified_is_refused_before_the_run():
         cosim.run(scenario(interval=[[1.0, 7.0]]), set={"scenario.step": 0.2})
 
 
-def test_what_is_between_is_said():
-    """A gain between the compensator and the observer's u is not in the loop that is certified."""
-    part = '[components.gain]\nkind = "gain"\nK = 1.0\n[connections]\n"gain.u" = "compensator.u"\n'
-    loop = scenario(
-        replaced={
-            "[connections]\n": part,
-            '"observer.u" = "compensator.u"': '"observer.u" = "gain.y"',
-        }
-    )
+GAIN = """[components.gain]
+kind = "gain"
+K = 1.0
+[connections]
+"gain.u" = "compensator.u"
+"""
+LATE = """[components.late]
+kind = "sensor"
+size = 2
+delay = 0.02
+[connections]
+"late.u" = "plant.y"
+"""
+BOTH = """[components.both]
+kind = "gain"
+K = [[1, 0], [0, 1]]
+[connections]
+"both.u" = "plant.y"
+"""
+
+
+@pytest.mark.parametrize(
+    ("part", "of", "source", "between"),
+    [
+        (GAIN, '"observer.u" = "compensator.u"', "gain.y", "its u and the u of 'observer'"),
+        (GAIN, '"plant.u" = "compensator.u"', "gain.y", "its u and the u of 'plant'"),
+        (LATE, '"observer.y" = "plant.y"', "late.y", "'late' delays or samples y"),
+        (BOTH, '"observer.y" = "plant.y"', "both.y", "between the plant and the y of 'observer'"),
+    ],
+)
+def test_what_is_between_is_said(part, of, source, between):
+    """Of what is in the loop beside plant, observer and compensator, the certificate knows none."""
+    to, _ = of.split(" = ")
+    loop = scenario(replaced={"[connections]\n": part, of: f'{to} = "{source}"'})
     with ExitStack() as resources:
         warnings = Builder(loop, resources).experiment().warnings
-    assert any("the loop that was certified is one without it" in text for _, text in warnings)
+    (text,) = [text for _, text in warnings if "the loop that was certified is one without" in text]
+    assert between in text
