@@ -159,7 +159,7 @@ class OutputErrorIdentifier:
         forgetting = on_y.forgetting
         if schedule.window:
             forgetting = 1.0 - 1.0 / schedule.window
-        return start_grid(
+        grid = start_grid(
             replace(on_y, forgetting=forgetting),
             lower,
             upper,
@@ -168,7 +168,9 @@ class OutputErrorIdentifier:
             graded=box.graded,
             alike=self.problem.interchangeable(self.lower, self.upper),
             even=box.even,
+            beside=[lower],  # the place of a fit
         )
+        return replace(grid, beside=True)
 
     def _between(self, design: Design, held: Mask) -> BetweenConstants | None:
         if not self.most:

@@ -467,6 +467,7 @@ typedef struct {
     const double *threshold;     /* (components) statistic from which on it is no noise */
     double accuracy;             /* of a row: what is smaller is rounding */
     double tolerance;            /* of update, in units of the step that is small enough */
+    double most_squares;         /* predicted after a few steps; a fit with more is given up */
     double *theta;               /* (parameters) where the regression is linearized */
     double *estimate;            /* (parameters) */
     double *covariance;          /* (parameters, parameters) of the estimate */
@@ -547,6 +548,7 @@ int32_t cosim_rayleigh_search(const cosim_rayleigh *self, const double *R, const
  * component after the other is added at its best point, then points are chosen anew two by two. */
 typedef struct {
     int32_t components;
+    int32_t beside; /* whether the last point of each component is that of a fit, beside the grid */
     const cosim_output_error *model;
     const int32_t *size, *count; /* (components) V_i of one point, and parameters */
     const int32_t *points;       /* (components) */
@@ -570,6 +572,12 @@ void cosim_start_grid_squares(const cosim_start_grid *self, int32_t records, con
  * (most, parameters). Returns how many there are. */
 int32_t cosim_start_grid_search(const cosim_start_grid *self, int32_t records, const double *R,
                                 double *memory, int32_t most, double *theta);
+
+/* Starts beside a fit whose theta are the last points: points of one component or of two that no
+ * neighbor betters, the others as they are there. They lead to optima that a part of the signal tells
+ * apart, which the distance of points of the other parts would hide. */
+int32_t cosim_start_grid_beside(const cosim_start_grid *self, const double *R, double *memory,
+                                int32_t most, double *theta);
 
 /* Of all theta of the same model the one that is reported: even parameters positive, interchangeable
  * components by their last parameter, the largest first. */

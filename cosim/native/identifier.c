@@ -4,15 +4,22 @@
 #include <string.h>
 
 #define LATER 1.4  /* a search that missed a component is repeated at so many times more samples */
-#define AGAIN 2.0  /* and one that found all */
+#define AGAIN 2.0  /* one that found all */
+#define SELDOM 32.0 /* and one that confirmed a fit far better than all others */
+#define GROWN 6.0  /* deviations of a variance by which that of the residual has grown then */
 #define STARTS 8   /* points of the grid that y is fitted from */
+#define BESIDE 4   /* and beside a fit */
+#define ROUNDS 3   /* of a search beside the best fit of the last one */
 #define RIVALS 8   /* other minima that are kept from one search to the next */
 #define ROWS_A_TERM 2 /* rows of a regression before the first search */
 #define ITERATIONS 120 /* of a fit */
 #define START_ITERATIONS 20 /* of one from a start; but for the lowest others are not worth their time */
+#define SAME 0.1             /* standard errors between two fits of the same minimum */
 #define NEAR 0.05            /* longest steps between a start and the minimum that it leads to */
 #define ROUNDING_OF_THETA 0x1p-20 /* relative to its longest step */
-#define MARGIN 25.0   /* variances by which other minima must be worse */
+#define MARGIN 25.0   /* variances by which other minima must be worse to be no rivals */
+#define RULED_OUT 12.0 /* by which they must be so that the standard error need not reach them */
+#define CLEAR 1e4     /* by which they are where more samples will not make rivals of them */
 #define ROUNDING 0x1p-44 /* of a simulated output, relative to the largest one */
 #define WEIGHINGS 4   /* of several outputs by what a fit to them leaves, after a search */
 #define FEWEST 20.0   /* degrees of freedom for each entry of a covariance with correlations */
@@ -24,7 +31,9 @@ typedef struct {
     double *count, *taken, *has_theta, *next_search, *largest, *largest_delta, *rows, *summed;
     double *sums, *factors; /* of mu, and of the products of alphas in it */
     double *theta, *outputs;
-    double *rivals, *rival_theta; /* how many the last search left; (RIVALS, parameters) */
+    double *rivals, *rival_theta, *excess; /* what the last search left: how many, (RIVALS,
+                                            * parameters), and by how many variances they are worse */
+    double *searched, *variance, *freedom; /* samples at the last search, and what its fit left */
     double *R, *N;
     double *x;
     double *amplitudes, *work;             /* of y */
@@ -36,6 +45,7 @@ typedef struct {
     double *P, *gain; /* (modes, modes), (states, outputs) of the predictor for the next sample */
     int64_t state;
     double *grid_work; /* of the grid of starts; scratch from here on, but for the samples */
+    double *grid_G0, *grid_theta; /* of its points, the last ones those of a fit */
     double *grid_search, *covariance, *least, *factor; /* scratch */
     double *at_point, *pair; /* y at a communication point, and two residuals; scratch */
     double *residual, *alpha;
@@ -62,6 +72,17 @@ static int64_t memory_of(const cosim_output_error *model)
     return model ? cosim_output_error_memory(model) : 0;
 }
 
+/* The numbers of all points of a grid: their theta, or their G. */
+static int64_t entries_of(const cosim_start_grid *grid, int order)
+{
+    int64_t entries = 0;
+    for (int32_t i = 0; i < grid->components; ++i) {
+        const int32_t V = grid->size[i];
+        entries += (int64_t)grid->points[i] * (order == 2 ? V * V : grid->count[i]);
+    }
+    return entries;
+}
+
 static storage storage_of(const cosim_identifier *s)
 {
     const int64_t P = s->rayleigh->parameters, terms = s->rayleigh->terms;
@@ -84,6 +105,10 @@ static storage storage_of(const cosim_identifier *s)
     m.outputs = cosim_place(s->memory, &next, s->width);
     m.rivals = cosim_place(s->memory, &next, 1);
     m.rival_theta = cosim_place(s->memory, &next, RIVALS * P);
+    m.excess = cosim_place(s->memory, &next, RIVALS);
+    m.searched = cosim_place(s->memory, &next, 1);
+    m.variance = cosim_place(s->memory, &next, 1);
+    m.freedom = cosim_place(s->memory, &next, 1);
     m.R = cosim_place(s->memory, &next, terms * terms);
     m.N = cosim_place(s->memory, &next, terms * terms);
     m.x = cosim_place(s->memory, &next, s->on_y ? 2 * s->on_y->states : 0);
@@ -106,6 +131,8 @@ static storage storage_of(const cosim_identifier *s)
     const cosim_output_error *on_grid = s->grid ? s->grid->model : NULL;
     m.state = next;
     m.grid_work = cosim_place(s->memory, &next, memory_of(on_grid));
+    m.grid_G0 = cosim_place(s->memory, &next, s->grid ? entries_of(s->grid, 2) : 0);
+    m.grid_theta = cosim_place(s->memory, &next, s->grid ? entries_of(s->grid, 1) : 0);
     m.grid_search =
         cosim_place(s->memory, &next, s->grid ? cosim_start_grid_memory(s->grid, 1) : 0);
     m.at_point = cosim_place(s->memory, &next, n_outputs(s));
@@ -388,6 +415,7 @@ static void prepare_fit(const cosim_identifier *s, estimation *e, double accurac
         .threshold = s->threshold,
         .accuracy = accuracy,
         .tolerance = TOLERANCE,
+        .most_squares = INFINITY,
         .theta = theta,
         .estimate = e->estimate,
         .covariance = e->covariance,
@@ -504,7 +532,7 @@ static double farthest_rival(const cosim_identifier *s, const storage *m, int32_
 {
     const int32_t P = s->rayleigh->parameters;
     double farthest = 0.0;
-    for (int32_t i = 0; i < (int32_t)*m->rivals; ++i)
+    for (int32_t i = 0; i < (int32_t)*m->rivals && m->excess[i] <= RULED_OUT; ++i)
         farthest = largest_of(farthest, fabs(m->rival_theta[i * P + parameter] - theta));
     return farthest;
 }
@@ -557,9 +585,29 @@ static int32_t start_on_regression(const cosim_identifier *s, const storage *m, 
     return 1;
 }
 
-/* The best points of the grid, for all samples so far. */
-static int32_t starts_on_grid(const cosim_identifier *s, const storage *m, double *theta)
+/* Put a fit beside the points of the grid. */
+static void put_fit(const cosim_identifier *s, const storage *m, const double *fit)
 {
+    const cosim_start_grid *grid = s->grid;
+    const double *G0 = s->on_y->G0, *G1 = s->on_y->G1;
+    double *to = m->grid_G0, *theta = m->grid_theta;
+    memcpy(to, grid->model->G0, (size_t)entries_of(grid, 2) * sizeof *to);
+    memcpy(theta, grid->theta, (size_t)entries_of(grid, 1) * sizeof *theta);
+    for (int32_t i = 0; i < grid->components; ++i) {
+        const int32_t V = grid->size[i], count = grid->count[i], last = grid->points[i] - 1;
+        cosim_system_matrix(V, count, G0, G1, fit, to + last * V * V);
+        memcpy(theta + last * count, fit, (size_t)count * sizeof *theta);
+        to += grid->points[i] * V * V, theta += grid->points[i] * count;
+        G0 += V * V, G1 += count * V * V;
+        fit += count;
+    }
+}
+
+/* The best points of the grid, for all samples so far; of those beside a fit, where there is one. */
+static int32_t starts_on_grid(const cosim_identifier *s, const storage *m, const double *fit,
+                              double *theta)
+{
+    cosim_start_grid grid = *s->grid;
     cosim_output_error model = model_of_y(s, m, s->grid->model, 0);
     const int32_t unknowns = cosim_output_error_columns(s->on_y);
     estimation e;
@@ -567,12 +615,20 @@ static int32_t starts_on_grid(const cosim_identifier *s, const storage *m, doubl
         return 0;
     if (s->weighs)
         model.W = m->W;
+    if (fit) {
+        put_fit(s, m, fit);
+        model.G0 = m->grid_G0;
+        grid.theta = m->grid_theta;
+    }
+    grid.model = &model;
     prepare_fit_of_y(s, m, theta, &e);
     cosim_record record = e.experiment.record;
     record.first = 0;
     cosim_output_error_start(&model, theta, m->grid_work);
     cosim_output_error_take(&model, theta, &record, 0, record.end, m->grid_work);
-    return cosim_start_grid_search(s->grid, 1, m->grid_work, m->grid_search, STARTS, theta);
+    if (fit)
+        return cosim_start_grid_beside(&grid, m->grid_work, m->grid_search, BESIDE, theta);
+    return cosim_start_grid_search(&grid, 1, m->grid_work, m->grid_search, STARTS, theta);
 }
 
 /* --- the best of several fits --- */
@@ -584,6 +640,7 @@ typedef struct {
     int32_t present;  /* parameters whose components are there */
     int is_minimum;
     int is_certain;   /* all are, known to a small part of their ranges, and no other fit is as good */
+    int is_clear;     /* it was the best before, and others are far worse */
 } candidate;
 
 static candidate candidate_of(const cosim_identifier *s, const double *theta, const estimation *e,
@@ -651,8 +708,27 @@ static int put_in_order(const cosim_identifier *s, double *theta)
     return memcmp(before, theta, size) != 0;
 }
 
-/* Fit y from the starts behind the fits that there are; returns how many there are then. */
-static int32_t fit_starts(const cosim_identifier *s, const storage *m, int32_t count,
+/* Whether two fits have the same minimum. */
+static int are_same(const cosim_identifier *s, const candidate *a, const candidate *b)
+{
+    for (int32_t j = 0; j < s->rayleigh->parameters; ++j)
+        if (fabs(a->theta[j] - b->theta[j]) > SAME * b->error[j] + ROUNDING_OF_THETA * s->scale[j])
+            return 0;
+    return a->is_minimum && b->is_minimum;
+}
+
+static int is_among(const cosim_identifier *s, const candidate *c, const candidate *fits,
+                    int32_t fitted)
+{
+    for (int32_t i = 0; i < fitted; ++i)
+        if (are_same(s, c, &fits[i]))
+            return 1;
+    return 0;
+}
+
+/* Fit y from the starts behind the fits that there are, each minimum once; returns how many there
+ * are then. Fits that will be far worse than `most` squares are given up. */
+static int32_t fit_starts(const cosim_identifier *s, const storage *m, double most, int32_t count,
                           double *starts, candidate *fits, int32_t fitted)
 {
     for (int32_t i = 0; i < count; ++i) {
@@ -662,13 +738,17 @@ static int32_t fit_starts(const cosim_identifier *s, const storage *m, int32_t c
             continue;
         prepare_last_fit(s, m, theta, &e);
         e.fit.most_iterations = START_ITERATIONS;
+        e.fit.most_squares = most;
         int32_t status = cosim_output_error_fit(&e.fit);
         if (status == COSIM_OK && put_in_order(s, theta)) {
             prepare_last_fit(s, m, theta, &e);
             status = cosim_output_error_fit(&e.fit);
         }
-        if (status != COSIM_NO_VALUE)
-            fits[fitted++] = candidate_of(s, theta, &e, status);
+        if (status == COSIM_NO_VALUE)
+            continue;
+        fits[fitted] = candidate_of(s, theta, &e, status);
+        if (!is_among(s, &fits[fitted], fits, fitted))
+            ++fitted;
     }
     return fitted;
 }
@@ -696,28 +776,18 @@ static void keep_rivals(const cosim_identifier *s, const storage *m, candidate *
     for (int32_t i = 0; i < fitted; ++i)
         if (is_rival(s, &fits[i], best))
             count = cosim_keep_smallest(fits[i].squares, i, count, RIVALS, squares, places);
-    for (int32_t i = 0; i < count; ++i)
+    for (int32_t i = 0; i < count; ++i) {
         memcpy(m->rival_theta + i * P, fits[places[i]].theta, (size_t)P * sizeof *best->theta);
+        m->excess[i] = (squares[i] - best->squares) / best->variance;
+    }
     *m->rivals = count;
     best->is_certain = best->is_certain && !count;
 }
 
-/* `best`: the best fit from all starts, and from what it was. Returns whether there is one. */
-static int search(const cosim_identifier *s, const storage *m, int found, candidate *best)
+/* Of all fits the best, and whether it is a minimum. */
+static int choose_best(const cosim_identifier *s, const storage *m, int32_t fitted, candidate *fits,
+                       candidate *best)
 {
-    const int32_t P = s->rayleigh->parameters;
-    double starts[(STARTS + 1 + RIVALS) * COSIM_MOST_PARAMETERS];
-    candidate fits[STARTS + RIVALS + 2];
-    int32_t count = (int32_t)*m->rivals, fitted = 0;
-    memcpy(starts, m->rival_theta, (size_t)(count * P) * sizeof *starts);
-    count += start_on_regression(s, m, starts + count * P);
-    if (s->grid && (count == 0 || !found))
-        count += starts_on_grid(s, m, starts + count * P);
-    if (found)
-        fits[fitted++] = *best;
-    fitted = fit_starts(s, m, count, starts, fits, fitted);
-    if (!fitted)
-        return 0;
     candidate *lowest = fits;
     for (int32_t i = 1; i < fitted; ++i)
         if (fits[i].squares < lowest->squares)
@@ -728,8 +798,62 @@ static int search(const cosim_identifier *s, const storage *m, int found, candid
     for (int32_t i = 1; i < fitted; ++i)
         if (is_better(&fits[i], best))
             *best = fits[i];
-    keep_rivals(s, m, best, fitted, fits);
     return best->is_minimum;
+}
+
+/* Whether the best fit is not certain, or has a rival. */
+static int is_doubtful(const cosim_identifier *s, int32_t fitted, const candidate *fits,
+                       const candidate *best)
+{
+    for (int32_t i = 0; i < fitted; ++i)
+        if (is_rival(s, &fits[i], best))
+            return 1;
+    return !best->is_certain;
+}
+
+/* Fit from points of the grid beside the best fit too, as long as there are better ones. */
+static int search_beside(const cosim_identifier *s, const storage *m, int32_t *fitted,
+                         candidate *fits, candidate *best)
+{
+    double starts[BESIDE * COSIM_MOST_PARAMETERS];
+    int is_minimum = choose_best(s, m, *fitted, fits, best);
+    if (!s->grid || (*m->time < s->start && is_doubtful(s, *fitted, fits, best)))
+        return is_minimum; /* it will have no value */
+    for (int round = 0; is_minimum && round < ROUNDS; ++round) {
+        const double before = best->squares;
+        const int32_t count = starts_on_grid(s, m, best->theta, starts);
+        const double most = best->squares + CLEAR * best->variance;
+        *fitted = fit_starts(s, m, most, count, starts, fits, *fitted);
+        is_minimum = choose_best(s, m, *fitted, fits, best);
+        if (best->squares == before)
+            break;
+    }
+    return is_minimum;
+}
+
+/* `best`: the best fit from all starts, and from what it was. Returns whether there is one. */
+static int search(const cosim_identifier *s, const storage *m, int found, candidate *best)
+{
+    const int32_t P = s->rayleigh->parameters;
+    double starts[(STARTS + 1 + RIVALS) * COSIM_MOST_PARAMETERS];
+    candidate fits[STARTS + RIVALS + ROUNDS * BESIDE + 2];
+    int32_t count = (int32_t)*m->rivals, fitted = 0;
+    memcpy(starts, m->rival_theta, (size_t)(count * P) * sizeof *starts);
+    count += start_on_regression(s, m, starts + count * P);
+    if (s->grid && !found)
+        count += starts_on_grid(s, m, NULL, starts + count * P);
+    if (found)
+        fits[fitted++] = *best;
+    fitted = fit_starts(s, m, INFINITY, count, starts, fits, fitted);
+    if (!fitted || !search_beside(s, m, &fitted, fits, best))
+        return 0;
+    keep_rivals(s, m, best, fitted, fits);
+    best->is_clear = best->is_certain && found && is_among(s, best, fits, 1);
+    for (int32_t i = 0; i < fitted; ++i)
+        if (fits[i].squares <= best->squares + CLEAR * best->variance &&
+            !are_same(s, &fits[i], best))
+            best->is_clear = 0;
+    return 1;
 }
 
 /* Go on from the last estimate: over the new samples alone where that is enough. */
@@ -749,13 +873,32 @@ static int32_t follow(const cosim_identifier *s, const storage *m, estimation *e
     return fit_weighed(s, m, e, 1);
 }
 
+/* At how many times the samples of a search the next one is due. */
+static double time_to_search(const cosim_identifier *s, const storage *m, int found,
+                             const candidate *best)
+{
+    if (!found || best->present < s->rayleigh->parameters)
+        return LATER;
+    return best->is_clear ? SELDOM : AGAIN;
+}
+
+/* Whether to search: as planned, or sooner where there is no fit any more, or it leaves more. */
+static int is_due(const storage *m, int found, const cosim_fit *fit)
+{
+    const double times = *m->count / *m->searched;
+    if (*m->count >= *m->next_search || (!found && times >= LATER))
+        return 1;
+    const double largest = *m->variance * (1.0 + GROWN * sqrt(2.0 / *m->freedom));
+    return found && times >= AGAIN && fit->variance > largest;
+}
+
 static void estimate(const cosim_identifier *s, const storage *m)
 {
     const int32_t P = s->rayleigh->parameters;
     estimation e;
     candidate best = {0};
     int found = *m->has_theta != 0.0 && follow(s, m, &e) == COSIM_OK;
-    if (*m->count >= *m->next_search) {
+    if (is_due(m, found, &e.fit)) {
         if (found)
             best = candidate_of(s, m->theta, &e, COSIM_OK);
         else if (s->weighs)
@@ -770,8 +913,10 @@ static void estimate(const cosim_identifier *s, const storage *m)
         }
         /* before mu counts there may be too few samples to tell minima apart */
         found = found && (best.is_certain || *m->time >= s->start);
-        const int is_whole = found && best.present == P && *m->rivals == 0.0;
-        *m->next_search = ceil((is_whole ? AGAIN : LATER) * *m->count);
+        *m->next_search = ceil(time_to_search(s, m, found, &best) * *m->count);
+        *m->searched = *m->count;
+        *m->variance = found ? e.fit.variance : INFINITY;
+        *m->freedom = found ? e.fit.freedom : 1.0;
     }
     *m->has_theta = found;
     *m->taken = *m->count;

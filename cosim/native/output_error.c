@@ -6,6 +6,7 @@
 
 #define BLOCK 64              /* rows that are gathered before they are rotated into R */
 #define DEPENDENT 0x1p-40     /* pivot over the length of its column below which that is dependent */
+#define FEW_STEPS 3           /* after which a fit is given up that does not promise to be as good */
 #define HALVINGS 12           /* of a step that does not reduce the sum of squares */
 #define SMALL_STEP 0.05       /* in standard errors: what Gauss and Newton leave then is its square */
 #define SMALLEST_STEP 0x1p-43 /* relative to theta: rounding */
@@ -1260,6 +1261,8 @@ int32_t cosim_output_error_fit(cosim_fit *fit)
                 move_all_linear(fit, &g);
                 return COSIM_OK;
             }
+            if (fit->iterations >= FEW_STEPS && g.predicted > fit->most_squares)
+                break;
             limit_step(fit, &g);
             part = part < 0.25 ? 4.0 * part : 1.0;
             for (int32_t j = 0; j < P; ++j)

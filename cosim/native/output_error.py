@@ -83,7 +83,7 @@ class FitStruct(ctypes.Structure):
         *((name, c_int32) for name in ("most_iterations", "iterations")),
         *((name, c_void_p) for name in ("experiment", "count", "lower", "upper", "scale")),
         ("threshold", c_void_p),
-        *((name, c_double) for name in ("accuracy", "tolerance")),
+        *((name, c_double) for name in ("accuracy", "tolerance", "most_squares")),
         *((name, c_void_p) for name in ("theta", "estimate", "covariance", "statistics", "state")),
         *((name, c_double) for name in ("variance", "freedom")),
     )
@@ -509,6 +509,7 @@ def minimize(
         *map(pointer, inputs),
         accuracy,
         1.0,
+        np.inf,
         *map(pointer, outputs),
     )
     status = int(library.cosim_output_error_fit(byref(fit)))

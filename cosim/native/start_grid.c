@@ -20,18 +20,39 @@ typedef struct {
     double *lengths;           /* (records, columns) of the columns of R */
     double *basis;             /* (width, columns) orthonormal columns of others */
     double *squared, *along;   /* (records, columns) products of free with themselves, the residual */
+    double *scanned;           /* squares of all points of one component or two beside a fit */
     int64_t size;
 } parts;
+
+/* How many points of a component are of the grid. */
+static int32_t regular(const cosim_start_grid *s, int32_t component)
+{
+    return s->points[component] - (s->beside && s->count[component] > 0);
+}
 
 int64_t cosim_start_grid_points(const cosim_start_grid *s)
 {
     int64_t points = 1;
     for (int32_t i = 0; i < s->components; ++i) {
-        points *= s->points[i];
+        points *= regular(s, i);
         if (points > EXHAUSTIVE)
             return 0;
     }
     return points;
+}
+
+/* The most points of one component, or of two that are scanned together. */
+static int64_t most_scanned(const cosim_start_grid *s)
+{
+    int64_t most = 0;
+    for (int32_t i = 0; i < s->components; ++i)
+        for (int32_t j = i; j < s->components; ++j) {
+            const int64_t own = regular(s, i);
+            const int64_t points = i == j ? own : own * regular(s, j);
+            if (points > most && (i == j || points <= MOST_PAIRS))
+                most = points;
+        }
+    return most;
 }
 
 static parts parts_of(const cosim_start_grid *s, int32_t records, double *memory)
@@ -43,7 +64,7 @@ static parts parts_of(const cosim_start_grid *s, int32_t records, double *memory
         p.width += s->size[i];
     }
     const int64_t points = cosim_start_grid_points(s), columns = p.columns;
-    const int64_t few = points ? 1 : 0;
+    const int64_t few = points && !s->beside ? 1 : 0;
     int64_t next = 0;
     /* at first with x(0) and the offset before them */
     p.R = cosim_place(memory, &next, (records - 1) * columns * columns + all * all);
@@ -57,6 +78,7 @@ static parts parts_of(const cosim_start_grid *s, int32_t records, double *memory
     p.basis = cosim_place(memory, &next, (1 - few) * columns * p.width);
     p.squared = cosim_place(memory, &next, (1 - few) * records * columns);
     p.along = cosim_place(memory, &next, (1 - few) * records * columns);
+    p.scanned = cosim_place(memory, &next, s->beside ? most_scanned(s) : 0);
     p.size = next;
     return p;
 }
@@ -112,7 +134,7 @@ static double squares_at(const cosim_start_grid *s, const parts *p, const double
     double *to = p->chosen;
     for (int32_t i = 0; i < s->components; ++i) {
         const int32_t V = s->size[i];
-        copy_columns(p, V, from + next_digit(&point, s->points[i]) * V, to);
+        copy_columns(p, V, from + next_digit(&point, regular(s, i)) * V, to);
         from += s->points[i] * V, to += V;
     }
     copy_columns(p, 1, from, to);
@@ -131,11 +153,11 @@ static steps steps_along(const cosim_start_grid *s, int64_t point, int32_t compo
 {
     int64_t stride = 1, rest = point;
     for (int32_t i = 0; i < component; ++i) {
-        next_digit(&rest, s->points[i]);
-        stride *= s->points[i];
+        next_digit(&rest, regular(s, i));
+        stride *= regular(s, i);
     }
-    const int32_t digit = next_digit(&rest, s->points[component]);
-    return (steps){digit > 0 ? -stride : 0, digit < s->points[component] - 1 ? stride : 0};
+    const int32_t points = regular(s, component), digit = next_digit(&rest, points);
+    return (steps){digit > 0 ? -stride : 0, digit < points - 1 ? stride : 0};
 }
 
 /* Whether no neighbor along one component or two is better: valleys are seldom along one. */
@@ -160,7 +182,7 @@ static void write_theta(const cosim_start_grid *s, int64_t point, double *theta)
 {
     const double *from = s->theta;
     for (int32_t i = 0; i < s->components; ++i) {
-        const int32_t count = s->count[i], digit = next_digit(&point, s->points[i]);
+        const int32_t count = s->count[i], digit = next_digit(&point, regular(s, i));
         memcpy(theta, from + digit * count, (size_t)count * sizeof *theta);
         from += s->points[i] * count, theta += count;
     }
@@ -365,7 +387,7 @@ static double squares_with(const cosim_start_grid *s, const parts *p, int32_t re
 static void choose_beside(const cosim_start_grid *s, const parts *p, int32_t records, int32_t i,
                           int32_t a, int32_t j, choice *best)
 {
-    for (int32_t b = 0; b < s->points[j]; ++b) {
+    for (int32_t b = 0; b < regular(s, j); ++b) {
         const double squares = squares_with(s, p, records, i, a, j, b);
         if (squares < best->squares) {
             best->squares = squares;
@@ -400,8 +422,8 @@ static void sweep(const cosim_start_grid *s, const parts *p, int32_t records, ch
 {
     for (int32_t i = 0; i < s->components; ++i)
         for (int32_t j = i == 0 ? 0 : i; j < s->components; ++j) {
-            const int single = i == j, few = s->points[i] * s->points[j] <= MOST_PAIRS;
-            if ((!single && !few) || (single && s->points[i] == 1))
+            const int single = i == j, few = regular(s, i) * regular(s, j) <= MOST_PAIRS;
+            if ((!single && !few) || (single && regular(s, i) == 1))
                 continue;
             choice best = *c;
             best.squares = c->squares * (1.0 - 0x1p-40); /* rounding is no progress */
@@ -409,7 +431,7 @@ static void sweep(const cosim_start_grid *s, const parts *p, int32_t records, ch
             if (single)
                 choose_beside(s, p, records, -1, -1, i, &best);
             else
-                for (int32_t a = 0; a < s->points[i]; ++a)
+                for (int32_t a = 0; a < regular(s, i); ++a)
                     choose_beside(s, p, records, i, a, j, &best);
             if (memcmp(best.digit, c->digit, sizeof best.digit))
                 *c = best;
@@ -434,7 +456,7 @@ static choice choose(const cosim_start_grid *s, const parts *p, int32_t records,
 {
     choice c = {.squares = INFINITY};
     for (int32_t i = 0; i < COSIM_MOST_COLUMNS; ++i)
-        c.digit[i] = i < s->components && s->points[i] == 1 ? 0 : -1;
+        c.digit[i] = i < s->components && regular(s, i) == 1 ? 0 : -1;
     for (int32_t i = 0; i < s->components; ++i) {
         int32_t left = 0;
         for (int32_t k = 0; k < s->components; ++k)
@@ -499,24 +521,123 @@ static int32_t exchange(const cosim_start_grid *s, const parts *p, int32_t recor
     return count;
 }
 
+static void write_choices(const cosim_start_grid *s, int32_t count, const choice *found, double *theta)
+{
+    for (int32_t k = 0; k < count; ++k) {
+        const double *from = s->theta;
+        for (int32_t i = 0; i < s->components; ++i) {
+            memcpy(theta, from + found[k].digit[i] * s->count[i], (size_t)s->count[i] * sizeof *theta);
+            from += s->points[i] * s->count[i];
+            theta += s->count[i];
+        }
+    }
+}
+
 static int32_t search_by_turns(const cosim_start_grid *s, const parts *p, int32_t records,
                                int32_t most, double *theta)
 {
     choice found[COSIM_MOST_STARTS];
-    int32_t count = 0, parameters = 0;
-    for (int32_t i = 0; i < s->components; ++i)
-        parameters += s->count[i];
+    int32_t count = 0;
     for (int32_t k = 0; k <= s->components; ++k)
         count = keep_choice(choose(s, p, records, k - 1), most, count, found);
     count = exchange(s, p, records, most, count, found);
-    for (int32_t k = 0; k < count; ++k) {
-        const double *from = s->theta;
-        double *to = theta + k * parameters;
-        for (int32_t i = 0; i < s->components; ++i) {
-            memcpy(to, from + found[k].digit[i] * s->count[i], (size_t)s->count[i] * sizeof *to);
-            from += s->points[i] * s->count[i], to += s->count[i];
-        }
+    write_choices(s, count, found, theta);
+    return count;
+}
+
+/* --- beside a fit --- */
+
+static const double *theta_at(const cosim_start_grid *s, int32_t component, int32_t digit)
+{
+    const double *theta = s->theta;
+    for (int32_t i = 0; i < component; ++i)
+        theta += s->points[i] * s->count[i];
+    return theta + digit * s->count[component];
+}
+
+/* Whether a number is between two others, or is one of them. */
+static int is_between(double value, double a, double b)
+{
+    return (a <= value && value <= b) || (b <= value && value <= a);
+}
+
+/* Whether there is no point of the grid between one of component i and the fit of component k. */
+static int is_next_to_fit(const cosim_start_grid *s, int32_t i, int32_t digit, int32_t k)
+{
+    const double *point = theta_at(s, i, digit), *fit = theta_at(s, k, s->points[k] - 1);
+    for (int32_t other = 0; other < regular(s, i); ++other) {
+        const double *theta = theta_at(s, i, other);
+        int between = other != digit;
+        for (int32_t j = 0; between && j < s->count[i]; ++j)
+            between = is_between(theta[j], point[j], fit[j]);
+        if (between)
+            return 0;
     }
+    return 1;
+}
+
+static int are_alike(const cosim_start_grid *s, int32_t i, int32_t j)
+{
+    while (j > i)
+        j = s->alike[j];
+    return i == j;
+}
+
+/* Whether a fit from there would only go back. */
+static int leads_back(const cosim_start_grid *s, const choice *c, int32_t i, int32_t j)
+{
+    const int32_t a = c->digit[i], b = c->digit[j];
+    if (is_next_to_fit(s, i, a, i) && (i == j || is_next_to_fit(s, j, b, j)))
+        return 1;
+    return i != j && are_alike(s, i, j) && is_next_to_fit(s, i, a, j) && is_next_to_fit(s, j, b, i);
+}
+
+static int is_lowest(int32_t rows, int32_t columns, const double *squares, int32_t a, int32_t b)
+{
+    for (int32_t r = a > 0 ? a - 1 : 0; r <= a + 1 && r < rows; ++r)
+        for (int32_t c = b > 0 ? b - 1 : 0; c <= b + 1 && c < columns; ++c)
+            if (squares[r * columns + c] < squares[a * columns + b])
+                return 0;
+    return 1;
+}
+
+/* Add the best points of component i, or of i and j, the others as in the fit. */
+static int32_t scan(const cosim_start_grid *s, const parts *p, const choice *fit, int32_t i,
+                    int32_t j, int32_t most, int32_t count, choice *found)
+{
+    const int32_t rows = regular(s, i), columns = i == j ? 1 : regular(s, j);
+    if (rows < 2 || (i != j && (columns < 2 || rows * columns > MOST_PAIRS)))
+        return count;
+    free_columns(s, p, 1, fit, i, j);
+    for (int32_t a = 0; a < rows; ++a)
+        for (int32_t b = 0; b < columns; ++b)
+            p->scanned[a * columns + b] = i == j ? squares_with(s, p, 1, -1, -1, i, a)
+                                                 : squares_with(s, p, 1, i, a, j, b);
+    for (int32_t a = 0; a < rows; ++a)
+        for (int32_t b = 0; b < columns; ++b) {
+            choice c = *fit;
+            c.digit[j] = b;
+            c.digit[i] = a;
+            c.squares = p->scanned[a * columns + b];
+            if (is_lowest(rows, columns, p->scanned, a, b) && !leads_back(s, &c, i, j))
+                count = keep_choice(c, most, count, found);
+        }
+    return count;
+}
+
+int32_t cosim_start_grid_beside(const cosim_start_grid *s, const double *R, double *memory,
+                                int32_t most, double *theta)
+{
+    const parts p = parts_of(s, 1, memory);
+    choice fit = {.squares = INFINITY}, found[COSIM_MOST_STARTS];
+    int32_t count = 0;
+    eliminate_all(s, &p, 1, R);
+    for (int32_t i = 0; i < s->components; ++i)
+        fit.digit[i] = s->points[i] - 1;
+    for (int32_t i = 0; i < s->components; ++i)
+        for (int32_t j = i; j < s->components; ++j)
+            count = scan(s, &p, &fit, i, j, most, count, found);
+    write_choices(s, count, found, theta);
     return count;
 }
 

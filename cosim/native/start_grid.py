@@ -23,7 +23,7 @@ class StartGridStruct(ctypes.Structure):
     """cosim_start_grid."""
 
     _fields_ = (
-        ("components", c_int32),
+        *((name, c_int32) for name in ("components", "beside")),
         *(
             (name, c_void_p)
             for name in ("model", "size", "count", "points", "alike", "even", "theta")
@@ -47,6 +47,9 @@ class StartGridConstants:
         For every parameter, whether its negative makes the same signals.
     theta : Vector, shape (sum of points_i count_i,)
         The points of one component behind those of the other.
+    beside : bool
+        The last point of each component with parameters is no part of the grid: it is that of a
+        fit, beside which starts are searched.
     """
 
     model: OutputErrorConstants
@@ -56,6 +59,7 @@ class StartGridConstants:
     alike: tuple[int, ...]
     even: tuple[bool, ...]
     theta: Vector
+    beside: bool = False
 
 
 class StartGridModel:
@@ -74,7 +78,10 @@ class StartGridModel:
         ]
         self.arrays = arrays
         self.struct = StartGridStruct(
-            len(constants.size), ctypes.addressof(self.model.struct), *map(pointer, arrays)
+            len(constants.size),
+            constants.beside,
+            ctypes.addressof(self.model.struct),
+            *map(pointer, arrays),
         )
         self.points = int(library.cosim_start_grid_points(byref(self.struct)))
 
