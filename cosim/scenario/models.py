@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from types import MappingProxyType
 from typing import Final
 
 from cosim.arrays import Matrix
@@ -13,7 +14,16 @@ from cosim.theory.plants.foreign_model import disturbance_columns, state_space_m
 
 LETTERS: Final = ("E", "A", "B", "Bu", "Bd", "C", "D", "Du", "Dd")
 PARTITIONED: Final = ("A", "Bu", "Bd", "C")
-WHOLE_B: Final = ("B", "D", "disturbances")  # u and delta together
+OF_ZEROS: Final = "of zeros where it acts on y alone"
+# keys of columns, the matrix that these are of, and what is needed without it
+COLUMNS_OF: Final = MappingProxyType(
+    {
+        "D": ("B", "B; with Bu and Bd it is Du and Dd"),
+        "disturbances": ("B", "B"),
+        "Du": ("Bu", f"Bu, {OF_ZEROS}"),
+        "Dd": ("Bd", f"Bd, {OF_ZEROS}"),
+    }
+)
 SPLIT_B: Final = ("Bu", "Bd", "Du", "Dd")
 
 
@@ -54,18 +64,18 @@ def _problems_of_general(given: Sequence[str]) -> Iterator[tuple[str, str]]:
         if name not in given:
             yield "", f"'{name}' is missing; needed A and C (E, B or Bu and Bd, D as there are)"
     split = [name for name in SPLIT_B if name in given]
-    whole = [name for name in WHOLE_B if name in given]
     if "B" in given and split:
         cure = f"leave {', '.join(split)} out, or split B"
         yield split[0], f"found it beside B; needed B and D, or Bu, Bd, Du and Dd: {cure}"
         return
-    if "B" not in given:
-        for name in whole:
-            needed = "B" if name == "disturbances" else "B; with Bu and Bd it is Du and Dd"
-            yield name, f"found it without B; needed {needed}"
-    for name, B in (("Du", "Bu"), ("Dd", "Bd")):
+    yield from _problems_without_B(given)
+
+
+def _problems_without_B(given: Sequence[str]) -> Iterator[tuple[str, str]]:
+    """Yield the keys that are of columns of B, Bu or Bd which are not there."""
+    for name, (B, needed) in COLUMNS_OF.items():
         if name in given and B not in given:
-            yield name, f"found it without {B}; needed {B}, of zeros where it acts on y alone"
+            yield name, f"found it without {B}; needed {needed}"
 
 
 def _problems_of_columns(unknown: Sequence[int], columns: int) -> Iterator[tuple[str, str]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Final, Literal
+from typing import Any, ClassVar, Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -213,17 +213,21 @@ class RegressorDesign:
         for element, part in enumerate(self.each):
             own = [i for i, of_term in enumerate(self.elements) if of_term == element]
             part.check_recorded(t, alpha[:, own], estimates_eta=estimates_eta)
-        if not self.known.unknown or len(self.groups) < 2 or self.each:
-            return
+        if self.known.unknown and len(self.groups) > 1 and not self.each:
+            self._check_recorded(t, alpha, estimates_eta=estimates_eta)
+
+    def _check_recorded(self, t: Vector, alpha: Matrix, *, estimates_eta: bool) -> None:
+        """Check the alphas of one element, if the run is longer than its delays."""
         ages = np.array(self.delays)
-        if not t[0] + ages.max() < t[-1]:
+        first = t[0] + ages.max()
+        if not first < t[-1]:
             return
         columns = [alpha[:, group.components[0]] for group in self.groups]
 
         def recorded(times: Vector) -> Matrix:
             return np.array([np.interp(times, t, column) for column in columns]).T
 
-        grid = np.linspace(t[0] + ages.max(), t[-1], SAMPLES)
+        grid = np.linspace(first, t[-1], SAMPLES)
         times = grid[:, np.newaxis] - ages
         self._check_different(recorded, times)
         if estimates_eta and self.needs_independence:
@@ -253,6 +257,38 @@ class RegressorDesign:
             delays=self.delays,
             lag=self.lag,
         )
+
+
+class _Timing(NamedTuple):
+    """The delays in communication steps and in seconds, and the lag of delta [s]."""
+
+    steps: Sequence[int]
+    delays: Sequence[float]
+    lag: float
+
+
+def _design_of_element(
+    families: Sequence[Family], alphas: Sequence[Alpha], timing: _Timing, context: BuildContext
+) -> RegressorDesign:
+    """Return the regression of one element of delta: of the first delays."""
+    groups = group_by_alpha([alpha.text for alpha in alphas], families)
+    sizes = tuple(group.size for group in groups)
+    needed = sum(sizes) + 1
+    is_expanded = regression.count_terms(sizes) <= MOST_TERMS
+    firsts = [alphas[group.components[0]] for group in groups]
+    design = RegressorDesign(
+        families=families,
+        alphas=alphas,
+        known=known_alphas(firsts, context),
+        groups=groups,
+        terms=regression.expand(sizes) if is_expanded else regression.delayed(needed),
+        steps=timing.steps[:needed],
+        delays=timing.delays[:needed],
+        lag=timing.lag,
+        elements=[0] * len(families),
+    )
+    design.check_alphas(context.clock)
+    return design
 
 
 class RegressorKind(ExportableKind):
@@ -333,7 +369,7 @@ class RegressorKind(ExportableKind):
 
     def _designed(self, name: str, context: BuildContext) -> RegressorDesign:
         families = families_of(self.terms)
-        self.delay_steps(context)  # before what needs all times of the run
+        steps = self.delay_steps(context)  # before what needs all times of the run
         alphas = alphas_of(name, self.alphas, context, ALPHA_WAY_OUT)
         self.check_distinguishable(context)
         count = element_count(self.terms)
@@ -342,47 +378,22 @@ class RegressorKind(ExportableKind):
             members[term.element].append(i)
         self._check_elements(members, families)
         lag = context.lag(Port(name, "delta"))
+        timing = _Timing(steps, self.delays, lag)
         each = []
         for own in members:
             own_families = [families[i] for i in own]
-            each.append(self._of_element(own_families, [alphas[i] for i in own], lag, context))
+            own_alphas = [alphas[i] for i in own]
+            each.append(_design_of_element(own_families, own_alphas, timing, context))
         if count == 1:
             return each[0]
-        return self._of_all(members, each, families, alphas, context)
-
-    def _of_element(
-        self,
-        families: Sequence[Family],
-        alphas: Sequence[Alpha],
-        lag: float,
-        context: BuildContext,
-    ) -> RegressorDesign:
-        """Return the regression of one element of delta: of the first delays."""
-        groups = group_by_alpha([alpha.text for alpha in alphas], families)
-        sizes = tuple(group.size for group in groups)
-        needed = sum(sizes) + 1
-        is_expanded = regression.count_terms(sizes) <= MOST_TERMS
-        known = known_alphas([alphas[group.components[0]] for group in groups], context)
-        design = RegressorDesign(
-            families=families,
-            alphas=alphas,
-            known=known,
-            groups=groups,
-            terms=regression.expand(sizes) if is_expanded else regression.delayed(needed),
-            steps=self.delay_steps(context)[:needed],
-            delays=self.delays[:needed],
-            lag=lag,
-            elements=[0] * len(families),
-        )
-        design.check_alphas(context.clock)
-        return design
+        return self._of_all(members, each, alphas, timing, context)
 
     def _of_all(
         self,
         members: Sequence[Sequence[int]],
         each: Sequence[RegressorDesign],
-        families: Sequence[Family],
         alphas: Sequence[Alpha],
+        timing: _Timing,
         context: BuildContext,
     ) -> RegressorDesign:
         """Return the regressions of all elements side by side."""
@@ -393,14 +404,14 @@ class RegressorKind(ExportableKind):
                 groups.append(replace(group, components=components))
         firsts = [alphas[group.components[0]] for group in groups]
         return RegressorDesign(
-            families=families,
+            families=families_of(self.terms),
             alphas=alphas,
             known=known_alphas(firsts, context),
             groups=groups,
-            terms=regression.delayed(sum(len(part.terms) for part in each)),
-            steps=self.delay_steps(context),
-            delays=self.delays,
-            lag=each[0].lag,
+            terms=regression.delayed(sum(len(one.terms) for one in each)),
+            steps=timing.steps,
+            delays=timing.delays,
+            lag=timing.lag,
             elements=[term.element for term in self.terms],
             each=each,
         )
