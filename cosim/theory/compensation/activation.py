@@ -62,11 +62,16 @@ class Activation:
 
         Where it is not above zero there is none.
         """
-        room = np.minimum(theta - self.lower, self.upper - theta)
-        return np.minimum(self._small(theta), room / HALF_WIDTH)
+        below = theta - self.lower
+        above = self.upper - theta
+        room = np.minimum(below, above)
+        small = self._small(theta)
+        return np.minimum(small, room / HALF_WIDTH)
 
     def _is_good(self, theta: Vector, error: Vector) -> Mask:
-        return self._is_inside(theta, error) & (error <= self._small(theta))
+        is_inside = self._is_inside(theta, error)
+        is_small = error <= self._small(theta)
+        return is_inside & is_small
 
     def _is_inside(self, theta: Vector, error: Vector) -> Mask:
         reach = HALF_WIDTH * error
@@ -76,5 +81,7 @@ class Activation:
 
     def _small(self, theta: Vector) -> Vector:
         """Return the largest standard error that is small."""
-        half_width = 0.5 * (self.upper - self.lower)
-        return self.largest_error * np.maximum(np.abs(theta), half_width)
+        width = self.upper - self.lower
+        size = np.abs(theta)
+        relative_to = np.maximum(size, 0.5 * width)
+        return self.largest_error * relative_to

@@ -47,7 +47,7 @@ from cosim.filters import ignored_warnings
 from cosim.native.step import matrix_exponential
 from cosim.theory.compensation.internal_model import InternalModel, ParameterBox
 from cosim.theory.compensation.schedule import Schedule, Stabilization
-from cosim.theory.compensation.state_feedback import balancing
+from cosim.theory.compensation.state_feedback import balancing, rescaled
 from cosim.theory.plants.descriptor import ComplexMatrix
 
 MOST_CORNERS = 1000  # of cells beyond those between the nodes, where nothing else is said
@@ -103,26 +103,36 @@ class SampledLoop:
     def units(self) -> Vector:
         """Units of what drives the internal model in which it is at most one, shape ``(m,)``."""
         nodes = self.schedule.B_w if self.at_limit else self.model.b[np.newaxis]
-        sizes = self.h * np.linalg.norm(nodes, axis=1).max(axis=0)
-        return np.where(sizes > 0.0, sizes, 1.0)
+        lengths = np.linalg.norm(nodes, axis=1)
+        sizes = self.h * lengths.max(axis=0)
+        is_driven = sizes > 0.0
+        return np.where(is_driven, sizes, 1.0)
 
     def at(self, theta: Vector) -> _ModelAt:
         """Return what depends on theta."""
         gains = self.schedule.at(theta)
-        M = self.h * self.model.S(theta)
-        G = -gains.B_w if self.at_limit else self.model.b
-        driving = gains.K_w @ self.w if self.at_limit else self.error
-        g = self.h * G / self.units
-        e = self.units[:, np.newaxis] * driving
+        S = self.model.S(theta)
+        G = self.model.b
+        driving = self.error
+        if self.at_limit:
+            G = -gains.B_w
+            driving = gains.K_w @ self.w
+        units = self.units
+        M = self.h * S
+        g = self.h * G / units
+        e = units[:, np.newaxis] * driving
         return _ModelAt(gains, M, g, e)
 
     def Phi(self, theta: Vector) -> Matrix:
         """Return what a step does to xi, shape ``(n, n)``."""
         model = self.at(theta)
-        correction = model.gains.K_w @ self.gains_input(model)
-        of_step = _Exponential.of(model)
-        new_w = of_step.E @ self.w + of_step.F @ model.e
-        return self.fixed + self.of_u @ correction + self.placed(new_w)
+        seen = self.gains_input(model)
+        correction = model.gains.K_w @ seen
+        step = _Exponential.of(model)
+        from_w = step.E @ self.w
+        driven = step.F @ model.e
+        new_w = self.placed(from_w + driven)
+        return self.fixed + self.of_u @ correction + new_w
 
     def gains_input(self, model: _ModelAt) -> Matrix:
         """Return `X V - W`, which K_w multiplies."""
@@ -139,14 +149,16 @@ class SampledLoop:
         center = self.schedule.box.center
         gains = self.schedule.at(center)
         S = self.model.S(center)
-        units = balancing(S - gains.B_w @ gains.K_w)
+        closed = S - gains.B_w @ gains.K_w
+        units = balancing(closed)
         model = self.model.in_units(units)
-        return replace(self, model=model, schedule=self.schedule.in_units(units))
+        schedule = self.schedule.in_units(units)
+        return replace(self, model=model, schedule=schedule)
 
     def radius(self, theta: Vector) -> float:
         """Return the largest modulus of an eigenvalue of Phi."""
-        eigenvalues = np.linalg.eigvals(self.Phi(theta))
-        return float(np.abs(eigenvalues).max())
+        Phi = self.Phi(theta)
+        return spectral_radius(Phi)
 
 
 class _ModelAt(NamedTuple):
@@ -159,12 +171,11 @@ class _ModelAt(NamedTuple):
 
     def less(self, other: _ModelAt) -> _ModelAt:
         """Return the differences from those at another theta."""
-        gains = Stabilization(
-            K_w=self.gains.K_w - other.gains.K_w,
-            X=self.gains.X - other.gains.X,
-            B_w=self.gains.B_w - other.gains.B_w,
-        )
-        return _ModelAt(gains, self.M - other.M, self.g - other.g, self.e - other.e)
+        gains = self.gains.less(other.gains)
+        M = self.M - other.M
+        g = self.g - other.g
+        e = self.e - other.e
+        return _ModelAt(gains, M, g, e)
 
 
 class _Exponential(NamedTuple):
@@ -176,7 +187,9 @@ class _Exponential(NamedTuple):
     @classmethod
     def of(cls, model: _ModelAt) -> _Exponential:
         """Compute both, the upper rows of the exponential of ``[M, g; 0, 0]``."""
-        return cls._of_rows(matrix_exponential(_above_zeros(model.M, model.g)), len(model.M))
+        Z = _above_zeros(model.M, model.g)
+        exponential = matrix_exponential(Z)
+        return cls._of_rows(exponential, len(model.M))
 
     @classmethod
     def derivative(cls, center: _ModelAt, change: _ModelAt) -> _Exponential:
@@ -186,16 +199,21 @@ class _Exponential(NamedTuple):
         """
         Z = _above_zeros(center.M, center.g)
         direction = _above_zeros(change.M, change.g)
+        zeros = np.zeros_like(Z)
         upper = np.hstack([Z, direction])
-        lower = np.hstack([np.zeros_like(Z), Z])
-        both = matrix_exponential(np.vstack([upper, lower]))
+        lower = np.hstack([zeros, Z])
+        both = np.vstack([upper, lower])
+        exponential = matrix_exponential(both)
         n = len(Z)
-        return cls._of_rows(both[:n, n:], len(center.M))
+        derivative = exponential[:n, n:]
+        return cls._of_rows(derivative, len(center.M))
 
     @classmethod
     def _of_rows(cls, exponential: Matrix, n_w: int) -> _Exponential:
         rows = exponential[:n_w]
-        return cls(rows[:, :n_w], rows[:, n_w:])
+        E = rows[:, :n_w]
+        F = rows[:, n_w:]
+        return cls(E, F)
 
 
 def _above_zeros(M: Matrix, g: Matrix) -> Matrix:
@@ -255,6 +273,19 @@ def certify(loop: SampledLoop, most_corners: int = MOST_CORNERS) -> Certificate:
     return Certificate(True, cells, _rate(slowest, loop), where)
 
 
+def spectral_radius(matrix: Matrix) -> float:
+    """Return the largest modulus of an eigenvalue."""
+    eigenvalues = np.linalg.eigvals(matrix)
+    moduli = np.abs(eigenvalues)
+    return float(moduli.max())
+
+
+def rate_of_decay(radius: float, h: float) -> float:
+    """Return the rate of what becomes ``radius`` times as large over a step h [1/s]."""
+    at_least = max(radius, 1e-300)
+    return -math.log(at_least) / h
+
+
 def is_stable_on_grid(loop: SampledLoop) -> bool:
     """Return whether a loop is stable at the points of a grid."""
     slowest, _ = _on_grid(loop)
@@ -277,7 +308,7 @@ def _on_grid(loop: SampledLoop) -> tuple[float, Vector]:
 
 
 def _rate(radius: float, loop: SampledLoop) -> float:
-    return -math.log(max(radius, 1e-300)) / loop.h
+    return rate_of_decay(radius, loop.h)
 
 
 def _steepest(loop: SampledLoop, cell: ParameterBox) -> int:
@@ -291,14 +322,17 @@ def _steepest(loop: SampledLoop, cell: ParameterBox) -> int:
 
 def _is_divisible(cell: ParameterBox) -> bool:
     width = cell.upper - cell.lower
-    size = np.maximum(np.abs(cell.lower), np.abs(cell.upper))
-    return bool((width > 1e-9 * size).any())
+    lower = np.abs(cell.lower)
+    upper = np.abs(cell.upper)
+    least = 1e-9 * np.maximum(lower, upper)
+    is_wide = width > least
+    return bool(is_wide.any())
 
 
 def _contraction(loop: SampledLoop, cell: ParameterBox) -> tuple[float, float]:
     """Return a bound of `||T Phi T^-1||` in a cell, and the spectral radius at its center."""
     Phi = loop.Phi(cell.center)
-    radius = float(np.abs(np.linalg.eigvals(Phi)).max())
+    radius = spectral_radius(Phi)
     bound = math.inf
     if radius >= 1.0:
         return bound, radius
@@ -319,17 +353,23 @@ def _contracting(
     long, or such that what changes in the cell is small between them.
     """
     units = _slow_units(Phi, radius)
-    balanced = Phi * units / units[:, np.newaxis]
-    contracting = balanced / (0.5 * (1.0 + radius))
+    balanced = rescaled(Phi, units)
+    r = 0.5 * (1.0 + radius)
+    contracting = balanced / r
+    identity = np.eye(len(Phi))
     with suppress(np.linalg.LinAlgError):  # P is not positive, or modes are alike
-        yield _factor(contracting, np.eye(len(Phi))) / units
+        factor = _factor(contracting, identity)
+        yield factor / units
     with suppress(np.linalg.LinAlgError):
         modal = _modal(balanced)
-        yield _factor(contracting, modal) / units
+        factor = _factor(contracting, modal)
+        yield factor / units
     with suppress(np.linalg.LinAlgError):
         modal = _modal(balanced)
         weights = _weights_of_modes(loop, cell, Phi, modal, units)
-        yield _factor(contracting, modal / weights[:, np.newaxis]) / units
+        weighted = modal / weights[:, np.newaxis]
+        factor = _factor(contracting, weighted)
+        yield factor / units
 
 
 def _slow_units(Phi: Matrix, radius: float) -> Vector:
@@ -339,11 +379,13 @@ def _slow_units(Phi: Matrix, radius: float) -> Vector:
     are too large for what x and the internal model do to each other in the end.
     """
     units = balancing(Phi)
-    balanced = Phi * units / units[:, np.newaxis]
+    balanced = rescaled(Phi, units)
     steps = int(1.0 / (1.0 - radius))
-    effects = np.abs(np.linalg.matrix_power(balanced, max(steps, 1)))
+    after = np.linalg.matrix_power(balanced, max(steps, 1))
+    effects = np.abs(after)
     rounding = EPSILON * effects.max()
-    return units * balancing(effects + rounding)
+    of_effects = balancing(effects + rounding)
+    return units * of_effects
 
 
 def _modal(matrix: Matrix) -> ComplexMatrix:
@@ -361,8 +403,9 @@ def _weights_of_modes(
     between_modes = np.zeros_like(Phi)
     for theta in _corners(cell):
         change = loop.Phi(theta) - Phi
-        balanced = change * units / units[:, np.newaxis]
-        between_modes += np.abs(modal @ balanced @ vectors)
+        balanced = rescaled(change, units)
+        of_modes = modal @ balanced @ vectors
+        between_modes += np.abs(of_modes)
     return balancing(between_modes)
 
 
@@ -370,10 +413,12 @@ def _factor(contracting: Matrix, modal: Matrix | ComplexMatrix) -> Matrix:
     """Return the Cholesky factor of P for the weight ``modal' modal``."""
     from scipy.linalg import solve_discrete_lyapunov  # takes long to import
 
-    weight: Matrix = (modal.conj().T @ modal).real
+    product = modal.conj().T @ modal
+    weight: Matrix = product.real
     with ignored_warnings():  # whatever T is, the bound is of it
         P = solve_discrete_lyapunov(contracting.T, weight)
-    factor = np.linalg.cholesky(0.5 * (P + P.T))
+    symmetric = 0.5 * (P + P.T)
+    factor = np.linalg.cholesky(symmetric)
     return np.asarray(factor.T, np.float64)
 
 
@@ -391,13 +436,17 @@ def _bound(loop: SampledLoop, cell: ParameterBox, Phi: Matrix, T: Matrix) -> flo
     first_order = 0.0
     for change in changes:
         linear = Phi + _first_order(loop, center, step, change)
-        first_order = max(first_order, _norm(T @ linear @ inverse))
-    of_gains = _product_of_gains(center, changes, T @ loop.of_u, loop.deviation @ inverse)
-    of_model = _second_order_of_model(center, changes, loop.w, inverse)
+        at_corner = _norm(T @ linear @ inverse)
+        first_order = max(first_order, at_corner)
+    of_next_u = T @ loop.of_u
+    of_x = loop.deviation @ inverse
+    of_gains = _product_of_gains(center, changes, of_next_u, of_x)
     of_new_w = _norm(T[:, loop.rows])
+    of_model = of_new_w * _second_order_of_model(center, changes, loop.w, inverse)
     magnitudes = np.abs(T) @ np.abs(Phi) @ np.abs(inverse)
-    rounding = ROUNDING * EPSILON * _norm(magnitudes)
-    return first_order + of_gains + of_new_w * of_model + rounding
+    size = _norm(magnitudes)
+    rounding = ROUNDING * EPSILON * size
+    return first_order + of_gains + of_model + rounding
 
 
 def _first_order(
@@ -407,22 +456,36 @@ def _first_order(
     derivative = _Exponential.derivative(center, change)
     seen = loop.gains_input(center)
     change_of_seen = change.gains.X @ loop.deviation
-    of_u = change.gains.K_w @ seen + center.gains.K_w @ change_of_seen
-    of_model = derivative.E @ loop.w + derivative.F @ center.e
+    of_K_w = change.gains.K_w @ seen
+    of_X = center.gains.K_w @ change_of_seen
+    of_u = loop.of_u @ (of_K_w + of_X)
+    of_state = derivative.E @ loop.w
+    of_effect = derivative.F @ center.e
     of_driving = step.F @ change.e
-    return loop.of_u @ of_u + loop.placed(of_model + of_driving)
+    of_w = loop.placed(of_state + of_effect + of_driving)
+    return of_u + of_w
 
 
 def _product_of_gains(
     center: _ModelAt, changes: Sequence[_ModelAt], of_next_u: Matrix, of_x: Matrix
 ) -> float:
     """Bound what the product of the changes of K_w and X does, in units of u and w of its own."""
-    seen = [(center.gains.X + change.gains.X) @ of_x for change in changes]
+    X = center.gains.X
+    seen = [(X + change.gains.X) @ of_x for change in changes]
+    all_seen = np.hstack(seen)
     u = _sizes(of_next_u, axis=0)
-    w = _sizes(np.hstack(seen), axis=1)
-    of_K_w = [_norm(u[:, np.newaxis] * change.gains.K_w * w) for change in changes]
-    of_X = [_norm(change.gains.X @ of_x / w[:, np.newaxis]) for change in changes]
-    return _norm(of_next_u / u) * max(of_K_w) * max(of_X)
+    w = _sizes(all_seen, axis=1)
+    per_u = u[:, np.newaxis]
+    per_w = w[:, np.newaxis]
+    of_K_w = 0.0
+    of_X = 0.0
+    for change in changes:
+        K_w = per_u * change.gains.K_w * w
+        of_K_w = max(of_K_w, _norm(K_w))
+        of_seen = change.gains.X @ of_x / per_w
+        of_X = max(of_X, _norm(of_seen))
+    size = _norm(of_next_u / u)
+    return size * of_K_w * of_X
 
 
 def _second_order_of_model(
@@ -437,17 +500,22 @@ def _second_order_of_model(
     of_g = max(_norm(change.g) for change in changes)
     e = _norm(center.e @ inverse)
     of_e = max(_norm(change.e @ inverse) for change in changes)
+    w = _norm(W @ inverse)
+    driven = (g + of_g) * (e + of_e)
     powers = m**2 * math.exp(M + m)
-    of_remainders = powers * (_norm(W @ inverse) / 2.0 + (g + of_g) * (e + of_e) / 6.0)
-    of_phi = 0.5 * m * math.exp(M)
-    of_products = of_phi * (g * of_e + of_g * e + of_g * of_e)
-    return of_remainders + of_products + math.exp(M) * of_g * of_e
+    of_remainders = powers * (w / 2.0 + driven / 6.0)
+    of_exponential = math.exp(M)
+    of_phi = 0.5 * m * of_exponential
+    of_both = of_g * of_e
+    of_products = of_phi * (g * of_e + of_g * e + of_both)
+    return of_remainders + of_products + of_exponential * of_both
 
 
 def _sizes(matrix: Matrix, axis: int) -> Vector:
     """Return the lengths of columns (axis 0) or rows (axis 1); 1 where they are zero."""
     sizes = np.linalg.norm(matrix, axis=axis)
-    return np.where(sizes > 0.0, sizes, 1.0)
+    is_there = sizes > 0.0
+    return np.where(is_there, sizes, 1.0)
 
 
 def _norm(matrix: NDArray[np.floating[Any]]) -> float:

@@ -47,6 +47,8 @@ from cosim.theory.compensation.certificate import (
     SampledLoop,
     certify,
     is_stable_on_grid,
+    rate_of_decay,
+    spectral_radius,
 )
 from cosim.theory.compensation.internal_model import InternalModel, ParameterBox
 from cosim.theory.compensation.schedule import Schedule, Stabilization, node_axes
@@ -54,6 +56,7 @@ from cosim.theory.compensation.state_feedback import (
     RegulatedPlant,
     SteadyGain,
     balancing,
+    rescaled,
     slowest_rate,
 )
 from cosim.theory.observers.observer import StateSpace
@@ -121,9 +124,13 @@ def stabilize(
     A_K = plant.A - plant.B @ K
     C_K = plant.C - plant.D @ K
     where = f"at theta = {_numbers(theta)} " if len(theta) else ""
-    X = _sylvester(S, A_K, model.b @ C_K, balancing(plant.A), where)
-    B_w = model.b @ plant.D - X @ plant.B
-    K_w = _least_effort(S, B_w, 0.5 * decay_rate, where)
+    units = balancing(plant.A)
+    driven = model.b @ C_K
+    X = _sylvester(S, A_K, driven, units, where)
+    directly = model.b @ plant.D
+    B_w = directly - X @ plant.B
+    shift = 0.5 * decay_rate
+    K_w = _least_effort(S, B_w, shift, where)
     return Stabilization(K_w=K_w, X=X, B_w=B_w)
 
 
@@ -147,12 +154,19 @@ def _sylvester(S: Matrix, A: Matrix, right: Matrix, units: Vector, where: str) -
     """Solve ``S X - X A + right = 0``, in units of the states that balance A."""
     from scipy.linalg import solve_sylvester  # takes long to import, and is rarely needed
 
-    balanced = A * units / units[:, np.newaxis]
+    balanced = rescaled(A, units)
     scaled = right * units
     X = solve_sylvester(S, -balanced, -scaled)
-    residual = S @ X - X @ balanced + scaled
-    size = np.abs(S) @ np.abs(X) + np.abs(X) @ np.abs(balanced) + np.abs(scaled)
-    if not np.isfinite(X).all() or np.abs(residual).max() > RESIDUAL * size.max():
+    of_S = S @ X
+    of_A = X @ balanced
+    residual = of_S - of_A + scaled
+    size_of_X = np.abs(X)
+    size_of_S = np.abs(S) @ size_of_X
+    size_of_A = size_of_X @ np.abs(balanced)
+    size = size_of_S + size_of_A + np.abs(scaled)
+    is_finite = np.isfinite(X).all()
+    error = np.abs(residual).max()
+    if not is_finite or error > RESIDUAL * size.max():
         raise AssumptionError(
             f"internal model: {where}a mode of the disturbance is one of the state feedback, too",
             cure="needed another state feedback",
@@ -169,16 +183,19 @@ def _least_effort(S: Matrix, B: Matrix, shift: float, where: str) -> Matrix:
     """
     from scipy.linalg import schur, solve_continuous_lyapunov  # take long to import
 
-    n = len(S)
-    A = S + shift * np.eye(n)
-    least = ROUNDING * np.linalg.norm(A, 2)
+    identity = np.eye(len(S))
+    A = S + shift * identity
+    size = np.linalg.norm(A, 2)
+    least = ROUNDING * size
     T, Z, moved = schur(A.T, sort=lambda real, imaginary: real > least)
     a = T[:moved, :moved].T
     V = Z[:, :moved]
     b = V.T @ B
     W = solve_continuous_lyapunov(a, b @ b.T)
-    lengths = np.sqrt(np.maximum(np.diag(W), np.finfo(np.float64).tiny))
-    correlation = W / lengths / lengths[:, np.newaxis]
+    squares = np.maximum(np.diag(W), np.finfo(np.float64).tiny)
+    lengths = np.sqrt(squares)
+    per_row = lengths[:, np.newaxis]
+    correlation = W / lengths / per_row
     if moved and np.linalg.eigvalsh(correlation).min() < ALIKE:
         raise AssumptionError(
             f"internal model: {where}{_unreached(S, B)} (NOT_STABILIZABLE)",
@@ -186,8 +203,10 @@ def _least_effort(S: Matrix, B: Matrix, shift: float, where: str) -> Matrix:
             "needed an interval without that theta, components of the disturbance whose intervals "
             "are apart, or another decay_rate",
         )
-    of_modes = np.linalg.solve(correlation, V.T / lengths[:, np.newaxis])
-    gain: Matrix = (b / lengths[:, np.newaxis]).T @ of_modes
+    rows = V.T / per_row
+    of_modes = np.linalg.solve(correlation, rows)
+    inputs = b / per_row
+    gain: Matrix = inputs.T @ of_modes
     return gain
 
 
@@ -239,13 +258,19 @@ class CompensatorGains:
     @property
     def before(self) -> Matrix:
         """The gain of (x_hat, delta_hat, r) without the internal model."""
-        return np.hstack([-self.K, self.F.gain, self.N.gain])
+        of_x = -self.K
+        of_delta = self.F.gain
+        of_r = self.N.gain
+        return np.hstack([of_x, of_delta, of_r])
 
     @property
     def deviation(self) -> Matrix:
         """The deviation of x from its steady state, by (x, delta, r), shape ``(n, n + m)``."""
         n = self.K.shape[1]
-        return np.hstack([np.eye(n), -self.F.states, -self.N.states])
+        of_x = np.eye(n)
+        of_delta = -self.F.states
+        of_r = -self.N.states
+        return np.hstack([of_x, of_delta, of_r])
 
 
 def scheduled(gains: CompensatorGains, box: ParameterBox, parts: int) -> Schedule:
@@ -257,18 +282,19 @@ def scheduled(gains: CompensatorGains, box: ParameterBox, parts: int) -> Schedul
         If there are none at a node.
     """
     assert gains.decay_rate is not None
-    counts = tuple(np.where(box.lower < box.upper, parts, 0).tolist())
+    is_free = box.lower < box.upper
+    cuts = np.where(is_free, parts, 0)
+    counts = tuple(cuts.tolist())
+    axes = node_axes(box, counts)
     nodes = []
-    for point in product(*node_axes(box, counts)):
+    for point in product(*axes):
         theta = np.array(point)
-        nodes.append(stabilize(gains.plant, gains.K, gains.model, theta, gains.decay_rate))
-    return Schedule(
-        box=box,
-        counts=counts,
-        K_w=np.stack([node.K_w for node in nodes]),
-        X=np.stack([node.X for node in nodes]),
-        B_w=np.stack([node.B_w for node in nodes]),
-    )
+        node = stabilize(gains.plant, gains.K, gains.model, theta, gains.decay_rate)
+        nodes.append(node)
+    K_w = np.stack([node.K_w for node in nodes])
+    X = np.stack([node.X for node in nodes])
+    B_w = np.stack([node.B_w for node in nodes])
+    return Schedule(box=box, counts=counts, K_w=K_w, X=X, B_w=B_w)
 
 
 def sampled_loop(
@@ -282,7 +308,8 @@ def sampled_loop(
     outer = _outer_loop(system, gains, gains.before, n_w)
     size = len(outer.Phi)
     first = size - n_w
-    select = np.eye(size)[first:]
+    identity = np.eye(size)
+    select = identity[first:]
     return SampledLoop(
         fixed=outer.Phi,
         of_u=outer.of_u,
@@ -302,12 +329,17 @@ def saturated_loop(
     """Write the internal model over one step where the actuator is at a limit."""
     n_w = len(gains.model.b)
     n_u, n = gains.K.shape
+    fixed = np.zeros((n_w, n_w))
+    of_u = np.zeros((n_w, n_u))
+    deviation = np.zeros((n, n_w))
+    select = np.eye(n_w)
+    no_error = np.zeros((0, n_w))
     return SampledLoop(
-        fixed=np.zeros((n_w, n_w)),
-        of_u=np.zeros((n_w, n_u)),
-        deviation=np.zeros((n, n_w)),
-        w=np.eye(n_w),
-        error=np.zeros((0, n_w)),
+        fixed=fixed,
+        of_u=of_u,
+        deviation=deviation,
+        w=select,
+        error=no_error,
         model=gains.model,
         schedule=schedule,
         h=system.h,
@@ -325,8 +357,9 @@ def check_base_loop(system: ControlledPlant, gains: CompensatorGains) -> float:
     """
     radius = _base_radius(system, gains, gains.before)
     if radius < 1.0:
-        return -math.log(max(radius, 1e-300)) / system.h
-    of_delta = slice(gains.K.shape[1], gains.K.shape[1] + gains.F.gain.shape[1])
+        return rate_of_decay(radius, system.h)
+    n = gains.K.shape[1]
+    of_delta = slice(n, n + gains.F.gain.shape[1])
     without = gains.before.copy()
     without[:, of_delta] = 0.0
     what = "state feedback"
@@ -346,7 +379,7 @@ def check_base_loop(system: ControlledPlant, gains: CompensatorGains) -> float:
 
 def _base_radius(system: ControlledPlant, gains: CompensatorGains, of_estimates: Matrix) -> float:
     outer = _outer_loop(system, gains, of_estimates, 0)
-    return float(np.abs(np.linalg.eigvals(outer.Phi)).max())
+    return spectral_radius(outer.Phi)
 
 
 class _OuterLoop(NamedTuple):
@@ -368,38 +401,53 @@ def _outer_loop(
     """Write the loop with the gain ``of_estimates`` of (x_hat, delta_hat, r); r is 0."""
     plant = system.plant
     observer = system.observer
+    h = system.h
     n_x = len(plant.A)
     n_o = len(observer.A)
-    n_u = len(gains.K)
+    n_y, n_u = plant.D.shape
     held_u = np.full(n_u, system.u_held)
-    held_y = np.full(len(plant.C), system.y_held)
+    held_y = np.full(n_y, system.y_held)
     held = np.concatenate([held_u, held_y])
-    of_plant = first_order_hold(plant.A, plant.B, system.h, held_u)
-    of_observer = first_order_hold(observer.A, observer.B, system.h, held)
-    identity = np.eye(n_x + n_o + n_u + n_w)
-    x, o, u, w = np.split(identity, np.cumsum([n_x, n_o, n_u]))
+    of_plant = first_order_hold(plant.A, plant.B, h, held_u)
+    of_observer = first_order_hold(observer.A, observer.B, h, held)
+    ends = np.cumsum([n_x, n_o, n_u, n_w])
+    identity = np.eye(ends[-1])
+    x, o, u, w, _ = np.split(identity, ends)
+    # signals at the start of the step
     y = plant.C @ x + plant.D @ u
     v = np.vstack([u, y])
     estimates = observer.C @ o + observer.D @ v
-    used = gains.K.shape[1] + gains.F.gain.shape[1]
-    new_u = of_estimates[:, :used] @ estimates
-    of_u = np.vstack([of_plant.B1, np.zeros((n_o, n_u)), np.eye(n_u), np.zeros((n_w, n_u))])
+    # what the next u does
+    of_new_u = np.eye(n_u)
     new_y_of_u = plant.C @ of_plant.B1 + plant.D
-    of_u[n_x : n_x + n_o] = of_observer.B1 @ np.vstack([np.eye(n_u), new_y_of_u])
+    new_v_of_u = np.vstack([of_new_u, new_y_of_u])
+    new_o_of_u = of_observer.B1 @ new_v_of_u
+    no_w = np.zeros((n_w, n_u))
+    of_u = np.vstack([of_plant.B1, new_o_of_u, of_new_u, no_w])
+    # what there is without it
+    no_u = np.zeros_like(u)
     free_x = of_plant.Ad @ x + of_plant.B0 @ u
-    free_v = np.vstack([np.zeros_like(u), plant.C @ free_x])
-    free_o = of_observer.Ad @ o + of_observer.B0 @ v + of_observer.B1 @ free_v
-    free = np.vstack([free_x, free_o, np.zeros_like(u), np.zeros_like(w)])
+    free_y = plant.C @ free_x
+    free_v = np.vstack([no_u, free_y])
+    driven_o = of_observer.B0 @ v + of_observer.B1 @ free_v
+    free_o = of_observer.Ad @ o + driven_o
+    free = np.vstack([free_x, free_o, no_u, np.zeros_like(w)])
+    used = gains.K.shape[1] + gains.F.gain.shape[1]
+    gain = of_estimates[:, :used]
+    new_u = gain @ estimates
+    of_deviation = gains.deviation[:, :used]
+    regulated = list(system.regulated)
     return _OuterLoop(
         Phi=free + of_u @ new_u,
         of_u=of_u,
-        deviation=gains.deviation[:, :used] @ estimates,
-        error=y[list(system.regulated)],
+        deviation=of_deviation @ estimates,
+        error=y[regulated],
     )
 
 
 def _numbers(theta: Sequence[float] | Vector) -> str:
-    return ", ".join(f"{value:.6g}" for value in theta)
+    formatted = [f"{value:.6g}" for value in theta]
+    return ", ".join(formatted)
 
 
 @dataclass(frozen=True, eq=False)
@@ -508,9 +556,11 @@ def _instability(what: str, box: ParameterBox, certificate: Certificate) -> str:
 
 def _refinements(box: ParameterBox) -> list[int]:
     """Return how finely the box is cut, with as many nodes as can be afforded."""
-    sides = max(int((box.lower < box.upper).sum()), 1)
-    affordable = [parts for parts in PARTS if (parts + 1) ** sides <= MOST_NODES]
-    few = [parts for parts in FEW_PARTS if (parts + 1) ** sides <= MOST_NODES]
+    is_free = box.lower < box.upper
+    sides = max(int(is_free.sum()), 1)
+    most = MOST_NODES ** (1.0 / sides) - 1.0
+    affordable = [parts for parts in PARTS if parts <= most]
+    few = [parts for parts in FEW_PARTS if parts <= most]
     return affordable or few[:1] or [1]
 
 

@@ -40,7 +40,8 @@ class ParameterBox:
     def __post_init__(self) -> None:
         """Freeze and check the ends."""
         for name in ("lower", "upper"):
-            object.__setattr__(self, name, frozen(getattr(self, name), 1))
+            ends = getattr(self, name)
+            object.__setattr__(self, name, frozen(ends, 1))
         same = self.lower.shape == self.upper.shape
         if not same or not np.isfinite(self.upper - self.lower).all():
             raise AssumptionError(
@@ -57,13 +58,19 @@ class ParameterBox:
     @property
     def text(self) -> str:
         """The intervals, for messages: ``[1.5, 2.5]``."""
-        pairs = zip(self.lower.tolist(), self.upper.tolist(), strict=False)
-        return ", ".join(f"[{lower:.6g}, {upper:.6g}]" for lower, upper in pairs)
+        lower_ends = self.lower.tolist()
+        upper_ends = self.upper.tolist()
+        pairs = zip(lower_ends, upper_ends, strict=False)
+        intervals = [f"[{lower:.6g}, {upper:.6g}]" for lower, upper in pairs]
+        return ", ".join(intervals)
 
     def scaled(self, factor: float) -> ParameterBox:
         """Return the box with the same center, ``factor`` times as wide."""
-        half_width = 0.5 * factor * (self.upper - self.lower)
-        return ParameterBox(self.center - half_width, self.center + half_width)
+        width = factor * (self.upper - self.lower)
+        half_width = 0.5 * width
+        lower = self.center - half_width
+        upper = self.center + half_width
+        return ParameterBox(lower, upper)
 
     def halves(self, axis: int) -> tuple[ParameterBox, ParameterBox]:
         """Return both halves of the box, cut across the interval of a parameter."""
@@ -104,9 +111,12 @@ class InternalModel:
 
     def __post_init__(self) -> None:
         """Freeze the matrices."""
-        object.__setattr__(self, "S0", frozen(self.S0, 2))
-        object.__setattr__(self, "S1", tuple(frozen(slope, 2) for slope in self.S1))
-        object.__setattr__(self, "b", frozen(self.b, 2))
+        S0 = frozen(self.S0, 2)
+        slopes = [frozen(slope, 2) for slope in self.S1]
+        b = frozen(self.b, 2)
+        object.__setattr__(self, "S0", S0)
+        object.__setattr__(self, "S1", tuple(slopes))
+        object.__setattr__(self, "b", b)
 
     def S(self, theta: Vector) -> Matrix:
         """Compute S [1/s], shape ``(n_w, n_w)``."""
@@ -118,8 +128,10 @@ class InternalModel:
     def in_units(self, units: Vector) -> InternalModel:
         """Return it with w in other units, shape ``(n_w,)``."""
         rows = units[:, np.newaxis]
+        S0 = self.S0 * units / rows
         slopes = [slope * units / rows for slope in self.S1]
-        return InternalModel(self.S0 * units / rows, tuple(slopes), self.b / rows)
+        b = self.b / rows
+        return InternalModel(S0, tuple(slopes), b)
 
 
 def internal_model(families: Sequence[Family], outputs: int) -> InternalModel:
@@ -145,17 +157,22 @@ def internal_model(families: Sequence[Family], outputs: int) -> InternalModel:
         S0[block, block] = G0.T
         for unit in np.eye(len(zero)):
             slope = np.zeros((n, n))
-            slope[block, block] = (family.G(unit) - G0).T
+            of_unit = family.G(unit) - G0
+            slope[block, block] = of_unit.T
             slopes.append(slope)
-    b = np.concatenate([family.c for family in kept])
-    of_all = [_copied(slope, outputs) for slope in slopes]
-    return InternalModel(_copied(S0, outputs), tuple(of_all), _copied(b[:, np.newaxis], outputs))
+    rows = [family.c for family in kept]
+    b = np.concatenate(rows)
+    S0_of_all = _copied(S0, outputs)
+    slopes_of_all = [_copied(slope, outputs) for slope in slopes]
+    b_of_all = _copied(b[:, np.newaxis], outputs)
+    return InternalModel(S0_of_all, tuple(slopes_of_all), b_of_all)
 
 
 def _copied(block: Matrix, times: int) -> Matrix:
     """Return the matrix with so many copies of a block on its diagonal."""
-    copies: Matrix = np.kron(np.eye(times), block).astype(np.float64)
-    return copies
+    identity = np.eye(times)
+    copies = np.kron(identity, block)
+    return np.asarray(copies, np.float64)
 
 
 def _distinct(families: Sequence[Family]) -> list[Family]:
@@ -172,5 +189,7 @@ def _distinct(families: Sequence[Family]) -> list[Family]:
 
 
 def _is_nilpotent(family: Family) -> bool:
-    G = family.G(np.zeros(0))
-    return not np.linalg.matrix_power(G, len(G)).any()
+    no_theta = np.zeros(0)
+    G = family.G(no_theta)
+    power = np.linalg.matrix_power(G, len(G))
+    return not power.any()

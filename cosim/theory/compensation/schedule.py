@@ -30,7 +30,15 @@ class Stabilization:
     def __post_init__(self) -> None:
         """Freeze the matrices."""
         for name in ("K_w", "X", "B_w"):
-            object.__setattr__(self, name, frozen(getattr(self, name), 2))
+            matrix = getattr(self, name)
+            object.__setattr__(self, name, frozen(matrix, 2))
+
+    def less(self, other: Stabilization) -> Stabilization:
+        """Return the differences from that at another theta."""
+        K_w = self.K_w - other.K_w
+        X = self.X - other.X
+        B_w = self.B_w - other.B_w
+        return Stabilization(K_w=K_w, X=X, B_w=B_w)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -56,23 +64,26 @@ class Schedule:
     def at(self, theta: Vector) -> Stabilization:
         """Interpolate the gains."""
         corners = corner_weights(theta, self.box.lower, self.box.upper, self.counts)
-        return Stabilization(
-            K_w=blended(self.K_w, corners),
-            X=blended(self.X, corners),
-            B_w=blended(self.B_w, corners),
-        )
+        K_w = blended(self.K_w, corners)
+        X = blended(self.X, corners)
+        B_w = blended(self.B_w, corners)
+        return Stabilization(K_w=K_w, X=X, B_w=B_w)
 
     def in_units(self, units: Vector) -> Schedule:
         """Return it with w in other units, shape ``(n_w,)``."""
         rows = units[:, np.newaxis]
-        return replace(self, K_w=self.K_w * units, X=self.X / rows, B_w=self.B_w / rows)
+        K_w = self.K_w * units
+        X = self.X / rows
+        B_w = self.B_w / rows
+        return replace(self, K_w=K_w, X=X, B_w=B_w)
 
     def cells(self) -> list[ParameterBox]:
         """Return the boxes between neighboring nodes."""
         axes = []
         for ends in node_axes(self.box, self.counts):
             above = ends[1:] or ends
-            axes.append(list(zip(ends, above, strict=False)))
+            neighbors = zip(ends, above, strict=False)
+            axes.append(list(neighbors))
         cells = []
         for sides in product(*axes):
             lower = np.array([side[0] for side in sides])
@@ -98,9 +109,12 @@ def corner_weights(
     for value, low, high, count in zip(theta, lower, upper, counts, strict=True):
         if not count:
             continue
-        position = (value - low) / (high - low) * count
-        begin = min(max(int(position), 0), count - 1)
-        fraction = min(max(float(position) - begin, 0.0), 1.0)
+        relative = (value - low) / (high - low)
+        position = float(relative * count)
+        below = max(int(position), 0)
+        begin = min(below, count - 1)
+        beyond = max(position - begin, 0.0)
+        fraction = min(beyond, 1.0)
         split = []
         for index, weight in corners:
             node = index * (count + 1) + begin

@@ -55,8 +55,11 @@ class RegulatedPlant:
         """Return whether a transmission zero is at s [1/s], up to rounding."""
         n = len(self.A)
         equations = self.static_equations.astype(np.complex128)
-        equations[:n, :n] -= s * np.eye(n)
-        return rank_between(equations, np.abs(equations), RANK_TOLERANCE) < len(equations)
+        identity = np.eye(n)
+        equations[:n, :n] -= s * identity
+        sizes = np.abs(equations)
+        rank = rank_between(equations, sizes, RANK_TOLERANCE)
+        return rank < len(equations)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,14 +74,18 @@ class SteadyGain:
 
     def __post_init__(self) -> None:
         """Freeze the matrices."""
-        object.__setattr__(self, "gain", frozen(self.gain, 2))
-        object.__setattr__(self, "states", frozen(self.states, 2))
+        gain = frozen(self.gain, 2)
+        states = frozen(self.states, 2)
+        object.__setattr__(self, "gain", gain)
+        object.__setattr__(self, "states", states)
 
 
 def no_gain(plant: RegulatedPlant, m: int) -> SteadyGain:
     """Return the gain of m signals that are not used."""
     n, n_u = plant.B.shape
-    return SteadyGain(np.zeros((n_u, m)), np.zeros((n, m)))
+    gain = np.zeros((n_u, m))
+    states = np.zeros((n, m))
+    return SteadyGain(gain, states)
 
 
 def regulated_plant(reduced: ReducedSystem, outputs: Sequence[int]) -> RegulatedPlant:
@@ -109,15 +116,9 @@ def regulated_plant(reduced: ReducedSystem, outputs: Sequence[int]) -> Regulated
     D = reduced.C4[chosen]
     Dd = reduced.C5[chosen]
     units = balancing(reduced.A_a)
-    from_u = replace(
-        reduced,
-        A_a=reduced.A_a * units / units[:, np.newaxis],
-        B_2a=reduced.B_1a / units[:, np.newaxis],
-        C3=C * units,
-        C4=D,
-        C5=D,
-        Kd=reduced.Ku,
-    )
+    A_a = rescaled(reduced.A_a, units)
+    B_1a = reduced.B_1a / units[:, np.newaxis]
+    from_u = replace(reduced, A_a=A_a, B_2a=B_1a, C3=C * units, C4=D, C5=D, Kd=reduced.Ku)
     try:
         zeros = invariant_zeros(from_u)
     except AssumptionError as error:
@@ -191,7 +192,8 @@ def feedforward(plant: RegulatedPlant, K: Matrix) -> SteadyGain:
         If the regulated outputs have a transmission zero at 0.
     """
     of_delta = np.vstack([plant.Bd, plant.Dd])
-    return _static_gain(plant, K, -of_delta, "feedforward of delta")
+    right = -of_delta
+    return _static_gain(plant, K, right, "feedforward of delta")
 
 
 def reference_gain(plant: RegulatedPlant, K: Matrix) -> SteadyGain:
@@ -202,18 +204,21 @@ def reference_gain(plant: RegulatedPlant, K: Matrix) -> SteadyGain:
     AssumptionError
         If the regulated outputs have a transmission zero at 0.
     """
+    n = len(plant.A)
     p = len(plant.C)
-    no_motion = np.zeros((len(plant.A), p))
-    of_r = np.vstack([no_motion, np.eye(p)])
+    no_motion = np.zeros((n, p))
+    identity = np.eye(p)
+    of_r = np.vstack([no_motion, identity])
     return _static_gain(plant, K, of_r, "reference r")
 
 
 def _static_gain(plant: RegulatedPlant, K: Matrix, right: Matrix, what: str) -> SteadyGain:
-    n = len(plant.A)
-    units = np.ones(n + plant.B.shape[1])
-    units[:n] = balancing(plant.A)
-    per_row = np.ones(n + len(plant.C))
-    per_row[:n] = 1.0 / units[:n]
+    n, n_u = plant.B.shape
+    states = balancing(plant.A)
+    inputs = np.ones(n_u)
+    outputs = np.ones(len(plant.C))
+    units = np.concatenate([states, inputs])
+    per_row = np.concatenate([1.0 / states, outputs])
     rows = per_row[:, np.newaxis]
     balanced = rows * plant.static_equations * units
     if plant.has_zero_at(0.0):
@@ -221,9 +226,10 @@ def _static_gain(plant: RegulatedPlant, K: Matrix, right: Matrix, what: str) -> 
             f"{what}: u has no constant effect on the regulated outputs, which have a transmission "
             "zero at 0; leave it out, or regulate others"
         )
-    solution = np.linalg.lstsq(balanced, rows * right, rcond=None)[0]
-    X = units[:n, np.newaxis] * solution[:n]
-    return SteadyGain(solution[n:] + K @ X, X)
+    solution, *_ = np.linalg.lstsq(balanced, rows * right, rcond=None)
+    X = states[:, np.newaxis] * solution[:n]
+    U = solution[n:]
+    return SteadyGain(U + K @ X, X)
 
 
 def _stabilizable_part(A: Matrix, B: Matrix) -> Matrix:
@@ -255,10 +261,12 @@ def _unreached(A: Matrix, B: Matrix) -> Matrix:
     """Return an orthonormal basis of the left subspace that u does not reach, shape ``(n, k)``."""
     units = balancing(A)
     columns = units[:, np.newaxis]
-    no_input = np.zeros((len(A), 0))
-    no_feedthrough = np.zeros((B.shape[1], 0))
-    balanced = A * units / columns
-    unreached = output_nulling(balanced.T, no_input, (B / columns).T, no_feedthrough)
+    n, n_u = B.shape
+    no_input = np.zeros((n, 0))
+    no_feedthrough = np.zeros((n_u, 0))
+    dual_A = rescaled(A, units).T
+    dual_B = (B / columns).T
+    unreached = output_nulling(dual_A, no_input, dual_B, no_feedthrough)
     basis, _ = np.linalg.qr(unreached / columns)
     return np.asarray(basis, np.float64)
 
@@ -274,12 +282,19 @@ def balancing(A: Matrix) -> Vector:
     return np.asarray(scales, np.float64)
 
 
+def rescaled(matrix: Matrix, units: Vector) -> Matrix:
+    """Return a matrix from states to their rates, or to the next ones, with them in units."""
+    rows = units[:, np.newaxis]
+    return matrix * units / rows
+
+
 def _placed(A: Matrix, B: Matrix, poles: Sequence[complex], unreached: Matrix) -> Matrix:
     """Place the poles on the part that u reaches, by duality with the observer."""
     W = orthogonal_complement(unreached)
     fixed = _modes_of(unreached, A)
     reached = W.T @ A.T @ W
-    dual = place(reached, B.T @ W, poles, fixed, STATE_FEEDBACK)
+    inputs = B.T @ W
+    dual = place(reached, inputs, poles, fixed, STATE_FEEDBACK)
     gain: Matrix = dual.T @ W.T
     return gain
 
@@ -315,13 +330,16 @@ def weight_matrix(name: str, values: ArrayLike, size: int) -> Matrix:
     weight: Matrix = np.asarray(values, np.float64)
     if weight.ndim == 1:
         weight = weight * np.eye(len(weight))
-    fits = weight.shape == (size, size) and bool(np.isfinite(weight).all())
-    if not fits or not np.allclose(weight, weight.T, rtol=1e-12, atol=1e-14 * _size(weight)):
+    is_finite = bool(np.isfinite(weight).all())
+    fits = is_finite and weight.shape == (size, size)
+    least = 1e-14 * _size(weight)
+    if not fits or not np.allclose(weight, weight.T, rtol=1e-12, atol=least):
         raise AssumptionError(
             f"state feedback: {name} = {np.asarray(values).tolist()}; needed {size} numbers, its "
             f"diagonal, or a symmetric matrix of {size} rows"
         )
-    if np.linalg.eigvalsh(weight).min() < -1e-12 * np.abs(weight).max():
+    eigenvalues = np.linalg.eigvalsh(weight)
+    if eigenvalues.min() < -1e-12 * _size(weight):
         raise AssumptionError(f"state feedback: {name} is not positive semidefinite")
     symmetric: Matrix = 0.5 * (weight + weight.T)
     return symmetric

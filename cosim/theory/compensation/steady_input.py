@@ -59,10 +59,12 @@ def steady_input(plant: RegulatedPlant, disturbance: KnownDisturbance) -> Matrix
     for k in range(count):
         rows[k] = row
         row = row @ transition
-    initial = np.linalg.lstsq(rows, disturbance.course, rcond=None)[0]
-    misfit = float(np.abs(rows @ initial - disturbance.course).max())
+    course = disturbance.course
+    initial, *_ = np.linalg.lstsq(rows, course, rcond=None)
+    misfit = np.abs(rows @ initial - course).max()
+    largest = np.abs(course).max()
     U = _input_of_modes(plant, S, Q)
-    if U is None or misfit > MISFIT * float(np.abs(disturbance.course).max()):
+    if U is None or misfit > MISFIT * largest:
         return None
     u = np.empty((count, len(U)))
     v = initial
@@ -74,31 +76,39 @@ def steady_input(plant: RegulatedPlant, disturbance: KnownDisturbance) -> Matrix
 
 def _exosystem(disturbance: KnownDisturbance) -> tuple[Matrix, Vector]:
     """Return S and the row Q of all components together."""
-    sizes = [family.v for family in disturbance.families]
-    S = np.zeros((sum(sizes), sum(sizes)))
+    families = disturbance.families
+    n = sum(family.v for family in families)
+    S = np.zeros((n, n))
     begin = 0
-    for family, theta, size in zip(disturbance.families, disturbance.theta, sizes, strict=True):
-        block = slice(begin, begin + size)
+    for family, theta in zip(families, disturbance.theta, strict=True):
+        end = begin + family.v
+        block = slice(begin, end)
         S[block, block] = family.G(theta)
-        begin += size
-    return S, np.concatenate([family.c for family in disturbance.families])
+        begin = end
+    rows = [family.c for family in families]
+    return S, np.concatenate(rows)
 
 
 def _input_of_modes(plant: RegulatedPlant, S: Matrix, Q: Vector) -> Matrix | None:
     """Solve for U, shape ``(n_u, len(S))``; of several solutions the smallest."""
     n, n_u = plant.B.shape
-    of_modes = np.eye(len(S))
+    m = len(S)
     static = plant.static_equations
-    derivative = np.zeros(static.shape)
+    derivative = np.zeros_like(static)
     derivative[:n, :n] = np.eye(n)
     # of the columns of [X; U], stacked
-    equations = np.kron(of_modes, static) - np.kron(S.T, derivative)
+    of_static = np.kron(np.eye(m), static)
+    of_rates = np.kron(S.T, derivative)
+    equations = of_static - of_rates
     of_delta = np.vstack([plant.Bd, plant.Dd])
-    right = -np.outer(Q, of_delta[:, 0]).ravel()
-    solution = np.linalg.lstsq(equations, right, rcond=None)[0]
-    residual = np.abs(equations @ solution - right).max()
-    size = np.abs(equations) @ np.abs(solution) + np.abs(right)
-    if residual > MISFIT * size.max():
+    driven = np.outer(Q, of_delta[:, 0])
+    right = -driven.ravel()
+    solution, *_ = np.linalg.lstsq(equations, right, rcond=None)
+    residual = np.abs(equations @ solution - right)
+    of_solution = np.abs(equations) @ np.abs(solution)
+    size = of_solution + np.abs(right)
+    if residual.max() > MISFIT * size.max():
         return None
-    columns = solution.reshape(len(S), n + n_u)
-    return np.asarray(columns[:, n:].T, np.float64)
+    columns = solution.reshape(m, n + n_u)
+    U = columns[:, n:].T
+    return np.asarray(U, np.float64)

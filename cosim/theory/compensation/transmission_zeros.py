@@ -57,7 +57,8 @@ def check_zeros(
     for value in plant.zeros:
         zero = complex(value)
         theta, mode = closest_mode(zero, blocks, box)
-        size_of_S = float(np.linalg.norm(model.S(theta), 2))
+        S = model.S(theta)
+        size_of_S = float(np.linalg.norm(S, 2))
         scale = max(abs(zero), size_of_S, 1e-300)
         if abs(mode - zero) <= NEAR * scale or plant.has_zero_at(mode):
             corners = [box.lower, box.upper]
@@ -79,8 +80,11 @@ def check_zeros(
 
 def _nearest_mode(model: InternalModel, theta: Vector, s: complex) -> complex:
     """Return the eigenvalue of S closest to s."""
-    eigenvalues = np.linalg.eigvals(model.S(theta))
-    return complex(eigenvalues[np.abs(eigenvalues - s).argmin()])
+    S = model.S(theta)
+    eigenvalues = np.linalg.eigvals(S)
+    distances = np.abs(eigenvalues - s)
+    nearest = distances.argmin()
+    return complex(eigenvalues[nearest])
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,10 +95,18 @@ class SystemBlock:
     slopes: NDArray[np.float64]
     parameters: tuple[int, ...]
 
+    @property
+    def content(self) -> bytes:
+        """What tells it from other blocks."""
+        matrices = self.S0.tobytes() + self.slopes.tobytes()
+        return matrices + bytes(self.parameters)
+
     def eigenvalues(self, theta: NDArray[np.float64]) -> NDArray[np.complex128]:
         """Compute those at points ``(N, k)`` of its parameters, shape ``(N, v)``."""
-        S = self.S0 + np.tensordot(theta, self.slopes, axes=1)
-        return np.linalg.eigvals(S).astype(np.complex128)
+        change = np.tensordot(theta, self.slopes, axes=1)
+        S = self.S0 + change
+        eigenvalues = np.linalg.eigvals(S)
+        return eigenvalues.astype(np.complex128)
 
 
 def blocks_of(model: InternalModel) -> list[SystemBlock]:
@@ -103,20 +115,32 @@ def blocks_of(model: InternalModel) -> list[SystemBlock]:
     coupled = model.S0 != 0.0
     for slope in model.S1:
         coupled |= slope != 0.0
-    reached = coupled | coupled.T | np.eye(n, dtype=np.bool_)
+    itself = np.eye(n, dtype=np.bool_)
+    reached = coupled | coupled.T | itself
     for _ in range(n):
-        reached = (reached.astype(np.int64) @ reached.astype(np.int64)) > 0
+        ways = reached.astype(np.int64)
+        reached = ways @ ways > 0
     distinct: dict[bytes, SystemBlock] = {}
     for row in np.unique(reached, axis=0):
         states = np.flatnonzero(row)
-        own = np.ix_(states, states)
-        parameters = [j for j, slope in enumerate(model.S1) if slope[own].any()]
-        slopes = np.array([model.S1[j][own] for j in parameters])
-        S0 = model.S0[own]
-        shape = (len(parameters), *S0.shape)
-        block = SystemBlock(S0, slopes.reshape(shape), tuple(parameters))
-        distinct.setdefault(S0.tobytes() + slopes.tobytes() + bytes(parameters), block)
+        block = _block_of(model, states)
+        distinct.setdefault(block.content, block)
     return list(distinct.values())
+
+
+def _block_of(model: InternalModel, states: NDArray[np.integer]) -> SystemBlock:
+    own = np.ix_(states, states)
+    S0 = model.S0[own]
+    parameters = []
+    slopes = []
+    for j, of_all in enumerate(model.S1):
+        slope = of_all[own]
+        if slope.any():
+            parameters.append(j)
+            slopes.append(slope)
+    of_parameters = np.array(slopes)
+    shape = (len(slopes), *S0.shape)
+    return SystemBlock(S0, of_parameters.reshape(shape), tuple(parameters))
 
 
 def closest_mode(
@@ -152,21 +176,28 @@ def _closest_of_block(s: complex, block: SystemBlock, box: ParameterBox) -> tupl
             mode = complex(eigenvalues[row, column])
             theta = points[row]
         width = cell.upper - cell.lower
-        if (width <= RESOLUTION * np.maximum(np.abs(theta), RESOLUTION)).all():
+        size = np.maximum(np.abs(theta), RESOLUTION)
+        is_found = width <= RESOLUTION * size
+        if is_found.all():
             return theta, mode
-        lower = np.maximum(theta - reach * width, box.lower)
-        upper = np.minimum(theta + reach * width, box.upper)
+        around = reach * width
+        lower = np.maximum(theta - around, box.lower)
+        upper = np.minimum(theta + around, box.upper)
         cell = ParameterBox(lower, upper)
 
 
 def _search_points(cell: ParameterBox) -> tuple[NDArray[np.float64], float]:
     """Return points of a cell, and how far from the best one to go on, in widths of the cell."""
     width = cell.upper - cell.lower
-    parameters = int((width > 0.0).sum())
+    is_free = width > 0.0
+    parameters = int(is_free.sum())
     if parameters <= len(SIDE):
         side = SIDE[max(parameters - 1, 0)]
-        return np.array(cell.grid(side)), 1.0 / (side - 1)
-    return cell.lower + width * _spread(len(width)), 0.5 * SHRINKING
+        points = cell.grid(side)
+        spacing = 1.0 / (side - 1)
+        return np.array(points), spacing
+    spread = _spread(len(width))
+    return cell.lower + width * spread, 0.5 * SHRINKING
 
 
 def _spread(parameters: int) -> NDArray[np.float64]:
@@ -174,10 +205,14 @@ def _spread(parameters: int) -> NDArray[np.float64]:
 
     Multiples of powers of the root of ``x^(d + 1) = x + 1``, modulo 1 (Roberts' lattice).
     """
+    exponent = 1.0 / (parameters + 1.0)
     root = 2.0
     for _ in range(64):
-        root = (1.0 + root) ** (1.0 / (parameters + 1.0))
-    steps = root ** -np.arange(1.0, parameters + 1.0)
-    lattice = np.arange(SPREAD)[:, np.newaxis] * steps % 1.0
-    ends = np.array([np.zeros(parameters), np.ones(parameters)])
-    return np.vstack([lattice, ends])
+        root = (1.0 + root) ** exponent
+    powers = np.arange(1.0, parameters + 1.0)
+    steps = root**-powers
+    multiples = np.arange(SPREAD)[:, np.newaxis]
+    lattice = multiples * steps % 1.0
+    first = np.zeros((1, parameters))
+    last = np.ones((1, parameters))
+    return np.vstack([lattice, first, last])

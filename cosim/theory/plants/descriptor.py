@@ -87,21 +87,26 @@ class DescriptorSystem:
             object.__setattr__(self, name, matrix)
         rows, n = self.A.shape
         n_y, columns = self.C.shape
-        square = rows == n > 0
-        _check_shape("A", self.A, square, "(n, n): one row and one column per state")
-        _check_shape("E", self.E, self.E.shape == (n, n), f"({n}, {n}), the shape of A")
+        E_rows, E_columns = self.E.shape
+        is_square = rows == n > 0
+        _check_shape("A", self.A, is_square, "(n, n): one row and one column per state")
+        is_as_A = E_rows == E_columns == n
+        _check_shape("E", self.E, is_as_A, f"({n}, {n}), the shape of A")
         per_input = f"({n}, n_u): one row per state, one column per input"
-        _check_shape("Bu", self.Bu, len(self.Bu) == n, per_input)
+        has_inputs = len(self.Bu) == n
+        _check_shape("Bu", self.Bu, has_inputs, per_input)
         per_disturbance = f"({n}, n_d): one row per state, one column per disturbance"
-        _check_shape("Bd", self.Bd, len(self.Bd) == n, per_disturbance)
+        has_disturbances = len(self.Bd) == n
+        _check_shape("Bd", self.Bd, has_disturbances, per_disturbance)
         per_output = f"(n_y, {n}): one row per output, one column per state"
-        _check_shape("C", self.C, columns == n and n_y > 0, per_output)
-        for name, B in (("Du", self.Bu), ("Dd", self.Bd)):
-            D = getattr(self, name)
-            m = B.shape[1]
-            per_pair = f"({n_y}, {m}): one row per row of C, one column per column of B{name[1]}"
-            _check_shape(name, D, D.shape == (n_y, m), per_pair)
-        if self.n_a is not None and not np.array_equal(self.E, _diagonal_E(self.n_a, n)):
+        has_outputs = columns == n and n_y > 0
+        _check_shape("C", self.C, has_outputs, per_output)
+        _check_feedthrough("Du", self.Du, n_y, self.Bu)
+        _check_feedthrough("Dd", self.Dd, n_y, self.Bd)
+        if self.n_a is None:
+            return
+        needed = _diagonal_E(self.n_a, n)
+        if not np.array_equal(self.E, needed):
             raise AssumptionError(f"Assumption 1 (1): E is not diag(I, 0) with n_a = {self.n_a}")
 
     @classmethod
@@ -115,12 +120,13 @@ class DescriptorSystem:
                 f"Assumption 1 (1): n_a = {n_a}; needed 1..{n}, the number of dynamic states "
                 f"among the {n} rows of A"
             )
-        n_y = len(_finite_matrix("C", C))
-        Du = np.zeros((n_y, _finite_matrix("Bu", Bu).shape[1]))
-        Dd = np.zeros((n_y, _finite_matrix("Bd", Bd).shape[1]))
+        of_u = _finite_matrix("Bu", Bu)
+        of_delta = _finite_matrix("Bd", Bd)
+        of_x = _finite_matrix("C", C)
+        Du = _no_feedthrough(of_x, of_u)
+        Dd = _no_feedthrough(of_x, of_delta)
         E = _diagonal_E(n_a, n)
-        matrices = {"E": E, "A": A, "Bu": Bu, "Bd": Bd, "C": C, "Du": Du, "Dd": Dd}
-        return cls(**{name: np.asarray(matrix) for name, matrix in matrices.items()}, n_a=n_a)
+        return cls(E=E, A=np.asarray(A), Bu=of_u, Bd=of_delta, C=of_x, Du=Du, Dd=Dd, n_a=n_a)
 
     @classmethod
     def general(
@@ -135,19 +141,19 @@ class DescriptorSystem:
         Dd: ArrayLike | None = None,
     ) -> Self:
         """Build any form; without E it is the identity, without a B there are no such inputs."""
-        n = len(_finite_matrix("A", A))
-        n_y = len(_finite_matrix("C", C))
-        of_u = np.zeros((n, 0)) if Bu is None else _finite_matrix("Bu", Bu)
-        of_delta = np.zeros((n, 0)) if Bd is None else _finite_matrix("Bd", Bd)
-        return cls(
-            E=np.eye(n) if E is None else np.asarray(E),
-            A=np.asarray(A),
-            Bu=of_u,
-            Bd=of_delta,
-            C=np.asarray(C),
-            Du=np.zeros((n_y, of_u.shape[1])) if Du is None else np.asarray(Du),
-            Dd=np.zeros((n_y, of_delta.shape[1])) if Dd is None else np.asarray(Dd),
-        )
+        dynamics = _finite_matrix("A", A)
+        of_x = _finite_matrix("C", C)
+        n = len(dynamics)
+        no_input = np.zeros((n, 0))
+        of_u = no_input if Bu is None else _finite_matrix("Bu", Bu)
+        of_delta = no_input if Bd is None else _finite_matrix("Bd", Bd)
+        identity = np.eye(n)
+        left = identity if E is None else np.asarray(E)
+        no_Du = _no_feedthrough(of_x, of_u)
+        no_Dd = _no_feedthrough(of_x, of_delta)
+        u_to_y = no_Du if Du is None else np.asarray(Du)
+        delta_to_y = no_Dd if Dd is None else np.asarray(Dd)
+        return cls(E=left, A=dynamics, Bu=of_u, Bd=of_delta, C=of_x, Du=u_to_y, Dd=delta_to_y)
 
     @cached_property
     def scales(self) -> Scales:
@@ -172,7 +178,8 @@ class UserCoordinates:
     def __post_init__(self) -> None:
         """Freeze the matrices."""
         for name in ("X", "Xu", "Xd", "R"):
-            object.__setattr__(self, name, _finite_matrix(name, getattr(self, name)))
+            matrix = _finite_matrix(name, getattr(self, name))
+            object.__setattr__(self, name, matrix)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -236,43 +243,61 @@ def state_maps(reduced: ReducedSystem) -> tuple[StateMap, ...]:
     """Return x_a and, where there is any, x_b of the partitioned form; x of the general one."""
     coordinates = reduced.coordinates
     if coordinates is not None:
-        return (StateMap("x", coordinates.X, coordinates.Xu, coordinates.Xd),)
-    n_a, n_u = reduced.B_1a.shape
-    n_d = reduced.B_2a.shape[1]
-    x_a = StateMap("x_a", np.eye(n_a), np.zeros((n_a, n_u)), np.zeros((n_a, n_d)))
+        x = StateMap("x", coordinates.X, coordinates.Xu, coordinates.Xd)
+        return (x,)
+    identity = np.eye(len(reduced.A_a))
+    of_u = np.zeros_like(reduced.B_1a)
+    of_delta = np.zeros_like(reduced.B_2a)
+    x_a = StateMap("x_a", identity, of_u, of_delta)
     if not len(reduced.Kx):
         return (x_a,)
-    return x_a, StateMap("x_b", reduced.Kx, reduced.Ku, reduced.Kd)
+    x_b = StateMap("x_b", reduced.Kx, reduced.Ku, reduced.Kd)
+    return x_a, x_b
 
 
 def reduced_scales(reduced: ReducedSystem) -> Scales:
     """Compute coarse sizes of the states x_a, the inputs (u, delta) and the outputs."""
     B = np.hstack([reduced.B_1a, reduced.B_2a])
     D = np.hstack([reduced.C4, reduced.C5])
-    return state_space_scales(reduced.A_a, B, reduced.C3, D).coarse()
+    scales = state_space_scales(reduced.A_a, B, reduced.C3, D)
+    return scales.coarse()
 
 
 def in_units(reduced: ReducedSystem, scales: Scales) -> ReducedSystem:
     """Return (9)-(10) in other units of x_a, u, delta and y, without the map to the user's."""
     n_u = reduced.B_1a.shape[1]
     n_d = reduced.B_2a.shape[1]
-    x = scales.states[:, np.newaxis]
-    y = scales.outputs[:, np.newaxis]
+    x = scales.states
+    y = scales.outputs
     u = scales.inputs[:n_u]
     delta = scales.inputs[n_u:]
-    no_states = np.zeros((0, len(x)))
+    Kx = np.zeros((0, len(x)))
+    Ku = np.zeros((0, n_u))
+    Kd = np.zeros((0, n_d))
+    A_a = _scaled(reduced.A_a, x, x)
+    B_1a = _scaled(reduced.B_1a, x, u)
+    B_2a = _scaled(reduced.B_2a, x, delta)
+    C3 = _scaled(reduced.C3, y, x)
+    C4 = _scaled(reduced.C4, y, u)
+    C5 = _scaled(reduced.C5, y, delta)
     return ReducedSystem(
-        A_a=reduced.A_a * scales.states / x,
-        B_1a=reduced.B_1a * u / x,
-        B_2a=reduced.B_2a * delta / x,
-        C3=reduced.C3 * scales.states / y,
-        C4=reduced.C4 * u / y,
-        C5=reduced.C5 * delta / y,
-        Kx=no_states,
-        Ku=np.zeros((0, n_u)),
-        Kd=np.zeros((0, n_d)),
+        A_a=A_a,
+        B_1a=B_1a,
+        B_2a=B_2a,
+        C3=C3,
+        C4=C4,
+        C5=C5,
+        Kx=Kx,
+        Ku=Ku,
+        Kd=Kd,
         accuracy=reduced.accuracy,
     )
+
+
+def _scaled(matrix: Matrix, rows: Vector, columns: Vector) -> Matrix:
+    """Return a matrix in units of what it yields and of what it takes."""
+    by_column: Matrix = matrix * columns
+    return by_column / rows[:, np.newaxis]
 
 
 @within_range()
@@ -292,7 +317,8 @@ def reduce(system: DescriptorSystem) -> ReducedSystem:
     E = scales.scaled_E(system.E)
     A = scales.scaled_E(system.A)
     n = len(A)
-    known_rank = n if np.array_equal(system.E, np.eye(n)) else system.n_a
+    is_explicit = np.array_equal(system.E, np.eye(n))
+    known_rank = n if is_explicit else system.n_a
     decomposition = decompose(E, known_rank)
     check_index(E, A, decomposition)
     if system.n_a is not None:
@@ -339,7 +365,9 @@ def _reduced_partitioned(system: DescriptorSystem, scales: Scales, n_a: int) -> 
     """Reduce the paper's form, in its own coordinates."""
     B = (system.Bu, system.Bd)
     D = (system.Du, system.Dd)
-    return _reduced(eliminate(PartitionedMatrices(system.A, B, system.C, D, n_a), scales, 1.0))
+    matrices = PartitionedMatrices(system.A, B, system.C, D, n_a)
+    eliminated = eliminate(matrices, scales, 1.0)
+    return _reduced(eliminated)
 
 
 def _reduced_regular(system: DescriptorSystem, scales: Scales, growth: float) -> ReducedSystem:
@@ -348,18 +376,22 @@ def _reduced_regular(system: DescriptorSystem, scales: Scales, growth: float) ->
     Bu = system.Bu
     Bd = system.Bd
     n, n_u = Bu.shape
-    if not np.array_equal(system.E, np.eye(n)):
+    identity = np.eye(n)
+    if not np.array_equal(system.E, identity):
         E = scales.scaled_E(system.E)
-        right = np.hstack([A, Bu, Bd]) / scales.equations[:, np.newaxis]
-        rates = np.linalg.solve(E, right) * scales.states[:, np.newaxis]
+        equations = scales.equations[:, np.newaxis]
+        states = scales.states[:, np.newaxis]
+        right = np.hstack([A, Bu, Bd])
+        solution = np.linalg.solve(E, right / equations)
+        rates = solution * states
         A, Bu, Bd = np.split(rates, [n, n + n_u], axis=1)
     D = (system.Du, system.Dd)
-    left = eliminate(PartitionedMatrices(A, (Bu, Bd), system.C, D, n), scales, growth)
-    identity = np.eye(n)
-    coordinates = UserCoordinates(
-        X=identity, Xu=np.zeros(Bu.shape), Xd=np.zeros(Bd.shape), R=identity
-    )
-    return _reduced(left, coordinates)
+    matrices = PartitionedMatrices(A, (Bu, Bd), system.C, D, n)
+    eliminated = eliminate(matrices, scales, growth)
+    Xu = np.zeros_like(Bu)
+    Xd = np.zeros_like(Bd)
+    coordinates = UserCoordinates(X=identity, Xu=Xu, Xd=Xd, R=identity)
+    return _reduced(eliminated, coordinates)
 
 
 def _reduced_singular(
@@ -367,24 +399,34 @@ def _reduced_singular(
 ) -> ReducedSystem:
     """Reduce a system with any singular E, in units and coordinates where it is diag(I, 0)."""
     n, n_u = system.Bu.shape
-    n_a = len(decomposition.values)
-    left = np.vstack([decomposition.U1.T / decomposition.values[:, np.newaxis], decomposition.U2.T])
+    values = decomposition.values
+    n_a = len(values)
+    per_value = values[:, np.newaxis]
+    dynamic = decomposition.U1.T / per_value
+    algebraic = decomposition.U2.T
+    left = np.vstack([dynamic, algebraic])
     V = np.hstack([decomposition.V1, decomposition.V2])
-    B = left @ scales.scaled_B(np.hstack([system.Bu, system.Bd]))
-    D = scales.scaled_D(np.hstack([system.Du, system.Dd]))
-    matrices = PartitionedMatrices(
-        A=left @ scales.scaled_E(system.A) @ V,
-        B=(B[:, :n_u], B[:, n_u:]),
-        C=scales.scaled_C(system.C) @ V,
-        D=(D[:, :n_u], D[:, n_u:]),
-        n_a=n_a,
-    )
-    units = Scales(
-        equations=np.concatenate([1.0 / decomposition.values, np.ones(n - n_a)]),
-        states=np.ones(n),
-        inputs=np.ones(B.shape[1]),
-        outputs=np.ones(len(D)),
-    )
+    all_B = np.hstack([system.Bu, system.Bd])
+    all_D = np.hstack([system.Du, system.Dd])
+    scaled_A = scales.scaled_E(system.A)
+    scaled_C = scales.scaled_C(system.C)
+    A = left @ scaled_A @ V
+    B = left @ scales.scaled_B(all_B)
+    C = scaled_C @ V
+    D = scales.scaled_D(all_D)
+    known = slice(None, n_u)
+    unknown = slice(n_u, None)
+    of_inputs = (B[:, known], B[:, unknown])
+    feedthrough = (D[:, known], D[:, unknown])
+    matrices = PartitionedMatrices(A, of_inputs, C, feedthrough, n_a)
+    n_y, n_v = D.shape
+    of_dynamic = 1.0 / values
+    no_unit = np.ones(n - n_a)
+    equations = np.concatenate([of_dynamic, no_unit])
+    states = np.ones(n)
+    inputs = np.ones(n_v)
+    outputs = np.ones(n_y)
+    units = Scales(equations=equations, states=states, inputs=inputs, outputs=outputs)
     eliminated = eliminate(matrices, units, decomposition.growth)
     return _in_user_units(eliminated, scales, decomposition)
 
@@ -393,33 +435,48 @@ def _in_user_units(
     eliminated: Eliminated, scales: Scales, decomposition: RankDecomposition
 ) -> ReducedSystem:
     """Return u, delta, y and x to the user's units; x_a stays where the system is of size one."""
+    growth = decomposition.growth
+    B_1a, B_2a = eliminated.B
+    C4, C5 = eliminated.D
+    Ku, Kd = eliminated.Kv
+    n_u = B_1a.shape[1]
+    u = scales.inputs[:n_u]
+    delta = scales.inputs[n_u:]
+    outputs = scales.outputs[:, np.newaxis]
+    B = (B_1a / u, B_2a / delta)
+    C = outputs * eliminated.C
+    D = (outputs * C4 / u, outputs * C5 / delta)
+    Kv = (Ku / u, Kd / delta)
+    in_units = replace(eliminated, B=B, C=C, D=D, Kv=Kv)
+    coordinates = _user_coordinates(eliminated, scales, decomposition)
+    largest = float(decomposition.neglected.max(initial=0.0))
+    return _reduced(in_units, coordinates, largest / growth)
+
+
+def _user_coordinates(
+    eliminated: Eliminated, scales: Scales, decomposition: RankDecomposition
+) -> UserCoordinates:
+    """Return the map to the user's x; what may be rounding of the data is zero."""
     V1 = decomposition.V1
     V2 = decomposition.V2
-    n_u = eliminated.B[0].shape[1]
-    units = (scales.inputs[:n_u], scales.inputs[n_u:])
-    states = scales.states[:, np.newaxis]
-    outputs = scales.outputs[:, np.newaxis]
-    X_v = []
+    of_inputs = []
     for gain, error in zip(eliminated.Kv, eliminated.Kv_error, strict=True):
-        rounding = decomposition.growth * DATA * np.abs(gain).sum(axis=0)
+        sizes = np.abs(gain).sum(axis=0)
+        rounding = decomposition.growth * DATA * sizes
         known_up_to = np.abs(V2) @ error + rounding
         of_input = V2 @ gain
-        X_v.append(np.where(np.abs(of_input) > known_up_to, of_input, 0.0))
-    coordinates = UserCoordinates(
-        X=states * (V1 + V2 @ eliminated.K),
-        Xu=states * X_v[0] / units[0],
-        Xd=states * X_v[1] / units[1],
-        R=V1.T / scales.states,
-    )
-    in_units = replace(
-        eliminated,
-        B=(eliminated.B[0] / units[0], eliminated.B[1] / units[1]),
-        C=outputs * eliminated.C,
-        D=(outputs * eliminated.D[0] / units[0], outputs * eliminated.D[1] / units[1]),
-        Kv=(eliminated.Kv[0] / units[0], eliminated.Kv[1] / units[1]),
-    )
-    neglected = float(decomposition.neglected.max(initial=0.0)) / decomposition.growth
-    return _reduced(in_units, coordinates, neglected)
+        is_known = np.abs(of_input) > known_up_to
+        of_inputs.append(np.where(is_known, of_input, 0.0))
+    Xu, Xd = of_inputs
+    n_u = Xu.shape[1]
+    u = scales.inputs[:n_u]
+    delta = scales.inputs[n_u:]
+    states = scales.states[:, np.newaxis]
+    X = V1 + V2 @ eliminated.K
+    of_u = states * Xu / u
+    of_delta = states * Xd / delta
+    R = V1.T / scales.states
+    return UserCoordinates(X=states * X, Xu=of_u, Xd=of_delta, R=R)
 
 
 def _reduced(
@@ -428,6 +485,10 @@ def _reduced(
     B_1a, B_2a = left.B
     C4, C5 = left.D
     Ku, Kd = left.Kv
+    n_a = len(left.A)
+    of_entry = DATA + neglected
+    of_sum = n_a * of_entry
+    accuracy = of_sum * left.amplification
     return ReducedSystem(
         A_a=left.A,
         B_1a=B_1a,
@@ -439,7 +500,7 @@ def _reduced(
         Ku=Ku,
         Kd=Kd,
         coordinates=coordinates,
-        accuracy=(DATA + neglected) * len(left.A) * left.amplification,
+        accuracy=accuracy,
     )
 
 
@@ -453,7 +514,8 @@ def invariant_zeros(reduced: ReducedSystem) -> ComplexVector:
     AssumptionError
         If the transfer from delta to y does not have full rank, so that every s is a zero.
     """
-    reduced = in_units(reduced, reduced_scales(reduced))
+    scales = reduced_scales(reduced)
+    reduced = in_units(reduced, scales)
     A = reduced.A_a
     B = reduced.B_2a
     C = reduced.C3
@@ -467,19 +529,23 @@ def invariant_zeros(reduced: ReducedSystem) -> ComplexVector:
     V = output_nulling(A, B, C, D)
     n, k = V.shape
     rate = np.linalg.norm(A) or 1.0
-    outputs = normalized(np.hstack([C, D]), axis=1)
+    of_outputs = np.hstack([C, D])
+    outputs = normalized(of_outputs, axis=1)
     no_output = np.zeros((len(C), k))
     states = np.vstack([V, no_output])
-    inputs = normalized(np.vstack([B / rate, outputs[:, n:]]), axis=0)
+    of_inputs = np.vstack([B / rate, outputs[:, n:]])
+    inputs = normalized(of_inputs, axis=0)
     basis = np.hstack([states, inputs])
     if rank(basis) < basis.shape[1]:
         raise AssumptionError(
             "the transfer from delta to y does not have full rank, so every s is an invariant zero"
         )
-    rates = np.vstack([A / rate, outputs[:, :n]]) @ V
-    coordinates = np.linalg.lstsq(basis, rates, rcond=None)[0]
+    of_states = np.vstack([A / rate, outputs[:, :n]])
+    rates = of_states @ V
+    coordinates, *_ = np.linalg.lstsq(basis, rates, rcond=None)
     X = rate * coordinates[:k]
-    zeros = np.linalg.eigvals(X).astype(np.complex128)
+    eigenvalues = np.linalg.eigvals(X)
+    zeros = eigenvalues.astype(np.complex128)
     return np.sort_complex(zeros)
 
 
@@ -488,11 +554,23 @@ def disturbance_transfer(reduced: ReducedSystem, s: complex) -> ComplexMatrix:
 
     It is `C3 (s I - A_a)^-1 B_2a + C5`, shape ``(n_y, n_d)``.
     """
-    A_a = reduced.A_a
-    identity = np.eye(len(A_a))
-    states = np.linalg.solve(s * identity - A_a, reduced.B_2a)
+    identity = np.eye(len(reduced.A_a))
+    shifted = s * identity - reduced.A_a
+    states = np.linalg.solve(shifted, reduced.B_2a)
     transfer = reduced.C3 @ states + reduced.C5
     return np.asarray(transfer, dtype=np.complex128)
+
+
+def _no_feedthrough(C: Matrix, B: Matrix) -> Matrix:
+    """Return a D of zeros, with a row for each row of C and a column for each column of B."""
+    return np.zeros((len(C), B.shape[1]))
+
+
+def _check_feedthrough(name: str, D: Matrix, n_y: int, B: Matrix) -> None:
+    m = B.shape[1]
+    is_as_needed = D.shape == (n_y, m)
+    needed = f"({n_y}, {m}): one row per row of C, one column per column of B{name[1]}"
+    _check_shape(name, D, is_as_needed, needed)
 
 
 def _finite_matrix(name: str, values: ArrayLike) -> Matrix:
