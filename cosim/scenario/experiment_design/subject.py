@@ -75,13 +75,6 @@ class DesignSubject:
         assert isinstance(kind, RegressorKind)
         return kind
 
-    @property
-    def observer_kind(self) -> UnknownInputObserverKind:
-        """The table of the observer."""
-        kind = self.scenario.specs[self.observer]
-        assert isinstance(kind, UnknownInputObserverKind)
-        return kind
-
     def covariance(self, outputs: int) -> Matrix:
         """Return the covariance of the noise of y, shape (n_y, n_y).
 

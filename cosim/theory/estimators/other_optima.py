@@ -10,7 +10,9 @@ two that come close together stay so, with amplitudes that cancel.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -80,7 +82,10 @@ def search_optima(
         beside=[known],
     )
     starts = [*on_grid.search(STARTS_OF_GRID), *_starts_beside(on_grid, matrices, known)]
-    return _fits_from(starts, data, plant, families, noise=noise, offset=offset, bounds=bounds)
+    fit = partial(
+        fit_output_error, data, plant, families, noise=noise, offset=offset, bounds=bounds
+    )
+    return _converged(starts, fit)
 
 
 def spread_optima(
@@ -103,7 +108,10 @@ def spread_optima(
     box = _box(data, families, bounds)
     alike = interchangeable_terms(data, plant, matrices, bounds)
     starts = _spread_starts(box, matrices, alike)
-    return _fits_from(starts, data, plant, families, noise=noise, offset=offset, bounds=bounds)
+    fit = partial(
+        fit_output_error, data, plant, families, noise=noise, offset=offset, bounds=bounds
+    )
+    return _converged(starts, fit)
 
 
 def _box(
@@ -113,28 +121,16 @@ def _box(
     return box_of_search(families, span=longest_span(data), spacing=spacing, bounds=bounds)
 
 
-def _fits_from(
-    starts: Sequence[Vector],
-    data: Sequence[DataSet],
-    plant: DisturbedPlant,
-    families: Sequence[Family],
-    *,
-    noise: NoiseModel,
-    offset: bool,
-    bounds: Mapping[int, tuple[float, float]],
+def _converged(
+    starts: Iterable[Vector], fit: Callable[[Vector], OutputErrorFit]
 ) -> list[OutputErrorFit]:
     """Return the fits from starts that have converged, the best first."""
     fits = []
     for start in starts:
-        try:
-            fit = fit_output_error(
-                data, plant, families, start, noise=noise, offset=offset, bounds=bounds
-            )
-        except StartError:
-            continue
-        if fit.converged:
-            fits.append(fit)
-    return sorted(fits, key=lambda fit: fit.deviation)
+        with suppress(StartError):
+            fits.append(fit(start))
+    converged = [fitted for fitted in fits if fitted.converged]
+    return sorted(converged, key=lambda fitted: fitted.deviation)
 
 
 def _spread_starts(box: SearchBox, matrices: Generators, alike: Sequence[int]) -> list[Vector]:
