@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.signal import StateSpace, lsim
 
 from cosim.theory.assessment.assessing import assess
 from cosim.theory.assessment.problem import OutputErrorProblem
@@ -12,8 +13,15 @@ from cosim.theory.disturbances.families import (
     Sine,
     TExponential,
 )
-from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
+from cosim.theory.disturbed_plant import (
+    DataSet,
+    DisturbedPlant,
+    disturbed_plant,
+    white_noise,
+)
 from cosim.theory.estimators.start_grid import axis_points
+from cosim.theory.plants.descriptor import reduce
+from tests.theory.academic import academic
 
 T = np.arange(1001) * 0.02
 ALPHAS = (
@@ -98,6 +106,27 @@ def test_terms_of_different_alphas_are_not_interchangeable():
     of = problem([Exponential()] * 2, exponentials(theta), ALPHAS[:2])
     assert of.interchangeable == (-1, -1)
     np.testing.assert_allclose(found(of), theta, rtol=1e-2)
+
+
+def test_few_samples_say_the_same_whatever_u_is_between_them():
+    """A plant driven by +-1 at every one of 5001 samples; every fifth is left, and noise alone."""
+    t = np.arange(5001) * 0.004
+    rng = np.random.default_rng(4)
+    u = rng.choice([-1.0, 1.0], size=(len(t), 1))
+    alpha = np.ones((len(t), 1))
+    plant = disturbed_plant(reduce(academic()), [0])
+    inputs = np.hstack([u, 1.5 * np.exp(-0.3 * t)[:, np.newaxis]])
+    system = StateSpace(
+        plant.A, np.hstack([plant.B, plant.Bd]), plant.C, np.hstack([plant.D, plant.Dd])
+    )
+    y = lsim(system, inputs, t, X0=[1.0, -1.0])[1]
+    noise = 1e-3 * rng.standard_normal(len(t))
+    data = DataSet(t, (y + noise)[:, np.newaxis], u, alpha)
+    thinned = OutputErrorProblem([data], plant, [Exponential()]).thinned()
+    assert len(thinned.data[0].t) == 1001
+    fit = thinned.fit(np.array([-0.3]), white_noise(1))
+    # of 1 000 values the deviation is known to 1 / sqrt(2 000) = 2.2 %
+    assert fit.deviation == pytest.approx(1e-3, rel=0.1)
 
 
 def test_sorted_pairs_of_parameters_stay_together():

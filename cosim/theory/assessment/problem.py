@@ -14,9 +14,21 @@ from cosim.errors import AssumptionError, quoted
 from cosim.native.output_error import Generators
 from cosim.theory.covariance import is_covariance
 from cosim.theory.disturbances.families import Family, even_parameters, generators
-from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel, check_sizes
+from cosim.theory.disturbed_plant import (
+    DataSet,
+    DisturbedPlant,
+    NoiseModel,
+    check_sizes,
+    needs_predictor,
+    white_noise,
+)
 from cosim.theory.estimators.other_optima import search_optima, spread_optima
-from cosim.theory.estimators.output_error import OutputErrorFit, bound_vectors, fit_output_error
+from cosim.theory.estimators.output_error import (
+    OutputErrorFit,
+    bound_vectors,
+    fit_output_error,
+    response_records,
+)
 from cosim.theory.estimators.start_grid import (
     interchangeable_terms,
     search_start,
@@ -171,12 +183,28 @@ class OutputErrorProblem:
         )
 
     def thinned(self) -> OutputErrorProblem:
-        """Return the problem of every so many samples, in which other optima are searched."""
+        """Return the problem of every so many samples, in which other optima are searched.
+
+        The response to u is taken off before, as u may change between these samples.
+        """
         data = []
-        for one in self.data:
+        for one in self._without_inputs():
             every = max(1, len(one.t) // MOST_SAMPLES)
             data.append(one.thinned(every))
         return self.of_data(data)
+
+    def _without_inputs(self) -> list[DataSet]:
+        """Return the data less the response to u; as they are where that grows too much."""
+        noise = white_noise(self.outputs)
+        records = response_records(self.data, self.plant, self.generators, noise=noise)
+        data = []
+        for one, record in zip(self.data, records, strict=True):
+            span = float(one.t[-1] - one.t[0])
+            if needs_predictor(self.plant.A, span):
+                data.append(one)
+            else:
+                data.append(replace(one, y=record.residual, u=np.zeros_like(one.u)))
+        return data
 
     def of_data(self, data: Sequence[DataSet]) -> OutputErrorProblem:
         """Return the same for other data."""
