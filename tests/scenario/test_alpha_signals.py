@@ -335,7 +335,7 @@ model = "spring"
 x_a0 = [1.0, 0.0]
 [components.delta]
 kind = "disturbance"
-terms = [{ alpha = { from = "plant.y" }, family = "constant", constants = [1.5] }]
+terms = [{ alpha = { from = "plant.y" }, family = "constant", level = 1.5 }]
 [connections]
 "plant.u" = "u.y"
 "plant.delta" = "delta.y"

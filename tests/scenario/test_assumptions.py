@@ -59,9 +59,9 @@ def test_the_excitation_is_that_of_the_exact_disturbance():
 MANY = {
     "regressor.delays": [0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5],
     "delta.terms": [
-        {"family": "t-exponential", "theta": -0.2, "constants": [1.0, 0.5], "alpha": BOTH[0]},
-        {"family": "t-exponential", "theta": -0.4, "constants": [0.5, 1.0], "alpha": BOTH[1]},
-        {"family": "ramp", "constants": [1.0, 0.1]},
+        {"family": "t-exponential", "theta": -0.2, "level": 1.0, "slope": 0.5, "alpha": BOTH[0]},
+        {"family": "t-exponential", "theta": -0.4, "level": 0.5, "slope": 1.0, "alpha": BOTH[1]},
+        {"family": "ramp", "level": 1.0, "slope": 0.1},
     ],
     "regressor.terms": [
         {"family": "t-exponential", "alpha": BOTH[0]},
@@ -77,7 +77,7 @@ def test_what_fits_y_needs_a_disturbance_that_determines_theta_and_no_regression
     report = check_assumptions("academic", set=MANY)
     assert report.fulfilled
     assert "the disturbance determines theta" in report.of("identifier")[EXCITATION].evidence
-    absent = [dict(MANY["delta.terms"][0], constants=[0.0, 0.0]), *MANY["delta.terms"][1:]]
+    absent = [dict(MANY["delta.terms"][0], level=0.0, slope=0.0), *MANY["delta.terms"][1:]]
     report = check_assumptions("academic", set=MANY | {"delta.terms": absent})
     assert failing(report) == [("identifier", EXCITATION)]
 
@@ -265,7 +265,7 @@ def test_terms_without_parameters_leave_nothing_to_excite():
     settings = {
         "regressor.terms": [{"family": "constant"}],
         "regressor.delays": [0.0, 0.5],
-        "delta.terms": [{"family": "constant", "constants": [1.0]}],
+        "delta.terms": [{"family": "constant", "level": 1.0}],
     }
     report = check_assumptions("academic", set=settings)
     assert report.of("identifier")[EXCITATION].fulfilled is None

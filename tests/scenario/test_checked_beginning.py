@@ -131,7 +131,7 @@ JUMPING = {
     "a": 'kind = "step"\ntime = 0.5',
     "K": 1.0,
     "more": '[components.d]\nkind = "disturbance"\n'
-    'terms = [{ alpha = { from = "a.y" }, family = "constant", constants = [1.0] }]',
+    'terms = [{ alpha = { from = "a.y" }, family = "constant", level = 1.0 }]',
 }
 OVERFLOW = {"a": CONSTANT, "K": 1e300, "more": ""}
 BEGINNINGS = {

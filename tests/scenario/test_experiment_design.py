@@ -272,7 +272,7 @@ def test_alphas_that_are_signals_are_those_of_the_run(tmp_path):
 def test_any_family_and_a_shared_alpha_can_be_designed_for():
     """A damped sine and a constant under one alpha: theta is (decay, rate), four delays."""
     terms = [{"family": "damped-sine"}, {"family": "constant"}]
-    values = [{**terms[0], "theta": [0.05, 1.3]}, {**terms[1], "constants": [0.5]}]
+    values = [{**terms[0], "theta": [0.05, 1.3]}, {**terms[1], "level": 0.5}]
     settings = {"regressor.terms": terms, "delta.terms": values, "observer.filter_rate": 20.0}
     scenario = cosim.load("academic-noisy").set(
         {**FAST, **settings, "regressor.delays": [0.0, 0.5, 1.0, 1.5]}

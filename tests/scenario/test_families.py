@@ -36,15 +36,15 @@ TERMS = {
     '{ family = "damped-sine", theta = [0.2, 2.0], amplitude = -1.5, phase = 0.3 }': (
         lambda t: -1.5 * math.exp(-0.2 * t) * math.sin(2.0 * t + 0.3)
     ),
-    '{ family = "damped-sine", theta = [-0.2, 2.0], constants = [1.5, 0.3] }': (
+    '{ family = "damped-sine", theta = [-0.2, 2.0], amplitude = 1.5, phase = 0.3 }': (
         lambda t: 1.5 * math.exp(0.2 * t) * math.sin(2.0 * t + 0.3)
     ),
-    '{ alpha = "1 + t", family = "constant", constants = [-0.5] }': lambda t: -0.5 * (1.0 + t),
-    '{ family = "ramp", constants = [1.0, -2.0] }': lambda t: 1.0 - 2.0 * t,
+    '{ alpha = "1 + t", family = "constant", level = -0.5 }': lambda t: -0.5 * (1.0 + t),
+    '{ family = "ramp", slope = -2.0, level = 1.0 }': lambda t: 1.0 - 2.0 * t,
     '{ family = "polynomial", degree = 3, constants = [1.0, -2.0, 0.0, 0.5] }': (
         lambda t: 1.0 - 2.0 * t + 0.5 * t**3
     ),
-    '{ family = "t-exponential", theta = -0.7, constants = [1.0, 2.0] }': (
+    '{ family = "t-exponential", theta = -0.7, level = 1.0, slope = 2.0 }': (
         lambda t: (1.0 + 2.0 * t) * math.exp(-0.7 * t)
     ),
     '{ alpha = "2", family = "linear", G0 = [[0, 1], [-4, 0]], c = [1, 0], constants = [1, 2] }': (
@@ -90,18 +90,27 @@ def test_terms_are_added_in_their_elements(tmp_path):
         ('family = "exponential"', r"theta of family 'exponential': found 0 numbers; needed 1"),
         ('family = "sine", theta = [1.0, 2.0]', r"found 2 numbers: 1, 2; needed 1: rate"),
         ('family = "damped-sine", theta = 1.0', r"found 1 number: 1; needed 2: decay, rate"),
-        ('family = "constant", theta = 1.0, constants = [1.0]', r"needed none: leave it out"),
-        ('family = "constant"', r"constants of family 'constant': found 0 .* needed 1: level"),
-        ('family = "ramp", constants = [1.0]', r"found 1 number: 1; needed 2: level, slope"),
+        ('family = "constant", theta = 1.0, level = 1.0', r"needed none: leave it out"),
+        ('family = "constant"', r"family 'constant': needed level"),
+        ('family = "ramp", constants = [1.0, 2.0]', r"constants: family 'ramp' has none; it has l"),
+        (
+            'family = "polynomial", degree = 1, level = 1.0',
+            r"level: family 'polynomial' has none; it has constants",
+        ),
+        (
+            'family = "polynomial", degree = 2, constants = [1.0]',
+            r"found 1 number: 1; needed 3: level, slope, coefficient_2",
+        ),
+        ('family = "ramp", level = 1.0', r"family 'ramp': needed slope"),
         ('family = "ramp", amplitude = 1.0', r"amplitude: family 'ramp' has none; it has level"),
         ('family = "exponential", theta = 1.0, phase = 1.0', r"phase: family 'exponential' has no"),
         (
             'family = "sine", theta = 1.0, phase = 1.0, constants = [1.0, 1.0]',
-            r"found constants beside amplitude or phase",
+            r"constants: family 'sine' has none; it has amplitude and phase",
         ),
         ('family = "polynomial", constants = [1.0]', r"family 'polynomial': needed degree"),
         ('family = "polynomial", degree = 9, constants = [1.0]', r"degree: found 9; needed 0 to 8"),
-        ('family = "ramp", degree = 1, constants = [1.0, 1.0]', r"degree: is of family 'polyn"),
+        ('family = "ramp", degree = 1, level = 1.0, slope = 1.0', r"degree: is of family 'polyn"),
         ('family = "linear", c = [1.0], constants = [1.0]', r"family 'linear': needed G0"),
         (
             'family = "linear", G0 = [[0, 1], [0]], c = [1, 0], constants = [1, 1]',
@@ -111,7 +120,7 @@ def test_terms_are_added_in_their_elements(tmp_path):
             'family = "linear", G0 = [[0, 0], [0, -1]], c = [1, 0], constants = [1, 1]',
             r"terms\[0\]: family 'linear': c = \[1.0, 0.0\] does not observe",
         ),
-        ('family = "constant", constants = [1.0], element = -1', r"element"),
+        ('family = "constant", level = 1.0, element = -1', r"element"),
     ],
 )
 def test_wrong_numbers_of_a_term_are_refused(term, message, tmp_path):
@@ -176,7 +185,7 @@ period = 12.0
 "regressor.delta" = "observer.delta"
 "identifier.regressor" = "regressor.mu"
 """
-WITHOUT = ("theta", "amplitude", "phase", "constants")
+WITHOUT = ("theta", "amplitude", "phase", "level", "slope", "constants")
 ALPHAS = ("1 + 0.8*sin(1.7*t)", "1 + 0.8*cos(2.3*t)", "1 + 0.8*sin(0.9*t)", "1 + 0.8*cos(3.1*t)")
 
 
@@ -197,7 +206,7 @@ def test_constants_of_every_name_are_told_with_their_verdicts(tmp_path):
     """Amplitude and phase of a damped sine, level and slope of a ramp, as the scenario has them."""
     terms = [
         {"family": "damped-sine", "theta": [0.15, 2.0], "amplitude": 1.2, "phase": 0.5},
-        {"alpha": ALPHAS[0], "family": "ramp", "constants": [0.7, -0.05]},
+        {"alpha": ALPHAS[0], "family": "ramp", "level": 0.7, "slope": -0.05},
     ]
     log = cosim.run(identified(tmp_path, terms, [0.4, 0.8, 1.2, 1.6, 2.0]))
     np.testing.assert_allclose(log["identifier.theta"][-1], [0.15, 2.0], rtol=1e-8)
@@ -219,7 +228,7 @@ def test_constants_of_every_name_are_told_with_their_verdicts(tmp_path):
 
 def test_terms_without_parameters_have_amplitudes_alone(tmp_path):
     """There is no theta; a method that estimates theta alone says which does more."""
-    terms = [{"alpha": ALPHAS[0], "family": "constant", "constants": [0.7]}]
+    terms = [{"alpha": ALPHAS[0], "family": "constant", "level": 0.7}]
     log = cosim.run(identified(tmp_path, terms, [0.4, 0.8]))
     assert "identifier.theta" not in log.signals()
     told = recorded_identification(log)["identifier"]
@@ -287,8 +296,8 @@ def test_five_alphas_are_identified_without_the_expansion(tmp_path):
 def test_terms_that_no_data_tell_apart_are_refused(families, more, message, tmp_path):
     """Before the run, by families, alphas and bounds."""
     values = {
-        "constant": {"constants": [1.0]},
-        "ramp": {"constants": [1.0, 1.0]},
+        "constant": {"level": 1.0},
+        "ramp": {"level": 1.0, "slope": 1.0},
         "sine": {"theta": 1.0},
         "exponential": {"theta": -1.0},
     }
@@ -303,7 +312,7 @@ def test_terms_that_no_data_tell_apart_are_refused(families, more, message, tmp_
 def test_a_slow_sine_beside_a_constant_is_identified(tmp_path):
     """A sixth of a period is curved: exact data give its rate."""
     slow = {"family": "sine", "theta": 0.08, "phase": 0.4}
-    terms = [slow, {"family": "constant", "constants": [0.7]}]
+    terms = [slow, {"family": "constant", "level": 0.7}]
     more = "bounds = [[0, 0.1]]"
     run = cosim.run(identified(tmp_path, terms, [0.4, 0.8, 1.2, 1.6], more))
     np.testing.assert_allclose(run["identifier.theta"][-1], 0.08, rtol=1e-3)

@@ -261,7 +261,7 @@ class DisturbanceKind(Kind):
     continuous_inputs: ClassVar[Mapping[str, str]] = {ALPHA: DISTURBANCE_WAY_OUT}
     kind: Literal["disturbance"]
     terms: tuple[ValuedTerm, ...] = Field(
-        min_length=1, description="list of { alpha, family, theta, amplitude, phase, constants }"
+        min_length=1, description="list of { alpha, family, theta } and the constants of the family"
     )
 
     def implied_connections(

@@ -23,8 +23,9 @@ from cosim.theory.disturbances.linear_family import LinearFamily, Rows
 LINEAR: Final = "linear"
 LARGEST_DEGREE: Final = 8
 MOST_ELEMENTS: Final = 64
-ONE_BY_ONE: Final = ("amplitude", "phase")  # constants that have keys and defaults of their own
-DEFAULTS: Final = {"amplitude": 1.0, "phase": 0.0}
+ONE_BY_ONE: Final = ("amplitude", "phase", "level", "slope")  # constants with keys of their own
+DEFAULTS: Final = MappingProxyType({"amplitude": 1.0, "phase": 0.0})  # the others are needed
+IN_A_LIST: Final = ("polynomial", LINEAR)  # families with as many constants as are said
 
 
 class FamilyTerm(TomlTable):
@@ -115,10 +116,16 @@ class ValuedTerm(FamilyTerm):
     phase: Number | None = Field(
         None, description="of sine and damped-sine [rad] at t = 0; default: 0"
     )
+    level: Number | None = Field(
+        None, description="of constant, ramp and t-exponential: its factor of t^0"
+    )
+    slope: Number | None = Field(
+        None, description="of ramp and t-exponential: its factor of t [1/s]"
+    )
     constants: NumberRow | None = Field(
         None,
-        description="of the others: level, slope and so on of constant, ramp, polynomial and "
-        "t-exponential, the states at t = 0 of linear",
+        description="of polynomial: its factors of t^0, t, t^2 and so on; of linear: its states at "
+        "t = 0",
     )
 
     def values(self, family: Family) -> tuple[float, ...]:
@@ -149,13 +156,21 @@ class ValuedTerm(FamilyTerm):
         UsageError
             If they are not as many as the family has, or there is a key that it has not.
         """
-        names = family.constants
         self._check_constant_keys(family)
-        if names[0] in ONE_BY_ONE and self.constants is None:
-            given = [getattr(self, key) for key in names]
-            pairs = zip(names, given, strict=True)
-            return tuple(float(DEFAULTS[key] if value is None else value) for key, value in pairs)
+        if family.name in IN_A_LIST:
+            return self._listed_constants(family)
+        values = []
+        for key in family.constants:
+            given = getattr(self, key)
+            value = DEFAULTS.get(key) if given is None else given
+            if value is None:
+                raise UsageError(f"family {family.name!r}: needed {key}")
+            values.append(float(value))
+        return tuple(values)
+
+    def _listed_constants(self, family: Family) -> tuple[float, ...]:
         constants = self.constants or ()
+        names = family.constants
         if len(constants) != len(names):
             raise UsageError(
                 f"constants of family {family.name!r}: found {_numbers(constants)}; needed "
@@ -164,18 +179,13 @@ class ValuedTerm(FamilyTerm):
         return tuple(map(float, constants))
 
     def _check_constant_keys(self, family: Family) -> None:
-        """Refuse keys of constants that the family has not, or that stand beside ``constants``."""
-        names = family.constants
-        given = [key for key in ONE_BY_ONE if getattr(self, key) is not None]
-        foreign = [key for key in given if key not in names]
-        if foreign:
-            instead = " and ".join(names) if names[0] in ONE_BY_ONE else "constants"
-            raise UsageError(
-                f"{foreign[0]}: family {family.name!r} has none; it has {', '.join(names)}, as "
-                f"{instead}"
-            )
-        if given and self.constants is not None:
-            raise UsageError(f"found constants beside {' or '.join(names)}; needed one of them")
+        """Refuse keys of constants that the family has not."""
+        own = ("constants",) if family.name in IN_A_LIST else family.constants
+        for key in (*ONE_BY_ONE, "constants"):
+            if getattr(self, key) is not None and key not in own:
+                raise UsageError(
+                    f"{key}: family {family.name!r} has none; it has {' and '.join(own)}"
+                )
 
 
 def element_count(terms: Sequence[FamilyTerm]) -> int:
