@@ -10,6 +10,7 @@ from scipy.linalg import toeplitz
 from cosim.errors import AssumptionError
 from cosim.theory.disturbances.families import (
     Exponential,
+    Polynomial,
     Sine,
     coefficients,
     generators,
@@ -85,6 +86,39 @@ def test_chi_and_its_derivatives(names, families, theta):
         near = of(point + direction) - of(point - direction)
         far = of(point + 2.0 * direction) - of(point - 2.0 * direction)
         np.testing.assert_allclose(slopes[j], (8.0 * near - far) / (12.0 * e), atol=1e-9)
+
+
+def test_no_estimate_from_noisy_delta_is_predicted_below_its_cramer_rao_bound():
+    """Five functions under two alphas leave a regression of nothing but rounding.
+
+    Whatever minimum of it is met first, there is another one beside.
+    """
+    t = np.arange(601) * 0.005
+    rate = 2.479
+    known = 1.0 + 0.5 * np.sin(3.0 * t)
+    deviation = 1e-3
+    experiment = RegressionExperiment(
+        delta=np.sin(rate * t) + known + 1.0 + 0.2 * t,
+        alpha=np.column_stack([np.ones_like(t), known, np.ones_like(t)]),
+        names=("1", "a", "1"),
+        families=(Sine(), Polynomial(0), Polynomial(1)),
+        theta=np.array([rate]),
+        step=0.005,
+        noise=ReconstructionNoise(np.array([[deviation]])),
+        settled=20,
+    )
+    basis = np.column_stack([np.sin(rate * t), np.cos(rate * t), known, np.ones_like(t), t])
+    slope = t * np.cos(rate * t)
+    left = slope - basis @ np.linalg.lstsq(basis, slope, rcond=None)[0]
+    bound = deviation / np.linalg.norm(left)
+    rng = np.random.default_rng(0)
+    for _ in range(60):
+        steps = np.sort(rng.choice(50, 6, replace=False))
+        try:
+            predicted = experiment.rayleigh(tuple(steps.tolist()))
+        except AssumptionError:
+            continue
+        assert predicted.error[0] >= bound
 
 
 @pytest.mark.parametrize("block", [1, 5])

@@ -34,6 +34,7 @@ from cosim.theory.experiment_design.reconstruction_noise import ReconstructionNo
 from cosim.theory.experiment_design.regression_noise import NoisyRegression
 
 _DIFFERENCE: Final = 1e-5  # of numerical derivatives, relative to what they are by
+_SAME: Final = 0.1  # of the predicted error: minima less apart are one
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,7 +240,8 @@ class RegressionExperiment:
         )
         N = regression.unit_noise
         R = regression.triangle
-        status, theta, _ = RayleighModel(constants).minimize(R, N, self.theta)
+        model = RayleighModel(constants)
+        status, theta, _ = model.minimize(R, N, self.theta)
         if status != 0:
             raise AssumptionError("no estimate: the quotient has no minimum near theta")
 
@@ -261,7 +263,16 @@ class RegressionExperiment:
         if not abs(np.linalg.det(H)) > 0.0:
             raise AssumptionError("no estimate: the minimum of the quotient is flat")
         d = np.asarray(-np.linalg.solve(H, c), np.float64)
-        return PredictedEstimate(theta - self.theta, regression.covariance(d, chi))
+        predicted = PredictedEstimate(theta - self.theta, regression.covariance(d, chi))
+        beside = theta + predicted.standard_error
+        _, again, _ = model.minimize(R, N, beside)
+        apart = np.abs(again - theta)
+        rounding = _DIFFERENCE * np.maximum(np.abs(theta), 1.0 / span)
+        if not (apart <= _SAME * predicted.error + rounding).all():
+            raise AssumptionError(
+                "no estimate: the quotient has no single minimum within its standard error"
+            )
+        return predicted
 
     def _products(self, delayed: Sequence[slice]) -> Matrix:
         """Return the products of the alphas of every term, with its sign, shape (q + 1, N)."""
