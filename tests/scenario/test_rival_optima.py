@@ -13,7 +13,9 @@ from cosim.arrays import Matrix, Vector
 from cosim.core.contracts import prepare
 from cosim.scenario.build import Builder, parse
 from cosim.scenario.document import Document
+from cosim.scenario.kinds.compensators import LARGEST_ERROR
 from cosim.scenario.parsing import Scenario
+from cosim.theory.compensation.activation import Activation
 
 H = 0.01
 STOP = 12.0
@@ -143,17 +145,40 @@ def driven(terms: list[tuple[str, str]], basis: int, period: float) -> Driven:
     return Driven(scenario(terms, basis, period), period)
 
 
-def test_an_error_reaches_the_optima_that_samples_do_not_rule_out():
-    """No estimate is wrong by more than three standard errors, before and after T_id.
+RATES = np.array([2.9, 1.3])
 
-    The rate of the smaller of two sines, which is hardly above the noise, has several optima that
-    noise may choose from: the curvature of the one that is reported says nothing of the others.
+
+@pytest.fixture(scope="module")
+def two_sines():
+    """Return theta and standard errors of two sines, the smaller one hardly above noise of 1.
+
+    For several seeds, and for a tenth of the noise.
+
+    The rate of the smaller one has several optima that noise may choose from: the curvature of the
+    one that is reported says nothing of the others.
     """
-    theta = (2.9, 1.3)
-    found = deviations(driven(sines(*theta), 4, 3.0), np.array(theta), 1.0, range(8))
-    is_known = np.isfinite(found)
+    identifier = driven(sines(*RATES), 4, 3.0)
+    return [identifier.estimates(1.0, seed) for seed in range(8)], identifier.estimates(0.1, 0)
+
+
+def test_an_error_reaches_the_optima_that_samples_do_not_rule_out(two_sines):
+    """No estimate is wrong by more than three standard errors, before and after T_id."""
+    noisy, _ = two_sines
+    found = np.array([np.abs(theta - RATES) / error for theta, error in noisy])
+    is_known = np.isfinite(found).all(axis=2)
     assert is_known.sum() >= 16
     assert (found[is_known] <= 3.0).all()
+
+
+def test_a_compensator_takes_no_theta_that_the_data_do_not_support(two_sines):
+    """In intervals as wide as the search, an estimate that it takes is within a tenth of theta."""
+    activation = Activation(np.array([0.5, 0.5]), np.array([8.0, 8.0]), LARGEST_ERROR)
+    noisy, clear = two_sines
+    assert activation.allows(clear[0][-1], clear[1][-1])
+    for theta, error in noisy:
+        for estimate, own in zip(theta, error, strict=True):
+            if activation.allows(estimate, own):
+                np.testing.assert_allclose(estimate, RATES, rtol=0.1)
 
 
 def test_optima_are_searched_beside_the_one_that_is_found():
