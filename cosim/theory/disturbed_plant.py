@@ -278,6 +278,10 @@ class NoiseModel:
         """The deviation of each output's e, shape (n_y,)."""
         return np.sqrt(np.diag(self.covariance))
 
+    def without_color(self) -> NoiseModel:
+        """Return the same without its autoregressive models, as if v were white."""
+        return replace(self, a=self.a[:, :0])
+
     def whitened(
         self, rows: NDArray[np.float64], measured: NDArray[np.bool_]
     ) -> NDArray[np.float64]:

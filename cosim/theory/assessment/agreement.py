@@ -41,18 +41,23 @@ def contradictions(alone: Sequence[Assessment], names: Sequence[str]) -> list[st
     for name, own in zip(names, alone, strict=True):
         if not (own.fit.converged and own.consistency.passed):
             texts.append(f"{name} alone: {own.parameters[0].reason}")
-    for j in range(len(alone[0].parameters)):
-        values = np.array([own.fit.theta[j] for own in alone])
-        widths = np.array([own.half_width[j] for own in alone])
-        known = [own.parameters[j].verdict.has_interval for own in alone]
-        places = np.flatnonzero(np.array(known) & np.isfinite(widths))
-        if len(places) < 2:
-            continue
-        low = places[int(values[places].argmin())]
-        high = places[int(values[places].argmax())]
-        if values[high] - values[low] > np.hypot(widths[high], widths[low]):
-            texts.append(
-                f"theta[{j}] of {names[low]} alone is {values[low]:.6g} +- {widths[low]:.2g}, of "
-                f"{names[high]} alone {values[high]:.6g} +- {widths[high]:.2g}: not of one theta"
-            )
-    return texts
+    parameters = range(len(alone[0].parameters))
+    return texts + list(filter(None, (_disagreement(j, alone, names) for j in parameters)))
+
+
+def _disagreement(j: int, alone: Sequence[Assessment], names: Sequence[str]) -> str:
+    """Return which two data sets have another theta[j] beyond their errors; empty: none have."""
+    values = np.array([own.fit.theta[j] for own in alone])
+    widths = np.array([own.half_width[j] for own in alone])
+    known = [own.parameters[j].verdict.has_interval for own in alone]
+    places = np.flatnonzero(np.array(known) & np.isfinite(widths))
+    if len(places) < 2:
+        return ""
+    low = places[int(values[places].argmin())]
+    high = places[int(values[places].argmax())]
+    if not values[high] - values[low] > np.hypot(widths[high], widths[low]):
+        return ""
+    return (
+        f"theta[{j}] of {names[low]} alone is {values[low]:.6g} +- {widths[low]:.2g}, of "
+        f"{names[high]} alone {values[high]:.6g} +- {widths[high]:.2g}: not of one theta"
+    )

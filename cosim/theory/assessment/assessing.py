@@ -123,7 +123,7 @@ def _rival(own: FittedModel) -> _Examined | None:
     What is far worse in a few samples is so in all of them, so that few are fitted to all.
     """
     thinned = own.problem.thinned()
-    white = replace(own.noise, a=own.noise.a[:, :0])
+    white = own.noise.without_color()
     try:
         optima = thinned.search_optima(own.fit.theta, white)
         near = thinned.fit(own.fit.theta, white)

@@ -103,7 +103,7 @@ class OutputErrorProblem:
         return sum(1 for count in self.generators.count if count) > 1
 
     def in_order(self, theta: Vector) -> Vector:
-        """Return the one of all theta of the same model that is told, shape (P,)."""
+        """Return the one of all theta of the same model that is reported, shape (P,)."""
         even = even_parameters(self.families)
         return in_order(theta, self.generators, self.interchangeable, even)
 
@@ -142,7 +142,7 @@ class OutputErrorProblem:
             self.data,
             self.plant,
             self.families,
-            noise=replace(noise, a=noise.a[:, :0]),
+            noise=noise.without_color(),
             offset=self.offset,
             bounds=self.bounds,
         )
@@ -160,7 +160,7 @@ class OutputErrorProblem:
             self.plant,
             self.families,
             known,
-            noise=replace(noise, a=noise.a[:, :0]),
+            noise=noise.without_color(),
             offset=self.offset,
             bounds=self.bounds,
         )
@@ -177,7 +177,7 @@ class OutputErrorProblem:
             self.data,
             self.plant,
             self.families,
-            noise=replace(noise, a=noise.a[:, :0]),
+            noise=noise.without_color(),
             offset=self.offset,
             bounds=self.bounds,
         )

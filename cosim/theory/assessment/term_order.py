@@ -1,4 +1,4 @@
-"""Terms that are interchangeable, and the order in which their parameters are told."""
+"""Terms that are interchangeable, and the order in which their parameters are reported."""
 
 from __future__ import annotations
 

@@ -89,7 +89,7 @@ class Validation:
 
 
 def validate(assessment: Assessment, data: DataSet) -> Validation:
-    """Say whether a fit holds for data that were not used in it.
+    """Check whether a fit holds for data that were not used in it.
 
     Parameters
     ----------
