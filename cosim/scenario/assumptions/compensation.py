@@ -165,14 +165,7 @@ class CompensatorCheck:
         allowed = activation.largest_standard_error(self.theta)
         values["largest_standard_error"] = allowed.tolist()
         if (allowed <= 0.0).any():
-            exact = np.zeros(len(self.theta))
-            reason = activation.reason(self.theta, exact) or (
-                f"theta = {_numbers(self.theta)} is an end of the certified {box.text}"
-            )
-            raise AssumptionError(
-                f"the internal model is never used: {reason}",
-                cure="needed an interval with the theta of the disturbance inside it",
-            )
+            raise self._outside(activation, self.theta)
         needed = (
             f"at theta = {_numbers(self.theta)} of the disturbance it needs a standard error of at "
             f"most {_numbers(allowed)}"
@@ -189,6 +182,15 @@ class CompensatorCheck:
             )
         return f"{condition}: {needed}; {least}", values
 
+    def _outside(self, activation: Activation, theta: Vector) -> AssumptionError:
+        """Return the error of an interval that has not theta inside it."""
+        exact = np.zeros(len(theta))
+        at_end = f"theta = {_numbers(theta)} is an end of the certified {self._gains.box.text}"
+        return AssumptionError(
+            f"the internal model is never used: {activation.reason(theta, exact) or at_end}",
+            cure="needed an interval with the theta of the disturbance inside it",
+        )
+
     def _least_error(self) -> Vector | None:
         """Return the least standard error of theta from all y of the run; None: it is not known.
 
@@ -201,22 +203,26 @@ class CompensatorCheck:
             return None
         try:
             noise, _ = noise_of(builder.scenario, identifier, identified.observer)
-            alpha = identified.alpha(communication_points(builder.clock))
+            t = communication_points(builder.clock)
+            alpha = identified.alpha(t)
         except UsageError:
             return None
         plant = identified.plant
         covariance = covariance_of(noise, len(plant.C))
         if covariance is None or identified.extent:
             return None
-        t = communication_points(builder.clock)
         delta = self.delta[:, np.newaxis]
-        lines = np.zeros(1, np.bool_)
-        x = simulate(plant.A, plant.Bd[:, :1], t, delta, np.zeros(len(plant.A)), lines)
+        held = np.zeros(1, np.bool_)
+        x = simulate(plant.A, plant.Bd[:, :1], t, delta, np.zeros(len(plant.A)), held)
         y = x @ plant.C.T + delta @ plant.Dd[:, :1].T
         data = DataSet(t, y, np.zeros((len(t), plant.B.shape[1])), alpha)
-        families = identified.families
         bound = accuracy_bound(
-            plant, families, self.theta, data, noise=covariance, offset=identified.offset
+            plant,
+            identified.families,
+            self.theta,
+            data,
+            noise=covariance,
+            offset=identified.offset,
         )
         return bound.standard_error
 
@@ -242,12 +248,16 @@ class CompensatorCheck:
                 f"{effort}, and it has {limits}",
                 cure="needed wider limits, or a smaller disturbance",
             )
-        windup = "at a limit the internal model follows u (back-calculation), and decays"
+        return "; ".join(filter(None, (limits, effort, self._windup))), values
+
+    @property
+    def _windup(self) -> str:
+        """What becomes of the internal model where u is at a limit."""
         if not self.kind.internal_model:
-            windup = "there is nothing to wind up"
-        elif not options.anti_windup:
-            windup = "anti_windup = false: at a limit the internal model winds up"
-        return "; ".join(part for part in (limits, effort, windup) if part), values
+            return "there is nothing to wind up"
+        if not self.kind.anti_windup:
+            return "anti_windup = false: at a limit the internal model winds up"
+        return "at a limit the internal model follows u (back-calculation), and decays"
 
     def _needed_input(self) -> Matrix | None:
         """Return the course of u that rejects the disturbance; None: it is not known."""
