@@ -122,6 +122,9 @@ class Graph:
             loop = frozenset(member.name for member in stage.members)
             for member in stage.members:
                 extrapolated = stage.extrapolated.get(member.name, frozenset())
+                if coupling != "jacobi":
+                    # what a delayed input has at the end of a step is known before it is used
+                    extrapolated -= frozenset(member.channel.interface.delayed)
                 self.held[member.name] = self._variabilities.held(
                     member.channel, extrapolated, loop
                 )
