@@ -2,8 +2,9 @@
 
 A fit for white noise that leaves what noise leaves, of components far above it, is taken as it is.
 Else another one follows from a search, and the better of the two counts; of it the color of the
-noise is estimated, and components that are no larger than noise are left out. Where noise alone may
-have decided which of two optima is the better one, both are assessed so.
+noise is estimated, and components that are no larger than noise are left out. Where a search leaves
+more than noise does, starts are spread over the box. Of several terms other optima are looked for
+in a few samples; where noise alone may have decided which of two is the better one, both are told.
 """
 
 from __future__ import annotations
