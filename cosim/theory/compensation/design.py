@@ -503,10 +503,10 @@ def certify_compensator(gains: CompensatorGains, system: ControlledPlant) -> Cer
     cure = "needed another decay_rate or state feedback"
     if len(gains.box.lower):
         factor = _largest_factor(gains, system)
-        largest = gains.box.scaled(factor).text if factor > 0.0 else "none about its center"
+        largest = gains.box.scaled(factor).text if factor > 0.0 else "none"
         cure = (
-            f"the largest interval that would do: {largest}; or another decay_rate or state "
-            "feedback"
+            f"the largest interval about the same center that would do: {largest}; or one about "
+            "the theta that is expected, another decay_rate or state feedback"
         )
     raise AssumptionError(
         f"{problem} (NOT_STABLE_IN_THE_INTERVAL)", "NOT_STABLE_IN_THE_INTERVAL", cure
