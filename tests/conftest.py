@@ -41,7 +41,7 @@ OF_ONE_WORKER = frozenset(
         "tests/scenario/test_swap.py",
         "tests/scenario/test_swap_matrix.py",
         "tests/scenario/test_swapping.py",
-        "tests/theory/test_validation.py",
+        "tests/theory/assessment/test_validation.py",
     }
 )
 

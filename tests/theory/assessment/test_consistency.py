@@ -18,10 +18,10 @@ from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.estimators.output_error import fit_output_error
 from cosim.theory.fitted_response import fitted_response
 from cosim.theory.forced_response import forced_outputs
+from tests.theory.assessment.test_verdicts import COARSE, solved
 from tests.theory.experiments import FAMILIES, design, exact, times
 from tests.theory.experiments import record as example_record
 from tests.theory.lag import FAMILY, RATE, alpha, lag, record, staircase, states
-from tests.theory.test_verdicts import COARSE, solved
 
 START = np.array([-0.12])
 GRID = np.arange(2001) * 1e-2
