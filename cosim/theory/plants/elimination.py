@@ -147,21 +147,21 @@ def _algebraic_gain(matrices: PartitionedMatrices, scales: Scales, growth: float
     right = np.hstack([matrices.A[n_a:, :n_a], B_u[n_a:], B_delta[n_a:]])
     solution = np.linalg.solve(A22, right)
     K: Matrix = (0.0 - solution).astype(np.float64)  # not -solution: no negative zeros
-    signed_inverse: Matrix = np.linalg.inv(A22).astype(np.float64)
-    inverse = np.abs(signed_inverse)
+    inverse: Matrix = np.linalg.inv(A22).astype(np.float64)
+    inverse_sizes = np.abs(inverse)
     terms = np.abs(A22) @ np.abs(K) + np.abs(right)
     own = np.concatenate([1.0 / scales.states[:n_a], 1.0 / scales.inputs])
     by_x_b = (1.0 / scales.states[n_a:]) @ np.abs(K)
     per_column = DATA * growth * (own + by_x_b)
     equations = scales.equations[n_a:]
-    error = np.outer(inverse @ equations, per_column)
+    error = np.outer(inverse_sizes @ equations, per_column)
     significant = np.abs(K) > error
-    scaled_inverse = inverse * equations / scales.states[n_a:, np.newaxis]
+    scaled_inverse = inverse_sizes * equations / scales.states[n_a:, np.newaxis]
     largest = float(scaled_inverse.sum(axis=1).max(initial=0.0))
     return _AlgebraicGain(
         K=np.where(significant, K, 0.0),
-        magnitudes=inverse @ terms,
-        inverse=signed_inverse,
+        magnitudes=inverse_sizes @ terms,
+        inverse=inverse,
         error=error,
         equations=equations,
         columns=own,
