@@ -414,8 +414,12 @@ class VerdictMaker:
                 "the residual is what noise leaves, so these data hardly determine theta: bounds, "
                 "fewer terms or a longer record may help"
             )
+        theta = self._fit.theta
+        stopping = [j for j, own in self._bounds.items() if theta[j] in own]
+        bounds = "".join(f"a bound of theta[{j}], " for j in stopping)
         return reason + (
-            "the residual is not what noise leaves: a family, an alpha or the plant may be wrong"
+            f"the residual is not what noise leaves: {bounds}a family, an alpha or the plant may "
+            "be wrong"
         )
 
     def _at_bound(self, j: int) -> str:

@@ -12,7 +12,7 @@ from cosim.theory.assessment.amplitude_verdicts import amplitude_verdicts
 from cosim.theory.assessment.assessing import assess, assess_near
 from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.verdicts import Verdict, judge
-from cosim.theory.disturbances.families import Exponential, Sine
+from cosim.theory.disturbances.families import Exponential, Polynomial, Sine
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 
 TRUE = -0.4
@@ -132,6 +132,27 @@ def test_a_wrong_family_says_what_to_do():
     assert parameter.lower is None
     if parameter.verdict is Verdict.NO_ESTIMATE:
         assert "family" in parameter.reason
+
+
+def test_bounds_that_stop_an_iteration_are_named():
+    """Of a rate of 6 and an exponent of -0.5; the exponential runs towards the constant."""
+    t = np.linspace(0.0, 10.0, 501)
+    y = np.sin(6.0 * t) + np.exp(-0.5 * t) + 1e-3 * np.random.default_rng(1).standard_normal(501)
+    data = DataSet(t, y[:, np.newaxis], np.zeros((501, 0)), np.ones((501, 3)))
+    none = np.zeros((0, 0))
+    still = DisturbedPlant(
+        A=none,
+        B=none,
+        Bd=np.zeros((0, 3)),
+        C=np.zeros((1, 0)),
+        D=np.zeros((1, 0)),
+        Dd=np.ones((1, 3)),
+    )
+    families = (Sine(), Exponential(), Polynomial(0))
+    bounds = {0: (-1.0, 0.0), 1: (0.0, 10.0)}
+    for parameter in assess(OutputErrorProblem([data], still, families, bounds=bounds)).parameters:
+        assert parameter.verdict is Verdict.NO_ESTIMATE
+        assert "a bound of theta[0], a family" in parameter.reason
 
 
 @pytest.mark.parametrize(
