@@ -18,8 +18,8 @@ from cosim.scenario.assumptions.beginning import Beginning
 from cosim.scenario.assumptions.identification import communication_points
 from cosim.scenario.build import Builder
 from cosim.scenario.context import DependsOnInvalid
-from cosim.scenario.experiment_design.subject import covariance_of, noise_of
 from cosim.scenario.kinds.compensators import CompensatorKind
+from cosim.scenario.known_truth import covariance_of, noise_of
 from cosim.theory.compensation.activation import Activation
 from cosim.theory.compensation.design import CompensatorGains
 from cosim.theory.compensation.state_feedback import (

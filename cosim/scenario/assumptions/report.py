@@ -25,12 +25,12 @@ from cosim.scenario.assumptions.regression import RegressorCheck
 from cosim.scenario.build import Builder
 from cosim.scenario.context import DependsOnInvalid
 from cosim.scenario.execution import load
-from cosim.scenario.experiment_design.subject import disturbance_among, parameters_by_term
 from cosim.scenario.kinds.base import Kind
 from cosim.scenario.kinds.compensators import CompensatorKind
 from cosim.scenario.kinds.identification import IdentifierKind
 from cosim.scenario.kinds.observers import UnknownInputObserverKind
 from cosim.scenario.kinds.regressor import RegressorKind
+from cosim.scenario.known_truth import disturbance_among, parameters_by_term
 from cosim.scenario.parsing import Scenario
 from cosim.theory.observers.assumptions import (
     DECOUPLING,
