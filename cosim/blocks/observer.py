@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -57,15 +58,13 @@ def observer_model(
     if design.filter_rate is not None:
         own_states.append(Signal("q", n_y, role="state"))
     outputs = (first, delta, *others, *own_states)
-    states = [name for signal in own_states for name in signal.elements]
+    states = tuple(chain.from_iterable(signal.elements for signal in own_states))
     n = len(states)
     A = system.A
     B = system.B
     C = system.C
     D = system.D
-    model = linear_model(
-        inputs, outputs, states=tuple(states), A=A, B=B, C=C, D=D, X0=X0[:n], Xu=Xu[:n]
-    )
+    model = linear_model(inputs, outputs, states=states, A=A, B=B, C=C, D=D, X0=X0[:n], Xu=Xu[:n])
     return _with_constant_state(model) if constant else model
 
 
