@@ -97,22 +97,20 @@ def assess(problem: OutputErrorProblem, start: Vector | None = None) -> Assessme
         return _beside_rival(near)
     searched = _searched_like(problem, start)
     if near is None:
-        return _assessed(searched)
+        return _beside_rival(searched)
     best, other = _by_residual(near, searched)
-    excess = _excess(best.fitted, other.fitted)
-    if excess <= SAME_OPTIMUM:
-        return _beside_rival(best)
-    assessment = _assessed(best)
-    return _beside(assessment, _assessed(other)) if _is_rival(excess, problem) else assessment
+    if _is_rival(_excess(best.fitted, other.fitted), problem):
+        return _beside(_assessed(best), _assessed(other))
+    return _beside_rival(best)
 
 
 def _beside_rival(examined: _Examined) -> Assessment:
     """Assess a fit beside another optimum that explains the data as well, where there is one.
 
-    It is looked for where several terms may exchange their parts.
+    It is looked for where several terms may exchange their parts, or the functions of one.
     """
     assessment = _assessed(examined)
-    if not examined.fitted.problem.has_several or not assessment.is_settled:
+    if not examined.fitted.problem.may_have_rivals or not assessment.is_settled:
         return assessment
     other = _rival(examined.fitted)
     return assessment if other is None else _beside(assessment, _assessed(other))

@@ -102,6 +102,12 @@ class OutputErrorProblem:
         """Whether there are several terms with parameters, which may exchange their parts."""
         return sum(1 for count in self.generators.count if count) > 1
 
+    @property
+    def may_have_rivals(self) -> bool:
+        """Whether parts may be exchanged, of several terms or of the functions of one."""
+        pairs = zip(self.generators.size, self.generators.count, strict=True)
+        return self.has_several or any(V > 1 and count for V, count in pairs)
+
     def in_order(self, theta: Vector) -> Vector:
         """Return the one of all theta of the same model that is reported, shape (P,)."""
         even = even_parameters(self.families)

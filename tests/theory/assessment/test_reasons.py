@@ -12,7 +12,7 @@ from cosim.theory.assessment.amplitude_verdicts import amplitude_verdicts
 from cosim.theory.assessment.assessing import assess, assess_near
 from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.verdicts import Verdict, judge
-from cosim.theory.disturbances.families import Exponential, Polynomial, Sine
+from cosim.theory.disturbances.families import Exponential, Polynomial, Sine, TExponential
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 
 TRUE = -0.4
@@ -132,6 +132,25 @@ def test_a_wrong_family_says_what_to_do():
     assert parameter.lower is None
     if parameter.verdict is Verdict.NO_ESTIMATE:
         assert "family" in parameter.reason
+
+
+@pytest.mark.parametrize("start", [None, np.array([np.nan])])
+def test_two_optima_of_one_term_are_told(start):
+    """A start and a slope under one exponent: (1 + 0.5 t) exp(-0.519 t) is nearly another one.
+
+    Also where the run had no estimate to start from.
+    """
+    t = np.linspace(0.0, 6.0, 301)
+    theta = -0.519
+    slope = 0.5 / (1.0 + theta)
+    level = (1.0 - slope) / (1.0 + theta)
+    x = (level + slope * t) * np.exp(theta * t) - level * np.exp(-t)
+    y = x + 0.05 * np.random.default_rng(2).standard_normal(len(t))
+    data = DataSet(t, y[:, np.newaxis], np.zeros((len(t), 0)), np.ones((len(t), 1)))
+    found = assess(OutputErrorProblem([data], plant(1), (TExponential(),)), start)
+    (parameter,) = found.parameters
+    assert parameter.verdict is Verdict.WEAK
+    assert "theta = -0.06768 explains the data too" in parameter.reason
 
 
 def test_bounds_that_stop_an_iteration_are_named():
