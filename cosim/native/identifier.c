@@ -874,8 +874,7 @@ static int32_t follow(const cosim_identifier *s, const storage *m, estimation *e
 }
 
 /* At how many times the samples of a search the next one is due. */
-static double time_to_search(const cosim_identifier *s, const storage *m, int found,
-                             const candidate *best)
+static double time_to_search(const cosim_identifier *s, int found, const candidate *best)
 {
     if (!found || best->present < s->rayleigh->parameters)
         return LATER;
@@ -913,7 +912,7 @@ static void estimate(const cosim_identifier *s, const storage *m)
         }
         /* before mu counts there may be too few samples to tell minima apart */
         found = found && (best.is_certain || *m->time >= s->start);
-        *m->next_search = ceil(time_to_search(s, m, found, &best) * *m->count);
+        *m->next_search = ceil(time_to_search(s, found, &best) * *m->count);
         *m->searched = *m->count;
         *m->variance = found ? e.fit.variance : INFINITY;
         *m->freedom = found ? e.fit.freedom : 1.0;

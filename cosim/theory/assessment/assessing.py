@@ -266,6 +266,7 @@ def _assessed(white: _Examined) -> Assessment:
         examined = _colored(white)
     missing = _missing(examined)
     left_out = _absent(examined)
+    with_all = examined.fitted.fit.standard_error
     if left_out:
         smaller = _without(left_out, examined)
         if smaller.fitted.fit.converged and smaller.consistency.passed:
@@ -278,6 +279,7 @@ def _assessed(white: _Examined) -> Assessment:
         missing=missing,
         standing=standing_outputs(white.fitted.problem.data),
         left_out=left_out,
+        with_all=with_all,
     )
     return maker.assessment()
 

@@ -52,6 +52,9 @@ from cosim.theory.quantiles import CONFIDENCE, normal_two_sided
 LEAST_PROFILE: Final = 0.7
 LEAST_RATIO: Final = 1e-12  # of squares that do not grow, so that it has a logarithm
 LARGEST_PROFILE: Final = 1.4
+# Standard error with the terms that were left out over that without: beyond it the data do not say
+# that these are absent, but only that they may be.
+RESTS_ON_ABSENCE: Final = 2.0
 NOT_LARGER: Final = (
     "its component is not larger than the largest that noise alone fits: a larger disturbance or "
     "less noise would show it"
@@ -293,6 +296,8 @@ class VerdictMaker:
     standing : sequence of StandingOutput
     left_out : sequence of int
         Components that the fit has not, as they are no larger than noise.
+    with_all : Vector, shape (P,)
+        Standard errors of the fit that has all components; NaN where there is none.
     """
 
     def __init__(
@@ -303,6 +308,7 @@ class VerdictMaker:
         missing: Mapping[int, str],
         standing: Sequence[StandingOutput],
         left_out: Sequence[int],
+        with_all: Vector,
     ) -> None:
         self._fitted = fitted
         self._fit = fitted.fit
@@ -314,6 +320,7 @@ class VerdictMaker:
         self._missing = missing
         self._standing = standing
         self._left_out = left_out
+        self._with_all = with_all
 
     def assessment(self) -> Assessment:
         """Return the fit with its intervals and verdicts."""
@@ -399,11 +406,20 @@ class VerdictMaker:
                 f"its effect is not linear over its interval (the sum of squares grows "
                 f"{ratio:.2g} times as much as it should); {self._weak_direction()}"
             )
+        times = float(self._with_all[j] / self._fit.standard_error[j])
+        if self._left_out and times > RESTS_ON_ABSENCE:
+            return Verdict.WEAK, (
+                f"it rests on the absence of {self._names_left_out()}, which these data do not "
+                f"tell: with it the standard error is {times:.2g} times as large; leave it out if "
+                f"it is not there"
+            )
         return Verdict.IDENTIFIABLE, self._not_contradicted()
 
+    def _names_left_out(self) -> str:
+        return " and ".join(f"terms[{i}]" for i in self._left_out)
+
     def _not_contradicted(self) -> str:
-        names = " and ".join(f"terms[{i}]" for i in self._left_out)
-        model = f"the model without {names}" if names else "the model"
+        model = f"the model without {self._names_left_out()}" if self._left_out else "the model"
         return f"no test contradicts {model}; if it is right, the 95 % interval holds"
 
     def _not_converged(self) -> str:

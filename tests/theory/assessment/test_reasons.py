@@ -95,7 +95,7 @@ def test_terms_of_which_one_explains_the_data_are_named(alphas):
     found = assess(OutputErrorProblem([measured(*alphas)], plant(2), ONE * 2))
     assert Verdict.NOT_IDENTIFIABLE in [parameter.verdict for parameter in found.parameters]
     for parameter, other in zip(found.parameters, (1, 0), strict=True):
-        if parameter.verdict is Verdict.IDENTIFIABLE:
+        if parameter.verdict.has_value:
             assert parameter.lower <= TRUE <= parameter.upper
             continue
         assert f"without terms[{other}] " in parameter.reason
