@@ -7,6 +7,7 @@ whose combination by K(D) is the signal a delay ago.
 import math
 from dataclasses import dataclass, replace
 
+import numpy as np
 from hypothesis import strategies as st
 
 from cosim.theory.disturbances.families import (
@@ -18,6 +19,15 @@ from cosim.theory.disturbances.families import (
     TExponential,
 )
 from cosim.theory.disturbances.linear_family import LinearFamily
+
+T = np.arange(1001) * 0.02
+# of the terms of a mixture
+ALPHAS = (
+    1.0 + 0.8 * np.sin(1.7 * T),
+    1.0 + 0.8 * np.cos(2.3 * T),
+    1.0 + 0.8 * np.sin(0.9 * T),
+    1.0 + 0.8 * np.cos(3.1 * T),
+)
 
 # x'' = -stiffness x - damping x', seen by x
 OSCILLATOR = LinearFamily(

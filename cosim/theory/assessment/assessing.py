@@ -121,7 +121,7 @@ def _rival(own: FittedModel) -> _Examined | None:
 
     What is far worse in a few samples is so in all of them, so that few are fitted to all.
     """
-    thinned = own.problem.thinned()
+    thinned = own.problem.thinned
     white = own.noise.without_color()
     try:
         optima = thinned.search_optima(own.fit.theta, white)
@@ -235,7 +235,7 @@ def _searched(problem: OutputErrorProblem) -> _Examined:
     is_explained = found.fitted.fit.converged and not found.consistency.is_structured
     if is_explained or not problem.has_several:
         return found
-    thinned = problem.thinned()
+    thinned = problem.thinned
     optima = thinned.spread_optima(noise)
     if not optima:
         return found

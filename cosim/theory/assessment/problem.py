@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final
@@ -10,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from cosim.arrays import Matrix, Vector
-from cosim.errors import AssumptionError, quoted
+from cosim.errors import AssumptionError, StartError, quoted
 from cosim.native.output_error import Generators
 from cosim.theory.covariance import is_covariance
 from cosim.theory.disturbances.families import Family, even_parameters, generators
@@ -22,7 +23,7 @@ from cosim.theory.disturbed_plant import (
     needs_predictor,
     white_noise,
 )
-from cosim.theory.estimators.other_optima import search_optima, spread_optima
+from cosim.theory.estimators.other_optima import spread_starts, starts_beside
 from cosim.theory.estimators.output_error import (
     OutputErrorFit,
     bound_vectors,
@@ -161,15 +162,17 @@ class OutputErrorProblem:
         AssumptionError
             As :func:`cosim.theory.estimators.output_error.fit_output_error`.
         """
-        return search_optima(
+        white = noise.without_color()
+        starts = starts_beside(
             self.data,
             self.plant,
             self.families,
             known,
-            noise=noise.without_color(),
+            noise=white,
             offset=self.offset,
             bounds=self.bounds,
         )
+        return self._optima(starts, white)
 
     def spread_optima(self, noise: NoiseModel) -> list[OutputErrorFit]:
         """Return the optima that spread starts lead to, as if the noise were white, the best first.
@@ -179,17 +182,21 @@ class OutputErrorProblem:
         AssumptionError
             As :func:`cosim.theory.estimators.output_error.fit_output_error`.
         """
-        return spread_optima(
-            self.data,
-            self.plant,
-            self.families,
-            noise=noise.without_color(),
-            offset=self.offset,
-            bounds=self.bounds,
-        )
+        starts = spread_starts(self.data, self.plant, self.families, bounds=self.bounds)
+        return self._optima(starts, noise.without_color())
 
+    def _optima(self, starts: Sequence[Vector], noise: NoiseModel) -> list[OutputErrorFit]:
+        """Return the fits from starts that have converged, the best first."""
+        fits = []
+        for start in starts:
+            with suppress(StartError):
+                fits.append(self.fit(start, noise))
+        converged = [fit for fit in fits if fit.converged]
+        return sorted(converged, key=lambda fit: fit.deviation)
+
+    @cached_property
     def thinned(self) -> OutputErrorProblem:
-        """Return the problem of every so many samples, in which other optima are searched.
+        """The problem of every so many samples, in which other optima are searched.
 
         The response to u is taken off before, as u may change between these samples.
         """

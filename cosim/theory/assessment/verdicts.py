@@ -406,8 +406,9 @@ class VerdictMaker:
                 f"its effect is not linear over its interval (the sum of squares grows "
                 f"{ratio:.2g} times as much as it should); {self._weak_direction()}"
             )
-        times = float(self._with_all[j] / self._fit.standard_error[j])
-        if self._left_out and times > RESTS_ON_ABSENCE:
+        own_error = float(self._fit.standard_error[j])
+        if self._with_all[j] > RESTS_ON_ABSENCE * own_error:
+            times = self._with_all[j] / own_error
             return Verdict.WEAK, (
                 f"it rests on the absence of {self._names_left_out()}, which these data do not "
                 f"tell: with it the standard error is {times:.2g} times as large; leave it out if "

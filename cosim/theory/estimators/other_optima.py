@@ -1,4 +1,4 @@
-"""Optima of output error other than one that is known, and those that a grid misses.
+"""Starts that lead to optima of output error other than a known one, or that a grid misses.
 
 The sum of squares has several minima: a term may take the part of another one, or of noise. A
 coarse grid leads to some. Others are found **beside** a known optimum: all terms but one stay where
@@ -10,23 +10,18 @@ two that come close together stay so, with amplitudes that cancel.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
-from functools import partial
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
-from cosim.errors import StartError
 from cosim.native.output_error import Generators
 from cosim.theory.disturbances.families import Family, SearchBox, generators
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel
 from cosim.theory.estimators.output_error import (
     NO_BOUNDS,
-    OutputErrorFit,
-    fit_output_error,
     longest_span,
     response_records,
 )
@@ -50,7 +45,7 @@ ROOT_STEPS: Final = 40  # of a fixed-point iteration whose error is divided by 3
 DEPENDENT: Final = 1e-6  # part of a column that others leave, relative to it: it is rounding
 
 
-def search_optima(
+def starts_beside(
     data: Sequence[DataSet],
     plant: DisturbedPlant,
     families: Sequence[Family],
@@ -59,13 +54,14 @@ def search_optima(
     noise: NoiseModel,
     offset: bool = False,
     bounds: Mapping[int, tuple[float, float]] = NO_BOUNDS,
-) -> list[OutputErrorFit]:
-    """Return the optima that a coarse grid leads to, and those beside a known one, the best first.
+) -> list[Vector]:
+    """Return the best points of a coarse grid, and minima beside a known optimum, each (P,).
 
     Parameters
     ----------
     data, plant, families, noise, offset, bounds
-        As for :func:`fit_output_error`; the noise without an autoregressive model.
+        As for :func:`cosim.theory.estimators.output_error.fit_output_error`; the noise without an
+        autoregressive model.
     known : Vector, shape (P,)
         Theta of the optimum.
     """
@@ -81,37 +77,26 @@ def search_optima(
         alike=interchangeable_terms(data, plant, matrices, bounds),
         beside=[known],
     )
-    starts = [*on_grid.search(STARTS_OF_GRID), *_starts_beside(on_grid, matrices, known)]
-    fit = partial(
-        fit_output_error, data, plant, families, noise=noise, offset=offset, bounds=bounds
-    )
-    return _converged(starts, fit)
+    return [*on_grid.search(STARTS_OF_GRID), *_minima_beside(on_grid, matrices, known)]
 
 
-def spread_optima(
+def spread_starts(
     data: Sequence[DataSet],
     plant: DisturbedPlant,
     families: Sequence[Family],
     *,
-    noise: NoiseModel,
-    offset: bool = False,
     bounds: Mapping[int, tuple[float, float]] = NO_BOUNDS,
-) -> list[OutputErrorFit]:
-    """Return the optima that starts spread over the box lead to, the best first.
+) -> list[Vector]:
+    """Return starts that fill the box evenly, each part of it for one of interchangeable terms.
 
     Parameters
     ----------
-    data, plant, families, noise, offset, bounds
-        As for :func:`search_optima`.
+    data, plant, families, bounds
+        As for :func:`starts_beside`.
     """
     matrices = generators(families)
-    box = _box(data, families, bounds)
     alike = interchangeable_terms(data, plant, matrices, bounds)
-    starts = _spread_starts(box, matrices, alike)
-    fit = partial(
-        fit_output_error, data, plant, families, noise=noise, offset=offset, bounds=bounds
-    )
-    return _converged(starts, fit)
+    return _spread_over(_box(data, families, bounds), matrices, alike)
 
 
 def _box(
@@ -121,20 +106,8 @@ def _box(
     return box_of_search(families, span=longest_span(data), spacing=spacing, bounds=bounds)
 
 
-def _converged(
-    starts: Iterable[Vector], fit: Callable[[Vector], OutputErrorFit]
-) -> list[OutputErrorFit]:
-    """Return the fits from starts that have converged, the best first."""
-    fits = []
-    for start in starts:
-        with suppress(StartError):
-            fits.append(fit(start))
-    converged = [fitted for fitted in fits if fitted.converged]
-    return sorted(converged, key=lambda fitted: fitted.deviation)
-
-
-def _spread_starts(box: SearchBox, matrices: Generators, alike: Sequence[int]) -> list[Vector]:
-    """Return starts that fill the box evenly, each part of it for one of interchangeable terms.
+def _spread_over(box: SearchBox, matrices: Generators, alike: Sequence[int]) -> list[Vector]:
+    """Return starts that fill the box evenly.
 
     The sequence is that of M. Roberts (2018): multiples of the powers of the root of
     ``x^(P+1) = x + 1``.
@@ -158,7 +131,7 @@ def _spread_starts(box: SearchBox, matrices: Generators, alike: Sequence[int]) -
     return list(starts)
 
 
-def _starts_beside(on_grid: RecordsOnGrid, matrices: Generators, known: Vector) -> Iterator[Vector]:
+def _minima_beside(on_grid: RecordsOnGrid, matrices: Generators, known: Vector) -> Iterator[Vector]:
     """Yield the known theta with the part of one term at other minima of the squares along it.
 
     The known part is the last point of each term, so that all others explain what they can.

@@ -25,15 +25,8 @@ from cosim.theory.disturbances.families import (
 from cosim.theory.disturbed_plant import DataSet, disturbed_plant
 from cosim.theory.plants.descriptor import reduce
 from tests.theory.academic import academic
-from tests.theory.closed_forms import ClosedForm
+from tests.theory.closed_forms import ALPHAS, ClosedForm, T
 
-T = np.arange(1001) * 0.02
-ALPHAS = (
-    1.0 + 0.8 * np.sin(1.7 * T),
-    1.0 + 0.8 * np.cos(2.3 * T),
-    1.0 + 0.8 * np.sin(0.9 * T),
-    1.0 + 0.8 * np.cos(3.1 * T),
-)
 DIFFERENCE = 1e-3
 # of all seeds: how often another optimum is told that explains y as well
 MOST_AMBIGUOUS = 0.05

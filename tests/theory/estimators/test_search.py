@@ -22,14 +22,7 @@ from cosim.theory.disturbed_plant import (
 from cosim.theory.estimators.start_grid import axis_points
 from cosim.theory.plants.descriptor import reduce
 from tests.theory.academic import academic
-
-T = np.arange(1001) * 0.02
-ALPHAS = (
-    1.0 + 0.8 * np.sin(1.7 * T),
-    1.0 + 0.8 * np.cos(2.3 * T),
-    1.0 + 0.8 * np.sin(0.9 * T),
-    1.0 + 0.8 * np.cos(3.1 * T),
-)
+from tests.theory.closed_forms import ALPHAS, T
 
 
 def problem(families, parts, alphas, *, sigma=1e-4, seed=1):
@@ -122,7 +115,7 @@ def test_few_samples_say_the_same_whatever_u_is_between_them():
     y = lsim(system, inputs, t, X0=[1.0, -1.0])[1]
     noise = 1e-3 * rng.standard_normal(len(t))
     data = DataSet(t, (y + noise)[:, np.newaxis], u, alpha)
-    thinned = OutputErrorProblem([data], plant, [Exponential()]).thinned()
+    thinned = OutputErrorProblem([data], plant, [Exponential()]).thinned
     assert len(thinned.data[0].t) == 1001
     fit = thinned.fit(np.array([-0.3]), white_noise(1))
     # of 1 000 values the deviation is known to 1 / sqrt(2 000) = 2.2 %
