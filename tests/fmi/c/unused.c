@@ -1,11 +1,11 @@
-/* Functions that FMI 2 and FMI 3 (-DFMI=2, 3) require, and starting.c has no use for: errors. Without
- * the headers, as only their names matter. */
+/* Functions that FMI 2 and FMI 3 (-DFMI=2, 3) require, and other sources have no use for: errors, but
+ * for what masters ask when they load an FMU. Without the headers, as only their names matter. */
 #if FMI == 2
 #define UNUSED(name) \
     int fmi2##name(void) { return 3; }
-UNUSED(GetTypesPlatform)
-UNUSED(GetVersion)
-UNUSED(SetDebugLogging)
+const char *fmi2GetTypesPlatform(void) { return "default"; }
+const char *fmi2GetVersion(void) { return "2.0"; }
+int fmi2SetDebugLogging(void) { return 0; }
 UNUSED(GetInteger)
 UNUSED(SetInteger)
 UNUSED(GetBoolean)
@@ -30,8 +30,8 @@ UNUSED(GetStringStatus)
 #else
 #define UNUSED(name) \
     int fmi3##name(void) { return 3; }
-UNUSED(GetVersion)
-UNUSED(SetDebugLogging)
+const char *fmi3GetVersion(void) { return "3.0"; }
+int fmi3SetDebugLogging(void) { return 0; }
 UNUSED(InstantiateScheduledExecution)
 UNUSED(GetFloat32)
 UNUSED(GetInt8)

@@ -1,0 +1,193 @@
+"""What a communication step costs: cosim, other masters, and a C program of the same arithmetic.
+
+Run with ``python tests/bench/bench_masters.py``; ``--help`` shows how to make it shorter. Every
+process runs one system for one number of steps; the time of a step is the slope between two
+numbers, so that start-up drops out. It is the processor time of all threads. Each contender is
+measured beside the C program, both in shuffled order: the ratio is the median of those of the
+pairs. All contenders keep all inputs and outputs in memory unless their driver says otherwise; the
+error is the largest distance of the outputs from the closed form in the first 20 s.
+"""
+
+from __future__ import annotations
+
+import argparse
+import random
+import statistics
+import sys
+import tempfile
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[2]))
+
+from rich.console import Console
+from rich.table import Table
+
+from tests.bench.masters.cases import CONTENDERS, FLOOR, Case, FmuCase
+from tests.bench.masters.environments import Unavailable, run
+from tests.bench.masters.systems import chain, ring
+
+STEPS = 500_000  # of the longer run
+SHORTER = 5  # times shorter is the other run
+SECONDS = 3.0  # that the longer run of a slow master takes, about
+CALIBRATION = 1000  # steps
+FEWEST = 2 * CALIBRATION  # steps of the longer run
+ROUNDS = 9
+PEER_ROUNDS = 5
+SEED = 1
+WIDTH = 120  # of the table where there is no terminal
+
+
+@dataclass
+class Pairing:
+    """A contender in a case, and what was measured of it so far."""
+
+    case: Case
+    contender: str
+    steps: int = STEPS
+    times: list[float] = field(default_factory=list)  # of a step [s]
+    floors: list[float] = field(default_factory=list)  # of the C program beside it [s]
+    error: float = 0.0
+    reason: str = ""  # why it was not measured
+
+    def calibrate(self, most: int, seconds: float) -> None:
+        """Choose the number of steps; find out whether the contender can run the case at all."""
+        try:
+            short = run(self.case.command(self.contender, CALIBRATION)).seconds
+            long = run(self.case.command(self.contender, FEWEST)).seconds
+        except Unavailable as error:
+            self.reason = str(error)
+            return
+        step = max(long - short, 0.1 * long) / (FEWEST - CALIBRATION)
+        self.steps = min(most, max(FEWEST, int(seconds / max(step, 1e-9))))
+
+    def measure(self, steps: int) -> None:
+        """Measure the contender and the C program, which gets ``steps``, side by side."""
+        sides = [(self.contender, self.steps), (FLOOR, steps)]
+        random.shuffle(sides)
+        slopes = {}
+        try:
+            for contender, most in sides:
+                slopes[contender] = self._slope(contender, most)
+        except Unavailable as error:
+            self.reason = str(error)
+            return
+        self.times.append(slopes[self.contender])
+        self.floors.append(slopes[FLOOR])
+
+    def _slope(self, contender: str, most: int) -> float:
+        least = most // SHORTER
+        lengths = [least, most]
+        random.shuffle(lengths)
+        seconds = {}
+        for steps in lengths:
+            result = run(self.case.command(contender, steps))
+            seconds[steps] = result.seconds
+            if steps == most and contender == self.contender:
+                self.error = self.case.error(result)
+        return (seconds[most] - seconds[least]) / (most - least)
+
+    @property
+    def ratio(self) -> float:
+        """The median of the ratios of the pairs."""
+        return statistics.median(
+            time / floor for time, floor in zip(self.times, self.floors, strict=True)
+        )
+
+
+def cases() -> list[Case]:
+    """Return all cases."""
+    every: list[Case] = []
+    for system in (ring(3), chain(20)):
+        every += [
+            FmuCase(system, "2", "cs"),
+            FmuCase(system, "3", "cs"),
+            FmuCase(system, "2", "rk4"),
+            FmuCase(system, "2", "RK45"),
+        ]
+    return every
+
+
+def table(pairings: Iterable[Pairing]) -> Table:
+    """Return the result."""
+    shown = Table("case", "contender", title="time of a communication step")
+    for heading in ("us a step", "C, us", "ratio to C", "error", "steps"):
+        shown.add_column(heading, justify="right")
+    last = ""
+    for pairing in pairings:
+        name = pairing.case.name
+        if name != last:
+            shown.add_section()
+        cells = ["-"] * 5
+        if pairing.times and not pairing.reason:
+            cells = [
+                f"{1e6 * statistics.median(pairing.times):.3f}",
+                f"{1e6 * statistics.median(pairing.floors):.3f}",
+                f"{pairing.ratio:.2f}",
+                f"{pairing.error:.1e}",
+                str(pairing.steps),
+            ]
+        shown.add_row("" if name == last else name, pairing.contender, *cells)
+        last = name
+    return shown
+
+
+def arguments() -> argparse.Namespace:
+    """Return the options."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--steps", type=int, default=STEPS, help="of the longer of two runs")
+    parser.add_argument("--rounds", type=int, default=ROUNDS, help="pairs of cosim and C")
+    parser.add_argument("--peer-rounds", type=int, default=None, help="pairs of others and C")
+    parser.add_argument("--seconds", type=float, default=SECONDS, help="of a slow master's run")
+    parser.add_argument("--seed", type=int, default=SEED)
+    parser.add_argument("--peers", default=",".join(CONTENDERS), help="contenders, with commas")
+    parser.add_argument("--cases", default="", help="parts of names of cases, with commas")
+    return parser.parse_args()
+
+
+def pairings_of(selected: Iterable[Case], contenders: list[str]) -> list[Pairing]:
+    """Return what is to be measured, in the order of the table."""
+    pairings = []
+    for case in selected:
+        for contender in case.contenders:
+            if contender in contenders:
+                pairings.append(Pairing(case, contender))
+    return pairings
+
+
+def main() -> None:
+    """Measure, and print the table."""
+    options = arguments()
+    peer_rounds = options.peer_rounds or min(PEER_ROUNDS, options.rounds)
+    random.seed(options.seed)
+    parts = options.cases.split(",")
+    selected = [case for case in cases() if any(part in case.name for part in parts)]
+    console = Console(stderr=True)
+    with tempfile.TemporaryDirectory() as folder:
+        for case in selected:
+            case.build(Path(folder))
+        pairings = pairings_of(selected, options.peers.split(","))
+        for pairing in pairings:
+            console.print(f"calibrating {pairing.case.name}: {pairing.contender}", style="dim")
+            pairing.calibrate(options.steps, options.seconds)
+        for number in range(options.rounds):
+            taking_part = []
+            for pairing in pairings:
+                if number < peer_rounds or pairing.contender == "cosim":
+                    taking_part.append(pairing)
+            random.shuffle(taking_part)
+            console.print(f"round {number + 1} of {options.rounds}", style="dim")
+            for pairing in taking_part:
+                if not pairing.reason:
+                    pairing.measure(options.steps)
+    shown = Console(width=None if sys.stdout.isatty() else WIDTH)
+    shown.print(table(pairings))
+    for pairing in pairings:
+        if pairing.reason:
+            line = f"{pairing.case.name}: {pairing.contender}: {pairing.reason}"
+            shown.print(line, markup=False, highlight=False)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,56 @@
+"""The systems that the masters run: lags in a ring and in a chain, and their closed form."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import expm
+
+from cosim.arrays import Matrix
+
+STEP_NS = 1_000_000  # communication step [ns]
+
+
+@dataclass(frozen=True)
+class Lag:
+    """A lag ``y' = gain u + bias - y`` from y = 0; ``source`` is the number of the lag behind u."""
+
+    gain: float
+    bias: float
+    source: int | None
+
+
+@dataclass(frozen=True)
+class System:
+    """Lags by their numbers, in the order in which they are stepped."""
+
+    name: str
+    lags: tuple[Lag, ...]
+
+    def exact(self, t: float) -> Matrix:
+        """Return the outputs at ``t`` [s] in closed form, shape (n,)."""
+        n = len(self.lags)
+        augmented = np.zeros((n + 1, n + 1))
+        for i, lag in enumerate(self.lags):
+            augmented[i, i] = -1.0
+            augmented[i, n] = lag.bias
+            if lag.source is not None:
+                augmented[i, lag.source] = lag.gain
+        return expm(augmented * t)[:n, n]
+
+
+def ring(count: int) -> System:
+    """Return lags in a ring that oscillate and decay slowly: the first one gets a step."""
+    lags = []
+    for i in range(count):
+        lags.append(Lag(gain=-1.9, bias=0.0 if i else 1.0, source=(i - 1) % count))
+    return System(f"ring-{count}", tuple(lags))
+
+
+def chain(count: int) -> System:
+    """Return lags in a chain: the first one gets a step."""
+    lags = [Lag(gain=1.0, bias=1.0, source=None)]
+    for i in range(1, count):
+        lags.append(Lag(gain=1.0, bias=0.0, source=i - 1))
+    return System(f"chain-{count}", tuple(lags))

@@ -1,0 +1,61 @@
+"""The benchmark of masters compares like with like: the C program computes what cosim computes."""
+
+import shutil
+import sys
+
+import numpy as np
+import pytest
+
+from tests.bench.masters.cases import FLOOR, FmuCase
+from tests.bench.masters.environments import Command, Unavailable, run
+from tests.bench.masters.systems import STEP_NS, chain, ring
+
+STEPS = 200
+STEP = STEP_NS / 1e9
+
+pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
+
+
+@pytest.mark.parametrize(
+    ("system", "version", "method"),
+    [
+        (ring(3), "2", "cs"),
+        (ring(3), "3", "cs"),
+        (ring(3), "2", "rk4"),
+        (ring(3), "2", "RK45"),
+        (chain(3), "3", "rk4"),
+    ],
+)
+def test_the_c_program_and_cosim_agree_to_the_last_bit(system, version, method, tmp_path):
+    """So both make the same calls with the same numbers, and the ratio of their times says it."""
+    case = FmuCase(system, version, method)
+    case.build(tmp_path)
+    floor = run(case.command(FLOOR, STEPS))
+    ours = run(case.command("cosim", STEPS))
+    assert floor.samples == ours.samples
+    ((step, _),) = floor.samples
+    assert step == STEPS
+    # An input that is extrapolated over a step of h is wrong by h |y'| / 2 in the mean, where |y'|
+    # is at most 1; a lag integrates 1.9 times that. All other errors are of second order.
+    assert case.error(floor) < 1.9 * STEP / 2 * STEPS * STEP
+
+
+def test_the_closed_form_solves_the_equations():
+    """The derivative of the closed form is what the lags say, to the rounding of differences."""
+    for system in (ring(3), chain(20)):
+        t = 0.7
+        distance = 1e-4
+        y = system.exact(t)
+        slopes = (system.exact(t + distance) - system.exact(t - distance)) / (2.0 * distance)
+        for i, lag in enumerate(system.lags):
+            u = 0.0 if lag.source is None else y[lag.source]
+            # Third derivatives are below 10, so that the differences err by 10 distance**2 / 6.
+            assert slopes[i] == pytest.approx(lag.gain * u + lag.bias - y[i], abs=2e-8)
+        assert not np.any(system.exact(0.0))
+
+
+def test_a_master_that_fails_is_reported_with_its_last_line():
+    """One line with the reason, as the table has it."""
+    program = "import sys; sys.exit('a trace\\nnot today')"
+    with pytest.raises(Unavailable, match=r"^not today$"):
+        run(Command((sys.executable, "-c", program)))
