@@ -64,7 +64,9 @@ class LateSamples:
         self._samples = columns[SAMPLES]
         self._times = columns[SAMPLE_TIMES]
         inputs = tuple(_single_sample(signal) for signal in component.interface.inputs)
-        self.interface: Interface = replace(component.interface, inputs=inputs, prepares=True)
+        self.interface: Interface = replace(
+            component.interface, inputs=inputs, prepares=True, native=False
+        )
         self._own = self.interface.input_columns()
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:

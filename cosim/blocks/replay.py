@@ -50,7 +50,7 @@ class Replay:
         if inputs:
             signals = tuple(_shown(recording, component, signal) for signal in recorded.inputs)
             shown = replace(recorded, inputs=signals)
-        self.interface = replace(shown, prepares=True, rollback=False)
+        self.interface = replace(shown, prepares=True, rollback=False, native=False)
         blocks = [rows[:, recorded.n_u :] for _, rows in recording.blocks(component)]
         self._rows = blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
         self._time = time_ns / 1e9

@@ -21,6 +21,7 @@ from cosim.arrays import Mask, Matrix, Nanoseconds, Vector
 from cosim.core.port import Port
 from cosim.core.signals import Channel, Interface, Layout
 from cosim.errors import LogError, RunError
+from cosim.native.step import NativeStep
 
 Design: TypeAlias = Mapping[str, NDArray[np.float64]]
 MessageLevel: TypeAlias = Literal["debug", "info", "warning", "error", "fatal"]
@@ -126,6 +127,20 @@ class Rollback(Protocol[State]):
 
     def restore(self, state: State) -> None:
         """Go back to a saved state."""
+        ...
+
+
+class Native(Protocol):
+    """For components that may have a compiled step; their interface declares ``native``."""
+
+    def native(self) -> NativeStep | None:
+        """Return the compiled step of the component as it is now initialized; None: it has none.
+
+        The step and the methods of the component share one state, and give the same bits: each may
+        go on where the other ended. A status other than 0 means that the step was not taken, and
+        that ``advance`` (or ``outputs``) is to take it, or to go on from where the compiled step
+        left it; whatever is rare or fails is done there.
+        """
         ...
 
 

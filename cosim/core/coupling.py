@@ -12,16 +12,21 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Literal, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
 from cosim.core.contracts import Block, Stopped
-from cosim.core.member import Member, NonFinite, read_only
+from cosim.core.member import Member, NonFinite, first_non_finite, read_only
 from cosim.core.order import OperationKind
 from cosim.errors import RunError
+
+ProgramOperation: TypeAlias = tuple[
+    Literal["keep", "gather", "advance", "refresh", "trace", "check"], tuple[Member, ...]
+]
+StageProgram: TypeAlias = tuple[ProgramOperation, ...]
 
 
 class Cut(Exception):
@@ -41,8 +46,22 @@ class Cut(Exception):
         self.error = error
 
 
-class Stage(Protocol):
-    """Advances its components over a block."""
+class Advancing(Protocol):
+    """Advances components over a block."""
+
+    def advance(self, block: Block, signals: Matrix) -> None:
+        """Fill rows 1 to K of their columns.
+
+        Raises
+        ------
+        Cut
+            With the number of rows that are filled; also before the first value that is not finite.
+        """
+        ...
+
+
+class Stage(Advancing, Protocol):
+    """The components that belong together: one outside every loop, or those of a loop."""
 
     @property
     def members(self) -> tuple[Member, ...]:
@@ -69,14 +88,14 @@ class Stage(Protocol):
         """The components and the order of their operations, for the log."""
         ...
 
-    def advance(self, block: Block, signals: Matrix) -> None:
-        """Fill rows 1 to K of its columns.
+    @property
+    def program(self) -> StageProgram:
+        """What ``advance`` does at every step, for compiled code."""
+        ...
 
-        Raises
-        ------
-        Cut
-            With the number of rows that are filled.
-        """
+    @property
+    def is_loop(self) -> bool:
+        """Whether its components advance step by step."""
         ...
 
 
@@ -88,6 +107,7 @@ class Cascade:
     extrapolated: Mapping[str, frozenset[str]] = field(default_factory=dict)
     warnings: tuple[tuple[str, str], ...] = ()
     is_first_order: bool = False
+    is_loop: bool = False
 
     @property
     def members(self) -> tuple[Member, ...]:
@@ -98,6 +118,11 @@ class Cascade:
     def description(self) -> str:
         """The component, for the log."""
         return f"cascade {self.member.name}"
+
+    @property
+    def program(self) -> StageProgram:
+        """Gather the inputs, advance, check the row."""
+        return (("gather", self.members), ("advance", self.members), ("check", self.members))
 
     def advance(self, block: Block, signals: Matrix) -> None:
         """Advance the whole block in one call."""
@@ -111,7 +136,9 @@ class Cascade:
             stop = _stop_of(error, member, block.time)
             if stop.steps:
                 signals[1 : stop.steps + 1, member.outputs] = stop.outputs
+            check_finite(self.members, block.part(0, stop.steps), signals)
             raise Cut(stop.steps, stop) from error
+        check_finite(self.members, block, signals)
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +151,7 @@ class Loop:
     extrapolated: Mapping[str, frozenset[str]]
     broken: int
     warnings: tuple[tuple[str, str], ...]
+    is_loop: bool = True
 
     @property
     def is_first_order(self) -> bool:
@@ -140,8 +168,25 @@ class Loop:
             words.append("(second order)")
         return " ".join(words)
 
+    @property
+    def program(self) -> StageProgram:
+        """What :meth:`_step` does."""
+        program: list[ProgramOperation] = [("keep", self.members)]
+        for kind, member in self.operations:
+            program += [("gather", (member,)), (kind, (member,)), ("trace", (member,))]
+        program += [("gather", self.members), ("check", self.members)]
+        return tuple(program)
+
     def advance(self, block: Block, signals: Matrix) -> None:
         """Advance step by step."""
+        try:
+            self._advance(block, signals)
+        except Cut as cut:
+            check_finite(self.members, block.part(0, cut.steps), signals)
+            raise
+        check_finite(self.members, block, signals)
+
+    def _advance(self, block: Block, signals: Matrix) -> None:
         known = read_only(signals)
         columns = np.concatenate([_numbers(member.columns) for member in self.members])
         for k in range(block.steps):
@@ -177,12 +222,9 @@ class Loop:
         for kind, member in self.operations:
             member.gather(rows, end)
             try:
-                if kind == "advance":
-                    y = member.advance(time, h, known[:, member.inputs])[0]
-                else:
-                    y = member.outputs_at(float(time[1]), known[1, member.inputs])
-            except RunError as error:
-                stopped = _stop_of(error, member, time)
+                y = call(kind, member, time, h, known)
+            except Stopped as stop:
+                stopped = stop
                 if not stopped.steps:
                     return stopped
                 y = stopped.outputs[0]
@@ -192,6 +234,39 @@ class Loop:
         for member in self.members:
             member.gather(rows, end)
         return stopped
+
+
+def call(kind: OperationKind, member: Member, time: Vector, h: float, known: Matrix) -> Vector:
+    """Advance a component over one step, or evaluate its outputs at the end; return these.
+
+    Parameters
+    ----------
+    kind : {"advance", "refresh"}
+    member : Member
+    time : Vector, shape (2,)
+    h : float
+    known : Matrix, shape (2, width)
+        The rows at both ends, which cannot be written to.
+
+    Raises
+    ------
+    Stopped
+        With component and time, and with a row of outputs where the step is complete.
+    """
+    try:
+        if kind == "advance":
+            y: Vector = member.advance(time, h, known[:, member.inputs])[0]
+            return y
+        return member.outputs_at(float(time[1]), known[1, member.inputs])
+    except RunError as error:
+        raise _stop_of(error, member, time) from error
+
+
+def check_finite(members: Iterable[Member], block: Block, signals: Matrix) -> None:
+    """Raise a cut before the first row of a block that is not finite."""
+    bad = first_non_finite(members, signals[1 : block.steps + 1])
+    if bad is not None:
+        raise Cut(bad.row, bad.error(float(block.time[bad.row + 1])))
 
 
 def _numbers(columns: slice) -> NDArray[np.intp]:

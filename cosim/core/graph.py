@@ -11,9 +11,8 @@ from itertools import chain
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cosim.arrays import Mask, Matrix, Vector
+from cosim.arrays import Mask, Vector
 from cosim.core.arguments import check_type, checked_components, kind_of
 from cosim.core.connection_checks import check_connections, element_warnings, unit_warnings
 from cosim.core.connections import ONE_SOURCE, Connection, SourceText, conversions_of
@@ -21,7 +20,7 @@ from cosim.core.contracts import Component, Design, Plan
 from cosim.core.coupling import Cascade, Loop, Stage
 from cosim.core.cycles import groups_in_order
 from cosim.core.initial_values import InitialValues
-from cosim.core.member import Member, NonFinite, Wire, constant_wires, wires_of
+from cosim.core.member import Member, Wire, constant_wires, first_non_finite, wires_of
 from cosim.core.order import order_loop
 from cosim.core.port import Port
 from cosim.core.ports import Ports, layout_of, undriven_parts
@@ -53,6 +52,9 @@ class Graph:
     periods : mapping of component name to int
         Communication steps between the rows that a component's log channel keeps; 1 where not
         named.
+    native : bool
+        Advance components by their compiled steps where they have one. The bits are the same
+        without, which is how this is tested.
 
     Attributes
     ----------
@@ -85,7 +87,9 @@ class Graph:
         coupling: Coupling = "gauss-seidel",
         input_interpolation: InputInterpolation = "linear",
         periods: Mapping[str, int] | None = None,
+        native: bool = True,
     ) -> None:
+        self.native = native
         self.components = checked_components(components)
         _check_choice("coupling", coupling, COUPLINGS)
         _check_choice("input_interpolation", input_interpolation, INTERPOLATIONS)
@@ -181,34 +185,11 @@ class Graph:
         self.initializations += 1
         origins = self._initial_values.find(t, row)
         for stage in self.stages:
-            bad = self.first_non_finite(stage, row[np.newaxis])
+            bad = first_non_finite(stage.members, row[np.newaxis])
             if bad is not None:
                 names = {member.name for member in stage.members}
                 inside = [origin for name, origin in origins.items() if name in names]
                 raise (inside or [bad])[-1].error(t)
-
-    def first_non_finite(self, stage: Stage, rows: Matrix) -> NonFinite | None:
-        """Return the first value of a stage that is not finite, by row.
-
-        Of one row it is where the value arose: an output of a component whose inputs are finite,
-        where there is one; else the first by component and signal.
-        """
-        suspects: list[tuple[Member, NDArray[np.bool_]]] = []
-        for member in stage.members:
-            values = rows[:, member.columns]
-            finite = np.isfinite(values)
-            if not finite.all():
-                bad = member.non_finite(values)
-                if bad.any():
-                    suspects.append((member, bad))
-        if not suspects:
-            return None
-        row = min(int(np.argmax(bad.any(axis=1))) for _, bad in suspects)
-        at_row = [(member, bad[row]) for member, bad in suspects if bad[row].any()]
-        causes = [(member, bad) for member, bad in at_row if not bad[: member.n_u].any()]
-        member, bad_columns = (causes or at_row)[0]
-        column = int(np.argmax(bad_columns))
-        return member.non_finite_value(column, rows[row, member.columns], row)
 
     def measure(self) -> dict[str, float]:
         """Measure the calls of every component from now on; return its wall time [s] by name.

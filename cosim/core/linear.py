@@ -124,7 +124,7 @@ class Linear:
 
     def __init__(self, model: LinearModel) -> None:
         self.model = model
-        self.interface = replace(model.interface, prepares=True, rollback=True)
+        self.interface = replace(model.interface, prepares=True, rollback=True, native=True)
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Discretize, or take the recorded matrices."""
@@ -160,6 +160,10 @@ class Linear:
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Step K times; see :class:`cosim.core.contracts.Component`."""
         return self._step.advance(t, h, u)
+
+    def native(self) -> NativeStep:
+        """Return the compiled step."""
+        return self._step
 
     def save(self) -> Vector:
         """Copy the state."""

@@ -26,6 +26,7 @@ from cosim.core.arguments import check_recorder, check_type
 from cosim.core.clock import Clock
 from cosim.core.contracts import Block, Design, Plan, Recorder, Stopped
 from cosim.core.graph import Graph
+from cosim.core.native_stage import native_stages
 from cosim.core.pacing import Pacer
 from cosim.errors import UsageError
 
@@ -136,7 +137,8 @@ def _advance(graph: Graph, clock: Clock, *, divide: bool) -> Iterator[tuple[Bloc
     signals = np.zeros((min(limit, clock.steps) + 1, graph.layout.width))
     graph.initialize(clock.start_time, signals[0])
     initialization = graph.initializations
-    pacer = Pacer(graph, divide=divide)
+    stages = native_stages(graph.stages, graph.layout.width) if graph.native else graph.stages
+    pacer = Pacer(stages, divide=divide)
     for block in clock.blocks(limit, pacer.work):
         pacer.begin(block)
         reached = -1

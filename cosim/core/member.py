@@ -7,7 +7,7 @@ to, what they return is checked and copied, and what they raise is named.
 from __future__ import annotations
 
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from time import perf_counter
@@ -18,10 +18,11 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.connections import Connection
-from cosim.core.contracts import Component, Design, Preparable, Stopped, prepare
+from cosim.core.contracts import Component, Design, Native, Preparable, Stopped, prepare
 from cosim.core.ports import ConnectionEnd
 from cosim.core.signals import Channel, element_names
 from cosim.errors import AssumptionError, CosimError, LogError, NonFiniteError, RunError
+from cosim.native.step import NativeStep
 from cosim.units import Conversion
 
 Columns: TypeAlias = slice | NDArray[np.intp]
@@ -150,10 +151,29 @@ class Member:
         for signal in channel.signals:
             optional += [signal.optional] * signal.size
         self.optional = np.array(optional, np.bool_)
+        self._seconds: dict[str, float] | None = None
+        self._native_seconds = np.zeros(1)
 
     def measure(self, seconds: dict[str, float]) -> None:
         """Add the wall time of every call from now on to ``seconds``, under its name."""
         self._component = Timed(self._component, self.name, seconds)
+        self._seconds = seconds
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether the wall time of its calls is measured."""
+        return self._seconds is not None
+
+    @property
+    def native_seconds_address(self) -> int | None:
+        """Where compiled code adds the wall time of its calls [s]; None: it is not measured."""
+        return self._native_seconds.ctypes.data if self.is_measured else None
+
+    def add_native_seconds(self) -> None:
+        """Add the wall time of compiled calls since the last time that this was done."""
+        if self._seconds is not None:
+            self._seconds[self.name] += float(self._native_seconds[0])
+            self._native_seconds[0] = 0.0
 
     def label(self, column: int) -> str:
         """Return the name of one of its elements, numbered from the first input."""
@@ -283,6 +303,12 @@ class Member:
             raise RunError(f"advance {problem}")
         return y
 
+    def native(self) -> NativeStep | None:
+        """Return the compiled step of the component, if it has one."""
+        if not self.channel.interface.native:
+            return None
+        return cast(Native, self._component).native()
+
     def _check_stop(self, stop: Stopped, steps: int) -> None:
         """Check the rows that a component completed before it stopped; none are of any width."""
         rows = stop.outputs
@@ -300,6 +326,30 @@ class Member:
                 "needed a float64 array of finite numbers"
             )
         return read_only(array.copy())
+
+
+def first_non_finite(members: Iterable[Member], rows: Matrix) -> NonFinite | None:
+    """Return the first value of some components that is not finite, by row.
+
+    Of one row it is where the value arose: an output of a component whose inputs are finite, where
+    there is one; else the first by component and signal.
+    """
+    suspects: list[tuple[Member, NDArray[np.bool_]]] = []
+    for member in members:
+        values = rows[:, member.columns]
+        finite = np.isfinite(values)
+        if not finite.all():
+            bad = member.non_finite(values)
+            if bad.any():
+                suspects.append((member, bad))
+    if not suspects:
+        return None
+    row = min(int(np.argmax(bad.any(axis=1))) for _, bad in suspects)
+    at_row = [(member, bad[row]) for member, bad in suspects if bad[row].any()]
+    causes = [(member, bad) for member, bad in at_row if not bad[: member.n_u].any()]
+    member, bad_columns = (causes or at_row)[0]
+    column = int(np.argmax(bad_columns))
+    return member.non_finite_value(column, rows[row, member.columns], row)
 
 
 class Timed:
@@ -328,6 +378,10 @@ class Timed:
         """Pass on."""
         with self._measured():
             return self._component.initialize(t, u)
+
+    def native(self) -> NativeStep | None:
+        """Pass on."""
+        return cast(Native, self._component).native()
 
     def outputs(self, t: float, u: Vector) -> Vector:
         """Pass on."""

@@ -10,6 +10,7 @@ call of K steps is K calls of one.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import inf
 from time import perf_counter
 from typing import Final
@@ -19,8 +20,7 @@ import numpy as np
 from cosim.arrays import Matrix
 from cosim.core.clock import BLOCK_WORK
 from cosim.core.contracts import Block
-from cosim.core.coupling import Cut, Stage
-from cosim.core.graph import Graph
+from cosim.core.coupling import Advancing, Cut
 from cosim.errors import RunError
 
 CALL_WORK: Final = 1e-3  # s of wall time that one call of a component should take
@@ -30,11 +30,12 @@ GROWTH: Final = 4  # steps of a call, at most, in units of those of the last
 
 
 class Pacer:
-    """Advances the stages of a graph over a block, piece by piece.
+    """Advances stages over a block, piece by piece.
 
     Parameters
     ----------
-    graph : Graph
+    stages : sequence of Advancing
+        In their order.
     divide : bool
         Whether blocks that take long are divided.
 
@@ -46,10 +47,10 @@ class Pacer:
         What stopped there.
     """
 
-    def __init__(self, graph: Graph, *, divide: bool) -> None:
+    def __init__(self, stages: Sequence[Advancing], *, divide: bool) -> None:
         self.end = 0
         self.error: RunError | None = None
-        self._stages = [_PacedStage(graph, stage) for stage in graph.stages]
+        self._stages = [_PacedStage(stage) for stage in stages]
         self._patience = PIECE_WORK if divide else inf
 
     @property
@@ -81,9 +82,8 @@ class Pacer:
 class _PacedStage:
     """A stage, the row that it has reached in a block, and how many steps its next call takes."""
 
-    def __init__(self, graph: Graph, stage: Stage) -> None:
+    def __init__(self, stage: Advancing) -> None:
         self.reached = 0
-        self._graph = graph
         self._stage = stage
         self._steps = 1
 
@@ -111,10 +111,6 @@ class _PacedStage:
         except Cut as cut:
             error = cut.error
             steps = cut.steps
-        bad = self._graph.first_non_finite(self._stage, rows[1 : steps + 1])
-        if bad is not None:
-            error = bad.error(float(part.time[bad.row + 1]))
-            steps = bad.row
         self.reached += steps
         return error
 

@@ -188,6 +188,8 @@ class Interface:
         Whether the component has ``prepare`` (:class:`cosim.core.contracts.Preparable`).
     rollback : bool
         Whether the component has ``save`` and ``restore`` (:class:`cosim.core.contracts.Rollback`).
+    native : bool
+        Whether the component has ``native`` (:class:`cosim.core.contracts.Native`).
 
     Raises
     ------
@@ -202,6 +204,7 @@ class Interface:
     delayed: tuple[str, ...] = ()
     prepares: bool = False
     rollback: bool = False
+    native: bool = False
 
     def __post_init__(self) -> None:
         # What is declared must not change later: copies, and nothing that can be written to.
@@ -224,7 +227,7 @@ class Interface:
         feedthrough = dict(self.feedthrough)
         initial = dict(self.initial)
         values = (self.inputs, self.outputs, feedthrough, initial, self.delayed)
-        return Interface, (*values, self.prepares, self.rollback)
+        return Interface, (*values, self.prepares, self.rollback, self.native)
 
     def _dependencies(self, key: str, declared: Dependencies) -> dict[str, tuple[str, ...] | None]:
         """Return a copy of declared dependencies, after a check of the names."""

@@ -23,6 +23,7 @@ SOURCES = (
     "alphas.c",
     "augmented_kalman.c",
     "loops.c",
+    "stage.c",
     "linear.c",
     "window.c",
     "control.c",

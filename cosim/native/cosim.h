@@ -92,6 +92,7 @@ typedef struct {
 } cosim_linear;
 int32_t cosim_linear_step(void *self, double t0, double t1, double h, const double *u0,
                           const double *u1, double *y);
+int32_t cosim_linear_outputs(void *self, double t, const double *u, double *y);
 
 /* y(t) = u(t - steps h); memory: the row that is due now, then `steps` rows of `width`. */
 typedef struct {

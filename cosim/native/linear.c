@@ -344,8 +344,15 @@ int32_t cosim_linear_step(void *self, double t0, double t1, double h, const doub
     cosim_multiply_add(s->n, s->m, s->B1, u1, next);
     for (int32_t i = 0; i < s->n; ++i)
         x[i] = next[i];
-    cosim_multiply(s->p, s->n, s->C, x, y);
-    cosim_multiply_add(s->p, s->m, s->D, u1, y);
+    return cosim_linear_outputs(self, t1, u1, y);
+}
+
+int32_t cosim_linear_outputs(void *self, double t, const double *u, double *y)
+{
+    (void)t;
+    const cosim_linear *s = self;
+    cosim_multiply(s->p, s->n, s->C, s->memory, y);
+    cosim_multiply_add(s->p, s->m, s->D, u, y);
     return COSIM_OK;
 }
 

@@ -50,6 +50,14 @@ class NativeStep:
         All of its changing state.
     keep : sequence of object
         Arrays that ``state`` points into; they live as long as the step.
+    outputs : int
+        Address of a function that evaluates the outputs again (``cosim_outputs`` of ``stage.h``);
+        0: there is none.
+
+    Attributes
+    ----------
+    address : int
+        Of ``state``.
     """
 
     def __init__(
@@ -60,13 +68,15 @@ class NativeStep:
         n_y: int,
         memory: Vector,
         keep: Sequence[object] = (),
+        outputs: int = 0,
     ) -> None:
         self.function = function
+        self.outputs = outputs
         self.state = state
         self.n_y = n_y
         self.memory = memory
         self.status = 0
-        self._address = ctypes.addressof(state)
+        self.address = ctypes.addressof(state)
         self._keep = tuple(keep)
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
@@ -93,7 +103,7 @@ class NativeStep:
             u = np.ascontiguousarray(u)
         y = np.empty((steps, self.n_y))
         status = c_int32()
-        step = (self.function, self._address)
+        step = (self.function, self.address)
         points = (steps, t.ctypes.data, h)
         row_distance = u.strides[0] // DOUBLE
         inputs = (u.ctypes.data, row_distance)
@@ -245,7 +255,8 @@ def linear_step(discrete: DiscretizedDynamics, C: Matrix, D: Matrix) -> NativeSt
     pointers = map(pointer, [*arrays, memory])
     state = LinearStruct(n, m, n_y, *pointers)
     function = address("cosim_linear_step")
-    return NativeStep(function, state, n_y=n_y, memory=memory, keep=arrays)
+    outputs = address("cosim_linear_outputs")
+    return NativeStep(function, state, n_y=n_y, memory=memory, keep=arrays, outputs=outputs)
 
 
 def delay_step(steps: int, width: int) -> NativeStep:

@@ -202,8 +202,8 @@ def test_the_cost_of_a_signal_does_not_grow(cost):
 def test_blocks_grow_with_the_number_of_stages():
     """Of 3000 stages the calls alone take 50 ms: blocks must not stay at one step for that."""
     components, connections = star(600)
-    pacer = pacing.Pacer(Graph(components, connections), divide=True)
+    pacer = pacing.Pacer(Graph(components, connections).stages, divide=True)
     assert pacer.work == pytest.approx(602 * pacing.STAGE_WORK)
     assert pacing.STAGE_WORK >= clock_module.BLOCK_WORK / 100  # what each of a hundred has
-    few = pacing.Pacer(Graph(*star(10)), divide=True)
+    few = pacing.Pacer(Graph(*star(10)).stages, divide=True)
     assert few.work == clock_module.BLOCK_WORK

@@ -1,0 +1,264 @@
+"""Stages in compiled code: the components of several stages advance in one call.
+
+A native stage has the programs of ordinary stages (:mod:`cosim.core.coupling`), one after the
+other: ``stage.c`` works through them step by step, with the same bits. An operation whose component
+has no compiled step, or whose compiled step declines, is done here by the methods of the component;
+so is every error, which is named here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from ctypes import Array, addressof
+from typing import Final, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.arrays import Matrix, Vector
+from cosim.core.contracts import Block, Stopped
+from cosim.core.coupling import Advancing, Cut, Stage, call
+from cosim.core.member import Columns, Member, NonFinite, Wire, first_non_finite, read_only
+from cosim.core.order import OperationKind
+from cosim.native.library import library, pointer
+from cosim.native.stage import (
+    KINDS,
+    CopyStruct,
+    MemberStruct,
+    OperationStruct,
+    StageStruct,
+    SumStruct,
+    TermStruct,
+)
+from cosim.native.step import NativeStep
+
+NativeSteps: TypeAlias = dict[str, NativeStep]  # by component
+
+CALLED: Final[dict[int, OperationKind]] = {KINDS["advance"]: "advance", KINDS["refresh"]: "refresh"}
+
+
+def native_stages(stages: Iterable[Stage], width: int) -> list[Advancing]:
+    """Return stages in their order; those that follow each other advance in compiled code as one.
+
+    A loop advances in compiled code whatever its components are. A component outside every loop
+    that has no compiled step stays as it is: it advances a whole block in one call.
+
+    Parameters
+    ----------
+    stages : iterable of Stage
+        Their components are initialized.
+    width : int
+        Columns of a row.
+    """
+    advancing: list[Advancing] = []
+    together: list[Stage] = []
+    steps: NativeSteps = {}
+    for stage in stages:
+        steps_of_stage = _native_steps(stage.members)
+        if steps_of_stage or stage.is_loop:
+            together.append(stage)
+            steps.update(steps_of_stage)
+            continue
+        if together:
+            advancing.append(NativeStage(together, steps, width))
+            together = []
+        advancing.append(stage)
+    if together:
+        advancing.append(NativeStage(together, steps, width))
+    return advancing
+
+
+def _native_steps(members: Iterable[Member]) -> NativeSteps:
+    steps = {}
+    for member in members:
+        step = member.native()
+        if step is not None:
+            steps[member.name] = step
+    return steps
+
+
+class NativeStage:
+    """Advances the components of some stages in compiled code.
+
+    Parameters
+    ----------
+    stages : sequence of Stage
+    steps : mapping of component name to NativeStep
+        The compiled steps that there are.
+    width : int
+        Columns of a row.
+    """
+
+    def __init__(self, stages: Sequence[Stage], steps: NativeSteps, width: int) -> None:
+        self._members: list[Member] = []
+        self._stages: list[Stage] = []  # of each member
+        for stage in stages:
+            self._members += stage.members
+            self._stages += [stage] * len(stage.members)
+        self._operations = _operations(stages)
+        wiring = _Wiring()
+        members = (MemberStruct * len(self._members))()
+        optional: list[NDArray[np.uint8]] = []
+        for struct, member in zip(members, self._members, strict=True):
+            optional.append(member.optional.astype(np.uint8))
+            _fill(struct, member, steps.get(member.name))
+            struct.optional = pointer(optional[-1])
+            wiring.add(struct, member)
+        arrays = (members, self._operations, *wiring.arrays())
+        self._keep = (arrays, optional, steps)
+        addresses = [addressof(array) for array in arrays]
+        self._state = StageStruct(*addresses, len(self._operations), width)
+        self._address = addressof(self._state)
+        self._measured = [member for member in self._members if member.is_measured]
+
+    def advance(self, block: Block, signals: Matrix) -> None:
+        """Fill rows 1 to K of its columns; see :class:`cosim.core.coupling.Advancing`."""
+        state = self._state
+        state.t = block.time.ctypes.data
+        state.rows = signals.ctypes.data
+        state.h = block.h
+        state.step = 0
+        state.operation = 0
+        try:
+            self._run(block, signals)
+        finally:
+            for member in self._measured:
+                member.add_native_seconds()
+
+    def _run(self, block: Block, signals: Matrix) -> None:
+        """Advance in compiled code, and do what it leaves to be done."""
+        state = self._state
+        known = read_only(signals)
+        end = block.steps
+        stop: Stopped | None = None
+        while library.cosim_stage_run(self._address, end):
+            k = state.step
+            operation = self._operations[state.operation]
+            kind = CALLED.get(operation.kind)
+            if kind is None:
+                raise Cut(k, self._non_finite(signals[k + 1], operation).error(block.time[k + 1]))
+            member = self._members[operation.first]
+            rows = slice(k, k + 2)
+            try:
+                y = call(kind, member, block.time[rows], block.h, known[rows])
+            except Stopped as error:
+                stop = error
+                if not stop.steps:
+                    raise self._cut(k, stop, block, signals) from error
+                y = stop.outputs[0]
+                end = k + 1  # the others complete this step
+            signals[k + 1, member.outputs] = y
+            state.operation += 1
+        if stop is not None:
+            raise Cut(end, stop)
+
+    def _cut(self, k: int, stop: Stopped, block: Block, signals: Matrix) -> Cut:
+        """Return the end of a step that was not completed; in a loop a value may have caused it."""
+        origin = self._origin(signals[k + 1])
+        return Cut(k, stop if origin is None else origin.error(float(block.time[k + 1])))
+
+    def _non_finite(self, row: Vector, check: OperationStruct) -> NonFinite:
+        """Return the value that a check found: where it arose, if that is known."""
+        origin = self._origin(row)
+        if origin is not None:
+            return origin
+        stage = self._stages[check.first]
+        found = first_non_finite(stage.members, row[np.newaxis])
+        assert found is not None
+        return found
+
+    def _origin(self, row: Vector) -> NonFinite | None:
+        """Return the first output of a step that was not finite, if it is not finite still."""
+        column = self._state.origin
+        if column < 0 or math.isfinite(row[column]):
+            return None
+        for member in self._members:
+            own_column = int(column) - member.columns.start
+            if 0 <= own_column < member.columns.stop - member.columns.start:
+                return NonFinite(member.label(own_column), self._state.origin_value, column)
+        raise AssertionError(column)
+
+
+def _fill(struct: MemberStruct, member: Member, step: NativeStep | None) -> None:
+    if step is not None:
+        struct.advance = step.function
+        struct.outputs = step.outputs
+        struct.self = step.address
+    struct.u = member.inputs.start
+    struct.n_u = member.n_u
+    struct.y = member.outputs.start
+    struct.n_y = member.outputs.stop - member.outputs.start
+    struct.seconds = member.native_seconds_address
+
+
+def _operations(stages: Sequence[Stage]) -> Array[OperationStruct]:
+    """Return the programs of stages, one behind the other."""
+    operations = []
+    first = 0
+    for stage in stages:
+        numbers = {member.name: first + i for i, member in enumerate(stage.members)}
+        for kind, members in stage.program:
+            operations.append(OperationStruct(KINDS[kind], numbers[members[0].name], len(members)))
+        first += len(stage.members)
+    return (OperationStruct * len(operations))(*operations)
+
+
+class _Wiring:
+    """The wires of members, as arrays of structs."""
+
+    def __init__(self) -> None:
+        self._copies: list[CopyStruct] = []
+        self._sums: list[SumStruct] = []
+        self._terms: list[TermStruct] = []
+
+    def add(self, struct: MemberStruct, member: Member) -> None:
+        """Add the wires of a member, and write to its struct where they are."""
+        struct.first_copy = len(self._copies)
+        struct.first_sum = len(self._sums)
+        for wire in member.wires:
+            sources = _numbers(wire.source)
+            if wire.gain is not None:
+                self._add_sums(wire, wire.gain, sources)
+            elif wire.conversion.copies:
+                self._copies.append(CopyStruct(wire.to.start, sources[0], len(sources)))
+            else:
+                self._add_conversions(wire, sources)
+        struct.copies = len(self._copies) - struct.first_copy
+        struct.sums = len(self._sums) - struct.first_sum
+
+    def _add_sums(self, wire: Wire, gain: Matrix, sources: list[int]) -> None:
+        for to, gains in zip(_numbers(wire.to), gain, strict=True):
+            first = len(self._terms)
+            for source, factor in zip(sources, gains, strict=True):
+                if factor != 0.0:
+                    self._terms.append(TermStruct(source, factor))
+            count = len(self._terms) - first
+            self._sums.append(_sum(to, wire, first=first, terms=count, plain=0))
+
+    def _add_conversions(self, wire: Wire, sources: list[int]) -> None:
+        for to, source in zip(_numbers(wire.to), sources, strict=True):
+            self._sums.append(_sum(to, wire, first=len(self._terms), terms=1, plain=1))
+            self._terms.append(TermStruct(source, 1.0))
+
+    def arrays(self) -> tuple[Array[CopyStruct], Array[SumStruct], Array[TermStruct]]:
+        """Return all wires."""
+        copies = (CopyStruct * max(1, len(self._copies)))(*self._copies)
+        sums = (SumStruct * max(1, len(self._sums)))(*self._sums)
+        terms = (TermStruct * max(1, len(self._terms)))(*self._terms)
+        return copies, sums, terms
+
+
+def _sum(to: int, wire: Wire, *, first: int, terms: int, plain: int) -> SumStruct:
+    conversion = wire.conversion
+    factors = (conversion.factor1, conversion.offset1, conversion.offset2, conversion.factor2)
+    converts = int(not conversion.copies)
+    return SumStruct(to, first, terms, plain, converts, wire.offset, *factors)
+
+
+def _numbers(columns: Columns) -> list[int]:
+    """Return the numbers of columns."""
+    if isinstance(columns, slice):
+        return list(range(columns.start, columns.stop))
+    numbers: list[int] = columns.tolist()
+    return numbers

@@ -1,0 +1,132 @@
+#include "stage.h"
+
+#include <stdbool.h>
+#include <string.h>
+#include <time.h>
+
+static double convert(const cosim_sum *sum, double value)
+{
+    if (!sum->converts)
+        return value;
+    return (value * sum->factor1 + sum->offset1 - sum->offset2) / sum->factor2;
+}
+
+static void add_up(const cosim_stage *s, const cosim_sum *sum, double *row)
+{
+    const cosim_term *terms = s->terms + sum->first;
+    double value = sum->offset;
+    if (sum->plain)
+        value = row[terms->from];
+    else
+        for (int32_t j = 0; j < sum->terms; ++j)
+            value += terms[j].gain * row[terms[j].from];
+    row[sum->to] = convert(sum, value);
+}
+
+static void gather(const cosim_stage *s, const cosim_member *m, double *row)
+{
+    for (int32_t i = 0; i < m->copies; ++i) {
+        const cosim_copy *copy = s->copies + m->first_copy + i;
+        for (int32_t j = 0; j < copy->count; ++j)
+            row[copy->to + j] = row[copy->from + j];
+    }
+    for (int32_t i = 0; i < m->sums; ++i)
+        add_up(s, s->sums + m->first_sum + i, row);
+}
+
+/* Whether a value is infinite, or NaN that does not mean "no value yet". */
+static bool is_bad(double value, bool optional)
+{
+    const double difference = value - value; /* 0, but for what is not finite */
+    if (difference == 0.0)
+        return false;
+    return !optional || value == value;
+}
+
+/* The first of some columns of a member that is bad, counted from its first input; else -1. */
+static int32_t first_bad(const cosim_member *m, const double *row, int32_t begin, int32_t end)
+{
+    for (int32_t j = begin; j < end; ++j)
+        if (is_bad(row[m->u + j], m->optional[j]))
+            return j;
+    return -1;
+}
+
+static void trace(cosim_stage *s, const cosim_member *m, const double *row)
+{
+    if (s->origin >= 0)
+        return;
+    const int32_t bad = first_bad(m, row, m->n_u, m->n_u + m->n_y);
+    if (bad < 0)
+        return;
+    s->origin = m->u + bad;
+    s->origin_value = row[s->origin];
+}
+
+static double seconds(void)
+{
+    struct timespec now;
+    timespec_get(&now, TIME_UTC);
+    return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
+}
+
+static int32_t call(const cosim_stage *s, const cosim_member *m, int32_t kind, double *before,
+                    double *row)
+{
+    const double *t = s->t + s->step;
+    if (kind == COSIM_REFRESH)
+        return m->outputs ? m->outputs(m->self, t[1], row + m->u, row + m->y) : COSIM_NO_VALUE;
+    if (!m->advance)
+        return COSIM_NO_VALUE;
+    return m->advance(m->self, t[0], t[1], s->h, before + m->u, row + m->u, row + m->y);
+}
+
+static int32_t timed_call(const cosim_stage *s, const cosim_member *m, int32_t kind, double *before,
+                          double *row)
+{
+    if (!m->seconds)
+        return call(s, m, kind, before, row);
+    const double began = seconds();
+    const int32_t status = call(s, m, kind, before, row);
+    *m->seconds += seconds() - began;
+    return status;
+}
+
+static int32_t perform(cosim_stage *s, int32_t kind, const cosim_member *m, double *before,
+                       double *row)
+{
+    switch (kind) {
+    case COSIM_KEEP:
+        s->origin = -1;
+        memcpy(row + m->y, before + m->y, (size_t)m->n_y * sizeof *row);
+        return COSIM_OK;
+    case COSIM_GATHER:
+        gather(s, m, row);
+        return COSIM_OK;
+    case COSIM_TRACE:
+        trace(s, m, row);
+        return COSIM_OK;
+    case COSIM_CHECK:
+        return first_bad(m, row, 0, m->n_u + m->n_y) < 0 ? COSIM_OK : COSIM_NO_VALUE;
+    default:
+        return timed_call(s, m, kind, before, row);
+    }
+}
+
+int32_t cosim_stage_run(cosim_stage *s, int64_t end)
+{
+    for (; s->step < end; ++s->step) {
+        double *before = s->rows + s->step * s->width, *row = before + s->width;
+        for (; s->operation < s->n_operations; ++s->operation) {
+            const cosim_operation *operation = s->operations + s->operation;
+            const cosim_member *members = s->members + operation->first;
+            for (int32_t i = 0; i < operation->count; ++i) {
+                const int32_t status = perform(s, operation->kind, members + i, before, row);
+                if (status != COSIM_OK)
+                    return status;
+            }
+        }
+        s->operation = 0;
+    }
+    return COSIM_OK;
+}

@@ -1,0 +1,83 @@
+/* Components that advance together: one call for many of them and many communication steps.
+ *
+ * The signals of a graph stand in rows, one a communication point; each component has its columns,
+ * its inputs and behind them its outputs. A stage is a list of operations that fills the next row,
+ * done once for every step. It has two ends: the last row wanted, and an operation that is not done
+ * here. Then the cursor shows that operation, whoever called does it, moves the cursor behind it and
+ * calls again. So components without a native step take part, and what is rare in a native step (an
+ * event, an error) is left to code that is written to be read. */
+#ifndef COSIM_STAGE_H
+#define COSIM_STAGE_H
+
+#include "cosim.h"
+
+/* Outputs at t, the time reached, for inputs u; changes no state. 0: fine. */
+typedef int32_t (*cosim_outputs)(void *self, double t, const double *u, double *y);
+
+/* `count` columns that are copied. */
+typedef struct {
+    int32_t to, from, count;
+} cosim_copy;
+
+typedef struct {
+    int32_t from;
+    double gain;
+} cosim_term;
+
+/* One column: ((v factor1 + offset1) - offset2) / factor2 where it `converts`, of
+ * v = offset + sum_j gain_j value_j, or of the value of its only term where it has `plain` set. */
+typedef struct {
+    int32_t to, first, terms, plain, converts;
+    double offset;
+    double factor1, offset1, offset2, factor2;
+} cosim_sum;
+
+/* A component in its place. */
+typedef struct {
+    cosim_step advance;    /* NULL: left to the caller */
+    cosim_outputs outputs; /* NULL: left to the caller */
+    void *self;
+    int32_t u, n_u, y, n_y;     /* first column and number of its inputs, and of its outputs */
+    int32_t first_copy, copies; /* what feeds its inputs */
+    int32_t first_sum, sums;
+    const uint8_t *optional; /* (n_u + n_y) where NaN means "no value yet" */
+    double *seconds;         /* wall time of its calls is added to it; NULL: it is not measured */
+} cosim_member;
+
+/* What an operation does to members `first` to `first + count - 1`: */
+#define COSIM_KEEP 0    /* outputs of the new row <- those of the row before */
+#define COSIM_GATHER 1  /* inputs of the new row <- their sources in it */
+#define COSIM_ADVANCE 2 /* outputs <- advance */
+#define COSIM_REFRESH 3 /* outputs <- outputs for the inputs that are there now */
+#define COSIM_TRACE 4   /* remember the first output of this step that is not finite */
+#define COSIM_CHECK 5   /* the caller is asked about values of the new row that are not finite */
+
+typedef struct {
+    int32_t kind, first, count;
+} cosim_operation;
+
+typedef struct {
+    const cosim_member *members;
+    const cosim_operation *operations;
+    const cosim_copy *copies;
+    const cosim_sum *sums;
+    const cosim_term *terms;
+    int64_t n_operations;
+    int64_t width; /* columns of a row */
+    /* the block */
+    const double *t; /* (steps + 1) [s] */
+    double *rows;    /* (steps + 1, width), row 0 filled */
+    double h;        /* [s] */
+    /* the cursor: steps completed, and the operation that is next */
+    int64_t step, operation;
+    /* of this step, by COSIM_TRACE: column of the first output that was not finite, -1: none; and
+     * its value then */
+    int64_t origin;
+    double origin_value;
+} cosim_stage;
+
+/* Do the operations from the cursor on, until `end` steps are completed (0) or one is left to the
+ * caller: a status that a component gave, or COSIM_NO_VALUE. */
+int32_t cosim_stage_run(cosim_stage *self, int64_t end);
+
+#endif

@@ -1,0 +1,66 @@
+"""The structs of ``stage.h``: components that advance together in one call."""
+
+from __future__ import annotations
+
+from ctypes import Structure, c_double, c_int32, c_int64, c_void_p
+from typing import Final
+
+from cosim.native.library import declare
+
+KINDS: Final = {"keep": 0, "gather": 1, "advance": 2, "refresh": 3, "trace": 4, "check": 5}
+"""COSIM_KEEP and so on."""
+
+
+class CopyStruct(Structure):
+    """cosim_copy."""
+
+    _fields_ = tuple((name, c_int32) for name in ("to", "from", "count"))
+
+
+class TermStruct(Structure):
+    """cosim_term."""
+
+    _fields_ = (("from", c_int32), ("gain", c_double))
+
+
+class SumStruct(Structure):
+    """cosim_sum."""
+
+    _fields_ = (
+        *((name, c_int32) for name in ("to", "first", "terms", "plain", "converts")),
+        ("offset", c_double),
+        *((name, c_double) for name in ("factor1", "offset1", "offset2", "factor2")),
+    )
+
+
+class MemberStruct(Structure):
+    """cosim_member."""
+
+    _fields_ = (
+        *((name, c_void_p) for name in ("advance", "outputs", "self")),
+        *((name, c_int32) for name in ("u", "n_u", "y", "n_y")),
+        *((name, c_int32) for name in ("first_copy", "copies", "first_sum", "sums")),
+        *((name, c_void_p) for name in ("optional", "seconds")),
+    )
+
+
+class OperationStruct(Structure):
+    """cosim_operation."""
+
+    _fields_ = tuple((name, c_int32) for name in ("kind", "first", "count"))
+
+
+class StageStruct(Structure):
+    """cosim_stage."""
+
+    _fields_ = (
+        *((name, c_void_p) for name in ("members", "operations", "copies", "sums", "terms")),
+        *((name, c_int64) for name in ("n_operations", "width")),
+        *((name, c_void_p) for name in ("t", "rows")),
+        ("h", c_double),
+        *((name, c_int64) for name in ("step", "operation", "origin")),
+        ("origin_value", c_double),
+    )
+
+
+declare({"cosim_stage_run": (c_int32, (c_void_p, c_int64))})
