@@ -9,7 +9,6 @@ from __future__ import annotations
 import zlib
 from typing import Literal
 
-import lz4.frame
 import zstandard
 
 Compression = Literal["zstd", "lz4", "none"]
@@ -22,6 +21,8 @@ def compress(data: bytes, compression: Compression) -> bytes:
     if compression == "zstd":
         return zstandard.ZstdCompressor(level=_LEVEL).compress(data)
     if compression == "lz4":
+        import lz4.frame  # rarely needed
+
         return bytes(lz4.frame.compress(data))
     return data
 
@@ -77,6 +78,8 @@ def _decompress_zstd(data: bytes, size: int) -> bytes:
 
 
 def _decompress_lz4(data: bytes, size: int) -> bytes:
+    import lz4.frame  # rarely needed
+
     try:
         # One byte more than declared, to notice a longer chunk.
         decompressor = lz4.frame.LZ4FrameDecompressor()

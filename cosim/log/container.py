@@ -19,12 +19,11 @@ from mcap import records
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.reader import FOOTER_SIZE
 from mcap.summary import Summary
 
 from cosim.errors import LogError
 from cosim.log.compression import MOST_BYTES, decompress
-from cosim.log.layout import HEADER
+from cosim.log.layout import FOOTER_SIZE, HEADER
 from cosim.log.own_file import OwnFile
 from cosim.log.paths import open_file
 from cosim.log.scan import OtherRecord, scan

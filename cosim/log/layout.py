@@ -37,6 +37,9 @@ from cosim.units import BaseUnit
 
 MOST_ELEMENTS = 4096
 HEADER = 9  # bytes: opcode u1, length u8
+# As in mcap.writer and mcap.reader, which load every compressor that is installed.
+MAGIC = b"\x89MCAP0\r\n"  # at both ends of a file
+FOOTER_SIZE = HEADER + 20  # bytes
 _LARGEST_WHOLE = 2**63 - 1  # of a time in ns, a size
 _MOST_DIGITS = 19  # of that
 Records: TypeAlias = NDArray[np.void]  # shape (n,), of a dtype by record_dtype

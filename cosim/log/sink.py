@@ -17,10 +17,10 @@ import numpy as np
 from mcap import records
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.writer import MCAP0_MAGIC
 
 from cosim.arrays import Nanoseconds
 from cosim.log.compression import Compression, compress
+from cosim.log.layout import MAGIC
 
 _RECORD_HEADER = struct.Struct("<BQ")  # opcode, length
 _CHUNK_HEADER = struct.Struct("<QQQI")  # first and last time, size, CRC
@@ -86,7 +86,7 @@ class Sink:
         self._metadata: list[records.MetadataIndex] = []
         self._attachments: list[records.AttachmentIndex] = []
         header = encoded(records.Header(profile="", library=library))
-        self.append(MCAP0_MAGIC + header)
+        self.append(MAGIC + header)
 
     def append(self, data: bytes) -> int:
         """Write whole records; return the position they begin at."""
@@ -224,7 +224,7 @@ class Sink:
         footer_head = struct.pack("<BQQQ", Opcode.FOOTER, _FOOTER_LENGTH, start, offset_start)
         crc = zlib.crc32(summary + footer_head)
         footer = encoded(records.Footer(start, offset_start, crc))
-        self.append(data_end + summary + footer + MCAP0_MAGIC)
+        self.append(data_end + summary + footer + MAGIC)
         self._stream.close()
 
     def abandon(self) -> None:

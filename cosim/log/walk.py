@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import BinaryIO
 
 from mcap.opcode import Opcode
-from mcap.writer import MCAP0_MAGIC
 
 from cosim.errors import LogError
-from cosim.log.layout import HEADER
+from cosim.log.layout import HEADER, MAGIC
 
 _SPAN_BYTES = 2**22  # of messages outside chunks that are read as one piece
 
@@ -93,11 +92,11 @@ def walk(path: Path, stream: BinaryIO) -> FileContents:
     """
     size = stream.seek(0, os.SEEK_END)
     stream.seek(0)
-    magic = stream.read(len(MCAP0_MAGIC))
-    if magic != MCAP0_MAGIC:
-        raise LogError(f"{path} is no MCAP file: it begins with {magic!r}, needed {MCAP0_MAGIC!r}")
+    magic = stream.read(len(MAGIC))
+    if magic != MAGIC:
+        raise LogError(f"{path} is no MCAP file: it begins with {magic!r}, needed {MAGIC!r}")
     contents = FileContents()
-    position = len(MCAP0_MAGIC)
+    position = len(MAGIC)
     opcode = 0
     while opcode != Opcode.FOOTER:
         stream.seek(position)
@@ -114,7 +113,7 @@ def walk(path: Path, stream: BinaryIO) -> FileContents:
         position = stop
     stream.seek(position)
     # One byte more than the magic: nothing may follow it.
-    if stream.read(len(MCAP0_MAGIC) + 1) != MCAP0_MAGIC:
+    if stream.read(len(MAGIC) + 1) != MAGIC:
         raise _incomplete(path, stream, contents, position=position, size=size)
     return contents
 
@@ -126,8 +125,8 @@ def _incomplete(
 
     A file that ends with the magic was closed, so a length in it is wrong; else its end is missing.
     """
-    stream.seek(max(size - len(MCAP0_MAGIC), 0))
-    if stream.read() == MCAP0_MAGIC:
+    stream.seek(max(size - len(MAGIC), 0))
+    if stream.read() == MAGIC:
         return damage_error(path, position, "no whole record begins there")
     return LogError(
         f"{path} is truncated at byte {size}: the run was killed before it could close the log, or"

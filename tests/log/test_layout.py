@@ -12,10 +12,14 @@ import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool, json_format, message_factory
 from hypothesis import given
 from hypothesis import strategies as st
+from mcap.reader import FOOTER_SIZE as MCAP_FOOTER_SIZE
+from mcap.writer import MCAP0_MAGIC
 
 from cosim.core.signals import Channel, Interface, Signal
 from cosim.errors import GraphError
 from cosim.log.layout import (
+    FOOTER_SIZE,
+    MAGIC,
     blank_records,
     copy_values,
     group_columns,
@@ -263,3 +267,9 @@ def test_log_messages_survive():
     """Level, source and text come back from a foxglove.Log."""
     message = ("warning", "plant", "hei\nße")
     assert decode_log(encode_log(1_500_000_000, *message)) == message
+
+
+def test_magic_and_footer_are_those_of_mcap():
+    """They stand here, as the modules of mcap that have them load every compressor."""
+    assert MAGIC == MCAP0_MAGIC
+    assert FOOTER_SIZE == MCAP_FOOTER_SIZE

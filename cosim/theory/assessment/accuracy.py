@@ -182,6 +182,8 @@ def quantization_error(y: Matrix, residual: Matrix, spacing: Vector) -> Matrix:
         0: not quantized.
     """
     errors = np.zeros_like(y)
+    if not spacing.any():
+        return errors
     noise = np.random.default_rng(_DITHER_SEED).standard_normal(y.shape)
     for o, gap in enumerate(spacing):
         measured = np.isfinite(y[:, o])
