@@ -24,7 +24,8 @@ from cosim.fmi.exporting.kernels import DiscreteModel
 from cosim.fmi.exporting.specifications import Exportable
 from cosim.scenario.build import Builder, build_context
 from cosim.scenario.execution import load
-from cosim.scenario.kinds import EXPORTABLE, DescriptorKind, ExportableKind
+from cosim.scenario.kinds import KINDS, ExportableKind
+from cosim.scenario.kinds.plants import DescriptorKind
 from cosim.scenario.parsing import Scenario
 
 ZERO_ORDER_HOLD_OUTPUTS = (
@@ -134,9 +135,10 @@ def _model(
     """
     spec = scenario.specs[component]
     if not isinstance(spec, ExportableKind):
+        exportable = [name for name, kind in KINDS.items() if issubclass(kind, ExportableKind)]
         raise UsageError(
             f"{component!r} is of kind {spec.kind!r}, which cannot be exported; "
-            f"what can be: {', '.join(EXPORTABLE)}"
+            f"what can be: {', '.join(exportable)}"
         )
     wiring = _GraphWiring(scenario, component, resources)
     model = spec.exportable(component, build_context(scenario, resources), wiring)

@@ -1,6 +1,7 @@
 """Kinds of scenario files: their table, and how to add one."""
 
 import importlib.util
+import sys
 import textwrap
 from typing import Literal
 
@@ -38,13 +39,14 @@ width = {width}
 def dead_zone(tmp_path, monkeypatch):
     """Add the example of the package's docstring to the kinds."""
     _, _, after = kinds.__doc__.partition("for example::\n")
-    example, _, _ = after.partition("\nWith the entry")
+    example, _, _ = after.partition("\nWith the class")
     path = tmp_path / "dead_zone.py"
     path.write_text(textwrap.dedent(example))
     spec = importlib.util.spec_from_file_location("dead_zone", path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    monkeypatch.setitem(KINDS, "dead-zone", module.DeadZoneKind)
+    monkeypatch.setitem(sys.modules, "cosim.scenario.kinds.dead_zone", module)
+    monkeypatch.setitem(KINDS.homes, "dead-zone", "dead_zone.DeadZoneKind")
 
 
 def dead(folder, width):

@@ -34,8 +34,10 @@ package, and add it to ``KINDS`` below. A dead zone, for example::
         def _reduced(self, u: Matrix) -> Matrix:
             return u - np.clip(u, -self.width, self.width)
 
-With the entry ``"dead-zone": DeadZoneKind`` in ``KINDS``, ``cosim list`` shows the kind, and a file
-may say ``dead = { kind = "dead-zone", width = 0.1 }`` under ``[components]``.
+With the class in ``dead_zone.py`` and the entry ``"dead-zone": "dead_zone.DeadZoneKind"`` in
+``KINDS``, ``cosim list`` shows the kind, and a file may say
+``dead = { kind = "dead-zone", width = 0.1 }`` under ``[components]``. A module is imported when one
+of its kinds is asked for.
 
 * ``kind`` is the name as a ``Literal``. Every other field is a key of the table; without a default
   it must be given. Numbers are ``Number``, ``Whole`` or ``Flag``, lists ``NumberRow`` or
@@ -70,85 +72,44 @@ More bases, in :mod:`cosim.scenario.kinds.base`:
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
-from cosim.scenario.kinds.arithmetic import (
-    GainKind,
-    LimitKind,
-    ProductKind,
-    SumKind,
-    SwitchKind,
-)
+from cosim.lazy import LazyMapping
 from cosim.scenario.kinds.base import BuildContext, ExportableKind, Kind, LinearKind
-from cosim.scenario.kinds.compensators import CompensatorKind
-from cosim.scenario.kinds.controllers import ControllerKind, DiscreteStateSpaceKind, PidKind
-from cosim.scenario.kinds.dynamics import (
-    DelayKind,
-    IntegratorKind,
-    LagKind,
-    TransferFunctionKind,
+
+KINDS = LazyMapping[type[Kind]](
+    __name__,
+    {
+        "constant": "sources.ConstantKind",
+        "step": "sources.StepKind",
+        "ramp": "sources.RampKind",
+        "sine": "sources.SineKind",
+        "chirp": "sources.ChirpKind",
+        "expression": "sources.ExpressionKind",
+        "table": "sources.TableKind",
+        "noise": "sources.NoiseKind",
+        "disturbance": "sources.DisturbanceKind",
+        "sum": "arithmetic.SumKind",
+        "gain": "arithmetic.GainKind",
+        "product": "arithmetic.ProductKind",
+        "limit": "arithmetic.LimitKind",
+        "switch": "arithmetic.SwitchKind",
+        "look-up-table": "look_up.LookUpTableKind",
+        "lag": "dynamics.LagKind",
+        "integrator": "dynamics.IntegratorKind",
+        "transfer-function": "dynamics.TransferFunctionKind",
+        "delay": "dynamics.DelayKind",
+        "sensor": "sensors.SensorKind",
+        "controller": "controllers.ControllerKind",
+        "discrete-state-space": "controllers.DiscreteStateSpaceKind",
+        "pid": "controllers.PidKind",
+        "descriptor": "plants.DescriptorKind",
+        "fmu": "plants.FmuKind",
+        "recording": "plants.RecordingKind",
+        "field-data": "field_data.FieldDataKind",
+        "unknown-input-observer": "observers.UnknownInputObserverKind",
+        "regressor": "regressor.RegressorKind",
+        "identifier": "identification.IdentifierKind",
+        "compensator": "compensators.CompensatorKind",
+    },
 )
-from cosim.scenario.kinds.field_data import FieldDataKind
-from cosim.scenario.kinds.identification import IdentifierKind
-from cosim.scenario.kinds.look_up import LookUpTableKind
-from cosim.scenario.kinds.observers import UnknownInputObserverKind
-from cosim.scenario.kinds.plants import DescriptorKind, FmuKind, RecordingKind
-from cosim.scenario.kinds.regressor import RegressorKind
-from cosim.scenario.kinds.sensors import SensorKind
-from cosim.scenario.kinds.sources import (
-    ChirpKind,
-    ConstantKind,
-    DisturbanceKind,
-    ExpressionKind,
-    NoiseKind,
-    RampKind,
-    SineKind,
-    StepKind,
-    TableKind,
-)
 
-KINDS: Mapping[str, type[Kind]] = {
-    "constant": ConstantKind,
-    "step": StepKind,
-    "ramp": RampKind,
-    "sine": SineKind,
-    "chirp": ChirpKind,
-    "expression": ExpressionKind,
-    "table": TableKind,
-    "noise": NoiseKind,
-    "disturbance": DisturbanceKind,
-    "sum": SumKind,
-    "gain": GainKind,
-    "product": ProductKind,
-    "limit": LimitKind,
-    "switch": SwitchKind,
-    "look-up-table": LookUpTableKind,
-    "lag": LagKind,
-    "integrator": IntegratorKind,
-    "transfer-function": TransferFunctionKind,
-    "delay": DelayKind,
-    "sensor": SensorKind,
-    "controller": ControllerKind,
-    "discrete-state-space": DiscreteStateSpaceKind,
-    "pid": PidKind,
-    "descriptor": DescriptorKind,
-    "fmu": FmuKind,
-    "recording": RecordingKind,
-    "field-data": FieldDataKind,
-    "unknown-input-observer": UnknownInputObserverKind,
-    "regressor": RegressorKind,
-    "identifier": IdentifierKind,
-    "compensator": CompensatorKind,
-}
-
-EXPORTABLE = tuple(name for name, kind in KINDS.items() if issubclass(kind, ExportableKind))
-
-__all__ = [
-    "EXPORTABLE",
-    "KINDS",
-    "BuildContext",
-    "DescriptorKind",
-    "ExportableKind",
-    "Kind",
-    "LinearKind",
-]
+__all__ = ["KINDS", "BuildContext", "ExportableKind", "Kind", "LinearKind"]
