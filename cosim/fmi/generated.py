@@ -133,6 +133,9 @@ class GeneratedInstance:
                 f"allowed in: {', '.join(modes)}"
             )
 
+    def addresses(self) -> None:
+        """Return None: nothing was loaded."""
+
     # --- modes ---
 
     def reset(self) -> None:

@@ -14,9 +14,11 @@ from typing import Final, NamedTuple, Protocol, runtime_checkable
 from cosim.arrays import Vector
 from cosim.core.linear import LinearModel
 from cosim.core.signals import Interface
+from cosim.errors import RunError
 from cosim.fmi.description import Description
 from cosim.fmi.references import ReferenceMap
 from cosim.fmi.variable import Variable
+from cosim.native.fmu import DirectionalStruct, VariablesStruct
 
 TERMINATED: Final = "the FMU requests the end of the run"
 
@@ -60,6 +62,47 @@ class StepEnd(NamedTuple):
     interpolated_until: float = math.inf
 
 
+class Addresses(Protocol):
+    """Where compiled code finds a loaded FMU (``fmu.h``); what it returns lives as long as this.
+
+    Attributes
+    ----------
+    fmu : int
+        Of ``cosim_fmu``.
+    version : int
+        First digit of the FMI version.
+    """
+
+    fmu: int
+    version: int
+
+    def call(self, name: str) -> int:
+        """Return the address of a function of the instance (``cosim_fmu_call``).
+
+        ``name`` is that of FMI 3 where the versions differ in nothing else; the function is one
+        that the instance has.
+        """
+        ...
+
+    def variables(self, references: ReferenceMap) -> VariablesStruct:
+        """Return variables that are set or read together.
+
+        Of a selection the vector is the one that it was selected from.
+        """
+        ...
+
+    def directional(self, unknowns: ReferenceMap, knowns: ReferenceMap) -> DirectionalStruct:
+        """Return the directional derivatives of variables, all of them Float64."""
+        ...
+
+    def failure(self) -> tuple[str, RunError] | None:
+        """Return the call that failed in compiled code, by its name, as an error; None: none did.
+
+        It is returned once.
+        """
+        ...
+
+
 class Instance(Protocol):
     """What model exchange and co-simulation have in common.
 
@@ -80,6 +123,10 @@ class Instance(Protocol):
     @property
     def interface(self) -> Interface:
         """Inputs, outputs and feedthrough."""
+        ...
+
+    def addresses(self) -> Addresses | None:
+        """Return where compiled code finds the instance; None: it is no loaded FMU."""
         ...
 
     def reset(self) -> None:

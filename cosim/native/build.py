@@ -43,6 +43,7 @@ SOURCES = (
     "start_grid.c",
     "noise.c",
     "fmi.c",
+    "fmu.c",
     "process.c",
 )
 FLAGS = ("-std=c11", "-O2", "-ffp-contract=off", "-fPIC", "-shared")

@@ -15,7 +15,7 @@ from cosim.fmi.binary.messages import Messages
 from cosim.fmi.description import Capabilities, Description, InterfaceType
 from cosim.fmi.instance import DiscreteStates, StepEnd
 from cosim.fmi.references import Group
-from cosim.fmi.variable import Variable
+from cosim.fmi.variable import Variable, VariableType
 
 NO_STATE: Final = "the FMU cannot save its state (canGetAndSetFMUstate is false)"
 NO_INPUT_DERIVATIVES: Final = "the FMU does not interpolate inputs (canInterpolateInputs is false)"
@@ -68,10 +68,10 @@ class Calls(Protocol):
     library: Library
     may_go_back: bool
     """The negation of noSetFMUStatePriorToCurrentPoint."""
-    derivatives_function: ClassVar[str]
-    """Name of a function that differs in nothing else."""
-    nominals_function: ClassVar[str]
-    """Name of a function that differs in nothing else."""
+    version: ClassVar[int]
+    """First digit of the FMI version."""
+    functions: ClassVar[Mapping[str, str]]
+    """Names of functions that differ in nothing else between the versions, by those of FMI 3."""
     dtypes: ClassVar[Mapping[str, DTypeLike]]
     """How the FMU carries each type."""
 
@@ -103,6 +103,10 @@ class Calls(Protocol):
 
     def reset(self) -> None:
         """Go back to the state after instantiation."""
+        ...
+
+    def type_name(self, variable_type: VariableType) -> str:
+        """Return what the functions that get and set a type are named after."""
         ...
 
     def access(self, verb: str, group: Group, values: NDArray[Any]) -> None:

@@ -42,14 +42,21 @@ _VALUES = (c_void_p, c_size_t, c_void_p)  # of a function that gets or sets
 class Fmi1:
     """FMI 1.0, one instance; see :class:`cosim.fmi.binary.binding.Calls`."""
 
-    derivatives_function: ClassVar[str] = "GetDerivatives"
-    nominals_function: ClassVar[str] = "GetNominalContinuousStates"
+    version: ClassVar[int] = 1
+    functions: ClassVar[Mapping[str, str]] = {
+        "GetContinuousStateDerivatives": "GetDerivatives",
+        "GetNominalsOfContinuousStates": "GetNominalContinuousStates",
+    }
     dtypes: ClassVar[Mapping[str, DTypeLike]] = {
         "Float64": np.float64,
         "Int32": np.int32,
         "Boolean": np.int8,
     }
-    names: Final = {"Float64": "Real", "Int32": "Integer", "Boolean": "Boolean"}
+    names: Final[Mapping[VariableType, str]] = {
+        "Float64": "Real",
+        "Int32": "Integer",
+        "Boolean": "Boolean",
+    }
 
     def __init__(self, library: Library, specification: InstanceSpecification) -> None:
         self.library = library
@@ -213,6 +220,10 @@ class Fmi1:
                 self._call_set_string(variable, texts)
 
     # --- values ---
+
+    def type_name(self, variable_type: VariableType) -> str:
+        """Return what the functions that get and set a type are named after."""
+        return self.names[variable_type]
 
     def access(self, verb: str, group: Group, values: NDArray[Any]) -> None:
         """Get or set variables of one type: ``verb`` is "Get" or "Set"."""

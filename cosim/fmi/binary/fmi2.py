@@ -21,7 +21,7 @@ from cosim.fmi.binary.structures import Fmi2CallbackFunctions, Fmi2EventInfo
 from cosim.fmi.description import Capabilities
 from cosim.fmi.instance import DiscreteStates, StepEnd
 from cosim.fmi.references import Group
-from cosim.fmi.variable import Variable
+from cosim.fmi.variable import Variable, VariableType
 from cosim.native.library import address
 
 LAST_SUCCESSFUL_TIME: Final = 2  # of fmi2StatusKind
@@ -34,14 +34,21 @@ _REFERENCES = (c_void_p, c_size_t)
 class Fmi2:
     """FMI 2.0.4, one instance; see :class:`cosim.fmi.binary.binding.Calls`."""
 
-    derivatives_function: ClassVar[str] = "GetDerivatives"
-    nominals_function: ClassVar[str] = "GetNominalsOfContinuousStates"
+    version: ClassVar[int] = 2
+    functions: ClassVar[Mapping[str, str]] = {
+        "GetContinuousStateDerivatives": "GetDerivatives",
+        "GetFMUState": "GetFMUstate",
+    }
     dtypes: ClassVar[Mapping[str, DTypeLike]] = {
         "Float64": np.float64,
         "Int32": np.int32,
         "Boolean": np.int32,
     }
-    names: Final = {"Float64": "Real", "Int32": "Integer", "Boolean": "Boolean"}
+    names: Final[Mapping[VariableType, str]] = {
+        "Float64": "Real",
+        "Int32": "Integer",
+        "Boolean": "Boolean",
+    }
 
     def __init__(self, library: Library, specification: InstanceSpecification) -> None:
         self.library = library
@@ -150,6 +157,10 @@ class Fmi2:
         self._enter()
 
     # --- values ---
+
+    def type_name(self, variable_type: VariableType) -> str:
+        """Return what the functions that get and set a type are named after."""
+        return self.names[variable_type]
 
     def access(self, verb: str, group: Group, values: NDArray[Any]) -> None:
         """Get or set variables of one type: ``verb`` is "Get" or "Set"."""

@@ -32,7 +32,7 @@ from cosim.fmi.binary.library import DISCARD, WARNING, Call, Library, pointer
 from cosim.fmi.description import Capabilities
 from cosim.fmi.instance import DiscreteStates, StepEnd
 from cosim.fmi.references import Group
-from cosim.fmi.variable import Variable
+from cosim.fmi.variable import Variable, VariableType
 from cosim.native.library import InterpolationStruct, address
 
 _FLOATS = ("Float64", "Float32")
@@ -48,8 +48,8 @@ _VECTOR = (c_void_p, c_size_t)
 class Fmi3:
     """FMI 3.0, one instance; see :class:`cosim.fmi.binary.binding.Calls`."""
 
-    derivatives_function: ClassVar[str] = "GetContinuousStateDerivatives"
-    nominals_function: ClassVar[str] = "GetNominalsOfContinuousStates"
+    version: ClassVar[int] = 3
+    functions: ClassVar[Mapping[str, str]] = {}
     dtypes: ClassVar[Mapping[str, DTypeLike]] = {
         **{name: np.dtype(name.lower()) for name in (*_FLOATS, *_INTEGERS)},
         "Boolean": np.bool_,
@@ -166,6 +166,10 @@ class Fmi3:
         self._enter(False, 0.0, t, False, 0.0)
 
     # --- values ---
+
+    def type_name(self, variable_type: VariableType) -> str:
+        """Return what the functions that get and set a type are named after."""
+        return variable_type
 
     def access(self, verb: str, group: Group, values: NDArray[Any]) -> None:
         """Get or set variables of one type: ``verb`` is "Get" or "Set"."""

@@ -8,16 +8,19 @@ anew from lists at every call.
 
 from __future__ import annotations
 
+import math
 import sys
-from collections.abc import Callable
-from ctypes import CDLL, c_int, c_uint8, c_void_p
+from collections.abc import Callable, Iterator
+from ctypes import CDLL, addressof, byref, c_int, c_uint8, c_void_p, cast
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
 from numpy.typing import NDArray
 
 from cosim.errors import FmuError, RunError
-from cosim.fmi.binary.messages import Message, Messages
+from cosim.fmi.binary.messages import Message, Messages, last_as_suffix
+from cosim.native.fmu import CallStruct, FmuStruct
+from cosim.native.library import library as kernels
 
 # ctypes itself has no public way to unload a library.
 if sys.platform == "win32":
@@ -33,6 +36,8 @@ WARNING: Final = 1
 DISCARD: Final = 2
 ERROR: Final = 3
 FATAL: Final = 4
+NEW: Final = 1  # a warning that was not fetched yet
+REPORTED: Final = 2
 _ArrayMemory = c_uint8 * 1
 
 
@@ -55,6 +60,15 @@ class Library:
         Names the FMU in messages.
     messages : Messages
         What the FMU logs.
+    version : int
+        First digit of the FMI version.
+
+    Attributes
+    ----------
+    instance : c_void_p
+        Always this object, as every bound function refers to it; compiled code reads its memory.
+    address : int
+        Of ``cosim_fmu``, for compiled code.
 
     Raises
     ------
@@ -62,14 +76,17 @@ class Library:
         If it cannot be loaded, with the loader's reason.
     """
 
-    def __init__(self, path: Path, prefix: str, name: str, messages: Messages) -> None:
+    def __init__(
+        self, path: Path, prefix: str, name: str, messages: Messages, *, version: int
+    ) -> None:
         self.prefix = prefix
         self.name = name
         self.messages = messages
-        self.instance = c_void_p()  # always this object, as every bound function refers to it
+        self._struct = FmuStruct(version=version, messages=messages.address)
+        self.address = addressof(self._struct)
+        self.instance = c_void_p.from_buffer(self._struct, FmuStruct.instance.offset)
         self.failed = False  # an error or worse: terminate is no longer allowed
-        self._warned: set[str] = set()  # functions that returned a warning
-        self._warnings: list[Message] = []  # about those, not fetched yet
+        self._calls: dict[str, CallStruct] = {}  # the functions of the instance that were bound
         self._file_name = path.name
         self._forbidden = ""  # why no call is allowed any more
         try:
@@ -144,6 +161,7 @@ class Library:
     def _checked(self, name: str, worst: int, types: tuple[Any, ...]) -> Callable[..., Any]:
         function = self.function(name, c_int, c_void_p, *types)
         instance = self.instance
+        self._calls.setdefault(name, CallStruct(cast(function, c_void_p)))
 
         def checked(*arguments: Any) -> int:
             if self._forbidden:
@@ -165,19 +183,41 @@ class Library:
 
     def record_warning(self, name: str) -> None:
         """Report that a function returned a warning, the first time that it does."""
-        if name not in self._warned:
-            self._warned.add(name)
+        kernels.cosim_fmu_record_warning(byref(self._struct), byref(self._calls[name]))
+
+    def _warnings(self) -> Iterator[Message]:
+        """Return what functions returned as a warning, each once."""
+        for name, call in self._calls.items():
+            if call.warned != NEW:
+                continue
+            call.warned = REPORTED
+            last = last_as_suffix(Message.of(call.message)) if call.has_message else ""
+            time = None if math.isnan(call.time) else call.time
             text = (
-                f"{self.prefix}{name} returned 1 (warning); the first time only is reported"
-                f"{self.messages.last_as_suffix}"
+                f"{self.prefix}{name} returned 1 (warning); the first time only is reported{last}"
             )
-            self._warnings.append(Message(self.messages.time, "warning", "", text))
+            yield Message(time, "warning", "", text)
+
+    def call_address(self, name: str) -> int:
+        """Return the address of a function of the instance that was bound, for compiled code."""
+        return addressof(self._calls[name])
+
+    def failure_of_compiled_code(self) -> tuple[str, RunError] | None:
+        """Return the call that failed in compiled code, by its name, as an error; None: none did.
+
+        It is returned once.
+        """
+        address = self._struct.failed
+        if not address:
+            return None
+        self._struct.failed = None
+        names = {addressof(call): name for name, call in self._calls.items()}
+        name = names[address]
+        return name, self.record_failure(name, self._struct.status)
 
     def drain(self) -> list[Message]:
         """Return the FMU's messages since the last call, and what it returned as a warning."""
-        warnings = self._warnings
-        self._warnings = []
-        return self.messages.drain() + warnings
+        return self.messages.drain() + list(self._warnings())
 
     def unavailable(self, reason: str) -> Call:
         """Return a function in the place of one that the FMU or its version does not have.
@@ -201,13 +241,18 @@ class Library:
         full_name = self.prefix + name
         self.failed |= status >= ERROR
         if status == FATAL:
-            self._forbidden = f"{full_name} returned 4 (fatal) before"
+            self._forbid(f"{full_name} returned 4 (fatal) before")
         known = 0 <= status < len(STATUS_NAMES)
         status_name = STATUS_NAMES[status] if known else "no status of the standard"
         return RunError(
             f"{self.name}: {full_name} returned {status} ({status_name})"
             f"{self.messages.last_as_suffix}"
         )
+
+    def _forbid(self, reason: str) -> None:
+        """Allow no call any more."""
+        self._forbidden = reason
+        self._struct.forbidden = 1
 
     def check_allowed(self, what: str) -> None:
         """Check that calls are allowed.
@@ -228,6 +273,6 @@ class Library:
     def unload(self) -> None:
         """Unload the binary; no call reaches it any more."""
         if self._dll is not None:
-            self._forbidden = self._forbidden or "the instance was freed"
+            self._forbid(self._forbidden or "the instance was freed")
             _unload(self._dll._handle)
             self._dll = None

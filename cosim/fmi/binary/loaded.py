@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from ctypes import byref, c_double, c_size_t, c_void_p
 from pathlib import Path
@@ -15,6 +15,7 @@ from cosim.arrays import Vector
 from cosim.core.linear import LinearModel
 from cosim.core.signals import Interface
 from cosim.errors import FmuError, RunError
+from cosim.fmi.binary.addresses import InstanceAddresses
 from cosim.fmi.binary.binding import Calls, InstanceSpecification
 from cosim.fmi.binary.fmi1 import Fmi1
 from cosim.fmi.binary.fmi2 import Fmi2
@@ -25,7 +26,7 @@ from cosim.fmi.description import Description, InterfaceType
 from cosim.fmi.references import ReferenceMap
 from cosim.fmi.variable import LARGEST_EXACT, Variable
 
-VERSIONS: Final[Mapping[str, tuple[str, Callable[[Library, InstanceSpecification], Calls]]]] = {
+VERSIONS: Final[Mapping[str, tuple[str, type[Fmi1] | type[Fmi2] | type[Fmi3]]]] = {
     "1": ("{identifier}_fmi", Fmi1),
     "2": ("fmi2", Fmi2),
     "3": ("fmi3", Fmi3),
@@ -120,8 +121,11 @@ class LoadedInstance:
         self._set_time = call("SetTime", c_double)
         self._set_states = call("SetContinuousStates", *vector)
         self._get_states = call("GetContinuousStates", *vector)
-        self._get_derivatives = call(calls.derivatives_function, *vector)
-        self._get_nominals = call(calls.nominals_function, *vector)
+        functions = calls.functions
+        derivatives = "GetContinuousStateDerivatives"
+        nominals = "GetNominalsOfContinuousStates"
+        self._get_derivatives = call(functions.get(derivatives, derivatives), *vector)
+        self._get_nominals = call(functions.get(nominals, nominals), *vector)
         self._get_indicators = call("GetEventIndicators", *vector)
 
     @property
@@ -132,6 +136,17 @@ class LoadedInstance:
     def drain(self) -> list[Message]:
         """Return the FMU's messages since the last call, and what it returned as a warning."""
         return self._library.drain()
+
+    def addresses(self) -> InstanceAddresses:
+        """Return where compiled code finds the instance, its functions and its variables."""
+        calls = self._calls
+        return InstanceAddresses(
+            self._library,
+            calls.version,
+            dtypes=calls.dtypes,
+            type_name=calls.type_name,
+            functions=calls.functions,
+        )
 
     # --- modes ---
 
@@ -363,7 +378,8 @@ def _opened_library(
     """Load a binary and yield its calls; after a failure it is unloaded."""
     prefix_pattern, bind = VERSIONS[specification.description.version[0]]
     prefix = prefix_pattern.format(identifier=specification.capabilities.identifier)
-    library = Library(binary, prefix, label, specification.messages)
+    version = bind.version
+    library = Library(binary, prefix, label, specification.messages, version=version)
     try:
         yield bind(library, specification)
     except BaseException:

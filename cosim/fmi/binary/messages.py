@@ -72,6 +72,11 @@ class Messages:
         self._struct.accepts_unknown = int(key is None)
 
     @property
+    def address(self) -> int:
+        """Where compiled code finds them (``cosim_messages``)."""
+        return addressof(self._struct)
+
+    @property
     def time(self) -> float | None:
         """The time [s] that a message would get now; None: the initialization did not begin."""
         time: float = self.clock.value
@@ -82,8 +87,7 @@ class Messages:
         """The last message that was not fetched yet, to end an error with; empty without one."""
         if not library.cosim_messages_last(byref(self._struct), byref(self._out)):
             return ""
-        last = Message.of(self._out)
-        return f"; its last message: {last.level}: {last.text}"
+        return last_as_suffix(Message.of(self._out))
 
     def drain(self) -> list[Message]:
         """Return the messages since the last call, and how many were dropped."""
@@ -98,6 +102,11 @@ class Messages:
             text = f"{dropped} earlier messages of the FMU were dropped"
             messages.insert(0, Message(time, "warning", "", text))
         return messages
+
+
+def last_as_suffix(last: Message) -> str:
+    """Return the last message of an FMU, to end an error with."""
+    return f"; its last message: {last.level}: {last.text}"
 
 
 def _close(struct: MessagesStruct, ring: object) -> None:

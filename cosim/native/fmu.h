@@ -1,0 +1,103 @@
+/* A loaded FMU, called by address: what its methods in Python do, for steps in compiled code.
+ *
+ * Values are float64 vectors; the FMU carries them by type. A call that fails is remembered, so that
+ * the methods in Python can name it; none is made where values do not fit the types. */
+#ifndef COSIM_FMU_H
+#define COSIM_FMU_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "fmi.h"
+
+/* Statuses beside those of cosim.h. */
+#define COSIM_DECLINED 20    /* nothing was called: it is left to the methods in Python */
+#define COSIM_CALL_FAILED 21 /* `failed` and `status` of the FMU tell which call, and how */
+
+/* Statuses of FMI that a call may return. */
+#define COSIM_FMI_OK 0
+#define COSIM_FMI_WARNING 1
+
+/* A function of one instance. */
+typedef struct {
+    void (*function)(void);
+    int32_t warned;      /* 1: it returned a warning, which was not fetched yet; 2: fetched */
+    int32_t has_message; /* what the FMU logged last before its first warning */
+    double time;         /* of the first warning [s] */
+    cosim_message message;
+} cosim_fmu_call;
+
+/* One instance. */
+typedef struct {
+    void *instance;    /* NULL: there is none any more */
+    int32_t version;   /* of FMI: 1, 2 or 3 */
+    int32_t forbidden; /* no call is allowed any more */
+    cosim_messages *messages;
+    const cosim_fmu_call *failed; /* NULL: none */
+    int32_t status;               /* what that returned */
+} cosim_fmu;
+
+/* How the FMU carries a value. */
+#define COSIM_FLOAT64 0
+#define COSIM_FLOAT32 1
+#define COSIM_INT8 2
+#define COSIM_UINT8 3
+#define COSIM_INT16 4
+#define COSIM_UINT16 5
+#define COSIM_INT32 6
+#define COSIM_UINT32 7
+#define COSIM_INT64 8
+#define COSIM_UINT64 9
+#define COSIM_BOOL 10
+
+/* Variables of one type. */
+typedef struct {
+    cosim_fmu_call *get, *set;
+    const uint32_t *references;
+    size_t count, size;      /* of references, of elements */
+    const intptr_t *columns; /* (size) of the vector; NULL: those from `first` on, in order */
+    intptr_t first;
+    int32_t carrier, boolean; /* boolean: only 0 and 1 can be set */
+    void *values;             /* (size) of the carrier: scratch; Float64 in order needs none */
+} cosim_fmu_group;
+
+/* Variables that are set or read together: elements of one vector. */
+typedef struct {
+    const cosim_fmu_group *groups;
+    int64_t count;
+} cosim_fmu_variables;
+
+/* Whether calls are allowed. */
+static inline bool cosim_fmu_is_open(const cosim_fmu *fmu)
+{
+    return fmu->instance && !fmu->forbidden;
+}
+
+/* Remember the first warning of a function. */
+void cosim_fmu_record_warning(const cosim_fmu *fmu, cosim_fmu_call *call);
+
+/* Judge what a call returned: COSIM_OK for ok and warning, else COSIM_CALL_FAILED. */
+int32_t cosim_fmu_judge_other(cosim_fmu *fmu, cosim_fmu_call *call, int32_t status);
+static inline int32_t cosim_fmu_judge(cosim_fmu *fmu, cosim_fmu_call *call, int32_t status)
+{
+    return status == COSIM_FMI_OK ? 0 : cosim_fmu_judge_other(fmu, call, status);
+}
+
+/* Set variables from a vector; COSIM_DECLINED where a value is none of its type. */
+int32_t cosim_fmu_set(cosim_fmu *fmu, const cosim_fmu_variables *variables, const double *vector);
+/* Read variables into a vector; COSIM_DECLINED where an integer does not fit a float64: then they
+ * were read, and may be read again. */
+int32_t cosim_fmu_get(cosim_fmu *fmu, const cosim_fmu_variables *variables, double *vector);
+
+/* Write d(unknowns)/d(knowns) . seed, of Float64 variables. */
+typedef struct {
+    cosim_fmu_call *call;
+    const uint32_t *unknowns, *knowns;
+    size_t n_unknowns, n_knowns;   /* of references */
+    size_t unknowns_size, knowns_size; /* of elements */
+} cosim_fmu_directional;
+int32_t cosim_fmu_directional_derivative(cosim_fmu *fmu, const cosim_fmu_directional *derivative,
+                                         const double *seed, double *result);
+
+#endif
