@@ -45,6 +45,7 @@ SOURCES = (
     "fmi.c",
     "fmu.c",
     "process.c",
+    "model_exchange.c",
 )
 FLAGS = ("-std=c11", "-O2", "-ffp-contract=off", "-fPIC", "-shared")
 # of the package's own library, which is compiled once: a fifth less time, and the same bits

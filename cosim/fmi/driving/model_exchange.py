@@ -13,9 +13,10 @@ import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Design, Stopped, check_design
-from cosim.core.linear import Linear, LinearModel, shapes_of
+from cosim.core.linear import LinearModel, shapes_of
 from cosim.errors import FmuError, RunError, nearest
 from cosim.fmi.binary.messages import Message
+from cosim.fmi.driving.exact import ExactSolver
 from cosim.fmi.driving.initialization import Initialization, Starts
 from cosim.fmi.driving.integrator import (
     Integrator,
@@ -27,6 +28,7 @@ from cosim.fmi.driving.residual import FORMS, RADAU, DaeForm
 from cosim.fmi.driving.saved import SavedState, save
 from cosim.fmi.driving.solvers import LIBRARIES, SOLVERS, STEPPING, TOLERANT
 from cosim.fmi.instance import TERMINATED, ModelExchangeInstance
+from cosim.native.step import NativeStep
 
 RTOL: Final = 1e-9
 CLOSEST: Final = 1e-13  # what rounding leaves of a relative tolerance
@@ -92,10 +94,13 @@ class ModelExchange:
         self._discrete = instance.description.discrete_inputs
         self._capabilities = instance.description.capabilities["me"]
         self.interface = replace(
-            instance.interface, prepares=True, rollback=self._capabilities.saves_state
+            instance.interface,
+            prepares=True,
+            rollback=self._capabilities.saves_state,
+            native=self.solver == "exact",
         )
         self._integrator = Integrator(instance, self.solver, rtol=tolerance)
-        self._exact: Linear | None = None
+        self._exact: ExactSolver | None = None
 
     @property
     def metadata(self) -> dict[str, str | float]:
@@ -121,7 +126,7 @@ class ModelExchange:
         if model is None:
             return {}
         if self.solver == "exact":
-            self._exact = Linear(model)
+            self._exact = ExactSolver(model, self._instance, self._integrator)
             design = self._exact.prepare(h, held, recorded)
         else:
             design = recorded or model.arrays
@@ -131,23 +136,33 @@ class ModelExchange:
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Initialize at ``t``; stays in initialization mode until the first advance."""
+        self._take_over()
         self._integrator.state = IntegratorState(t, inputs=np.array(u, np.float64))
         return self._initialization.enter(t, u)
 
     def outputs(self, t: float, u: Vector) -> Vector:
         """Return the outputs at ``t``, the time reached, after what is due there."""
+        self._take_over()
         self._leave_initialization()
-        return self._integrator.outputs(np.array(u, np.float64, order="C"))
+        y = self._integrator.outputs(np.array(u, np.float64, order="C"))
+        self._hand_over()
+        return y
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Step K times; see :class:`cosim.core.contracts.Component`."""
+        self._take_over()
+        y = self._advance(t, h, u)
+        self._hand_over()
+        return y
+
+    def _advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         no_rows = np.empty((0, self.interface.n_y))
         try:
             self._leave_initialization()
-            if not self._integrator.state.ended:
-                self._integrator.handle_events(np.array(u[0], np.float64))
         except RunError as error:
             raise Stopped(no_rows, str(error)) from error
+        if not self._integrator.state.ended:
+            self._handle_events(u[0], no_rows)
         if self._integrator.state.ended:
             raise Stopped(no_rows, TERMINATED, failed=False)
         if self._exact:
@@ -168,41 +183,72 @@ class ModelExchange:
         FmuError
             If the FMU cannot save its state.
         """
+        self._take_over()
         state = ModelExchangeState(self._initialization.mode_time, self._integrator.save())
-        return save(self._instance, self._capabilities, state)
+        saved = save(self._instance, self._capabilities, state)
+        self._hand_over()
+        return saved
 
     def restore(self, state: SavedState[ModelExchangeState]) -> None:
         """Go back to a saved state."""
+        self._take_over()
         self._instance.set_fmu_state(state.fmu)
         self._initialization.mode_time = state.component.initialization_time
         self._integrator.restore(state.component.integrator)
         if self._exact and self._initialization.mode_time is None:
-            self._exact.state[:] = self._integrator.state.x
+            self._exact.begin()
+        self._hand_over()
+
+    def native(self) -> NativeStep | None:
+        """Return the compiled step; see :class:`cosim.core.contracts.Native`."""
+        if self._exact is None:
+            return None
+        self._take_over()
+        step = self._exact.native()
+        self._hand_over()
+        return step
 
     def _leave_initialization(self) -> None:
         if not self._initialization.leave():
             return
         self._integrator.begin()
         if self._exact and not self._integrator.state.ended:
-            self._exact.state[:] = self._integrator.state.x
+            self._exact.begin()
+
+    def _take_over(self) -> None:
+        """Go on from where compiled steps ended; none is taken until ``_hand_over``."""
+        if self._exact:
+            self._exact.take_over()
+
+    def _hand_over(self) -> None:
+        """Let compiled steps go on from here, unless the initialization is not over."""
+        if self._exact and self._initialization.mode_time is None:
+            self._exact.hand_over()
+
+    def _handle_events(self, u: Vector, rows: Matrix) -> None:
+        """Handle what is due with inputs ``u``; an error comes with the rows completed so far."""
+        try:
+            self._integrator.handle_events(np.array(u, np.float64))
+        except RunError as error:
+            raise Stopped(rows.copy(), str(error)) from error
 
     # --- the exact solver ---
 
-    def _advance_exactly(self, exact: Linear, t: Vector, h: float, u: Matrix) -> Matrix:
-        y = exact.advance(t, h, u)
-        state = self._integrator.state
-        state.t = float(t[-1])
-        state.x = exact.state.copy()
-        # Inputs that change in events only keep their value to the end of the step.
-        end_inputs = u[-1].copy()
-        in_events = self._integrator.event_inputs
-        end_inputs[in_events] = state.inputs[in_events]
-        # All arguments are set before the step is accepted (FMI 2.0.4 section 3.2.2).
-        self._instance.set_time(state.t)
-        self._instance.set_continuous_states(state.x)
-        self._integrator.set_continuous_inputs(end_inputs)
-        self._instance.completed_integrator_step()
-        state.inputs = end_inputs
+    def _advance_exactly(self, exact: ExactSolver, t: Vector, h: float, u: Matrix) -> Matrix:
+        """Advance from one change of inputs that happens in events to the next."""
+        steps = len(u) - 1
+        y = np.empty((steps, self.interface.n_y))
+        in_events = u[:-1, self._integrator.event_inputs]
+        changes = np.flatnonzero((in_events[1:] != in_events[:-1]).any(axis=1)) + 1
+        begin = 0
+        for end in (*changes.tolist(), steps):
+            if begin:
+                self._handle_events(u[begin], y[:begin])
+            if self._integrator.state.ended:
+                raise Stopped(y[:begin].copy(), TERMINATED, failed=False)
+            points = slice(begin, end + 1)
+            y[begin:end] = exact.advance(t[points], h, u[points])
+            begin = end
         return y
 
     # --- solvers in steps ---
