@@ -321,6 +321,25 @@ class Recorder(Protocol):
 
 
 @runtime_checkable
+class RowMemory(Protocol):
+    """For recorders that keep the rows of a run in memory: they are computed where they stay."""
+
+    def memory_for(self, block: Block, steps: int) -> Matrix | None:
+        """Return where the rows of a block will stay, shape (K+1, width), to be filled.
+
+        Row 0 is the last row of the block before. None: there is no such memory. What is
+        written of the block then is passed to ``write`` as usual, as a part of this array.
+
+        Parameters
+        ----------
+        block : Block
+        steps : int
+            Steps of the run that are still to come, with those of the block.
+        """
+        ...
+
+
+@runtime_checkable
 class Recording(Protocol):
     """A finished run to read from: a log file, or memory."""
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import Literal, Protocol, TypeAlias
 
 import numpy as np
@@ -170,12 +171,39 @@ class Loop:
 
     @property
     def program(self) -> StageProgram:
-        """What :meth:`_step` does."""
-        program: list[ProgramOperation] = [("keep", self.members)]
+        """What :meth:`_step` does, without copies that nothing reads or that change nothing."""
+        sources = self._sources()
+        read_early: set[str] = set()
+        gathered: dict[str, int] = {}  # number of the last operation
+        written: dict[str, int] = {}
+        for number, (_, member) in enumerate(self.operations):
+            read_early |= sources[member.name] - written.keys()
+            gathered[member.name] = number
+            written[member.name] = number
+        program: list[ProgramOperation] = []
+        for member in self.members:
+            if member.name in read_early:
+                program.append(("keep", (member,)))
         for kind, member in self.operations:
             program += [("gather", (member,)), (kind, (member,)), ("trace", (member,))]
-        program += [("gather", self.members), ("check", self.members)]
+        for member in self.members:
+            last = gathered[member.name]
+            if any(written[source] >= last for source in sources[member.name]):
+                program.append(("gather", (member,)))
+        program.append(("check", self.members))
         return tuple(program)
+
+    def _sources(self) -> dict[str, set[str]]:
+        """Return the components of the loop that drive each of them."""
+        writer = {}
+        for member in self.members:
+            for column in range(member.outputs.start, member.outputs.stop):
+                writer[column] = member.name
+        sources: dict[str, set[str]] = {}
+        for member in self.members:
+            columns = chain.from_iterable(wire.source_columns for wire in member.wires)
+            sources[member.name] = {writer[column] for column in columns if column in writer}
+        return sources
 
     def advance(self, block: Block, signals: Matrix) -> None:
         """Advance step by step."""

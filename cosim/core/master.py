@@ -26,11 +26,11 @@ from cosim.core.arguments import check_recorder, check_type
 from cosim.core.clock import Clock
 from cosim.core.contracts import Block, Design, Plan, Recorder, Stopped
 from cosim.core.graph import Graph
-from cosim.core.native_stage import native_stages
+from cosim.core.native_stage import advancing_stages
 from cosim.core.pacing import Pacer
+from cosim.core.recorders import BlockMemory, Nothing
 from cosim.errors import UsageError
 
-BLOCK_BYTES = 16 * 2**20  # memory for the rows of one block
 TWO_SIMULATIONS = (
     "another simulation of this graph has begun, and its components have one state each; build a "
     "graph with components of its own for every simulation"
@@ -79,7 +79,7 @@ def run(
             if plan is None:
                 plan = graph.prepare(clock.step_ns, designs)
             recorder.begin(plan)
-            for block, signals in _advance(graph, clock, divide=True):
+            for block, signals in _advance(graph, clock, recorder, divide=True):
                 recorder.write(block, signals)
     except Stopped as stop:
         if stop.failed:
@@ -115,7 +115,7 @@ def simulate(
     _check(graph, clock, plan)
     if plan is None:
         graph.prepare(clock.step_ns)
-    yield from _advance(graph, clock, divide=clock.block is None)
+    yield from _advance(graph, clock, Nothing(), divide=clock.block is None)
 
 
 def _check(graph: Graph, clock: Clock, plan: Plan | None) -> None:
@@ -131,15 +131,17 @@ def _check(graph: Graph, clock: Clock, plan: Plan | None) -> None:
         )
 
 
-def _advance(graph: Graph, clock: Clock, *, divide: bool) -> Iterator[tuple[Block, Matrix]]:
+def _advance(
+    graph: Graph, clock: Clock, recorder: Recorder, *, divide: bool
+) -> Iterator[tuple[Block, Matrix]]:
     """Initialize a prepared graph, and yield its blocks; those that take long in pieces."""
-    limit = max(1, BLOCK_BYTES // (8 * graph.layout.width + 8))
-    signals = np.zeros((min(limit, clock.steps) + 1, graph.layout.width))
-    graph.initialize(clock.start_time, signals[0])
+    memory = BlockMemory(recorder, graph.layout.width, clock.steps)
+    row = np.zeros(graph.layout.width)
+    graph.initialize(clock.start_time, row)
     initialization = graph.initializations
-    stages = native_stages(graph.stages, graph.layout.width) if graph.native else graph.stages
-    pacer = Pacer(stages, divide=divide)
-    for block in clock.blocks(limit, pacer.work):
+    pacer = Pacer(advancing_stages(graph), divide=divide)
+    for block in clock.blocks(memory.limit, pacer.work):
+        signals = memory.rows(block, row)
         pacer.begin(block)
         reached = -1
         while reached < pacer.end:
@@ -150,4 +152,4 @@ def _advance(graph: Graph, clock: Clock, *, divide: bool) -> Iterator[tuple[Bloc
             yield block.part(begin, reached), signals[begin : reached + 1]
         if pacer.error is not None:
             raise pacer.error
-        signals[0] = signals[block.steps]
+        row = signals[block.steps]

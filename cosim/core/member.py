@@ -40,6 +40,14 @@ class Wire:
     offset: float
     conversion: Conversion
 
+    @property
+    def source_columns(self) -> list[int]:
+        """The numbers of the columns that it copies from."""
+        if isinstance(self.source, slice):
+            return list(range(self.source.start, self.source.stop))
+        numbers: list[int] = self.source.tolist()
+        return numbers
+
     def copy(self, signals: Matrix, rows: slice) -> None:
         """Fill the input columns of some rows."""
         source = signals[rows, self.source]

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from cosim.arrays import Matrix, Vector
 from cosim.core.contracts import Block, Stopped
 from cosim.core.coupling import Advancing, Cut, Stage, call
-from cosim.core.member import Columns, Member, NonFinite, Wire, first_non_finite, read_only
+from cosim.core.graph import Graph
+from cosim.core.member import Member, NonFinite, Wire, first_non_finite, read_only
 from cosim.core.order import OperationKind
 from cosim.native.library import library, pointer
 from cosim.native.stage import (
@@ -38,23 +39,20 @@ NativeSteps: TypeAlias = dict[str, NativeStep]  # by component
 CALLED: Final[dict[int, OperationKind]] = {KINDS["advance"]: "advance", KINDS["refresh"]: "refresh"}
 
 
-def native_stages(stages: Iterable[Stage], width: int) -> list[Advancing]:
-    """Return stages in their order; those that follow each other advance in compiled code as one.
+def advancing_stages(graph: Graph) -> Sequence[Advancing]:
+    """Return the stages of an initialized graph in their order, as they are to advance.
 
-    A loop advances in compiled code whatever its components are. A component outside every loop
-    that has no compiled step stays as it is: it advances a whole block in one call.
-
-    Parameters
-    ----------
-    stages : iterable of Stage
-        Their components are initialized.
-    width : int
-        Columns of a row.
+    Those that follow each other advance in compiled code as one. A loop advances in compiled code
+    whatever its components are. A component outside every loop that has no compiled step stays as
+    it is: it advances a whole block in one call.
     """
+    if not graph.native:
+        return graph.stages
+    width = graph.layout.width
     advancing: list[Advancing] = []
     together: list[Stage] = []
     steps: NativeSteps = {}
-    for stage in stages:
+    for stage in graph.stages:
         steps_of_stage = _native_steps(stage.members)
         if steps_of_stage or stage.is_loop:
             together.append(stage)
@@ -217,7 +215,7 @@ class _Wiring:
         struct.first_copy = len(self._copies)
         struct.first_sum = len(self._sums)
         for wire in member.wires:
-            sources = _numbers(wire.source)
+            sources = wire.source_columns
             if wire.gain is not None:
                 self._add_sums(wire, wire.gain, sources)
             elif wire.conversion.copies:
@@ -228,7 +226,7 @@ class _Wiring:
         struct.sums = len(self._sums) - struct.first_sum
 
     def _add_sums(self, wire: Wire, gain: Matrix, sources: list[int]) -> None:
-        for to, gains in zip(_numbers(wire.to), gain, strict=True):
+        for to, gains in zip(range(wire.to.start, wire.to.stop), gain, strict=True):
             first = len(self._terms)
             for source, factor in zip(sources, gains, strict=True):
                 if factor != 0.0:
@@ -237,7 +235,7 @@ class _Wiring:
             self._sums.append(_sum(to, wire, first=first, terms=count, plain=0))
 
     def _add_conversions(self, wire: Wire, sources: list[int]) -> None:
-        for to, source in zip(_numbers(wire.to), sources, strict=True):
+        for to, source in zip(range(wire.to.start, wire.to.stop), sources, strict=True):
             self._sums.append(_sum(to, wire, first=len(self._terms), terms=1, plain=1))
             self._terms.append(TermStruct(source, 1.0))
 
@@ -254,11 +252,3 @@ def _sum(to: int, wire: Wire, *, first: int, terms: int, plain: int) -> SumStruc
     factors = (conversion.factor1, conversion.offset1, conversion.offset2, conversion.factor2)
     converts = int(not conversion.copies)
     return SumStruct(to, first, terms, plain, converts, wire.offset, *factors)
-
-
-def _numbers(columns: Columns) -> list[int]:
-    """Return the numbers of columns."""
-    if isinstance(columns, slice):
-        return list(range(columns.start, columns.stop))
-    numbers: list[int] = columns.tolist()
-    return numbers

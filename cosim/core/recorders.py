@@ -9,17 +9,21 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from types import TracebackType
-from typing import Any, Literal, Self
+from typing import Any, Final, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.arrays import Mask, Matrix, Nanoseconds
+from cosim.arrays import Mask, Matrix, Nanoseconds, Vector
 from cosim.core.arguments import check_type
-from cosim.core.contracts import Block, MessageLevel, Plan, Recorder, Stopped
+from cosim.core.contracts import Block, MessageLevel, Plan, Recorder, RowMemory, Stopped
+from cosim.core.member import read_only
 from cosim.core.recorded import RecordedSignals, RunMessage, find_channel
 from cosim.core.signals import Channel
 from cosim.errors import Interrupted, LogError, UsageError, nearest
+
+BLOCK_BYTES: Final = 2**24  # of the rows of one block
+MEMORY_BYTES: Final = 2**30  # of rows that are taken at a time
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +45,77 @@ def end_of_run(error: BaseException | None) -> EndOfRun:
             return EndOfRun("interrupted", str(error) or "interrupted by the user")
         case _:
             return EndOfRun("failed", str(error) or type(error).__name__)
+
+
+class _GrowingRows:
+    """The rows of a run, written where they stay; memory is taken as it is needed.
+
+    Parameters
+    ----------
+    width : int
+        Columns of a row.
+
+    Attributes
+    ----------
+    count : int
+        How many rows there are.
+    """
+
+    def __init__(self, width: int = 0) -> None:
+        self.count = 0
+        self._width = width
+        self._parts: list[Matrix] = []  # what is full
+        self._memory = np.empty((0, width))
+        self._begin = 0  # rows of the memory that are kept
+        self._end = 0
+
+    def place(self, steps: int, expected: int) -> Matrix:
+        """Return rows for some steps; row 0 is the last row that there is, or the first.
+
+        ``expected`` is how many steps are still to come: memory that the run will fill anyway is
+        taken at once, and untouched costs nothing.
+        """
+        begin = max(self._end - 1, 0)
+        end = begin + steps + 1
+        if end > len(self._memory):
+            self._take(max(steps, min(expected, MEMORY_BYTES // (8 * self._width + 1))))
+            begin = max(self._end - 1, 0)
+            end = begin + steps + 1
+        return self._memory[begin:end]
+
+    def _take(self, steps: int) -> None:
+        """Take memory for more rows, and begin it with the last one."""
+        memory = np.empty((steps + 1, self._width))
+        if self.count:
+            memory[0] = self._memory[self._end - 1]
+            self._parts.append(self._memory[self._begin : self._end])
+            self._begin = 1
+            self._end = 1
+        self._memory = memory
+
+    def append(self, signals: Matrix, first: int) -> None:
+        """Keep the rows from ``first`` on, where row 0 is the last that there is, or the first."""
+        steps = len(signals) - 1
+        place = self.place(steps, steps)
+        if place.ctypes.data != signals.ctypes.data:
+            place[first:] = signals[first:]
+        if not self.count:
+            self._begin = first
+            self._end = first
+        self._end += steps + 1 - first
+        self.count += steps + 1 - first
+
+    def all(self) -> Matrix:
+        """Return all rows, shape (count, width)."""
+        last = self._memory[self._begin : self._end]
+        if not self._parts:
+            return last
+        whole = np.concatenate([*self._parts, last])
+        self._parts = []
+        self._memory = whole
+        self._begin = 0
+        self._end = len(whole)
+        return whole
 
 
 class Memory(RecordedSignals):
@@ -68,7 +143,7 @@ class Memory(RecordedSignals):
         self._channels: dict[str, Channel] = {}
         self._messages: list[RunMessage] = []
         self._results: dict[str, Any] = {}
-        self._rows: list[Matrix] = []
+        self._rows = _GrowingRows()
         self._times: list[Nanoseconds] = []
         self._steps: list[NDArray[np.int64]] = []
         self._end = EndOfRun()
@@ -87,15 +162,20 @@ class Memory(RecordedSignals):
     def begin(self, plan: Plan) -> None:
         """Keep the layout."""
         self.plan = plan
+        self._rows = _GrowingRows(plan.layout.width)
         self._channels = {channel.name: channel for channel in plan.layout.channels}
 
+    def memory_for(self, block: Block, steps: int) -> Matrix:
+        """Return the memory where the rows of a block will stay; see :class:`RowMemory`."""
+        return self._rows.place(block.steps, steps)
+
     def write(self, block: Block, signals: Matrix) -> None:
-        """Copy the new rows."""
-        first = 0 if block.index == 0 and not self._rows else 1
+        """Keep the new rows; copy them where they are not in its memory already."""
+        first = 0 if block.index == 0 and not self._rows.count else 1
         if first > block.steps:
             return
         self.__dict__.pop("_table", None)  # it was read while the run went on
-        self._rows.append(signals[first:].copy())
+        self._rows.append(signals, first)
         self._times.append(block.time_ns[first:].copy())
         self._steps.append(np.arange(block.index + first, block.index + block.steps + 1))
 
@@ -175,10 +255,8 @@ class Memory(RecordedSignals):
     @cached_property
     def _table(self) -> tuple[Matrix, Nanoseconds, NDArray[np.int64]]:
         """All rows, their instants [ns] and the numbers of their steps."""
-        no_rows = np.empty((0, self.plan.layout.width))
         no_numbers = np.empty(0, np.int64)
-        rows = np.concatenate([no_rows, *self._rows])
-        rows.flags.writeable = False
+        rows = read_only(self._rows.all())
         times = np.concatenate([no_numbers, *self._times])
         steps = np.concatenate([no_numbers, *self._steps])
         return rows, times, steps
@@ -236,6 +314,43 @@ class Memory(RecordedSignals):
     def steps(self) -> int:
         """Number of the last recorded communication step."""
         return int(self._steps[-1][-1]) if self._steps else 0
+
+
+class BlockMemory:
+    """Memory for the rows of one block after another: the recorder's, or what is used again.
+
+    Parameters
+    ----------
+    recorder : Recorder
+    width : int
+        Columns of a row.
+    steps : int
+        Communication steps of the run.
+
+    Attributes
+    ----------
+    limit : int
+        The most steps of a block.
+    """
+
+    def __init__(self, recorder: Recorder, width: int, steps: int) -> None:
+        self.limit = max(1, BLOCK_BYTES // (8 * width + 8))
+        self._recorder = recorder
+        self._steps = steps
+        self._own = np.empty((min(self.limit, steps) + 1, width))
+
+    def rows(self, block: Block, first: Vector) -> Matrix:
+        """Return the rows of a block, shape (K+1, width), to be filled behind the first one."""
+        rows = _memory_of(self._recorder, block, self._steps - block.index)
+        if rows is None:
+            rows = self._own[: block.steps + 1]
+        rows[0] = first
+        return rows
+
+
+def _memory_of(recorder: Recorder, block: Block, steps: int) -> Matrix | None:
+    """Return the memory of a recorder where the rows of a block will stay; None: it has none."""
+    return recorder.memory_for(block, steps) if isinstance(recorder, RowMemory) else None
 
 
 class Nothing:
@@ -303,6 +418,10 @@ class Watched:
         self._recorder.begin(plan)
         if self._began is not None:
             self._began()
+
+    def memory_for(self, block: Block, steps: int) -> Matrix | None:
+        """Pass on."""
+        return _memory_of(self._recorder, block, steps)
 
     def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
         """Pass on."""

@@ -97,7 +97,6 @@ static int32_t perform(cosim_stage *s, int32_t kind, const cosim_member *m, doub
 {
     switch (kind) {
     case COSIM_KEEP:
-        s->origin = -1;
         memcpy(row + m->y, before + m->y, (size_t)m->n_y * sizeof *row);
         return COSIM_OK;
     case COSIM_GATHER:
@@ -117,6 +116,8 @@ int32_t cosim_stage_run(cosim_stage *s, int64_t end)
 {
     for (; s->step < end; ++s->step) {
         double *before = s->rows + s->step * s->width, *row = before + s->width;
+        if (s->operation == 0)
+            s->origin = -1;
         for (; s->operation < s->n_operations; ++s->operation) {
             const cosim_operation *operation = s->operations + s->operation;
             const cosim_member *members = s->members + operation->first;

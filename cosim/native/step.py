@@ -247,13 +247,13 @@ def linear_step(discrete: DiscretizedDynamics, C: Matrix, D: Matrix) -> NativeSt
 
     Its memory is x, shape ``(n,)``, and as much scratch.
     """
-    matrices = (discrete.Ad, discrete.B0, discrete.B1, C, D)
-    arrays = [_contiguous(matrix) for matrix in matrices]
     n, m = discrete.B0.shape
     n_y = len(C)
-    memory = np.zeros(2 * n + 1)
-    pointers = map(pointer, [*arrays, memory])
-    state = LinearStruct(n, m, n_y, *pointers)
+    matrices = (discrete.Ad, discrete.B0, discrete.B1, C, D)
+    # one behind the other: a thousand small systems would not fit into the cache otherwise
+    arrays = _together(*matrices, np.zeros(2 * n + 1))
+    memory = arrays[-1]
+    state = LinearStruct(n, m, n_y, *map(pointer, arrays))
     function = address("cosim_linear_step")
     outputs = address("cosim_linear_outputs")
     return NativeStep(function, state, n_y=n_y, memory=memory, keep=arrays, outputs=outputs)
@@ -309,6 +309,13 @@ def normal(words: NDArray[np.uint64]) -> Vector:
 
 def _contiguous(values: NDArray[Any]) -> NDArray[np.float64]:
     return np.ascontiguousarray(values, np.float64)
+
+
+def _together(*arrays: NDArray[Any]) -> list[NDArray[np.float64]]:
+    """Copy arrays into one piece of memory; return them flat."""
+    flat = np.concatenate([np.ravel(array) for array in arrays]).astype(np.float64)
+    ends = np.cumsum([np.size(array) for array in arrays])
+    return np.split(flat, ends[:-1])
 
 
 @dataclass(frozen=True, slots=True)
