@@ -108,6 +108,7 @@ def _methods(interface: Any) -> list[str]:
     if isinstance(interface, Interface):
         methods += ["prepare"] * interface.prepares
         methods += ["save", "restore"] * interface.rollback
+        methods += ["native"] * interface.native
     return methods
 
 
