@@ -43,9 +43,11 @@ def complete_checked(incomplete: str) -> list[str]:
 
 def complete_kind(incomplete: str) -> list[str]:
     """Return the component kinds that begin so."""
+    from cosim.scenario.installed_kinds import installed_classes
     from cosim.scenario.kinds import KINDS
 
-    return [name for name in KINDS if name.startswith(incomplete)]
+    names = dict.fromkeys([*KINDS, *installed_classes()])
+    return [name for name in names if name.startswith(incomplete)]
 
 
 def complete_component(context: typer.Context, incomplete: str) -> list[str]:
@@ -107,15 +109,21 @@ def _components(context: typer.Context) -> list[str]:
 
 
 def _scenario(context: typer.Context) -> Scenario | None:
-    """Return the scenario that stands on the line; None: there is none, or it has problems."""
-    from cosim.scenario.execution import load
+    """Return the scenario that stands on the line; None: there is none, or it has problems.
+
+    Nothing of it is built, as that may run code of its user.
+    """
+    from cosim.scenario.build import parse
+    from cosim.scenario.document import find
+    from cosim.scenario.parsing import read
 
     # an option that still lacks its value leaves the arguments before it unread
     candidates = [context.params.get("scenario"), *context.args]
     for name in candidates:
         if isinstance(name, str):
             with suppress(CosimError, OSError):
-                return load(name)
+                scenario, problems = read(find(name), parse)
+                return None if problems else scenario
     return None
 
 

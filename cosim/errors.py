@@ -191,9 +191,13 @@ def shell_language() -> Iterator[None]:
 
 
 def flag(name: str, value: bool = True) -> str:
-    """Name an argument that is true or false: ``force=True``, in the shell ``--force``."""
+    """Name an argument that is true or false: ``force=True``, in the shell ``--force``.
+
+    ``allow_code=True`` is ``--allow-code`` there.
+    """
     if _in_shell.get():
-        return f"--{name}" if value else f"--no-{name}"
+        words = name.replace("_", "-")
+        return f"--{words}" if value else f"--no-{words}"
     return f"{name}={value}"
 
 

@@ -42,7 +42,8 @@ def check(
     """Report problems of an FMU, or the assumptions of a scenario.
 
     Of an FMU archive, schema, structure, binaries and trial runs; of a scenario each assumption
-    with the number that decides it, without a run. Exit 1 if there is an error, or one fails.
+    with the number that decides it, without a run; but its FMUs are loaded and its classes of kind
+    python imported, which runs their code. Exit 1 if there is an error, or one fails.
     """
     from cosim.arguments import fmu_argument, is_scenario
 

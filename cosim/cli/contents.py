@@ -26,7 +26,10 @@ def info(
     ],
     as_json: JsonOption = False,
 ) -> None:
-    """Show what a log, an FMU or a scenario contains."""
+    """Show what a log, an FMU or a scenario contains.
+
+    Nothing of an FMU or of a user's class runs.
+    """
     from cosim.report.tables.contents import print_contents
 
     print_contents(source, as_json=as_json)

@@ -72,7 +72,8 @@ DryRunOption = Annotated[
     typer.Option(
         "--dry-run",
         help="Check the scenario and compare swapped components with the replaced; do not run. "
-        "FMUs are loaded and initialized, which runs their code, in a process of its own.",
+        "FMUs are loaded and initialized, classes of kind python are imported and initialized: "
+        "that runs their code, in a process of its own.",
     ),
 ]
 
@@ -188,6 +189,15 @@ def replay(
             "is not signed: one of another run, put in its place as a whole, passes.",
         ),
     ] = False,
+    allow_code: Annotated[
+        bool,
+        typer.Option(
+            "--allow-code",
+            help="Compute components of kind python too: import the classes that the log names, "
+            "from this folder or as Python finds modules, and run their code. Else they are taken "
+            "from the log. Their sources have to be those of the run.",
+        ),
+    ] = False,
     out: OutOption = None,
     force: ForceOption = False,
     changes: SetOption = None,
@@ -214,7 +224,13 @@ def replay(
     with show_progress(quiet or as_json) as progress:
         notice = None if quiet else print_notice
         again = replay_log(
-            source, out=out, force=force, set=edits, progress=progress, notice=notice
+            source,
+            out=out,
+            force=force,
+            set=edits,
+            allow_code=allow_code,
+            progress=progress,
+            notice=notice,
         )
     if plot is not None:
         from cosim.report.plots import plot_run

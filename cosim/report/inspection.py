@@ -14,7 +14,7 @@ from cosim.core.graph import Graph
 from cosim.core.port import Port
 from cosim.core.recorded import RunMessage
 from cosim.core.signals import Channel, Signal
-from cosim.scenario.build import describe
+from cosim.scenario.build import DescribedScenario, describe
 from cosim.scenario.document import find
 from cosim.scenario.field_file import read_field_data
 from cosim.scenario.recorded_metadata import (
@@ -137,34 +137,58 @@ def describe_samples(source: str) -> Section:
 def describe_scenario(name: str) -> Section:
     """Describe a scenario: its clock, components, connections and metadata.
 
-    Of FMUs only the descriptions are read.
+    Of FMUs only the descriptions are read, of components in Python only their tables.
     """
-    experiment = describe(find(name))
-    loaded = experiment.scenario
-    graph = experiment.graph
+    described = describe(find(name))
+    loaded = described.scenario
+    graph = described.graph
     settings = loaded.file.scenario
-    steps = experiment.clock.steps
+    steps = described.clock.steps
     since = f"{settings.start_time} s to " if settings.start_time else ""
-    stages = [stage.description for stage in graph.stages]
+    stages = [] if graph is None else [stage.description for stage in graph.stages]
     about = {
         "name": settings.name,
         "description": settings.description or None,
         "clock": f"{since}{settings.stop} s in {steps} steps of {settings.step} s",
-        "schedule": ", ".join(stages),
+        "schedule": ", ".join(stages) or "not known, as the ports of some components are not",
     }
     signals: list[Section] = []
-    for channel in graph.layout.channels:
-        signals += _signal_rows(channel, loaded.specs[channel.name].kind)
-    connections = []
-    for to, connection in graph.connections.items():
-        connections.append(_connection_row(graph, to, connection))
-    for to, values in graph.unconnected.items():
-        connections.append(_start_row(graph, to, values))
+    for component, spec in loaded.specs.items():
+        if component in described.components:
+            channel = Channel(component, described.components[component].interface, 0)
+            signals += _signal_rows(channel, spec.kind)
+        else:
+            signals.append(_unknown_row(component, spec.kind))
     return {
         "scenario": about,
         "signals": signals,
-        "connections": connections,
-        "metadata": dict(experiment.metadata),
+        "connections": _connection_rows(described),
+        "metadata": dict(described.metadata),
+    }
+
+
+def _connection_rows(described: DescribedScenario) -> list[Section]:
+    graph = described.graph
+    rows = []
+    if graph is None:
+        for to, connection in described.scenario.connections.items():
+            rows.append(_written_row(to, connection))
+        return rows
+    for to, connection in graph.connections.items():
+        rows.append(_connection_row(graph, to, connection))
+    for to, values in graph.unconnected.items():
+        rows.append(_start_row(graph, to, values))
+    return rows
+
+
+def _written_row(to: Port, connection: Connection) -> Section:
+    """Describe a connection as it is written, where the ports at its ends need not be known."""
+    return {
+        "to": str(to),
+        "from": connection.label,
+        "map": _map(connection),
+        "unit": connection.unit,
+        "conversion": None,
     }
 
 
@@ -181,9 +205,7 @@ def _connection_row(graph: Graph, to: Port, connection: Connection) -> Section:
     if conversions:
         unit = f"{unit} -> {target.unit}"
     return {
-        "to": str(to),
-        "from": connection.label,
-        "map": _map(connection),
+        **_written_row(to, connection),
         "unit": unit,
         "conversion": ", ".join(conversions) or None,
     }
@@ -286,6 +308,18 @@ def _signal_rows(channel: Channel, kind: str) -> Iterator[Section]:
         yield _signal_row(channel.name, kind, signal, role="input")
     for signal in channel.interface.outputs:
         yield _signal_row(channel.name, kind, signal, role=signal.role)
+
+
+def _unknown_row(component: str, kind: str) -> Section:
+    """Return the row of a component whose ports are not known."""
+    return {
+        "signal": component,
+        "role": "ports not known",
+        "size": None,
+        "unit": None,
+        "variability": None,
+        "kind": kind,
+    }
 
 
 def _signal_row(component: str, kind: str, signal: Signal, *, role: str) -> Section:

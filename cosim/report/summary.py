@@ -34,6 +34,7 @@ from cosim.scenario.recorded_metadata import (
     recorded_identification,
     recorded_start,
     recorded_state_changes,
+    replay_origin,
     run_metadata,
     truth_of,
 )
@@ -172,6 +173,8 @@ class Summary:
         Stages that advance step by step, with an error of first order in the step.
     changed_states : tuple of StateChange
         Initial states that are others than the scenario gives.
+    copied_code : mapping of component name to str
+        Of a replay: components of users' classes that it took from the log, and these classes.
     """
 
     scenario: str
@@ -188,6 +191,7 @@ class Summary:
     last: Mapping[str, float | list[float]] = field(default_factory=dict)
     loops: tuple[str, ...] = ()
     changed_states: tuple[StateChange, ...] = ()
+    copied_code: Mapping[str, str] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
@@ -241,7 +245,20 @@ def summarize(recording: Recording) -> Summary:
         last=last,
         loops=tuple(first_order_loops(recording)),
         changed_states=tuple(_changed_states(recording)),
+        copied_code=_copied_code(recording),
     )
+
+
+def _copied_code(recording: Recording) -> dict[str, str]:
+    """Return the components of users' classes that a replay did not compute."""
+    if "replay" not in run_metadata(recording):
+        return {}
+    classes = {}
+    for name in replay_origin(recording).copied:
+        code = component_record(recording, name).code
+        if code is not None:
+            classes[name] = code.class_name
+    return classes
 
 
 def _changed_states(recording: Recording) -> Iterator[StateChange]:

@@ -20,11 +20,11 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from cosim.core.recorders import Memory
-from cosim.errors import command
+from cosim.errors import command, flag
 from cosim.log import Log
 from cosim.log.diff import LogDifference, SignalDifference, diff
 from cosim.report.statements import COMPARED, NOT_COMPARED, Contradiction, contradictions
-from cosim.scenario.recorded_metadata import replay_origin
+from cosim.scenario.recorded_metadata import component_record, replay_origin
 from cosim.scenario.replaying import recorded_document
 
 _MOST_SHOWN = 8  # contradictions
@@ -46,6 +46,8 @@ class Verification:
         What the log says of its run and the replay does not.
     copied : tuple of str
         Signals that the replay took from the log: the outputs of recorded components.
+    code : tuple of str
+        Those of them that code of users computes, which was not allowed to run.
     scenario : str
         Where the scenario came from.
     """
@@ -55,6 +57,7 @@ class Verification:
     difference: LogDifference
     contradictions: tuple[Contradiction, ...]
     copied: tuple[str, ...]
+    code: tuple[str, ...]
     scenario: str
 
     @property
@@ -78,8 +81,15 @@ class Verification:
             f"the replay equals the log bit for bit: {len(self.computed)} signals computed again",
             f"what the log says of its run is what the replay computes: {COMPARED}",
         ]
-        if self.copied:
-            names = ", ".join(self.copied)
+        if self.code:
+            names = ", ".join(self.code)
+            lines.append(
+                f"not verified, as nothing computed it: {names}; {flag('allow_code')} does, which "
+                "runs the code of its user"
+            )
+        others = [name for name in self.copied if name not in self.code]
+        if others:
+            names = ", ".join(others)
             lines.append(
                 f"not computed, but copied from the log: {names}; to compute these too, run "
                 f"{self.scenario!r} again with the changes it had, and compare with "
@@ -129,6 +139,7 @@ class Verification:
             },
             "computed": list(self.computed),
             "copied": list(self.copied),
+            "code": list(self.code),
             "contradictions": [asdict(entry) for entry in self.contradictions],
             **self.difference.to_dict(),
         }
@@ -157,9 +168,12 @@ def verify(source: Log, again: Log | Memory) -> Verification:
     found_hash = source.content_hash()
     origin = replay_origin(again)
     copied = []
+    code = []
     for name in origin.copied:
-        for signal in again.channels[name].interface.outputs:
-            copied.append(f"{name}.{signal.name}")
+        signals = [f"{name}.{signal.name}" for signal in again.channels[name].interface.outputs]
+        copied += signals
+        if component_record(again, name).code is not None:
+            code += signals
     computed = again.channels.keys() - set(origin.copied)
     return Verification(
         recorded_hash,
@@ -167,5 +181,6 @@ def verify(source: Log, again: Log | Memory) -> Verification:
         diff(source, again),
         contradictions(source, again, computed),
         tuple(copied),
+        tuple(code),
         recorded_document(source).source,
     )

@@ -27,6 +27,7 @@ from cosim.errors import CosimError
 from cosim.scenario.context import (
     DependsOnInvalid,
     MessageSource,
+    NotImported,
     ScenarioBuildContext,
     clock_of,
 )
@@ -36,7 +37,7 @@ from cosim.scenario.initial_states import GivenStates
 from cosim.scenario.kinds import BuildContext, Kind
 from cosim.scenario.models import form_problems
 from cosim.scenario.parsing import Scenario, read
-from cosim.scenario.problems import Key, Problem
+from cosim.scenario.problems import Key, Problem, TableProblems
 from cosim.scenario.recorded_metadata import ReplayOrigin, component_record
 from cosim.scenario.swap import MapEntry, ports_in, unknown_ports
 from cosim.scenario.truth import check_truth
@@ -140,6 +141,8 @@ class Builder:
         Of those of them whose ports are renamed.
     given_states : mapping of component name to GivenStates
         Initial states that the run may have to change.
+    unknown : set of str
+        Components of which nothing but the table is known, as nothing of their code runs here.
 
     Raises
     ------
@@ -176,7 +179,9 @@ class Builder:
         self._replaced = replaced or {}
         self._periods: dict[str, int] = {}
         self.given_states: dict[str, GivenStates] = {}
+        self.unknown: set[str] = set()
         self._invalid: set[str] = set()  # components whose connections are not checked
+        self._cause: Exception | None = None  # what the first component raised that was not built
         self._check_models()
         for name, interface in self._replaced.items():
             entries = scenario.maps.get(name, [])
@@ -263,7 +268,14 @@ class Builder:
                 self.given_states[name] = given
         except DependsOnInvalid:
             pass
+        except NotImported:
+            self.unknown.add(name)
+        except TableProblems as error:
+            self._cause = self._cause or error
+            for key, text in error.problems:
+                self.problems.append((("components", name, *key), text))
         except (CosimError, ValueError) as error:
+            self._cause = self._cause or error
             self.problems.append((("components", name), str(error)))
         except (ArithmeticError, MemoryError) as error:  # of numbers near the largest or smallest
             self.problems.append((("components", name), out_of_range(error)))
@@ -283,9 +295,11 @@ class Builder:
         if self._recording is not None and not spec.computable:
             for model in spec.models:
                 self.context.model(model)  # what it was made of: a replay cannot change that
-            lags = component_record(self._recording, name).lags
-            if lags:
-                self.context.add_metadata(name, {"lags": lags})
+            record = component_record(self._recording, name)
+            if record.lags:
+                self.context.add_metadata(name, {"lags": record.lags})
+            if record.code is not None:
+                self.context.add_metadata(name, {"code": record.code.model_dump(by_alias=True)})
             return Replay(self._recording, name)  # recorded under the scenario's names
         component = spec.build(name, self.context)
         entries = self.scenario.maps.get(name)
@@ -348,7 +362,8 @@ class Builder:
             With every problem of the file.
         """
         if self.problems:
-            raise self.scenario.document.report([*self.problems, *self.graph_problems()])
+            problems = [*self.problems, *self.graph_problems()]
+            raise self.scenario.document.report(problems) from self._cause
 
     def graph_problems(self) -> list[Problem]:
         """Return the problems of the graph as a whole, where all that it is made of is right."""
@@ -460,7 +475,7 @@ class Builder:
             together.
         """
         if not self.scenario.specs.keys() <= self.components.keys() - self._invalid:
-            raise self.scenario.document.report(self.problems)
+            raise self.scenario.document.report(self.problems) from self._cause
         try:
             return self._graph()
         except CosimError as error:
@@ -510,8 +525,30 @@ def parse(document: Document) -> Scenario:
     return scenario
 
 
-def describe(document: Document) -> Experiment:
-    """Read, validate and build a document without running anything of an FMU.
+@dataclass(frozen=True)
+class DescribedScenario:
+    """What there is of a scenario, of which nothing runs.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    clock : Clock
+    components : mapping of name to Component
+        Those whose ports are known.
+    graph : Graph or None
+        None: the ports of some components are not known.
+    metadata : mapping of component name to plain values
+    """
+
+    scenario: Scenario
+    clock: Clock
+    components: Mapping[str, Component]
+    graph: Graph | None
+    metadata: Mapping[str, Mapping[str, Any]]
+
+
+def describe(document: Document) -> DescribedScenario:
+    """Read, validate and build a document without running anything of an FMU or a user's class.
 
     What is built shows what there is, and cannot run.
 
@@ -522,7 +559,11 @@ def describe(document: Document) -> Experiment:
     """
     scenario, problems = read(document, parse)
     with ExitStack() as resources:
-        return Builder(scenario, resources, problems=problems, describes=True).experiment()
+        builder = Builder(scenario, resources, problems=problems, describes=True)
+        builder.check()
+        graph = None if builder.unknown else builder.experiment().graph
+        metadata = builder.context.metadata
+        return DescribedScenario(scenario, builder.clock, builder.components, graph, metadata)
 
 
 def build_context(scenario: Scenario, resources: ExitStack) -> BuildContext:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
 
 import numpy as np
 
@@ -27,8 +27,9 @@ from cosim.scenario.kinds.base import KnownSignal, Spectrum
 from cosim.scenario.model_file import missing_text, read_model_file
 from cosim.scenario.models import LETTERS, system_of, system_of_file
 from cosim.scenario.parsing import Scenario
-from cosim.scenario.problems import Key
+from cosim.scenario.problems import Key, TableProblems
 from cosim.scenario.recorded_metadata import (
+    CodeRecord,
     LinearizationRecord,
     component_record,
     recorded_models,
@@ -43,8 +44,14 @@ if TYPE_CHECKING:
     from cosim.fmi.linearizing.moving import MovingLinearization
     from cosim.fmi.linearizing.request import LinearizationRequest
     from cosim.fmi.options import FmuOptions
+    from cosim.scenario.user_code import UserClass
 
 T = TypeVar("T")
+
+_NOT_IMPORTED: Final = (
+    "known to its class alone, which is not imported here; 'cosim run SCENARIO --dry-run' imports "
+    "it, in a process of its own"
+)
 
 
 class MessageSource(Protocol):
@@ -84,6 +91,10 @@ def _first_element(port: Port) -> int:
 
 class DependsOnInvalid(UsageError):
     """A component cannot be checked because something that it reads is wrong and reported."""
+
+
+class NotImported(UsageError):
+    """A component is of code that does not run here, so that nobody knows its ports."""
 
 
 class ScenarioBuildContext:
@@ -461,6 +472,58 @@ class ScenarioBuildContext:
                 f"log {path!r} has steps of {log_step} s, the scenario of {step} s; needed the same"
             )
         return log
+
+    def user_class(self, name: str, class_name: str, *, in_folder: bool) -> UserClass:
+        """Import the class of a component, and record its source.
+
+        Raises
+        ------
+        NotImported
+            If only descriptions are read.
+        TableProblems
+            If it cannot be imported; what was raised is the cause.
+        UsageError
+            In a replay, if its source is not that of the recorded run: what is computed would be of
+            another component than the log says.
+        """
+        from cosim.scenario.user_code import load_class
+
+        if self._describes:
+            self.add_metadata(name, {"class": class_name, "ports": _NOT_IMPORTED})
+            raise NotImported(class_name)
+        folder = self._scenario.document.folder if in_folder else None
+        try:
+            user_class = load_class(class_name, folder)
+        except UsageError as error:
+            key = "class" if in_folder else "kind"
+            raise TableProblems([((key,), str(error))]) from error.__cause__
+        code = {
+            "class": class_name,
+            "sources": dict(user_class.sources),
+            "distribution": user_class.distribution,
+        }
+        spec = self._scenario.specs[name]
+        if self._recording is not None and spec.code not in self._named_files:
+            self._check_code(name, self._recording, CodeRecord.model_validate(code))
+        self.add_metadata(name, {"code": code})
+        return user_class
+
+    def _check_code(self, name: str, recording: Recording, found: CodeRecord) -> None:
+        """Check that code in a replay is that of the recorded run.
+
+        Raises
+        ------
+        UsageError
+            If it is not.
+        """
+        recorded = component_record(recording, name).code
+        if found == recorded:
+            return
+        entry = option("set", f"{name}.class", found.class_name)
+        raise UsageError(
+            f"found {found.difference(recorded)}; needed the same code: {entry} takes it as it is "
+            "now, for another replay than that of the log"
+        )
 
     def fmu(self, name: str, path: str, options: FmuOptions) -> Component:
         """Load an FMU; it is freed at the end of the run.

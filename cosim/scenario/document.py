@@ -62,6 +62,8 @@ class Document:
         Values set after that, such as ``observer.filter_rate``.
     swapped : bool
         False: nothing is swapped, not even by the file.
+    foreign_kinds : frozenset of str
+        Of a log: the component kinds of its run that were those of installed packages.
     """
 
     text: str
@@ -71,6 +73,7 @@ class Document:
     maps: Mapping[str, PortNames] = field(default_factory=dict)
     changes: Mapping[str, Any] = field(default_factory=dict)
     swapped: bool = True
+    foreign_kinds: frozenset[str] = frozenset()
 
     def with_swaps(
         self, swaps: Mapping[str, str | Path], maps: Mapping[str, PortNames] | None = None

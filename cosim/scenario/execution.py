@@ -204,6 +204,7 @@ def replay(
     out: str | Path | None = None,
     force: bool = False,
     set: Mapping[str, Any] | None = None,
+    allow_code: bool = False,
     block: int | None = None,
     progress: Progress | None = None,
     notice: Notice | None = None,
@@ -211,9 +212,10 @@ def replay(
 ) -> Log | Memory:
     """Run the scenario of a log again, with its recorded plants; only the log is needed.
 
-    Plants, FMUs and tables from files are taken from the recording; everything else is computed
-    again. Designs are taken from the log too, except those of components that ``set`` changes or
-    that rest on one that it changes. No file is opened but the log and those that ``set`` names.
+    Plants, FMUs, tables from files and components of users' classes are taken from the recording;
+    everything else is computed again. Designs are taken from the log too, except those of
+    components that ``set`` changes or that rest on one that it changes. No file is opened and no
+    class imported but those that ``set`` names.
 
     Parameters
     ----------
@@ -222,7 +224,12 @@ def replay(
     out, force, block, progress, notice, profile
         As of :func:`run`.
     set : mapping of dotted key to value, optional
-        Such as ``{"observer.filter_rate": 500.0, "scenario.stop": 10.0}``.
+        Such as ``{"observer.filter_rate": 500.0, "scenario.stop": 10.0}``. A class that it names,
+        ``{"relay.class": "relay:Relay"}``, is imported as it is now.
+    allow_code : bool
+        Compute the components of users' classes too, which runs the code of the classes that the
+        log names. Each is found in the working directory or on sys.path, and has to be the one of
+        the run, by the hash of its source.
 
     Returns
     -------
@@ -233,11 +240,14 @@ def replay(
     ------
     LogError
         If the log cannot be read, is no log of a scenario, or does not fit its scenario.
+    ScenarioError
+        If a class cannot be imported, or is another one than in the run.
     UsageError
         If ``set`` changes the communication step, a recorded component, or what drives one: its
         recording cannot follow.
     """
     force = truth_argument("force", force)
+    allow_code = truth_argument("allow_code", allow_code)
     block = whole_argument("block", block)
     callable_argument("progress", progress)
     callable_argument("notice", notice)
@@ -248,7 +258,7 @@ def replay(
         raise UsageError(f"{out} is the log that is replayed; choose another path")
     check_target(out, force=force)
     with ExitStack() as resources:
-        experiment = rebuilt(source, resources, wanted, block)
+        experiment = rebuilt(source, resources, wanted, block, allow_code=allow_code)
         original = recorded_document(source)
         check_changes(experiment, original, wanted)
         designs = valid_designs(experiment, source)

@@ -16,7 +16,7 @@ from cosim.core.port import Port
 from cosim.errors import CosimError, GraphError, nearest, quoted
 from cosim.scenario.document import Document
 from cosim.scenario.kinds import KINDS, Kind
-from cosim.scenario.problems import Key, Problem, problems_of
+from cosim.scenario.problems import Key, Problem, TableProblems, problems_of
 from cosim.scenario.schema import ConnectionTable, File
 from cosim.scenario.swap import MapEntry, PortNames, ports_in, resolve_maps
 
@@ -174,7 +174,8 @@ def read(
     file, file_problems, invalid = _validate_tables(tree)
     valid_tree = without(tree, invalid)
     maps, map_problems = resolve_maps(valid_tree, document.maps)
-    specs, component_problems = _validate_components(file.components)
+    foreign = document.foreign_kinds
+    specs, component_problems = _validate_components(file.components, foreign)
     connections, connection_problems = _connections(file)
     followed = _followed(specs, connections)
     connections, implied, given_twice = _with_implied(_replaced(document, specs), followed)
@@ -230,27 +231,52 @@ def without(tree: Mapping[str, Any], invalid: Collection[Key]) -> dict[str, Any]
 
 
 def _validate_components(
-    tables: Mapping[str, Any],
+    tables: Mapping[str, Any], foreign: Collection[str]
 ) -> tuple[dict[str, Kind], list[Problem]]:
-    """Return the components' tables by name, and the problems of the others."""
+    """Return the components' tables by name, and the problems of the others.
+
+    ``foreign`` are kinds beside the shipped ones that are known to be those of packages.
+    """
     specs: dict[str, Kind] = {}
     problems: list[Problem] = []
     for name, table in tables.items():
         key: Key = ("components", name)
-        kind = table.get("kind")
-        if "kind" not in table:
-            problems.append((key, f"'kind' is missing; needed one of: {', '.join(KINDS)}"))
-        elif not isinstance(kind, str):
-            problems.append(((*key, "kind"), f"found {quoted(kind)}; needed a string"))
-        elif kind not in KINDS:
-            text = f"unknown kind {quoted(kind)}; {nearest(kind, KINDS)}"
-            problems.append(((*key, "kind"), text))
-        else:
-            try:
-                specs[name] = KINDS[kind].model_validate(table)
-            except ValidationError as error:
-                problems += problems_of(error, KINDS[kind], table, key)
+        try:
+            kind = _kind(table, foreign)
+            specs[name] = kind.model_validate(table)
+        except TableProblems as error:
+            problems += [((*key, *inner), text) for inner, text in error.problems]
+        except ValidationError as error:
+            problems += problems_of(error, kind, table, key)
     return specs, problems
+
+
+def _kind(table: Mapping[str, Any], foreign: Collection[str]) -> type[Kind]:
+    """Return the kind of a component's table.
+
+    Raises
+    ------
+    TableProblems
+        If it has none, or there is no such kind.
+    """
+    kind = table.get("kind")
+    if isinstance(kind, str) and kind in KINDS:
+        return KINDS[kind]
+    from cosim.scenario.installed_kinds import installed_classes
+    from cosim.scenario.kinds.user_component import InstalledKind
+
+    if isinstance(kind, str) and kind in foreign:
+        return InstalledKind
+    installed = installed_classes()
+    if isinstance(kind, str) and kind in installed:
+        return InstalledKind
+    names = [*KINDS, *(name for name in installed if name not in KINDS)]
+    if "kind" not in table:
+        raise TableProblems([((), f"'kind' is missing; needed one of: {', '.join(names)}")])
+    if not isinstance(kind, str):
+        raise TableProblems([(("kind",), f"found {quoted(kind)}; needed a string")])
+    text = f"unknown kind {quoted(kind)}; {nearest(kind, names)}"
+    raise TableProblems([(("kind",), text)])
 
 
 def _replaced(document: Document, specs: Mapping[str, Kind]) -> Mapping[str, Kind]:
@@ -260,7 +286,8 @@ def _replaced(document: Document, specs: Mapping[str, Kind]) -> Mapping[str, Kin
     if not names:
         return specs
     tree, _ = document.unswapped().tree()
-    originals, _ = _validate_components({name: tree["components"][name] for name in names})
+    tables = {name: tree["components"][name] for name in names}
+    originals, _ = _validate_components(tables, document.foreign_kinds)
     return {**specs, **originals}
 
 

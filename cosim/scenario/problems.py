@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, NamedTuple, TypeAlias, Union, get_ar
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
-from cosim.errors import nearest, quoted
+from cosim.errors import UsageError, nearest, quoted
 
 Key: TypeAlias = tuple[str | int, ...]  # where a value stands in the tables of a scenario
 Problem: TypeAlias = tuple[Key, str]
@@ -26,6 +26,20 @@ TYPES = {
     "dict_type",
     "model_type",
 }
+
+
+class TableProblems(UsageError):
+    """Problems of a table that show only while its component is built.
+
+    Parameters
+    ----------
+    problems : sequence of Problem
+        Their keys are those of the table.
+    """
+
+    def __init__(self, problems: Sequence[Problem]) -> None:
+        super().__init__("; ".join(f"{'.'.join(map(str, key))}: {text}" for key, text in problems))
+        self.problems = tuple(problems)
 
 
 class _ValueProblem(NamedTuple):

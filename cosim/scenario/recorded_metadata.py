@@ -125,6 +125,27 @@ class CompensationRecord(_Record):
     largest_error: Number
 
 
+class CodeRecord(_Record):
+    """The class of a user that a component was made of, and its source: SHA-256 by file name."""
+
+    class_name: Text = Field(alias="class")
+    sources: dict[Text, Text]
+    distribution: Text | None = None
+
+    def difference(self, recorded: CodeRecord | None) -> str:
+        """Return in words what differs from the code of a recorded run."""
+        if recorded is None:
+            return f"{self.class_name!r}, and the log does not say what code its run had"
+        if self.class_name != recorded.class_name:
+            return f"the class {self.class_name!r}, the log's run had {recorded.class_name!r}"
+        for file in {**self.sources, **recorded.sources}:
+            own = self.sources.get(file, "none, for it is not imported")
+            needed = recorded.sources.get(file, "none, for it was not imported")
+            if own != needed:
+                return f"{file} with the SHA-256 {own}, that of the log's run: {needed}"
+        return f"{self.distribution or 'no package'}, the log's run had {recorded.distribution}"
+
+
 class ComponentRecord(_Record):
     """Metadata of a component; of an identifier with its unknowns.
 
@@ -144,6 +165,7 @@ class ComponentRecord(_Record):
     swap_report: _SwapRecord = _SwapRecord()
     linearization: LinearizationRecord | None = None
     choice: ChoiceRecord | None = None
+    code: CodeRecord | None = None
     lags: dict[Text, Number] = {}
     reconstruction: ReconstructionRecord | None = None
     compensation: CompensationRecord | None = None

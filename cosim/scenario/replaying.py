@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Set
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
@@ -13,20 +14,26 @@ import numpy as np
 from cosim.core.clock import Clock
 from cosim.core.contracts import CompleteRecording, Design
 from cosim.core.port import Port
-from cosim.errors import LogError, UsageError, command, option
+from cosim.errors import LogError, UsageError, command, flag, option
 from cosim.log import Log
+from cosim.log.metadata import json_table
 from cosim.scenario.build import Builder, Experiment, fingerprint, parse
 from cosim.scenario.document import Document
 from cosim.scenario.edits import short
+from cosim.scenario.kinds import KINDS, Kind
 from cosim.scenario.parsing import Scenario, read
-from cosim.scenario.recorded_metadata import component_metadata, run_metadata
+from cosim.scenario.recorded_metadata import (
+    CodeRecord,
+    component_metadata,
+    component_record,
+    run_metadata,
+)
 from cosim.scenario.records import SCENARIO_FILE
 from cosim.scenario.swap import is_map_key
 
 EVERYWHERE = {"scenario.input_interpolation", "scenario.coupling"}  # what matters to all inputs
 NO_CHANGES: Final[Mapping[str, Any]] = MappingProxyType({})
 _TABLES = ("components", "models", "connections")
-_REMEDY = "run the scenario to change it"
 
 
 def texts_in(value: Any) -> set[str]:
@@ -57,9 +64,23 @@ def recorded_document(log: CompleteRecording) -> Document:
         )
     try:
         text = log.attachment(SCENARIO_FILE).decode()
-        return Document.recorded(text, edits, Path.cwd())
+        document = Document.recorded(text, edits, Path.cwd())
+        return replace(document, foreign_kinds=_foreign_kinds(log))
     except ValueError as error:
         raise LogError(f"{log.label}: its scenario cannot be understood: {error}") from error
+
+
+def _foreign_kinds(log: CompleteRecording) -> frozenset[str]:
+    """Return the kinds of a log that are not cosim's: those of its components of a user's class.
+
+    The packages that declared them need not be installed where the log is read.
+    """
+    kinds = set()
+    for name in log.channels:
+        if component_record(log, name).code is not None:
+            table = json_table(component_metadata(log, name).get("table", "{}"))
+            kinds.add(str(table.get("kind")))
+    return frozenset(kinds.difference(KINDS))
 
 
 def recorded_stop(log: CompleteRecording) -> float:
@@ -114,6 +135,8 @@ def rebuilt(
     resources: ExitStack,
     wanted: Mapping[str, Any] = NO_CHANGES,
     block: int | None = None,
+    *,
+    allow_code: bool = False,
 ) -> Experiment:
     """Build the scenario of a log again, with its recorded components; only the log is needed.
 
@@ -126,6 +149,9 @@ def rebuilt(
         Changes; whether the recorded components allow them is for :func:`check_changes`.
     block : int, optional
         Fixed number of communication steps in a block.
+    allow_code : bool
+        Compute the components of user's classes that the log names, which runs their code. What
+        ``wanted`` names may always run.
 
     Raises
     ------
@@ -141,18 +167,29 @@ def rebuilt(
     scenario, problems = read(document, parse)
     # recorded ports have the scenario's names: a map need not fit changed connections
     problems = [(key, text) for key, text in problems if not is_map_key(key)]
+    named = texts_in(wanted)
+    scenario = replace(scenario, specs=_with_code(scenario.specs, named, allow_code=allow_code))
     source.load(*recorded_in(source, scenario))  # in one pass over the file
     builder = Builder(
         scenario,
         resources,
         problems=problems,
         recording=source,
-        named_files=texts_in(wanted),
+        named_files=named,
         block=block,
     )
     experiment = builder.experiment()
     check_clock(experiment.clock, source)
     return experiment
+
+
+def _with_code(specs: Mapping[str, Kind], named: Set[str], *, allow_code: bool) -> dict[str, Kind]:
+    """Return the components, of which those may run their code that are allowed to or named."""
+    result = {}
+    for name, spec in specs.items():
+        is_allowed = spec.code is not None and (allow_code or spec.code in named)
+        result[name] = spec.with_code() if is_allowed else spec
+    return result
 
 
 def check_clock(clock: Clock, source: CompleteRecording) -> None:
@@ -223,18 +260,26 @@ def check_changes(experiment: Experiment, original: Document, changes: Mapping[s
         origins = _origins(experiment, changed)
         for name in recorded:
             if name in origins:
+                remedy = _remedy(experiment.scenario.specs[name])
                 raise UsageError(
-                    f"{option('set', short(key))}: {name!r} is taken from the recording; {_REMEDY}"
+                    f"{option('set', short(key))}: {name!r} is taken from the recording; {remedy}"
                 )
         affected = _reached(origins, drivers, recorded)
         for name in recorded:
             what = _what_drives(name, drivers[name], affected, changed)
             if what:
+                remedy = _remedy(experiment.scenario.specs[name])
                 raise UsageError(
                     f"{option('set', short(key))}: {what}; {name!r} is taken from the recording "
-                    f"and cannot follow: {_REMEDY}"
+                    f"and cannot follow: {remedy}"
                 )
         before = after
+
+
+def _remedy(spec: Kind) -> str:
+    """Return the way out where a recorded component would have to change."""
+    code = "" if spec.code is None else f", or allow its code to run with {flag('allow_code')}"
+    return f"run the scenario to change it{code}"
 
 
 def _changed_tables(before: Mapping[str, Any], after: Mapping[str, Any]) -> set[str]:
@@ -289,6 +334,11 @@ def _what_drives(name: str, drivers: Set[str], affected: Set[str], changed: Set[
     return None
 
 
+def components_of_code(scenario: Scenario) -> list[str]:
+    """Return the components that run code of users."""
+    return [name for name, spec in scenario.specs.items() if spec.code is not None]
+
+
 def recorded_components(scenario: Scenario) -> list[str]:
     """Return the components that a replay copies from the recording."""
     return [name for name, spec in scenario.specs.items() if not spec.computable]
@@ -318,7 +368,14 @@ def valid_designs(experiment: Experiment, source: Log) -> dict[str, Design]:
         current = fingerprint(experiment.scenario, name, experiment.reads[name])
         same_tables = recorded.get("fingerprint") == current
         held = experiment.graph.held[name]
+        same_code = component_record(source, name).code == _code_of(experiment, name)
         same_hold = name in recorded_masks and np.array_equal(recorded_masks[name], held)
-        if not spec.computable or (same_tables and same_hold):
+        if not spec.computable or (same_tables and same_code and same_hold):
             designs[name] = recorded_designs[name]
     return designs
+
+
+def _code_of(experiment: Experiment, name: str) -> CodeRecord | None:
+    """Return what a component that was built records of its code; None: it runs none."""
+    code = experiment.metadata.get(name, {}).get("code")
+    return None if code is None else CodeRecord.model_validate(code)

@@ -164,7 +164,11 @@ class _SwapComparison:
             if name in builder.components:
                 reports[name] = self._compare(builder, name, part)
         problems = tuple(self._initial.problems)
-        self.reports = SwapReports(reports, problems, self._initial.failure)
+        imported = {}
+        for name, metadata in builder.context.metadata.items():
+            if "code" in metadata:
+                imported[name] = str(metadata["code"]["class"])
+        self.reports = SwapReports(reports, problems, self._initial.failure, imported)
         self._repeats = self._initial.repeats()
         for fmu in fmus.values():
             fmu.drain()

@@ -184,11 +184,14 @@ class SwapReports:
         Found before the first step.
     failure : str
         Why the initialization failed; empty: it did not.
+    imported : mapping of component name to str
+        The classes of users that were imported.
     """
 
     reports: Mapping[str, SwapReport] = field(default_factory=dict)
     problems: tuple[str, ...] = ()
     failure: str = ""
+    imported: Mapping[str, str] = field(default_factory=dict)
 
     def check(self) -> None:
         """Check that the scenario can run.

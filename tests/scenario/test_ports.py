@@ -56,7 +56,7 @@ sampled = { kind = "discrete-state-space", period = 0.1, A = [[0.5]], B = [[1.0]
 "look.u" = "ramp.y"
 "controller.u" = "ramp.y"
 """
-DEPENDENT = {"fmu", "recording", "field-data"}  # on a file
+DEPENDENT = {"fmu", "recording", "field-data", "python"}  # on a file
 
 
 def names_of(side, present):

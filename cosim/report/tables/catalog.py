@@ -13,15 +13,18 @@ from cosim.report.tables.console import new_table, print_json, print_line, print
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from cosim.scenario.installed_kinds import InstalledClass
     from cosim.scenario.kinds import Kind
     from cosim.scenario.kinds.parameters import Parameter
 
+INSTALLED_TITLE = "component kinds of installed packages, by entry points 'cosim.components'"
 KINDS_TITLE = "component kinds; [optional parameters]; 'cosim list KIND' explains the parameters"
 
 
 def print_catalog(*, as_json: bool) -> None:
     """Print the shipped scenarios and the component kinds with their parameters."""
     from cosim.scenario.document import find, shipped
+    from cosim.scenario.installed_kinds import installed_classes
     from cosim.scenario.kinds import KINDS
     from cosim.scenario.kinds.parameters import parameters_of
     from cosim.scenario.schema import ModelTable, Settings
@@ -34,7 +37,13 @@ def print_catalog(*, as_json: bool) -> None:
         kinds = {name: _plain(kind) for name, kind in KINDS.items()}
         settings = _plain_parameters(parameters_of(Settings))
         models = _plain_parameters(parameters_of(ModelTable))
-        entries = {"scenarios": scenarios, "settings": settings, "models": models, "kinds": kinds}
+        entries = {
+            "scenarios": scenarios,
+            "settings": settings,
+            "models": models,
+            "kinds": kinds,
+            "installed": _plain_installed(),
+        }
         print_json(entries)
         return
     table = new_table("shipped scenarios", ("name", "description"))
@@ -47,6 +56,8 @@ def print_catalog(*, as_json: bool) -> None:
     for name, kind in KINDS.items():
         table.add_row(name, kind.ports, _names(parameters_of(kind)), _description(kind))
     print_table(table)
+    if installed_classes():
+        print_table(_installed_table())
 
 
 def print_kind(name: str, *, as_json: bool) -> None:
@@ -57,11 +68,16 @@ def print_kind(name: str, *, as_json: bool) -> None:
     UsageError
         If there is no such kind.
     """
+    from cosim.scenario.installed_kinds import installed_class, installed_classes
     from cosim.scenario.kinds import KINDS
     from cosim.scenario.kinds.parameters import parameters_of
 
     if name not in KINDS:
-        raise UsageError(f"unknown kind {name!r}; {nearest(name, KINDS)}")
+        names = dict.fromkeys([*KINDS, *installed_classes()])
+        if name not in names:
+            raise UsageError(f"unknown kind {name!r}; {nearest(name, names)}")
+        _print_installed(installed_class(name), as_json=as_json)
+        return
     kind = KINDS[name]
     if as_json:
         print_json(_plain(kind))
@@ -69,6 +85,41 @@ def print_kind(name: str, *, as_json: bool) -> None:
     print_line(f"{name}: {_description(kind)}")
     print_line(f"ports: {kind.ports}")
     print_table(_parameters_table("", parameters_of(kind)))
+
+
+def _installed_table() -> Table:
+    """Return a table of the kinds of installed packages, of which nothing is imported."""
+    from cosim.scenario.installed_kinds import installed_classes, refusal
+    from cosim.scenario.kinds import KINDS
+
+    table = new_table(INSTALLED_TITLE, ("kind", "class", "package", ""))
+    for classes in installed_classes().values():
+        for entry in classes:
+            reason = refusal(entry, KINDS)
+            table.add_row(entry.kind, entry.class_name, entry.distribution, reason)
+    return table
+
+
+def _plain_installed() -> list[dict[str, Any]]:
+    """Return the kinds of installed packages as JSON shows them."""
+    from cosim.scenario.installed_kinds import installed_classes, refusal
+    from cosim.scenario.kinds import KINDS
+
+    entries = []
+    for classes in installed_classes().values():
+        for entry in classes:
+            entries.append({**asdict(entry), "refused": refusal(entry, KINDS) or None})
+    return entries
+
+
+def _print_installed(entry: InstalledClass, *, as_json: bool) -> None:
+    """Print what is known of the kind of an installed package, of which nothing is imported."""
+    if as_json:
+        print_json(asdict(entry))
+        return
+    print_line(f"{entry.kind}: {entry.class_name}, of {entry.distribution}")
+    print_line("ports: those of the class")
+    print_line("parameters: those of its constructor; nothing is imported here")
 
 
 def _parameters_table(title: str, parameters: Iterable[Parameter]) -> Table:

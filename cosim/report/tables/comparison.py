@@ -54,10 +54,13 @@ def print_dry_run(reports: SwapReports, *, as_json: bool) -> None:
     """Print how swapped components compare with those that they replace."""
     if as_json:
         swaps = {name: report.to_dict() for name, report in reports.reports.items()}
-        print_json({"swaps": swaps, "problems": reports.refusals})
+        imported = dict(reports.imported)
+        print_json({"swaps": swaps, "problems": reports.refusals, "imported": imported})
         return
     for report in reports.reports.values():
         print_section(report.component, report.lines)
+    for component, name in reports.imported.items():
+        print_line(f"{component}: {name} was imported")
     if not reports.refusals:
         for component, text in reports.warnings:
             print_line(f"warning: {component}: {text}", error=True)

@@ -10,6 +10,7 @@ from typing import Any
 from rich.table import Table
 
 from cosim.core.contracts import Recording
+from cosim.errors import flag
 from cosim.log import Log
 from cosim.report.compensation import CompensationSummary
 from cosim.report.guaranteed import interval_text, reach_text
@@ -117,6 +118,9 @@ def _summary_table(summary: Summary, recording: Recording) -> Table:
     for loop in summary.loops:
         text = "step by step, so with an error of first order in the step; compare with --step"
         table.add_row("loop", "", "", f"{loop}: {text}")
+    for component, class_name in summary.copied_code.items():
+        text = f"taken from the log; {flag('allow_code')} computes it, which runs {class_name}"
+        table.add_row(component, "", "", text)
     return table
 
 

@@ -1,5 +1,8 @@
 '''The component kinds of a scenario: one table class each, which builds its component.
 
+A component of one's own needs no kind: ``kind = "python"`` takes any class, and an installed
+package makes a class a kind by an entry point: :mod:`cosim.scenario.kinds.user_component`.
+
 To make a component a kind of scenario files, derive a class from :class:`Kind` in a module of this
 package, and add it to ``KINDS`` below. A dead zone, for example::
 
@@ -105,6 +108,7 @@ KINDS = LazyMapping[type[Kind]](
         "fmu": "plants.FmuKind",
         "recording": "plants.RecordingKind",
         "field-data": "field_data.FieldDataKind",
+        "python": "user_component.PythonKind",
         "unknown-input-observer": "observers.UnknownInputObserverKind",
         "regressor": "regressor.RegressorKind",
         "identifier": "identification.IdentifierKind",

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self, TypeAlias, TypeVar
 
 from pydantic import Field
 
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from cosim.fmi.linearizing.moving import MovingLinearization
     from cosim.fmi.linearizing.request import LinearizationRequest
     from cosim.fmi.options import FmuOptions
+    from cosim.scenario.user_code import UserClass
 
 T = TypeVar("T")
 
@@ -172,6 +173,13 @@ class BuildContext(Protocol):
         """
         ...
 
+    def user_class(self, name: str, class_name: str, *, in_folder: bool) -> UserClass:
+        """Import the class of a component, and record its source.
+
+        ``in_folder``: its module is looked for in the scenario's folder before sys.path.
+        """
+        ...
+
     def fmu(self, name: str, path: str, options: FmuOptions) -> Component:
         """Load an FMU; it is freed at the end of the run."""
         ...
@@ -288,6 +296,15 @@ class Kind(TomlTable):
         If not, a replay takes it from the recording.
         """
         return True
+
+    @property
+    def code(self) -> str | None:
+        """What names the code of a user that it runs, such as ``relay:Relay``; None: none."""
+        return None
+
+    def with_code(self) -> Self:
+        """Return the table as that of a component whose code a replay may run."""
+        return self
 
     @property
     def follows_inputs(self) -> bool:

@@ -1,0 +1,97 @@
+"""Components of users: a Python class in the scenario's folder, on sys.path, or installed.
+
+What else the table has are the parameters of the class's constructor, by name and annotation:
+:mod:`cosim.scenario.constructor`. How the class is found: :mod:`cosim.scenario.user_code`.
+
+The code of a class runs where its component is built: in a run, a dry run, and whatever needs the
+component. It does not run to show a scenario. A log names classes too, and may come from anywhere:
+a replay takes their components from the recording, unless its caller allows the code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal, Self
+
+from pydantic import AfterValidator, ConfigDict, Field, PrivateAttr, StrictStr
+
+from cosim.core.contracts import Component
+from cosim.errors import UsageError
+from cosim.scenario.constructor import construct
+from cosim.scenario.installed_kinds import installed_class
+from cosim.scenario.kinds.base import BuildContext, Kind
+from cosim.scenario.user_code import class_name_parts
+
+
+def _check_class_name(name: str) -> str:
+    try:
+        class_name_parts(name)
+    except UsageError as error:
+        raise ValueError(str(error)) from error
+    return name
+
+
+class UserKind(Kind):
+    """A component of a class that its user wrote.
+
+    Its other keys are parameters of the constructor.
+    """
+
+    model_config = ConfigDict(extra="allow")
+    ports: ClassVar[str] = "those of the class"
+    _is_allowed: bool = PrivateAttr(False)
+
+    @property
+    def computable(self) -> bool:
+        """Whether a replay may run the class."""
+        return self._is_allowed
+
+    def with_code(self) -> Self:
+        allowed = self.model_copy()
+        allowed._is_allowed = True
+        return allowed
+
+    @property
+    def parameters(self) -> Mapping[str, Any]:
+        """The parameters of the constructor."""
+        return self.model_extra or {}
+
+
+class PythonKind(UserKind):
+    """A component of a Python class, found in the scenario's folder or on sys.path.
+
+    Every other key is a parameter of its constructor.
+    """
+
+    kind: Literal["python"]
+    class_: Annotated[StrictStr, AfterValidator(_check_class_name)] = Field(
+        alias="class",
+        description='"package.module:Class"; every other key is a parameter of its constructor, by '
+        "name and annotation",
+    )
+
+    @property
+    def code(self) -> str:
+        return self.class_
+
+    def build(self, name: str, context: BuildContext) -> Component:
+        user_class = context.user_class(name, self.class_, in_folder=True)
+        return construct(name, user_class, self.parameters)
+
+
+class InstalledKind(UserKind):
+    """A component of a Python class that an installed package declares.
+
+    Every other key is a parameter of its constructor.
+    """
+
+    kind: StrictStr
+
+    @property
+    def code(self) -> str:
+        return self.kind
+
+    def build(self, name: str, context: BuildContext) -> Component:
+        class_name = installed_class(self.kind).class_name
+        user_class = context.user_class(name, class_name, in_folder=False)
+        return construct(name, user_class, self.parameters)
