@@ -18,10 +18,10 @@ import numpy as np
 from cosim.arrays import NAN, Mask, Matrix, Vector
 from cosim.blocks.regressor import Regressor
 from cosim.core.clock import nanoseconds, seconds
-from cosim.core.contracts import Component, Rollback, State, prepare
+from cosim.core.contracts import Component, Design, Native, Rollback, State, prepare
 from cosim.core.member import read_only, result_problem
 from cosim.native.expression import compile_expression
-from cosim.native.step import evaluate_at, first_order_hold
+from cosim.native.step import NativeStep, evaluate_at, first_order_hold
 from cosim.theory.disturbances.families import Exponential, Family, group_by_alpha
 from cosim.theory.disturbances.regression import expand
 from cosim.theory.disturbed_plant import DisturbedPlant
@@ -83,10 +83,10 @@ def check_component(
         _check_initialization(bench, held)
         if held.any() or bench.interface.delayed:
             _check_held_inputs(bench, held, expected)
+        if bench.interface.native:
+            _check_native(bench, held, expected)
     if bench.interface.rollback:
-        # The interface is what declares save and restore; a type checker cannot follow it.
-        make_rollback = cast("Callable[[], RollbackComponent[object]]", make)
-        check_rollback(make_rollback, inputs=inputs, h=h, steps=steps, seed=seed)
+        _check_rollback(bench, bench.masks()[0])
 
 
 def check_rollback(
@@ -107,9 +107,15 @@ def check_rollback(
         Where a run from a restored state differs.
     """
     bench = _Bench(make, inputs, h, steps, seed)
+    _check_rollback(bench, bench.masks()[0])
+
+
+def _check_rollback(bench: _Bench, held: Mask) -> None:
+    """Require that a restored component goes on as it did after it was saved."""
     for k in (0, bench.steps // 2):
-        component = make()
-        prepare(component, bench.h, bench.masks()[0], {})
+        prepared = bench.prepared(held)
+        # The interface is what declares save and restore; a type checker cannot follow it.
+        component = cast("RollbackComponent[object]", prepared)
         bench.initialize(component)
         bench.advance(component, 0, k)
         state = component.save()
@@ -440,9 +446,11 @@ def _check_declared(bench: _Bench) -> None:
         "prepare": bench.interface.prepares,
         "save": bench.interface.rollback,
         "restore": bench.interface.rollback,
+        "native": bench.interface.native,
     }
+    flags = {"prepare": "prepares", "native": "native"}
     for method, needed in declared.items():
-        flag = "prepares" if method == "prepare" else "rollback"
+        flag = flags.get(method, "rollback")
         if needed and not callable(getattr(component, method, None)):
             raise AssertionError(f"the interface declares {flag}, but there is no {method}")
     # Whether it can go back may depend on the instance, an FMU for example; preparing may not.
@@ -567,6 +575,102 @@ def _check_held_inputs(bench: _Bench, held: Mask, expected: Matrix) -> None:
         bench.compare(law, corrected, expected[k], k)
 
 
+def _check_native(bench: _Bench, held: Mask, expected: Matrix) -> None:
+    """Require that the compiled step has the bits of ``advance``, also in turn with it."""
+    for alternates in (False, True):
+        compiled = bench.compiled(held, alternates=alternates)
+        try:
+            _check_compiled(compiled, held, expected)
+            if not alternates:
+                _check_taken(compiled, held)
+        except AssertionError as error:
+            turns = ", in turn with advance" if alternates else ""
+            raise AssertionError(f"the compiled step{turns}: {error}") from error
+
+
+def _check_compiled(bench: _Bench, held: Mask, expected: Matrix) -> None:
+    bench.compare("has the bits of advance", bench.run(bench.prepared(held)), expected)
+    _check_blocks(bench, held, expected)
+    _check_outputs(bench, held, expected)
+    if held.any() or bench.interface.delayed:
+        _check_held_inputs(bench, held, expected)
+    if bench.interface.rollback:
+        _check_rollback(bench, held)
+
+
+def _check_taken(bench: _Bench, held: Mask) -> None:
+    """Require that a step is compiled at all, where there is one."""
+    component = cast(_Compiled, bench.prepared(held))
+    bench.run(component)
+    if component.has_step and not component.steps_taken:
+        raise AssertionError(f"it declined all of {bench.steps} steps")
+
+
+class _Compiled:
+    """Advances a component as a native stage does: by its compiled step, unless that declines.
+
+    Parameters
+    ----------
+    component : Component
+        Prepared; its interface declares ``native``.
+    alternates : bool
+        Every other block of steps is taken by the component itself.
+    """
+
+    def __init__(self, component: Component, *, alternates: bool) -> None:
+        self.interface = component.interface
+        self._component = component
+        self._alternates = alternates
+        self._blocks = 0
+        self._step: NativeStep | None = None
+        self.steps_taken = 0
+
+    @property
+    def has_step(self) -> bool:
+        return self._step is not None
+
+    def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
+        return recorded
+
+    def initialize(self, t: float, u: Vector) -> Vector:
+        y = self._component.initialize(t, u)
+        self._component.outputs(t, u)
+        self._step = cast(Native, self._component).native()
+        return y
+
+    def outputs(self, t: float, u: Vector) -> Vector:
+        if self._step is not None:
+            y = self._step.outputs_at(t, u)
+            if y is not None:
+                return y
+        return self._component.outputs(t, u)
+
+    def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
+        self._blocks += 1
+        if self._step is None or (self._alternates and self._blocks % 2 == 0):
+            return self._component.advance(t, h, u)
+        steps = len(t) - 1
+        rows = np.empty((steps, self.interface.n_y))
+        k = 0
+        while k < steps:
+            y = self._step.advance(t[k:], h, u[k:])
+            end = k + len(y)
+            self.steps_taken += len(y)
+            rows[k:end] = y
+            if end < steps:
+                ends = slice(end, end + 2)
+                rows[end] = self._component.advance(t[ends], h, u[ends])[0]
+                end += 1
+            k = end
+        return rows
+
+    def save(self) -> object:
+        return cast(Rollback[object], self._component).save()
+
+    def restore(self, state: object) -> None:
+        cast(Rollback[object], self._component).restore(state)
+
+
 class _Bench:
     """A component's times and inputs, and other inputs to put in their place."""
 
@@ -574,6 +678,7 @@ class _Bench:
         self, make: Callable[[], Component], inputs: Matrix | None, h: float, steps: int, seed: int
     ) -> None:
         self.make = make
+        self.seed = seed
         self.interface = make().interface
         self.input_names = [signal.name for signal in self.interface.inputs]
         self.n_u = self.interface.n_u
@@ -632,6 +737,11 @@ class _Bench:
         u: Vector = self.u[k].copy()
         u[columns] = self.perturbed[k, columns]
         return u
+
+    def compiled(self, held: Mask, *, alternates: bool) -> _Bench:
+        """Return a bench with one prepared component, advanced by its compiled step."""
+        component = _Compiled(self.prepared(held), alternates=alternates)
+        return _Bench(lambda: component, self.u, self.h, self.steps, self.seed)
 
     def masks(self) -> list[Mask]:
         """Return masks of inputs with a zero-order hold: none, all, every other signal."""

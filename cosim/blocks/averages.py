@@ -82,7 +82,15 @@ class AveragedModel:
             feedthrough[signal.name] = inputs
         lagging = [replace(signal, optional=window) for signal in self.lagging]
         outputs = (*direct, *lagging)
-        return Interface(linear.inputs, outputs, feedthrough, initial, prepares=True, rollback=True)
+        return Interface(
+            linear.inputs,
+            outputs,
+            feedthrough,
+            initial,
+            prepares=True,
+            rollback=True,
+            native=True,
+        )
 
     def increments(self, h: float, held: Mask) -> dict[str, Matrix]:
         """Discretize for steps of ``h`` [s]; return the arrays by name."""
@@ -188,6 +196,10 @@ class Windowed:
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Take K steps."""
         return self._kernel.step.advance(t, h, u)
+
+    def native(self) -> NativeStep:
+        """Return the compiled step."""
+        return self._kernel.step
 
     def save(self) -> Vector:
         """Copy state and window."""
@@ -297,6 +309,10 @@ class Smoothed:
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Take K steps."""
         return self._step.advance(t, h, u)
+
+    def native(self) -> NativeStep:
+        """Return the compiled step."""
+        return self._step
 
     def save(self) -> Vector:
         """Copy the state."""

@@ -7,9 +7,10 @@ from dataclasses import replace
 from typing import cast, final
 
 from cosim.arrays import Mask, Matrix, Vector
-from cosim.core.contracts import Component, Design, Rollback, prepare
+from cosim.core.contracts import Component, Design, Native, Rollback, prepare
 from cosim.core.signals import Interface, Signal
 from cosim.errors import GraphError, nearest
+from cosim.native.step import NativeStep
 from cosim.units import Unit
 
 
@@ -86,6 +87,10 @@ class Declared:
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Advance the component."""
         return self._component.advance(t, h, u)
+
+    def native(self) -> NativeStep | None:
+        """Return the compiled step of the component."""
+        return cast(Native, self._component).native()
 
     def save(self) -> object:
         """Copy the state of the component."""

@@ -10,7 +10,7 @@ from cosim.arrays import Matrix, Vector
 from cosim.core.linear import LinearModel
 from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
-from cosim.native.step import LARGEST_MEMORY, delay_step
+from cosim.native.step import LARGEST_MEMORY, NativeStep, delay_step
 
 AUGMENTED = 6  # the discretization of n states works on 4 matrices of 3 n rows: (6 n)^2 values
 
@@ -107,7 +107,7 @@ class Delay:
         y = Signal("y", size, unit, "inherited")
         initial_feedthrough = {"y": ("u",)} if initial is None else {}
         self.interface = Interface(
-            (u,), (y,), initial=initial_feedthrough, delayed=("u",), rollback=True
+            (u,), (y,), initial=initial_feedthrough, delayed=("u",), rollback=True, native=True
         )
         self._size = size
         self._step = delay_step(steps, size)
@@ -127,6 +127,10 @@ class Delay:
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Shift K samples through the line."""
         return self._step.advance(t, h, u)
+
+    def native(self) -> NativeStep:
+        """Return the compiled step."""
+        return self._step
 
     def save(self) -> Vector:
         """Copy the line."""

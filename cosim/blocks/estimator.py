@@ -5,10 +5,13 @@ from __future__ import annotations
 from types import MappingProxyType
 from typing import Final, Generic, Protocol
 
+import numpy as np
+
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Design, State, Stopped, check_design
 from cosim.core.signals import Interface, Signal
 from cosim.native.step import FULL, NO_VALUE, OUTSIDE, NativeStep
+from cosim.native.wrapping import kept_step
 
 _NO_VALUE: Final = "an input has no value at {time} s, where it counts; start after the delays"
 _PROBLEMS: Final = MappingProxyType(
@@ -87,11 +90,12 @@ class Estimator(Generic[State]):
         design = dict(recorded or computed)
         check_design(design, {name: array.shape for name, array in computed.items()})
         self._kernel = self.method.kernel(h, held, design)
+        self._last = np.empty(self.interface.n_y)
         return design
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Forget all samples; there is no estimate yet."""
-        self._last = self._kernel.initialize()
+        self._last[:] = self._kernel.initialize()
         return self._last.copy()
 
     def outputs(self, t: float, u: Vector) -> Vector:
@@ -103,11 +107,15 @@ class Estimator(Generic[State]):
         step = self._kernel.step
         y = step.advance(t, h, u)
         if len(y):
-            self._last = y[-1].copy()
+            self._last[:] = y[-1]
         if step.status in self._problems:
             problem = self._problems[step.status]
             raise Stopped(y, problem.format(time=float(t[len(y)])))
         return y
+
+    def native(self) -> NativeStep:
+        """Return the compiled step."""
+        return kept_step(self._kernel.step, self._last)
 
     def save(self) -> tuple[State, Vector]:
         """Copy the state and the estimate."""
@@ -117,7 +125,7 @@ class Estimator(Generic[State]):
         """Return to a saved state."""
         memory, last = state
         self._kernel.restore(memory)
-        self._last = last.copy()
+        self._last[:] = last
 
 
 def optional_input(name: str, size: int) -> Signal:

@@ -318,4 +318,6 @@ class IdentificationProblem:
 def sampling_interface(inputs: Sequence[Signal], outputs: Sequence[Signal]) -> Interface:
     """Return the interface of an identifier that takes samples at the beginning of a step."""
     names = tuple(signal.name for signal in inputs)
-    return Interface(tuple(inputs), tuple(outputs), delayed=names, prepares=True, rollback=True)
+    return Interface(
+        tuple(inputs), tuple(outputs), delayed=names, prepares=True, rollback=True, native=True
+    )

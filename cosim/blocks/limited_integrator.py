@@ -7,6 +7,7 @@ from cosim.core.contracts import Design
 from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
 from cosim.native.control import LARGEST_NUMBER, integrator_step
+from cosim.native.step import NativeStep
 
 
 class LimitedIntegrator:
@@ -54,7 +55,7 @@ class LimitedIntegrator:
         self.initial = initial
         u = Signal("u", size)
         y = Signal("y", size, unit, role="state")
-        self.interface = Interface((u,), (y,), prepares=True, rollback=True)
+        self.interface = Interface((u,), (y,), prepares=True, rollback=True, native=True)
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Take which inputs are held; there is nothing to record."""
@@ -73,6 +74,10 @@ class LimitedIntegrator:
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Integrate over K steps."""
         return self._step.advance(t, h, u)
+
+    def native(self) -> NativeStep:
+        """Return the compiled step."""
+        return self._step
 
     def save(self) -> Vector:
         """Copy the state."""

@@ -28,6 +28,7 @@ from cosim.core.contracts import Design
 from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
 from cosim.native.control import LARGEST_NUMBER, PidConstants, PidStep
+from cosim.native.step import NativeStep
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,7 +174,9 @@ class Pid:
         y = Signal("y", 1, unit)
         integral = Signal("integral", 1, unit, role="state")
         feedthrough = {"y": _feeding(self.constants)}
-        self.interface = Interface(inputs, (y, integral), feedthrough, prepares=True, rollback=True)
+        self.interface = Interface(
+            inputs, (y, integral), feedthrough, prepares=True, rollback=True, native=True
+        )
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Take which inputs are held; there is nothing to record."""
@@ -192,6 +195,10 @@ class Pid:
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Advance by K steps."""
         return self._kernel.step.advance(t, h, u)
+
+    def native(self) -> NativeStep:
+        """Return the compiled step."""
+        return self._kernel.step
 
     def save(self) -> Vector:
         """Copy the state."""

@@ -176,6 +176,16 @@ class PortMap:
         shown: Matrix = outward[:, np.newaxis] * picked * inward
         return shown
 
+    @property
+    def keeps_places(self) -> bool:
+        """Whether every element, and its value, stands where it stands in the component."""
+        inputs = np.arange(self.component.n_u)
+        outputs = np.arange(self.component.n_y)
+        same_inputs = np.array_equal(self._input_columns, inputs)
+        same_outputs = np.array_equal(self._output_columns, outputs)
+        copies = all(conversion.copies for conversion in (*self._inward, *self._outward))
+        return same_inputs and same_outputs and copies
+
     @cached_property
     def _input_columns(self) -> NDArray[np.intp]:
         """Column of the component for every shown input element."""

@@ -11,7 +11,7 @@ from cosim.arrays import Matrix, Vector
 from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
 from cosim.native.alphas import Alpha, AlphaSignal, PastAlphas, signals_among
-from cosim.native.step import LARGEST_MEMORY, RegressorConstants, RegressorStep
+from cosim.native.step import LARGEST_MEMORY, NativeStep, RegressorConstants, RegressorStep
 from cosim.theory.disturbances.regression import Term
 
 
@@ -73,7 +73,7 @@ class Regressor:
         mu = Signal("mu", len(terms), optional=True)
         # without a delay of 0 all that mu depends on has passed
         fed = [signal.name for signal in inputs] if 0 in steps else []
-        self.interface = Interface(inputs, (mu,), {"mu": tuple(fed)}, rollback=True)
+        self.interface = Interface(inputs, (mu,), {"mu": tuple(fed)}, rollback=True, native=True)
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Forget the past."""
@@ -87,6 +87,10 @@ class Regressor:
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Take K samples."""
         return self._kernel.step.advance(t, h, u)
+
+    def native(self) -> NativeStep:
+        """Return the compiled step."""
+        return self._kernel.step
 
     def save(self) -> Vector:
         """Copy the delayed samples."""

@@ -7,7 +7,8 @@ from typing import cast, final
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.blocks.port_map import PortMap
-from cosim.core.contracts import Component, Design, Rollback, Stopped, prepare
+from cosim.core.contracts import Component, Design, Native, Rollback, Stopped, prepare
+from cosim.native.step import NativeStep
 
 
 @final
@@ -52,6 +53,12 @@ class Renamed:
             completed = self._ports.shown_outputs(stop.outputs)
             raise Stopped(completed, str(stop), failed=stop.failed) from stop
         return self._ports.shown_outputs(y)
+
+    def native(self) -> NativeStep | None:
+        """Return the compiled step of the component, where its elements keep their places."""
+        if not self._ports.keeps_places:
+            return None
+        return cast(Native, self._component).native()
 
     def save(self) -> object:
         """Copy the state of the component."""

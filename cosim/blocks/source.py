@@ -12,7 +12,7 @@ from cosim.core.contracts import Stopped
 from cosim.core.signals import Interface, Signal, SignalType, Variability
 from cosim.errors import UsageError
 from cosim.native.expression import compile_expression
-from cosim.native.step import WORDS_PER_NORMAL, evaluate, expression_step, normal
+from cosim.native.step import WORDS_PER_NORMAL, NativeStep, evaluate, expression_step, normal
 
 
 class Expression:
@@ -38,7 +38,7 @@ class Expression:
     ) -> None:
         self.programs = tuple(compile_expression(text) for text in texts)
         y = Signal("y", len(texts), unit, variability, type=signal_type)
-        self.interface = Interface(outputs=(y,))
+        self.interface = Interface(outputs=(y,), native=True)
         self._step = expression_step(self.programs)
 
     def initialize(self, t: float, u: Vector) -> Vector:
@@ -52,6 +52,10 @@ class Expression:
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Return y at ``t[1:]``."""
         return self._step.advance(t, h, u)
+
+    def native(self) -> NativeStep:
+        """Return the compiled step."""
+        return self._step
 
 
 def constant(

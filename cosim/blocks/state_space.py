@@ -11,7 +11,7 @@ from cosim.blocks.plant import linear_model
 from cosim.core.linear import LinearModel, feedthrough_of
 from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
-from cosim.native.step import DiscretizedDynamics, affine, linear_step
+from cosim.native.step import DiscretizedDynamics, NativeStep, affine, linear_step
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +132,7 @@ class DiscreteStateSpace:
         self.system = system
         u, y, x = system.signals(unit)
         feedthrough = feedthrough_of(Interface((u,), (y, x)), system.D)
-        self.interface = Interface((u,), (y, x), feedthrough, rollback=True)
+        self.interface = Interface((u,), (y, x), feedthrough, rollback=True, native=True)
         self._step = linear_step(self.dynamics, system.C, system.D)
 
     @property
@@ -157,6 +157,10 @@ class DiscreteStateSpace:
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Take K steps."""
         return self._step.advance(t, h, u)
+
+    def native(self) -> NativeStep:
+        """Return the compiled step."""
+        return self._step
 
     def save(self) -> Vector:
         """Copy the state."""

@@ -25,7 +25,8 @@ def integrator_step(lower: float, upper: float, held: Mask) -> NativeStep:
     flags = held.astype(np.uint8)
     state = IntegratorStruct(width, lower, upper, pointer(flags), pointer(memory))
     function = address("cosim_integrator_step")
-    return NativeStep(function, state, n_y=width, memory=memory, keep=(flags,))
+    outputs = address("cosim_integrator_refresh")
+    return NativeStep(function, state, n_y=width, memory=memory, keep=(flags,), outputs=outputs)
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +83,10 @@ class PidStep:
         flags = held.astype(np.uint8)
         state = PidStruct(*constants.numbers, pointer(flags), pointer(memory))
         function = address("cosim_sampled_pid_step" if sampled else "cosim_pid_step")
-        self.step = NativeStep(function, state, n_y=2, memory=memory, keep=(flags,))
+        outputs = address("cosim_pid_refresh")
+        self.step = NativeStep(
+            function, state, n_y=2, memory=memory, keep=(flags,), outputs=outputs
+        )
 
     def initialize(self, u: Vector) -> None:
         """Begin with the initial integral part, and as if the inputs had been constant before."""

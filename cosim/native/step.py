@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Sequence
-from ctypes import byref, c_int32
+from ctypes import byref, c_double, c_int32, c_void_p
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,10 @@ OUTSIDE = 6  # COSIM_OUTSIDE
 DOUBLE = 8  # bytes
 WORDS_PER_NORMAL = 2  # random words that one Gaussian number takes
 LARGEST_MEMORY = 2**27  # values in a component's memory or in a matrix, 1 GiB
+
+
+# cosim_outputs of stage.h
+_OUTPUTS: Final = ctypes.CFUNCTYPE(c_int32, c_void_p, c_double, c_void_p, c_void_p)
 
 
 class NativeStep:
@@ -111,6 +115,19 @@ class NativeStep:
         completed: int = library.cosim_cascade(*step, *points, *inputs, *outputs, byref(status))
         self.status = status.value
         return y[:completed]
+
+    def outputs_at(self, t: float, u: Vector) -> Vector | None:
+        """Return the outputs at ``t`` [s], the time reached, for inputs ``u``.
+
+        None: there is no function that evaluates them, or it declines.
+        """
+        if not self.outputs:
+            return None
+        inputs = _contiguous(u)
+        y = np.empty(self.n_y)
+        if _OUTPUTS(self.outputs)(self.address, t, pointer(inputs), pointer(y)):
+            return None
+        return y
 
     def save(self) -> Vector:
         """Copy the state."""
@@ -267,7 +284,8 @@ def delay_step(steps: int, width: int) -> NativeStep:
     memory = np.zeros(1 + steps * width)
     state = DelayStruct(steps, width, pointer(memory))
     function = address("cosim_delay_step")
-    return NativeStep(function, state, n_y=width, memory=memory)
+    outputs = address("cosim_delay_refresh")
+    return NativeStep(function, state, n_y=width, memory=memory, outputs=outputs)
 
 
 def evaluate(program: Program, t: float) -> float:
@@ -291,9 +309,10 @@ def expression_step(programs: Sequence[Program]) -> NativeStep:
     array = program_array(programs)
     state = ExpressionStruct(n_y, ctypes.addressof(array))
     function = address("cosim_expression_step")
+    outputs = address("cosim_expression_refresh")
     no_memory = np.zeros(0)
     keep = (array, *programs)
-    return NativeStep(function, state, n_y=n_y, memory=no_memory, keep=keep)
+    return NativeStep(function, state, n_y=n_y, memory=no_memory, keep=keep, outputs=outputs)
 
 
 def normal(words: NDArray[np.uint64]) -> Vector:
@@ -380,7 +399,10 @@ class RegressorStep:
         memory = np.zeros(constants.memory)
         state, keep = regressor_struct(constants, memory)
         function = address("cosim_regressor_step")
-        self.step = NativeStep(function, state, n_y=state.terms, memory=memory, keep=keep)
+        outputs = address("cosim_regressor_refresh")
+        self.step = NativeStep(
+            function, state, n_y=state.terms, memory=memory, keep=keep, outputs=outputs
+        )
 
     def reset(self) -> None:
         """Forget the past."""

@@ -82,7 +82,8 @@ class WindowStep:
         n_y = len(constants.C) + constants.width
         keep = (*matrices, *increments)
         function = address("cosim_window_step")
-        self.step = NativeStep(function, state, n_y=n_y, memory=memory, keep=keep)
+        outputs = address("cosim_window_refresh")
+        self.step = NativeStep(function, state, n_y=n_y, memory=memory, keep=keep, outputs=outputs)
 
     def start(self, x0: Vector) -> None:
         """Begin with the state ``x0`` and an empty window."""

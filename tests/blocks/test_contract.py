@@ -31,6 +31,7 @@ from cosim.core.master import run
 from cosim.core.recorders import Memory
 from cosim.core.signals import Interface, Signal
 from cosim.native.expression import compile_expression
+from cosim.native.step import delay_step
 from cosim.testing import check_component, check_rollback
 from cosim.theory.disturbances.families import Exponential, group_by_alpha
 from cosim.theory.disturbances.regression import expand
@@ -481,6 +482,35 @@ def test_a_state_that_is_not_copied_is_noticed():
         check_rollback(lambda: Forgetful(3))
 
 
+class Compiled(Delay):
+    """A delay whose compiled step has a fault."""
+
+    def __init__(self, fault):
+        super().__init__(3)
+        self.fault = fault
+
+    def native(self):
+        if self.fault == "other bits":
+            return delay_step(2, 1)
+        own = delay_step(3, 1)
+        own.memory[:] = self._step.memory
+        return own
+
+
+@pytest.mark.parametrize(
+    ("fault", "law"),
+    [
+        ("other bits", "the compiled step: has the bits of advance: 'y' at t = 0.0 s: found"),
+        ("state of its own", "the compiled step: restore goes back to the outputs at save: 'y' at"),
+    ],
+)
+def test_a_compiled_step_that_is_not_the_component_is_named(fault, law):
+    """Compiled step and methods share one state, and give the same bits."""
+    check_component(lambda: Delay(3))
+    with pytest.raises(AssertionError, match=law):
+        check_component(lambda: Compiled(fault))
+
+
 def test_what_is_declared_is_there_and_prepare_is_declared():
     """A method that is declared but missing is named, and a prepare that nobody would call."""
 
@@ -496,6 +526,13 @@ def test_what_is_declared_is_there_and_prepare_is_declared():
             super().__init__()
             self.interface = replace(self.interface, rollback=True)
 
+    class WithoutStep(Broken):
+        def __init__(self):
+            super().__init__()
+            self.interface = replace(self.interface, native=True)
+
+    with pytest.raises(AssertionError, match="declares native, but there is no native"):
+        check_component(WithoutStep)
     with pytest.raises(AssertionError, match="there is prepare, but it is not called"):
         check_component(Undeclared)
     with pytest.raises(AssertionError, match="declares rollback, but there is no save"):
