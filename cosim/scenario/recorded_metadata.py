@@ -49,7 +49,7 @@ RowAnOutput = Annotated[NumberRows, BeforeValidator(_as_rows)]
 class _Record(BaseModel):
     """A table of a recording: more keys than these are kept as they are."""
 
-    model_config = ConfigDict(extra="allow", frozen=True)
+    model_config = ConfigDict(extra="allow", frozen=True, defer_build=True)
 
 
 class _SwapRow(_Record):
@@ -278,21 +278,24 @@ class ReplayOrigin:
     copied: tuple[str, ...]
 
 
+# Validators are built when they are first used: a command reads few of these.
+_DEFERRED = ConfigDict(defer_build=True)
 _TRUTH: TypeAdapter[dict[str, Any]] = TypeAdapter(
-    dict[str, Text | tuple[Text, ...] | Number | NumberRow]
+    dict[str, Text | tuple[Text, ...] | Number | NumberRow], config=_DEFERRED
 )
-_WARNINGS: TypeAdapter[list[tuple[str, str]]] = TypeAdapter(list[tuple[Text, Text]])
-_LOOPS: TypeAdapter[list[str]] = TypeAdapter(list[Text])
-_TIME: TypeAdapter[float] = TypeAdapter(Number)
-_ORIGIN: TypeAdapter[ReplayOrigin] = TypeAdapter(ReplayOrigin)
+_WARNINGS: TypeAdapter[list[tuple[str, str]]] = TypeAdapter(
+    list[tuple[Text, Text]], config=_DEFERRED
+)
+_LOOPS: TypeAdapter[list[str]] = TypeAdapter(list[Text], config=_DEFERRED)
+_TIME: TypeAdapter[float] = TypeAdapter(Number, config=_DEFERRED)
 _IDENTIFICATION: TypeAdapter[dict[str, IdentificationRecord]] = TypeAdapter(
-    dict[str, IdentificationRecord]
+    dict[str, IdentificationRecord], config=_DEFERRED
 )
-_MODELS: TypeAdapter[dict[str, ModelRecord]] = TypeAdapter(dict[str, ModelRecord])
+_MODELS: TypeAdapter[dict[str, ModelRecord]] = TypeAdapter(dict[str, ModelRecord], config=_DEFERRED)
 _STATE_CHANGES: TypeAdapter[dict[str, tuple[StateChangeRecord, ...]]] = TypeAdapter(
-    dict[str, tuple[StateChangeRecord, ...]]
+    dict[str, tuple[StateChangeRecord, ...]], config=_DEFERRED
 )
-_COMPONENT: TypeAdapter[ComponentRecord] = TypeAdapter(ComponentRecord)
+_COMPONENT: TypeAdapter[ComponentRecord] = TypeAdapter(ComponentRecord)  # deferred by its config
 _OF_IDENTIFIERS = ("start_time", "P0")
 _TIMES = ("T_obs", "T_f", "D_max", "T_id")
 
@@ -440,7 +443,7 @@ def replay_origin(recording: Recording) -> ReplayOrigin:
     text = run_metadata(recording).get("replay")
     if text is None:
         raise LogError("this is no replay; needed what cosim.replay() returned")
-    return _checked(_ORIGIN, _json(text, "replay"), "replay")
+    return _checked(TypeAdapter(ReplayOrigin), _json(text, "replay"), "replay")
 
 
 def truth_of(recording: Recording) -> dict[str, Any]:

@@ -89,9 +89,14 @@ Name = Annotated[str, AfterValidator(_check_name)]
 
 
 class TomlTable(BaseModel):
-    """A table of the file: frozen, no unknown keys, no conversions between types."""
+    """A table of the file: frozen, no unknown keys, no conversions between types.
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=False, validate_default=False)
+    Its validator is built when it is first used: a file uses few of the tables that there are.
+    """
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, strict=False, validate_default=False, defer_build=True
+    )
 
 
 class Settings(TomlTable):
