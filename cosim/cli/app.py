@@ -15,6 +15,7 @@ from typing import Annotated
 import typer
 
 from cosim.cli.checking import check
+from cosim.cli.collecting import start_collecting
 from cosim.cli.comparing import compare, diff
 from cosim.cli.contents import info, list_, plot, show
 from cosim.cli.designing import design
@@ -47,6 +48,7 @@ def _print_version(wanted: bool) -> None:
 
 @app.callback()
 def cosim(
+    context: typer.Context,
     version: Annotated[
         bool,
         typer.Option(
@@ -58,6 +60,8 @@ def cosim(
 
     Logs replay bit for bit.
     """
+    if context.invoked_subcommand not in ("run", "replay"):  # these start it themselves
+        start_collecting()
 
 
 # In the order of the help.

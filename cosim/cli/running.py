@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 import typer
 
 from cosim import completion
+from cosim.cli.collecting import start_collecting
 from cosim.cli.options import (
     ForceOption,
     JsonOption,
@@ -109,6 +110,7 @@ def run(
     edited = loaded.edit(
         swap=read_unique_pairs(swaps, "swap"), map=read_unique_pairs(maps, "map"), set=edits
     )
+    start_collecting()
     if dry_run:
         _dry_run(edited, as_json=as_json)
         return
@@ -215,6 +217,7 @@ def replay(
     from cosim.report.verification import verify as verify_replay
     from cosim.scenario.execution import replay as replay_log
 
+    start_collecting()
     imported = perf_counter()
     source = open_log(log)
     if verify and stop is not None:
