@@ -4,18 +4,23 @@ Run with ``python tests/bench/bench_masters.py``; ``--help`` shows how to make i
 process runs one system for one number of steps; the time of a step is the slope between two
 numbers, so that start-up drops out. It is the processor time of all threads. Each contender is
 measured beside the C program, both in shuffled order: the ratio is the median of those of the
-pairs. All contenders keep all inputs and outputs in memory unless their driver says otherwise; the
-error is the largest distance of the outputs from the closed form in the first 20 s.
+pairs. The C program keeps the inputs u and the outputs y of every step in memory, as the others do
+unless the table says otherwise. The error is the largest distance of the outputs from the closed
+form in the first 20 s.
+
+All run on one core: the threads of some masters would wait for each other, and waiting takes
+processor time, too.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import random
 import statistics
 import sys
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -31,8 +36,8 @@ from tests.bench.masters.systems import chain, ring
 STEPS = 500_000  # of the longer run
 SHORTER = 5  # times shorter is the other run
 SECONDS = 3.0  # that the longer run of a slow master takes, about
-CALIBRATION = 1000  # steps
-FEWEST = 2 * CALIBRATION  # steps of the longer run
+CALIBRATION = (200, 1000)  # steps of two runs
+FEWEST = 1000  # steps of the longer run
 ROUNDS = 9
 PEER_ROUNDS = 5
 SEED = 1
@@ -54,12 +59,14 @@ class Pairing:
     def calibrate(self, most: int, seconds: float) -> None:
         """Choose the number of steps; find out whether the contender can run the case at all."""
         try:
-            short = run(self.case.command(self.contender, CALIBRATION)).seconds
-            long = run(self.case.command(self.contender, FEWEST)).seconds
+            times = []
+            for steps in CALIBRATION:
+                times.append(run(self.case.command(self.contender, steps)).seconds)
         except Unavailable as error:
             self.reason = str(error)
             return
-        step = max(long - short, 0.1 * long) / (FEWEST - CALIBRATION)
+        short, long = times
+        step = max(long - short, 0.1 * long) / (CALIBRATION[1] - CALIBRATION[0])
         self.steps = min(most, max(FEWEST, int(seconds / max(step, 1e-9))))
 
     def measure(self, steps: int) -> None:
@@ -111,7 +118,7 @@ def cases() -> list[Case]:
 
 def table(pairings: Iterable[Pairing]) -> Table:
     """Return the result."""
-    shown = Table("case", "contender", title="time of a communication step")
+    shown = Table("case", "contender", "keeps", title="time of a communication step")
     for heading in ("us a step", "C, us", "ratio to C", "error", "steps"):
         shown.add_column(heading, justify="right")
     last = ""
@@ -128,7 +135,8 @@ def table(pairings: Iterable[Pairing]) -> Table:
                 f"{pairing.error:.1e}",
                 str(pairing.steps),
             ]
-        shown.add_row("" if name == last else name, pairing.contender, *cells)
+        keeps = pairing.case.keeps(pairing.contender)
+        shown.add_row("" if name == last else name, pairing.contender, keeps, *cells)
         last = name
     return shown
 
@@ -156,37 +164,39 @@ def pairings_of(selected: Iterable[Case], contenders: list[str]) -> list[Pairing
     return pairings
 
 
+def measure(pairings: Sequence[Pairing], options: argparse.Namespace, console: Console) -> None:
+    """Measure all pairings, the rounds of each in turn with those of the others."""
+    peer_rounds = options.peer_rounds or min(PEER_ROUNDS, options.rounds)
+    for pairing in pairings:
+        console.print(f"calibrating {pairing.case.name}: {pairing.contender}", style="dim")
+        pairing.calibrate(options.steps, options.seconds)
+    for number in range(options.rounds):
+        console.print(f"round {number + 1} of {options.rounds}", style="dim")
+        for pairing in random.sample(pairings, len(pairings)):
+            takes_part = number < peer_rounds or pairing.contender == "cosim"
+            if takes_part and not pairing.reason:
+                pairing.measure(options.steps)
+
+
 def main() -> None:
     """Measure, and print the table."""
     options = arguments()
-    peer_rounds = options.peer_rounds or min(PEER_ROUNDS, options.rounds)
     random.seed(options.seed)
+    if sys.platform == "linux":  # the processes inherit it
+        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     parts = options.cases.split(",")
     selected = [case for case in cases() if any(part in case.name for part in parts)]
-    console = Console(stderr=True)
     with tempfile.TemporaryDirectory() as folder:
         for case in selected:
             case.build(Path(folder))
         pairings = pairings_of(selected, options.peers.split(","))
-        for pairing in pairings:
-            console.print(f"calibrating {pairing.case.name}: {pairing.contender}", style="dim")
-            pairing.calibrate(options.steps, options.seconds)
-        for number in range(options.rounds):
-            taking_part = []
-            for pairing in pairings:
-                if number < peer_rounds or pairing.contender == "cosim":
-                    taking_part.append(pairing)
-            random.shuffle(taking_part)
-            console.print(f"round {number + 1} of {options.rounds}", style="dim")
-            for pairing in taking_part:
-                if not pairing.reason:
-                    pairing.measure(options.steps)
-    shown = Console(width=None if sys.stdout.isatty() else WIDTH)
-    shown.print(table(pairings))
+        measure(pairings, options, Console(stderr=True))
+    console = Console(width=None if sys.stdout.isatty() else WIDTH)
+    console.print(table(pairings))
     for pairing in pairings:
         if pairing.reason:
             line = f"{pairing.case.name}: {pairing.contender}: {pairing.reason}"
-            shown.print(line, markup=False, highlight=False)
+            console.print(line, markup=False, highlight=False)
 
 
 if __name__ == "__main__":

@@ -50,6 +50,7 @@ def _fmi3(entry: str) -> str:
 <Float64 name="u" valueReference="0" causality="input" start="0"/>
 <Float64 name="y" valueReference="1" causality="output" initial="exact" start="0"/>
 <Float64 name="der(y)" valueReference="2" causality="local" initial="calculated" derivative="1"/>
+<Float64 name="time" valueReference="3" causality="independent" variability="continuous"/>
 </ModelVariables>
 <ModelStructure>
 <Output valueReference="1" dependencies=""/>

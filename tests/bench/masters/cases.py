@@ -21,16 +21,25 @@ SAMPLE_DISTANCE = 250  # steps
 
 @dataclass(frozen=True)
 class Contender:
-    """A master: its driver, and the packages that it needs in an environment of its own."""
+    """A master: its driver, the packages that it needs in an environment of its own, what it keeps.
+
+    Without requirements it runs in the environment of the benchmark.
+    """
 
     driver: str
-    requirements: tuple[str, ...] = ()
+    requirements: tuple[str, ...]
+    keeps: str
 
 
 CONTENDERS: Mapping[str, Contender] = MappingProxyType(
     {
-        "cosim": Contender("drive_cosim.py"),
-        "fmpy": Contender("drive_fmpy.py", ("fmpy",)),
+        "cosim": Contender("drive_cosim.py", (), "u, y"),
+        "ecos": Contender("drive_ecos.py", ("ecospy", "tbb"), "nothing"),
+        "libcosim": Contender("drive_libcosim.py", ("libcosimpy",), "u, y"),
+        "fmpy": Contender("drive_fmpy.py", ("fmpy",), "u, y"),
+        "fmpy-ssp": Contender("drive_fmpy_ssp.py", ("fmpy",), "u, y"),
+        "cofmupy": Contender("drive_cofmupy.py", ("cofmupy",), "y"),
+        "pathsim": Contender("drive_pathsim.py", ("pathsim-fmi",), "u, y"),
     }
 )
 
@@ -54,6 +63,10 @@ class Case(Protocol):
 
     def command(self, contender: str, steps: int) -> Command:
         """Return the process of a contender, or of the C program (``FLOOR``)."""
+        ...
+
+    def keeps(self, contender: str) -> str:
+        """Return what a contender keeps of every step."""
         ...
 
     def error(self, result: Result) -> float:
@@ -128,6 +141,10 @@ class FmuCase:
             "steps": steps,
             "samples": sampled_steps(steps),
         }
+
+    def keeps(self, contender: str) -> str:
+        """Return what a contender keeps of every step."""
+        return CONTENDERS[contender].keeps
 
     def error(self, result: Result) -> float:
         """Return the largest distance of the sampled outputs from the closed form."""

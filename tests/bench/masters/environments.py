@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -12,6 +13,8 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
+
+from tests.bench.masters.drivers.protocol import MARK
 
 ROOT = Path(__file__).parents[3]
 DRIVERS = Path(__file__).parent / "drivers"
@@ -113,10 +116,13 @@ def run(command: Command) -> Result:
             )
         except subprocess.TimeoutExpired as error:
             raise Unavailable(f"took more than {LIMIT:.0f} s") from error
+    if process.returncode < 0:
+        raise Unavailable(f"ended by {signal.Signals(-process.returncode).name}")
     if process.returncode:
         reason = _last_line(process.stderr) or f"ended with status {process.returncode}"
         raise Unavailable(reason)
-    result = json.loads(process.stdout.splitlines()[-1])
+    measured = [line for line in process.stdout.splitlines() if line.startswith(MARK)]
+    result = json.loads(measured[-1].removeprefix(MARK))
     samples = tuple((step, tuple(outputs)) for step, outputs in result["samples"])
     return Result(result["seconds"], samples)
 

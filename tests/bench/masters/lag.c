@@ -18,7 +18,7 @@
 #include <stdbool.h>
 #include <stdlib.h>
 
-enum { U, Y, DER_Y, VARIABLES };
+enum { U, Y, DER_Y, TIME, VARIABLES };
 
 typedef struct {
     double v[VARIABLES];
@@ -53,8 +53,9 @@ static Status set_values(Instance *instance, const unsigned vr[], size_t n, cons
     return F(OK);
 }
 
-static Status step(Instance *instance, double h)
+static Status step(Instance *instance, double t, double h)
 {
+    instance->v[TIME] = t + h;
     if (h != instance->h) {
         instance->h = h;
         instance->decay = exp(-h);
@@ -84,7 +85,7 @@ Status F(Reset)(Handle c)
 }
 Status F(SetTime)(Handle c, double t)
 {
-    (void)c, (void)t;
+    ((Instance *)c)->v[TIME] = t;
     return F(OK);
 }
 Status F(SetContinuousStates)(Handle c, const double x[], size_t n)
@@ -150,8 +151,8 @@ Status fmi2CompletedIntegratorStep(Handle c, fmi2Boolean no_way_back, fmi2Boolea
 }
 Status fmi2DoStep(Handle c, double t, double h, fmi2Boolean no_way_back)
 {
-    (void)t, (void)no_way_back;
-    return step(c, h);
+    (void)no_way_back;
+    return step(c, t, h);
 }
 #else
 Handle fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi3String resources,
@@ -217,6 +218,6 @@ Status fmi3DoStep(Handle c, double t, double h, bool no_way_back, bool *event, b
     (void)no_way_back;
     *event = *terminate = *early = false;
     *reached = t + h;
-    return step(c, h);
+    return step(c, t, h);
 }
 #endif

@@ -9,8 +9,8 @@
  *
  * A lag whose source comes later in a step (Gauss-Seidel) keeps its input from the start of the step;
  * any other is driven by linear interpolation, in co-simulation by the mean of both ends. All inputs
- * and outputs of all steps are kept in memory that the loop touches first. Prints as JSON the
- * processor time [s] of the loop, and the samples. */
+ * and outputs of all steps are kept in memory that the loop touches first. Prints the
+ * processor time [s] of the loop, and the samples: see drivers/protocol.py. */
 #if FMI == 2
 #include "fmi2Functions.h"
 #define F(name) fmi2##name
@@ -381,7 +381,7 @@ int main(int count, char **arguments)
             if (lags[i].held)
                 row[COLUMNS * i] = row[COLUMNS * lags[i].source + 1];
     }
-    printf("{\"seconds\": %.9f, \"samples\": [", now() - began);
+    printf("measured: {\"seconds\": %.9f, \"samples\": [", now() - began);
 
     const char *separator = "";
     for (char *sample = strtok(arguments[4], ","); sample; sample = strtok(NULL, ",")) {

@@ -11,9 +11,9 @@ Reads one JSON object from standard input::
     samples         numbers of the steps whose outputs are compared
     folder          an empty folder for its files
 
-Prints as its last line ``{"seconds", "samples"}``: the processor time of all threads of the process
-from behind the initialization to the last step, what is kept of it included [s]; and pairs of a
-step and the outputs of all lags there.
+Prints a line with ``MARK`` and ``{"seconds", "samples"}``: the processor time of all threads of the
+process from behind the initialization to the last step, what is kept of it included [s]; and pairs
+of a step and the outputs of all lags there.
 """
 
 from __future__ import annotations
@@ -22,6 +22,8 @@ import json
 import sys
 from collections.abc import Sequence
 from typing import Any
+
+MARK = "measured: "  # masters print lines of their own
 
 
 def task() -> dict[str, Any]:
@@ -35,7 +37,7 @@ def report(seconds: float, samples: Sequence[tuple[int, Sequence[float]]]) -> No
     pairs = []
     for step, outputs in samples:
         pairs.append([step, [float(value) for value in outputs]])
-    print(json.dumps({"seconds": seconds, "samples": pairs}), flush=True)
+    print(f"\n{MARK}{json.dumps({'seconds': seconds, 'samples': pairs})}", flush=True)
 
 
 def refuse(reason: str) -> None:
