@@ -24,9 +24,8 @@ from cosim.core.member import Member, NonFinite, first_non_finite, read_only
 from cosim.core.order import OperationKind
 from cosim.errors import RunError
 
-ProgramOperation: TypeAlias = tuple[
-    Literal["keep", "gather", "advance", "refresh", "trace", "check"], tuple[Member, ...]
-]
+OperationName: TypeAlias = Literal["keep", "gather", "advance", "refresh", "trace", "check"]
+ProgramOperation: TypeAlias = tuple[OperationName, tuple[Member, ...]]
 StageProgram: TypeAlias = tuple[ProgramOperation, ...]
 
 
@@ -122,8 +121,9 @@ class Cascade:
 
     @property
     def program(self) -> StageProgram:
-        """Gather the inputs, advance, check the row."""
-        return (("gather", self.members), ("advance", self.members), ("check", self.members))
+        """Gather the inputs, advance, look at the row."""
+        names: tuple[OperationName, ...] = ("gather", "advance", "trace", "check")
+        return tuple((name, self.members) for name in names)
 
     def advance(self, block: Block, signals: Matrix) -> None:
         """Advance the whole block in one call."""
@@ -250,7 +250,7 @@ class Loop:
         for kind, member in self.operations:
             member.gather(rows, end)
             try:
-                y = call(kind, member, time, h, known)
+                y = call(kind, member, time, h, known[:, member.inputs])
             except Stopped as stop:
                 stopped = stop
                 if not stopped.steps:
@@ -264,7 +264,7 @@ class Loop:
         return stopped
 
 
-def call(kind: OperationKind, member: Member, time: Vector, h: float, known: Matrix) -> Vector:
+def call(kind: OperationName, member: Member, time: Vector, h: float, u: Matrix) -> Vector:
     """Advance a component over one step, or evaluate its outputs at the end; return these.
 
     Parameters
@@ -273,8 +273,8 @@ def call(kind: OperationKind, member: Member, time: Vector, h: float, known: Mat
     member : Member
     time : Vector, shape (2,)
     h : float
-    known : Matrix, shape (2, width)
-        The rows at both ends, which cannot be written to.
+    u : Matrix, shape (2, n_u)
+        The inputs at both ends, which cannot be written to.
 
     Raises
     ------
@@ -283,9 +283,9 @@ def call(kind: OperationKind, member: Member, time: Vector, h: float, known: Mat
     """
     try:
         if kind == "advance":
-            y: Vector = member.advance(time, h, known[:, member.inputs])[0]
+            y: Vector = member.advance(time, h, u)[0]
             return y
-        return member.outputs_at(float(time[1]), known[1, member.inputs])
+        return member.outputs_at(float(time[1]), u[1])
     except RunError as error:
         raise _stop_of(error, member, time) from error
 

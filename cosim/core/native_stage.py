@@ -11,17 +11,17 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from ctypes import Array, addressof
-from typing import Final, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
 from cosim.core.contracts import Block, Stopped
-from cosim.core.coupling import Advancing, Cut, Stage, call
+from cosim.core.coupling import Advancing, Cut, OperationName, Stage, call
 from cosim.core.graph import Graph
 from cosim.core.member import Member, NonFinite, Wire, first_non_finite, read_only
-from cosim.core.order import OperationKind
+from cosim.core.signals import Layout
 from cosim.native.library import library, pointer
 from cosim.native.stage import (
     KINDS,
@@ -36,8 +36,6 @@ from cosim.native.step import NativeStep
 
 NativeSteps: TypeAlias = dict[str, NativeStep]  # by component
 
-CALLED: Final[dict[int, OperationKind]] = {KINDS["advance"]: "advance", KINDS["refresh"]: "refresh"}
-
 
 def advancing_stages(graph: Graph) -> Sequence[Advancing]:
     """Return the stages of an initialized graph in their order, as they are to advance.
@@ -48,7 +46,6 @@ def advancing_stages(graph: Graph) -> Sequence[Advancing]:
     """
     if not graph.native:
         return graph.stages
-    width = graph.layout.width
     advancing: list[Advancing] = []
     together: list[Stage] = []
     steps: NativeSteps = {}
@@ -59,11 +56,11 @@ def advancing_stages(graph: Graph) -> Sequence[Advancing]:
             steps.update(steps_of_stage)
             continue
         if together:
-            advancing.append(NativeStage(together, steps, width))
+            advancing.append(NativeStage(together, steps, graph.layout))
             together = []
         advancing.append(stage)
     if together:
-        advancing.append(NativeStage(together, steps, width))
+        advancing.append(NativeStage(together, steps, graph.layout))
     return advancing
 
 
@@ -84,29 +81,29 @@ class NativeStage:
     stages : sequence of Stage
     steps : mapping of component name to NativeStep
         The compiled steps that there are.
-    width : int
-        Columns of a row.
+    layout : Layout
     """
 
-    def __init__(self, stages: Sequence[Stage], steps: NativeSteps, width: int) -> None:
+    def __init__(self, stages: Sequence[Stage], steps: NativeSteps, layout: Layout) -> None:
         self._members: list[Member] = []
-        self._stages: list[Stage] = []  # of each member
+        self._operations: list[tuple[OperationName, Member]] = []  # on one member or from it on
+        self._stage_of: dict[str, Stage] = {}
         for stage in stages:
             self._members += stage.members
-            self._stages += [stage] * len(stage.members)
-        self._operations = _operations(stages)
+            self._operations += [(kind, members[0]) for kind, members in stage.program]
+            self._stage_of.update((member.name, stage) for member in stage.members)
+        operations = _operations(stages)
+        optional = _optional(layout)
         wiring = _Wiring()
         members = (MemberStruct * len(self._members))()
-        optional: list[NDArray[np.uint8]] = []
         for struct, member in zip(members, self._members, strict=True):
-            optional.append(member.optional.astype(np.uint8))
             _fill(struct, member, steps.get(member.name))
-            struct.optional = pointer(optional[-1])
+            struct.optional = pointer(optional) + member.columns.start
             wiring.add(struct, member)
-        arrays = (members, self._operations, *wiring.arrays())
+        arrays = (members, operations, *wiring.arrays())
         self._keep = (arrays, optional, steps)
         addresses = [addressof(array) for array in arrays]
-        self._state = StageStruct(*addresses, len(self._operations), width)
+        self._state = StageStruct(*addresses, len(operations), layout.width)
         self._address = addressof(self._state)
         self._measured = [member for member in self._members if member.is_measured]
 
@@ -126,45 +123,40 @@ class NativeStage:
 
     def _run(self, block: Block, signals: Matrix) -> None:
         """Advance in compiled code, and do what it leaves to be done."""
-        state = self._state
         known = read_only(signals)
         end = block.steps
         stop: Stopped | None = None
-        while library.cosim_stage_run(self._address, end):
-            k = state.step
-            operation = self._operations[state.operation]
-            kind = CALLED.get(operation.kind)
-            if kind is None:
-                raise Cut(k, self._non_finite(signals[k + 1], operation).error(block.time[k + 1]))
-            member = self._members[operation.first]
+        left = library.cosim_stage_run(self._address, end, 0)
+        while left:
+            k = self._state.step
+            kind, member = self._operations[left - 1]
+            if kind == "check":
+                bad = self._non_finite(signals[k + 1], member)
+                raise Cut(k, bad.error(float(block.time[k + 1])))
             rows = slice(k, k + 2)
             try:
-                y = call(kind, member, block.time[rows], block.h, known[rows])
+                y = call(kind, member, block.time[rows], block.h, known[rows, member.inputs])
             except Stopped as error:
                 stop = error
                 if not stop.steps:
-                    raise self._cut(k, stop, block, signals) from error
+                    origin = self._origin(signals[k + 1])
+                    time = float(block.time[k + 1])
+                    raise Cut(k, stop if origin is None else origin.error(time)) from error
                 y = stop.outputs[0]
                 end = k + 1  # the others complete this step
             signals[k + 1, member.outputs] = y
-            state.operation += 1
+            left = library.cosim_stage_run(self._address, end, 1)
         if stop is not None:
             raise Cut(end, stop)
 
-    def _cut(self, k: int, stop: Stopped, block: Block, signals: Matrix) -> Cut:
-        """Return the end of a step that was not completed; in a loop a value may have caused it."""
-        origin = self._origin(signals[k + 1])
-        return Cut(k, stop if origin is None else origin.error(float(block.time[k + 1])))
-
-    def _non_finite(self, row: Vector, check: OperationStruct) -> NonFinite:
+    def _non_finite(self, row: Vector, member: Member) -> NonFinite:
         """Return the value that a check found: where it arose, if that is known."""
-        origin = self._origin(row)
-        if origin is not None:
-            return origin
-        stage = self._stages[check.first]
-        found = first_non_finite(stage.members, row[np.newaxis])
-        assert found is not None
-        return found
+        stage = self._stage_of[member.name]
+        bad = self._origin(row) if stage.is_loop else None
+        if bad is None:
+            bad = first_non_finite(stage.members, row[np.newaxis])
+        assert bad is not None
+        return bad
 
     def _origin(self, row: Vector) -> NonFinite | None:
         """Return the first output of a step that was not finite, if it is not finite still."""
@@ -176,6 +168,15 @@ class NativeStage:
             if 0 <= own_column < member.columns.stop - member.columns.start:
                 return NonFinite(member.label(own_column), self._state.origin_value, column)
         raise AssertionError(column)
+
+
+def _optional(layout: Layout) -> NDArray[np.uint8]:
+    """Return which columns of a row may have no value (NaN)."""
+    optional: list[bool] = []
+    for channel in layout.channels:
+        for signal in channel.signals:
+            optional += [signal.optional] * signal.size
+    return np.array(optional, np.uint8)
 
 
 def _fill(struct: MemberStruct, member: Member, step: NativeStep | None) -> None:
@@ -221,7 +222,7 @@ class _Wiring:
             elif wire.conversion.copies:
                 self._copies.append(CopyStruct(wire.to.start, sources[0], len(sources)))
             else:
-                self._add_conversions(wire, sources)
+                self._add_plain_sums(wire, sources)
         struct.copies = len(self._copies) - struct.first_copy
         struct.sums = len(self._sums) - struct.first_sum
 
@@ -234,7 +235,7 @@ class _Wiring:
             count = len(self._terms) - first
             self._sums.append(_sum(to, wire, first=first, terms=count, plain=0))
 
-    def _add_conversions(self, wire: Wire, sources: list[int]) -> None:
+    def _add_plain_sums(self, wire: Wire, sources: list[int]) -> None:
         for to, source in zip(range(wire.to.start, wire.to.stop), sources, strict=True):
             self._sums.append(_sum(to, wire, first=len(self._terms), terms=1, plain=1))
             self._terms.append(TermStruct(source, 1.0))

@@ -11,7 +11,7 @@ static double convert(const cosim_sum *sum, double value)
     return (value * sum->factor1 + sum->offset1 - sum->offset2) / sum->factor2;
 }
 
-static void add_up(const cosim_stage *s, const cosim_sum *sum, double *row)
+static void add_up(cosim_stage *s, const cosim_sum *sum, double *row)
 {
     const cosim_term *terms = s->terms + sum->first;
     double value = sum->offset;
@@ -20,10 +20,12 @@ static void add_up(const cosim_stage *s, const cosim_sum *sum, double *row)
     else
         for (int32_t j = 0; j < sum->terms; ++j)
             value += terms[j].gain * row[terms[j].from];
-    row[sum->to] = convert(sum, value);
+    value = convert(sum, value);
+    s->suspicious |= value - value != 0.0;
+    row[sum->to] = value;
 }
 
-static void gather(const cosim_stage *s, const cosim_member *m, double *row)
+static void gather(cosim_stage *s, const cosim_member *m, double *row)
 {
     for (int32_t i = 0; i < m->copies; ++i) {
         const cosim_copy *copy = s->copies + m->first_copy + i;
@@ -59,6 +61,7 @@ static void trace(cosim_stage *s, const cosim_member *m, const double *row)
     const int32_t bad = first_bad(m, row, m->n_u, m->n_u + m->n_y);
     if (bad < 0)
         return;
+    s->suspicious = 1;
     s->origin = m->u + bad;
     s->origin_value = row[s->origin];
 }
@@ -105,29 +108,32 @@ static int32_t perform(cosim_stage *s, int32_t kind, const cosim_member *m, doub
     case COSIM_TRACE:
         trace(s, m, row);
         return COSIM_OK;
-    case COSIM_CHECK:
+    case COSIM_CHECK: /* inputs are sums, or copies of outputs with the same need of a value */
+        if (!s->suspicious)
+            return COSIM_OK;
         return first_bad(m, row, 0, m->n_u + m->n_y) < 0 ? COSIM_OK : COSIM_NO_VALUE;
     default:
         return timed_call(s, m, kind, before, row);
     }
 }
 
-int32_t cosim_stage_run(cosim_stage *s, int64_t end)
+int64_t cosim_stage_run(cosim_stage *s, int64_t end, int32_t done)
 {
+    s->operation += done;
     for (; s->step < end; ++s->step) {
         double *before = s->rows + s->step * s->width, *row = before + s->width;
-        if (s->operation == 0)
+        if (s->operation == 0) {
+            s->suspicious = 0;
             s->origin = -1;
+        }
         for (; s->operation < s->n_operations; ++s->operation) {
             const cosim_operation *operation = s->operations + s->operation;
             const cosim_member *members = s->members + operation->first;
-            for (int32_t i = 0; i < operation->count; ++i) {
-                const int32_t status = perform(s, operation->kind, members + i, before, row);
-                if (status != COSIM_OK)
-                    return status;
-            }
+            for (int32_t i = 0; i < operation->count; ++i)
+                if (perform(s, operation->kind, members + i, before, row) != COSIM_OK)
+                    return s->operation + 1;
         }
         s->operation = 0;
     }
-    return COSIM_OK;
+    return 0;
 }

@@ -3,8 +3,7 @@
  * The signals of a graph stand in rows, one a communication point; each component has its columns,
  * its inputs and behind them its outputs. A stage is a list of operations that fills the next row,
  * done once for every step. It has two ends: the last row wanted, and an operation that is not done
- * here. Then the cursor shows that operation, whoever called does it, moves the cursor behind it and
- * calls again. So components without a native step take part, and what is rare in a native step (an
+ * here. Then the cursor shows that operation; whoever called does it, and calls again. So components without a native step take part, and what is rare in a native step (an
  * event, an error) is left to code that is written to be read. */
 #ifndef COSIM_STAGE_H
 #define COSIM_STAGE_H
@@ -49,8 +48,8 @@ typedef struct {
 #define COSIM_GATHER 1  /* inputs of the new row <- their sources in it */
 #define COSIM_ADVANCE 2 /* outputs <- advance */
 #define COSIM_REFRESH 3 /* outputs <- outputs for the inputs that are there now */
-#define COSIM_TRACE 4   /* remember the first output of this step that is not finite */
-#define COSIM_CHECK 5   /* the caller is asked about values of the new row that are not finite */
+#define COSIM_TRACE 4   /* look at the outputs, and remember the first one that is not finite */
+#define COSIM_CHECK 5   /* left to the caller where a value of the new row is not finite */
 
 typedef struct {
     int32_t kind, first, count;
@@ -70,14 +69,14 @@ typedef struct {
     double h;        /* [s] */
     /* the cursor: steps completed, and the operation that is next */
     int64_t step, operation;
-    /* of this step, by COSIM_TRACE: column of the first output that was not finite, -1: none; and
-     * its value then */
-    int64_t origin;
+    /* of this step: whether an output that was looked at, or a sum, was not finite; column of the
+     * first such output, -1: none; and its value then */
+    int64_t suspicious, origin;
     double origin_value;
 } cosim_stage;
 
-/* Do the operations from the cursor on, until `end` steps are completed (0) or one is left to the
- * caller: a status that a component gave, or COSIM_NO_VALUE. */
-int32_t cosim_stage_run(cosim_stage *self, int64_t end);
+/* Do the operations from the cursor on, or behind it where that one is `done`, until `end` steps are
+ * completed: 0; or one is left to the caller: its number, counted from 1. */
+int64_t cosim_stage_run(cosim_stage *self, int64_t end, int32_t done);
 
 #endif

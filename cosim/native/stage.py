@@ -58,9 +58,9 @@ class StageStruct(Structure):
         *((name, c_int64) for name in ("n_operations", "width")),
         *((name, c_void_p) for name in ("t", "rows")),
         ("h", c_double),
-        *((name, c_int64) for name in ("step", "operation", "origin")),
+        *((name, c_int64) for name in ("step", "operation", "suspicious", "origin")),
         ("origin_value", c_double),
     )
 
 
-declare({"cosim_stage_run": (c_int32, (c_void_p, c_int64))})
+declare({"cosim_stage_run": (c_int64, (c_void_p, c_int64, c_int32))})
