@@ -5,6 +5,9 @@ A component has an interface and three methods; ``h`` is the same in all calls. 
 ``outputs`` and ``advance`` in any order, and ``save`` and ``restore`` where its interface declares
 them. An output that depends on an input at the same instant is declared as feedthrough: ``outputs``
 computes it for the inputs given, ``advance`` uses ``u[k + 1]`` for it.
+
+The arrays that a component is handed, ``t`` and ``u``, cannot be written to. They are views of rows
+that are used again, so they are valid during the call only: copy what is kept.
 """
 
 from __future__ import annotations

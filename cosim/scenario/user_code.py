@@ -8,7 +8,8 @@ whole process:
   of the same names that are imported already step aside for as long. ``sys.path`` is never changed.
 * Afterwards the modules of the folder are taken out of ``sys.modules``, and what stood there comes
   back. They live on in their classes. So they have to import what they need at their top: an
-  import from the folder inside of a function comes too late, and fails.
+  import inside of a function comes too late, and finds what Python finds. Nor can their objects be
+  pickled.
 * They are kept by folder and name, and imported again once one of their files has changed.
 
 A module that Python itself finds in the same file (a script in the folder, a folder on

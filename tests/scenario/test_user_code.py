@@ -3,6 +3,7 @@
 import hashlib
 import importlib
 import os
+import pickle
 import sys
 
 import pytest
@@ -81,6 +82,29 @@ def test_packages_are_found_with_and_without_an_init_file(tmp_path):
         "strict/relay.py",
         "strict/beside.py",
     }
+
+
+def test_an_import_inside_of_a_function_finds_what_python_finds(tmp_path, monkeypatch):
+    """At the top of the module it is the folder's: so the two can be told apart."""
+    source = """
+        import beside
+        class Relay:
+            top = beside.NAME
+            def late(self):
+                import beside
+                return beside.NAME
+    """
+    write(tmp_path / "folder", relay=source, beside="NAME = 'folder'\n")
+    relay = load_class("relay:Relay", tmp_path / "folder").loaded
+    assert relay.top == "folder"
+    with pytest.raises(ModuleNotFoundError, match="No module named 'beside'"):
+        relay().late()
+    write(tmp_path / "path", beside="NAME = 'path'\n")
+    monkeypatch.syspath_prepend(tmp_path / "path")
+    assert relay().late() == "path"
+    monkeypatch.delitem(sys.modules, "beside")
+    with pytest.raises(pickle.PicklingError):
+        pickle.dumps(relay())
 
 
 def test_what_python_imported_under_the_same_name_stays_where_it_is(tmp_path, monkeypatch):
