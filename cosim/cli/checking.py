@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from cosim import completion
-from cosim.cli.options import JsonOption, read_edits
+from cosim.cli.options import JsonOption, prints_to_stderr, read_edits
 from cosim.errors import UsageError
 
 
@@ -66,7 +66,8 @@ def _check_scenario(scenario: str, values: list[str] | None, *, as_json: bool) -
     from cosim.report.tables.assumptions import print_assumptions
     from cosim.scenario.assumptions.report import check_assumptions
 
-    report = check_assumptions(scenario, set=read_edits(values))
+    with prints_to_stderr():
+        report = check_assumptions(scenario, set=read_edits(values))
     print_assumptions(report, as_json=as_json)
     if not report.fulfilled:
         raise typer.Exit(1)

@@ -15,6 +15,7 @@ from cosim.cli.options import (
     ScenarioArgument,
     SetOption,
     check_plot,
+    prints_to_stderr,
     read_edits,
     read_pairs,
     read_unique_pairs,
@@ -131,15 +132,16 @@ def compare(
     check_plot(plot, out)
     if plot is not None and not loaded.file.truth:
         raise UsageError("the scenario has no [truth], so there are no estimates to plot")
-    comparison = compare_plants(
-        loaded,
-        swap=alternatives,
-        map=read_unique_pairs(maps, "map"),
-        set=read_edits(changes),
-        base=base,
-        out=out,
-        force=force,
-    )
+    with prints_to_stderr():
+        comparison = compare_plants(
+            loaded,
+            swap=alternatives,
+            map=read_unique_pairs(maps, "map"),
+            set=read_edits(changes),
+            base=base,
+            out=out,
+            force=force,
+        )
     _draw(comparison, plot)
     print_plants(comparison, as_json=as_json)
     if any(outcome.error for outcome in comparison.outcomes):
@@ -194,15 +196,16 @@ def _compare_estimators(
     names = [name.strip() for name in ",".join(estimators).split(",")]
     loaded = load(scenario)
     check_plot(plot, out)
-    comparison = compare_estimators(
-        loaded,
-        estimators=ALL if names == [ALL] else names,
-        swap=swap,
-        map=options["map"],
-        set=options["set"],
-        out=out,
-        force=force,
-    )
+    with prints_to_stderr():
+        comparison = compare_estimators(
+            loaded,
+            estimators=ALL if names == [ALL] else names,
+            swap=swap,
+            map=options["map"],
+            set=options["set"],
+            out=out,
+            force=force,
+        )
     _draw(comparison, plot)
     print_estimators(comparison, as_json=as_json)
     if any(result.failure for result in comparison.results):

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from cosim.cli.options import JsonOption, ScenarioArgument, SetOption, read_edits
+from cosim.cli.options import JsonOption, ScenarioArgument, SetOption, prints_to_stderr, read_edits
 from cosim.errors import UsageError, option
 
 NoiseOption = Annotated[
@@ -59,9 +59,10 @@ def design(
     edits = read_edits(changes)
     deviations = _numbers("noise", noise)
     values = _numbers("theta", theta)
-    result = ranked(
-        scenario, noise=deviations, theta=values, longest=longest, input=with_input, set=edits
-    )
+    with prints_to_stderr():
+        result = ranked(
+            scenario, noise=deviations, theta=values, longest=longest, input=with_input, set=edits
+        )
     print_design(result, as_json=as_json)
 
 

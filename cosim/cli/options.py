@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -69,6 +71,13 @@ PlotOption = Annotated[
         "(.png, .svg, .pdf).",
     ),
 ]
+
+
+@contextmanager
+def prints_to_stderr() -> Iterator[None]:
+    """Let what the code of users prints go to stderr: stdout is for data."""
+    with redirect_stdout(sys.stderr):
+        yield
 
 
 def given_values(values: Mapping[str, float | None]) -> dict[str, float]:

@@ -26,6 +26,7 @@ from cosim.cli.options import (
     check_plot,
     given_values,
     print_notice,
+    prints_to_stderr,
     read_edits,
     read_unique_pairs,
 )
@@ -106,10 +107,10 @@ def run(
     end_with_parent()
     imported = perf_counter()
     edits = read_edits(changes, {"scenario.stop": stop, "scenario.step": step})
-    loaded = load(scenario)
-    edited = loaded.edit(
-        swap=read_unique_pairs(swaps, "swap"), map=read_unique_pairs(maps, "map"), set=edits
-    )
+    swap = read_unique_pairs(swaps, "swap")
+    names = read_unique_pairs(maps, "map")
+    with prints_to_stderr():
+        edited = load(scenario).edit(swap=swap, map=names, set=edits)
     start_collecting()
     if dry_run:
         _dry_run(edited, as_json=as_json)
@@ -119,7 +120,7 @@ def run(
     path = out or Path("logs") / f"{edited.name}.mcap"
     check_plot(plot, out)
     seconds: dict[str, float] | None = {} if profile else None
-    with show_progress(quiet or as_json) as progress:
+    with show_progress(quiet or as_json) as progress, prints_to_stderr():
         log = run_scenario(
             edited,
             out=path,
@@ -173,7 +174,8 @@ def _dry_run(scenario: Scenario, *, as_json: bool) -> None:
     from cosim.report.tables.comparison import print_dry_run
     from cosim.scenario.swap_comparison import compare_swaps
 
-    reports = compare_swaps(scenario)
+    with prints_to_stderr():
+        reports = compare_swaps(scenario)
     print_dry_run(reports, as_json=as_json)
     if reports.refusals:
         raise UsageError("\n".join([*reports.refusals, *reports.hints]))
@@ -224,7 +226,7 @@ def replay(
         raise UsageError("--verify compares the whole log; leave out --stop")
     edits = read_edits(changes, {"scenario.stop": stop})
     check_plot(plot, out)
-    with show_progress(quiet or as_json) as progress:
+    with show_progress(quiet or as_json) as progress, prints_to_stderr():
         notice = None if quiet else print_notice
         again = replay_log(
             source,

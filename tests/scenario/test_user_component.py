@@ -120,6 +120,25 @@ def test_a_dry_run_says_what_it_imports(folder, call):
     assert "classes of kind python are imported and initialized" in help_text
 
 
+def test_what_a_class_prints_is_no_data(folder, call):
+    """At its import and in its steps; stdout is for data."""
+    (folder / "relay.py").write_text(
+        "print('imported')\n"
+        + RELAY.replace("self.on = False", "print('initialized')\n        self.on = False")
+    )
+    for arguments in (
+        ["run", "thermostat.toml", "--out", "a.mcap"],
+        ["run", "thermostat.toml", "--dry-run"],
+        ["replay", "a.mcap", "--allow-code"],
+        ["check", "thermostat.toml"],
+    ):
+        code, out, err = call(*arguments, "--json")
+        assert code == 0, err
+        json.loads(out)
+    code, _, err = call("run", "thermostat.toml", "--out", "b.mcap")
+    assert "initialized" in err.splitlines()
+
+
 def test_commands_say_whether_they_run_code(call):
     _, out, _ = call("info", "--help")
     assert "Nothing of an FMU or of a user's class runs." in " ".join(out.split())
