@@ -57,7 +57,7 @@ class LinearSource:
         self._programs = tuple(programs)
         self._responses = tuple(responses)
         self._factors = tuple(term.factor for term in responses)
-        self.interface = Interface(outputs=(Signal("y", len(programs), unit),))
+        self.interface = Interface(outputs=(Signal("y", len(programs), unit),), rollback=True)
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Return y(t)."""
@@ -71,6 +71,12 @@ class LinearSource:
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Return y at ``t[1:]``."""
         return self._at(t[1:])
+
+    def save(self) -> None:
+        """Copy nothing: there is no state."""
+
+    def restore(self, state: None) -> None:
+        """Do nothing: there is no state."""
 
     def _at(self, t: Vector) -> Matrix:
         y = evaluate_at(self._programs, t)

@@ -47,7 +47,7 @@ class ModulatedSource:
         self._n_y = outputs.size - len(products)
         y = Signal("y", self._n_y, unit)
         fed = tuple(signal.name for signal in inputs)
-        self.interface = Interface(inputs, (y,), {"y": fed})
+        self.interface = Interface(inputs, (y,), {"y": fed}, rollback=True)
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Return y(t)."""
@@ -63,6 +63,12 @@ class ModulatedSource:
         """Return y at ``t[1:]``."""
         values = self._source.advance(t, h, np.zeros((len(t), 0)))
         return self._multiplied(values, u[1:])
+
+    def save(self) -> None:
+        """Copy nothing: there is no state."""
+
+    def restore(self, state: None) -> None:
+        """Do nothing: there is no state."""
 
     def _multiplied(self, values: Matrix, alpha: Matrix) -> Matrix:
         y = values[:, : self._n_y].copy()

@@ -50,7 +50,7 @@ class Replay:
         if inputs:
             signals = tuple(_shown(recording, component, signal) for signal in recorded.inputs)
             shown = replace(recorded, inputs=signals)
-        self.interface = replace(shown, prepares=True, rollback=False, native=False)
+        self.interface = replace(shown, prepares=True, rollback=True, native=False)
         blocks = [rows[:, recorded.n_u :] for _, rows in recording.blocks(component)]
         self._rows = blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
         self._time = time_ns / 1e9
@@ -91,6 +91,12 @@ class Replay:
         if len(inside) < len(t) - 1:
             raise Stopped(rows, f"the recording ends at {end} s")
         return rows
+
+    def save(self) -> None:
+        """Copy nothing: there is no state."""
+
+    def restore(self, state: None) -> None:
+        """Do nothing: there is no state."""
 
     def _index(self, t: Vector) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
         index = np.searchsorted(self._time, t, side="right") - 1

@@ -3,14 +3,44 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.clock import NANOSECONDS
-from cosim.core.contracts import Component, Design, Stopped, prepare
+from cosim.core.contracts import Component, Design, Rollback, Stopped, prepare
 from cosim.core.signals import Interface
 from cosim.errors import ClockError, RunError
+
+
+class SampledState(NamedTuple):
+    """The state of a sampled component.
+
+    Parameters
+    ----------
+    component : object
+        Its own.
+    steps : int
+        Communication steps since its own step began.
+    y : Vector, shape (n_y,)
+        The outputs that are held.
+    begin : (float, Vector) or None
+        Time [s] and inputs where its own step began; None: none has.
+    """
+
+    component: object
+    steps: int
+    y: Vector
+    begin: tuple[float, Vector] | None
+
+
+class DecimatedState(NamedTuple):
+    """The state of a component whose outputs are sampled; see :class:`SampledState`."""
+
+    component: object
+    steps: int
+    y: Vector
 
 
 class Sampled:
@@ -77,6 +107,20 @@ class Sampled:
             except RunError as error:
                 raise Stopped(rows[:k], str(error)) from error
         return rows
+
+    def save(self) -> SampledState:
+        """Copy the state, and that of the component, which can go back too."""
+        component = cast(Rollback[Any], self._component).save()
+        begin = (self._begin, self._u_begin) if self._count else None
+        return SampledState(component, self._count, self._y.copy(), begin)
+
+    def restore(self, state: SampledState) -> None:
+        """Go back to a saved state."""
+        cast(Rollback[Any], self._component).restore(state.component)
+        self._count = state.steps
+        self._y = state.y.copy()
+        if state.begin is not None:
+            self._begin, self._u_begin = state.begin
 
     def _step(self, t: Vector, h: float, u: Matrix) -> Vector:
         """Take one communication step, ``t`` (2,) and ``u`` (2, n_u); return the outputs held."""
@@ -157,6 +201,17 @@ class Decimated:
             raise Stopped(rows, str(stopped), failed=stopped.failed) from stopped
         return rows
 
+    def save(self) -> DecimatedState:
+        """Copy the state, and that of the component, which can go back too."""
+        component = cast(Rollback[Any], self._component).save()
+        return DecimatedState(component, self._count, self._y.copy())
+
+    def restore(self, state: DecimatedState) -> None:
+        """Go back to a saved state."""
+        cast(Rollback[Any], self._component).restore(state.component)
+        self._count = state.steps
+        self._y = state.y.copy()
+
     def _held_samples(self, y: Matrix) -> Matrix:
         """Return for each of the rows ``y``, shape (K, n_y), the sample that is held there."""
         if not len(y):
@@ -175,4 +230,4 @@ def _held_between(interface: Interface, n: int) -> Interface:
     if n < 1:
         raise ClockError(f"period: found {n} communication steps, needed at least 1")
     outputs = tuple(replace(signal, variability="discrete") for signal in interface.outputs)
-    return replace(interface, outputs=outputs, prepares=True, rollback=False, native=False)
+    return replace(interface, outputs=outputs, prepares=True, native=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +39,7 @@ class Expression:
     ) -> None:
         self.programs = tuple(compile_expression(text) for text in texts)
         y = Signal("y", len(texts), unit, variability, type=signal_type)
-        self.interface = Interface(outputs=(y,), native=True)
+        self.interface = Interface(outputs=(y,), rollback=True, native=True)
         self._step = expression_step(self.programs)
 
     def initialize(self, t: float, u: Vector) -> Vector:
@@ -56,6 +57,12 @@ class Expression:
     def native(self) -> NativeStep:
         """Return the compiled step."""
         return self._step
+
+    def save(self) -> None:
+        """Copy nothing: there is no state."""
+
+    def restore(self, state: None) -> None:
+        """Do nothing: there is no state."""
 
 
 def constant(
@@ -164,7 +171,7 @@ class Table:
             self._slopes[:-1] = _slopes(self.t, self.y)
         size = y.shape[1]
         signal = Signal("y", size, unit, "discrete" if hold else "continuous")
-        self.interface = Interface(outputs=(signal,))
+        self.interface = Interface(outputs=(signal,), rollback=True)
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Return y(t)."""
@@ -200,6 +207,12 @@ class Table:
             first_beyond = float(times[completed])
             raise Stopped(y, self._beyond(first_beyond))
         return y
+
+    def save(self) -> None:
+        """Copy nothing: there is no state."""
+
+    def restore(self, state: None) -> None:
+        """Do nothing: there is no state."""
 
     def _beyond(self, t: float) -> str:
         begin = self.t[0]
@@ -267,6 +280,13 @@ def check_points(t: Vector, y: Matrix, *, hold: bool) -> None:
         )
 
 
+class NoiseState(NamedTuple):
+    """The last value, and the state of the generator."""
+
+    last: Vector
+    generator: Any
+
+
 class Noise:
     """Seeded Gaussian noise, a new value at every communication point: a discrete signal.
 
@@ -287,7 +307,7 @@ class Noise:
         self.seed = seed
         self.size = size
         y = Signal("y", size, unit, "discrete")
-        self.interface = Interface(outputs=(y,))
+        self.interface = Interface(outputs=(y,), rollback=True)
         self._last = np.zeros(size)
 
     def initialize(self, t: float, u: Vector) -> Vector:
@@ -306,6 +326,15 @@ class Noise:
         if len(values):
             self._last = values[-1].copy()
         return values
+
+    def save(self) -> NoiseState:
+        """Copy the last value, and where the generator is."""
+        return NoiseState(self._last.copy(), self._bits.state)
+
+    def restore(self, state: NoiseState) -> None:
+        """Go back to a saved state."""
+        self._last = state.last.copy()
+        self._bits.state = state.generator
 
     def _draw(self, count: int) -> Matrix:
         total = count * self.size

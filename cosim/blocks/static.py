@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -32,13 +33,19 @@ class Static:
         function: Callable[[Matrix], Matrix],
         first_refused: Callable[[Matrix], tuple[int, str] | None] = lambda u: None,
     ) -> None:
-        self.interface = interface
+        self.interface = replace(interface, rollback=True)
         self._function = function
         self._first_refused = first_refused
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Return y(t)."""
         return self.outputs(t, u)
+
+    def save(self) -> None:
+        """Copy nothing: there is no state."""
+
+    def restore(self, state: None) -> None:
+        """Do nothing: there is no state."""
 
     def outputs(self, t: float, u: Vector) -> Vector:
         """Return y(t).

@@ -15,7 +15,17 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, Literal, Protocol, Self, TypeAlias, TypeVar, cast, runtime_checkable
+from typing import (
+    Any,
+    Literal,
+    NamedTuple,
+    Protocol,
+    Self,
+    TypeAlias,
+    TypeVar,
+    cast,
+    runtime_checkable,
+)
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +37,7 @@ from cosim.errors import LogError, RunError
 from cosim.native.step import NativeStep
 
 Design: TypeAlias = Mapping[str, NDArray[np.float64]]
+EventCause: TypeAlias = Literal["override", "release", "follow"]
 MessageLevel: TypeAlias = Literal["debug", "info", "warning", "error", "fatal"]
 # a signal or elements of it, or several that are stacked
 SignalNames: TypeAlias = str | Port | Sequence[str | Port]
@@ -320,6 +331,34 @@ class Recorder(Protocol):
 
     def result(self, values: Mapping[str, Any]) -> None:
         """Record plain values about the end of the run; called before ``__exit__``."""
+        ...
+
+
+class SignalEvent(NamedTuple):
+    """A jump of a signal at a communication point: its right limit; the row has the left one.
+
+    Parameters
+    ----------
+    time_ns : int
+    cause : {"override", "release", "follow"}
+        An input was overridden, or released; or the signal followed one that was.
+    signal : str
+        ``component.signal``; of an override or a release also elements of one.
+    values : tuple of float
+        Of its elements.
+    """
+
+    time_ns: int
+    cause: EventCause
+    signal: str
+    values: tuple[float, ...]
+
+
+class EventRecorder(Recorder, Protocol):
+    """A recorder that takes the jumps of signals, too."""
+
+    def event(self, event: SignalEvent) -> None:
+        """Record a jump; called after the row at that instant was written."""
         ...
 
 

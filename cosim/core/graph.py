@@ -168,6 +168,8 @@ class Graph:
     def initialize(self, t: float, row: Vector) -> None:
         """Initialize all components together; see :mod:`cosim.core.initial_values`.
 
+        Overrides are released.
+
         Parameters
         ----------
         t : float
@@ -183,6 +185,8 @@ class Graph:
             If an initial value is not finite.
         """
         self.initializations += 1
+        for member in self._members.values():
+            member.overrides.clear()
         origins = self._initial_values.find(t, row)
         for stage in self.stages:
             bad = first_non_finite(stage.members, row[np.newaxis])

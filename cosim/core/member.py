@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.connections import Connection
-from cosim.core.contracts import Component, Design, Native, Preparable, Stopped, prepare
+from cosim.core.contracts import Component, Design, Native, Preparable, Rollback, Stopped, prepare
+from cosim.core.overrides import Overrides
 from cosim.core.ports import ConnectionEnd
 from cosim.core.signals import Channel, element_names
 from cosim.errors import AssumptionError, CosimError, LogError, NonFiniteError, RunError
@@ -143,6 +144,8 @@ class Member:
         Number of input elements.
     optional : Mask, shape (n_u + n_y,)
         Which elements may have no value (NaN).
+    overrides : Overrides
+        Of its inputs.
     """
 
     def __init__(self, channel: Channel, component: Component, wires: tuple[Wire, ...]) -> None:
@@ -155,6 +158,7 @@ class Member:
         self._component = component
         self.n_u = channel.interface.n_u
         self._n_y = channel.interface.n_y
+        self.overrides = Overrides(self.n_u)
         optional: list[bool] = []
         for signal in channel.signals:
             optional += [signal.optional] * signal.size
@@ -206,6 +210,8 @@ class Member:
         """Bring the inputs of some rows up to date."""
         for wire in self.wires:
             wire.copy(signals, rows)
+        if self.overrides:
+            self.overrides.copy(signals, rows)
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Prepare the component, if its interface declares it; return a copy of its design.
@@ -311,6 +317,36 @@ class Member:
             raise RunError(f"advance {problem}")
         return y
 
+    def save(self) -> Any:
+        """Copy the state of the component, whose interface declares ``rollback``.
+
+        Raises
+        ------
+        RunError
+            If it raises what is no error of cosim.
+        """
+        try:
+            return cast(Rollback[Any], self._component).save()
+        except CosimError:
+            raise
+        except Exception as error:
+            raise RunError(f"{self.name!r}: {_raised('save', error)}") from error
+
+    def restore(self, state: Any) -> None:
+        """Go back to a saved state of the component.
+
+        Raises
+        ------
+        RunError
+            If it raises what is no error of cosim.
+        """
+        try:
+            cast(Rollback[Any], self._component).restore(state)
+        except CosimError:
+            raise
+        except Exception as error:
+            raise RunError(f"{self.name!r}: {_raised('restore', error)}") from error
+
     def native(self) -> NativeStep | None:
         """Return the compiled step of the component, if it has one."""
         if not self.channel.interface.native:
@@ -400,6 +436,14 @@ class Timed:
         """Pass on."""
         with self._measured():
             return self._component.advance(t, h, u)
+
+    def save(self) -> Any:
+        """Pass on."""
+        return cast(Rollback[Any], self._component).save()
+
+    def restore(self, state: Any) -> None:
+        """Pass on."""
+        cast(Rollback[Any], self._component).restore(state)
 
 
 def read_only(array: NDArray[np.float64]) -> NDArray[np.float64]:

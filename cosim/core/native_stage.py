@@ -109,9 +109,13 @@ class NativeStage:
 
     def advance(self, block: Block, signals: Matrix) -> None:
         """Fill rows 1 to K of its columns; see :class:`cosim.core.coupling.Advancing`."""
+        self.advance_at(block, signals, block.time.ctypes.data, signals.ctypes.data)
+
+    def advance_at(self, block: Block, signals: Matrix, times: int, rows: int) -> None:
+        """Do the same where the addresses of the times and the rows are known."""
         state = self._state
-        state.t = block.time.ctypes.data
-        state.rows = signals.ctypes.data
+        state.t = times
+        state.rows = rows
         state.h = block.h
         state.step = 0
         state.operation = 0
@@ -189,6 +193,8 @@ def _fill(struct: MemberStruct, member: Member, step: NativeStep | None) -> None
     struct.y = member.outputs.start
     struct.n_y = member.outputs.stop - member.outputs.start
     struct.seconds = member.native_seconds_address
+    struct.overridden = member.overrides.columns_address
+    struct.overrides = member.overrides.values_address
 
 
 def _operations(stages: Sequence[Stage]) -> Array[OperationStruct]:

@@ -34,6 +34,8 @@ static void gather(cosim_stage *s, const cosim_member *m, double *row)
     }
     for (int32_t i = 0; i < m->sums; ++i)
         add_up(s, s->sums + m->first_sum + i, row);
+    for (int32_t i = 0; i < *m->overridden; ++i)
+        row[m->overridden[1 + i]] = m->overrides[i];
 }
 
 /* Whether a value is infinite, or NaN that does not mean "no value yet". */

@@ -41,6 +41,9 @@ typedef struct {
     int32_t first_sum, sums;
     const uint8_t *optional; /* (n_u + n_y) where NaN means "no value yet" */
     double *seconds;         /* wall time of its calls is added to it; NULL: it is not measured */
+    /* inputs that have values of their own: how many, then their columns; and these values */
+    const int32_t *overridden;
+    const double *overrides;
 } cosim_member;
 
 /* What an operation does to members `first` to `first + count - 1`: */

@@ -40,7 +40,7 @@ class MemberStruct(Structure):
         *((name, c_void_p) for name in ("advance", "outputs", "self")),
         *((name, c_int32) for name in ("u", "n_u", "y", "n_y")),
         *((name, c_int32) for name in ("first_copy", "copies", "first_sum", "sums")),
-        *((name, c_void_p) for name in ("optional", "seconds")),
+        *((name, c_void_p) for name in ("optional", "seconds", "overridden", "overrides")),
     )
 
 

@@ -283,20 +283,13 @@ def test_every_block_that_declares_rollback_goes_back(name):
     check_rollback(COMPONENTS[name], h=H)
 
 
-class Broken(Static):
+class Broken:
     """``y = [u0, n]``, n the number of steps; every law can be broken by name."""
 
     def __init__(self, fault="", *, optional=False, feedthrough=None):
         outputs = (Signal("y", optional=optional), Signal("n"))
-        super().__init__(
-            Interface(
-                (Signal("u"),),
-                outputs,
-                {"y": ("u",)} if feedthrough is None else feedthrough,
-                prepares=True,
-            ),
-            None,
-        )
+        dependencies = {"y": ("u",)} if feedthrough is None else feedthrough
+        self.interface = Interface((Signal("u"),), outputs, dependencies, prepares=True)
         self.fault = fault
         self.steps = 0
         self.made = Broken.count = getattr(Broken, "count", 0) + 1

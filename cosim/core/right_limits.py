@@ -1,0 +1,199 @@
+"""Right limits: what follows at once where inputs jump at a communication point.
+
+An input that is overridden or released jumps. Outputs that feed through from it jump with it, so do
+the inputs that these drive, and so on; nothing else does. The ports that may follow are found once
+for every set of inputs, in the order of their dependencies, which is that of the initialization.
+Where feedthrough is unknown, ports may depend on each other in a cycle; in truth they seldom do,
+so they are evaluated until none changes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Final, NamedTuple, TypeAlias
+
+import numpy as np
+
+from cosim.arrays import Vector
+from cosim.core.contracts import Stopped
+from cosim.core.cycles import groups_in_order
+from cosim.core.graph import Graph
+from cosim.core.member import Member, first_non_finite, read_only
+from cosim.core.port import Port
+from cosim.errors import RunError
+
+END: Final = slice(0, 1)  # the only row
+
+GivenOutputs: TypeAlias = Mapping[str, Mapping[slice, Vector]]  # by component and columns
+
+
+class _Update(NamedTuple):
+    """Brings inputs of a member up to date, or some of its outputs; None: its inputs."""
+
+    member: Member
+    outputs: tuple[slice, ...] | None
+
+
+class _Group(NamedTuple):
+    """Updates in their order; those of a cycle are repeated until nothing changes."""
+
+    ports: tuple[Port, ...]
+    updates: tuple[_Update, ...]
+    is_cycle: bool
+
+
+class RightLimits:
+    """Evaluates what follows the inputs that jump.
+
+    Parameters
+    ----------
+    graph : Graph
+    """
+
+    def __init__(self, graph: Graph) -> None:
+        self._graph = graph
+        self._members: dict[str, Member] = {}
+        for stage in graph.stages:
+            for member in stage.members:
+                self._members[member.name] = member
+        self._followers: dict[Port, list[Port]] = {}
+        for channel in graph.layout.channels:
+            for signal in channel.interface.inputs:
+                to = Port(channel.name, signal.name)
+                for source in graph.sources_of(to):
+                    whole = graph.ports.output(source).port
+                    self._followers.setdefault(whole, []).append(to)
+        self._groups: dict[frozenset[Port], list[_Group]] = {}
+
+    def reach_more(self, jumped: Port) -> bool:
+        """Return whether anything else may jump where an input does."""
+        return bool(self._ordered(frozenset([jumped])))
+
+    def evaluate(self, t: float, row: Vector, jumped: frozenset[Port], given: GivenOutputs) -> None:
+        """Bring a row up to date where inputs have jumped.
+
+        Parameters
+        ----------
+        t : float
+            Time [s].
+        row : Vector, shape (width,)
+            With the left limits, and the right ones of these inputs; is changed.
+        jumped : frozenset of Port
+            Whole inputs.
+        given : mapping of component name to outputs by columns
+            Right limits that are known: of recorded components, which are not evaluated.
+
+        Raises
+        ------
+        Stopped
+            If a component cannot be evaluated.
+        NonFiniteError
+            If a value is not finite.
+        RunError
+            If values keep changing.
+        """
+        groups = self._groups.get(jumped)
+        if groups is None:
+            groups = self._groups[jumped] = self._ordered(jumped)
+        if not groups:
+            return
+        # What is not finite is named by the check; numpy's warnings would say it without a name.
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            for group in groups:
+                _perform_all(group, t, row, given)
+        members = [self._members[name] for name in self._names(groups)]
+        bad = first_non_finite(members, row[np.newaxis])
+        if bad is not None:
+            raise bad.error(t)
+
+    def _names(self, groups: Iterable[_Group]) -> dict[str, None]:
+        """Return the components of groups, each once."""
+        names: dict[str, None] = {}
+        for group in groups:
+            names.update(dict.fromkeys(port.component for port in group.ports))
+        return names
+
+    def _ordered(self, jumped: frozenset[Port]) -> list[_Group]:
+        """Return the updates behind inputs, in the order of their dependencies; none of these."""
+        dependencies: dict[Port, list[Port]] = {port: [] for port in jumped}
+        waiting = sorted(jumped)
+        while waiting:
+            port = waiting.pop()
+            for follower in self._following(port):
+                if follower not in dependencies:
+                    dependencies[follower] = []
+                    waiting.append(follower)
+                dependencies[follower].append(port)
+        groups = []
+        for ports in groups_in_order(dependencies):
+            if not dependencies[ports[0]]:
+                continue
+            is_cycle = len(ports) > 1 or ports[0] in dependencies[ports[0]]
+            groups.append(_Group(tuple(ports), self._updates(ports), is_cycle))
+        return groups
+
+    def _following(self, port: Port) -> list[Port]:
+        """Return the ports that a port reaches directly."""
+        interface = self._graph.layout[port.component].interface
+        if port.signal not in interface.input_names:
+            return self._followers.get(port, [])
+        reached = []
+        for output in interface.outputs:
+            if port.signal in interface.feeds(output.name):
+                reached.append(Port(port.component, output.name))
+        return reached
+
+    def _updates(self, ports: Sequence[Port]) -> tuple[_Update, ...]:
+        """Return the updates of ports: of inputs first, of one member at once."""
+        inputs: dict[str, None] = {}
+        outputs: dict[str, list[slice]] = {}
+        for port in ports:
+            channel = self._graph.layout[port.component]
+            if port.signal in channel.interface.input_names:
+                inputs[port.component] = None
+            else:
+                columns = channel.signal_columns[port.signal]
+                outputs.setdefault(port.component, []).append(columns)
+        updates = [_Update(self._members[name], None) for name in inputs]
+        for name, slices in outputs.items():
+            updates.append(_Update(self._members[name], tuple(slices)))
+        return tuple(updates)
+
+
+def _perform_all(group: _Group, t: float, row: Vector, given: GivenOutputs) -> None:
+    """Perform the updates of a group."""
+    if not group.is_cycle:
+        for update in group.updates:
+            _perform(update, t, row, given)
+        return
+    rounds = len(group.ports) + 1
+    for _ in range(rounds):
+        before = row.tobytes()
+        for update in group.updates:
+            _perform(update, t, row, given)
+        if row.tobytes() == before:
+            return
+    ports = ", ".join(map(str, group.ports))
+    raise RunError(
+        f"after a jump at t = {t} s, {ports} still change after {rounds} rounds: their components "
+        "do not declare which outputs feed through, and some depend on each other; declare it"
+    )
+
+
+def _perform(update: _Update, t: float, row: Vector, given: GivenOutputs) -> None:
+    member = update.member
+    if update.outputs is None:
+        member.gather(row[np.newaxis], END)
+        return
+    known = given.get(member.name)
+    if known is not None:
+        for columns, values in known.items():
+            row[columns] = values
+        return
+    try:
+        y = member.outputs_at(t, read_only(row)[member.inputs])
+    except RunError as error:
+        raise Stopped(np.empty((0, 0)), str(error)).at(member.name, t) from error
+    first = member.outputs.start
+    for columns in update.outputs:
+        row[columns] = y[columns.start - first : columns.stop - first]
