@@ -20,6 +20,7 @@ typedef struct {
     cosim_sum sum;
     cosim_term terms[2];
     uint8_t optional[2];
+    int32_t overridden[2]; /* of all members: none */
     cosim_stage stage;
 } system_of_lags;
 
@@ -32,7 +33,8 @@ static void build(system_of_lags *s)
     for (int i = 0; i < MEMBERS; ++i) {
         cosim_member *m = s->members + i;
         *m = (cosim_member){.u = 2 * i, .n_u = 1, .y = 2 * i + 1, .n_y = 1,
-                            .first_copy = i, .copies = 1, .optional = s->optional};
+                            .first_copy = i, .copies = 1, .optional = s->optional,
+                            .overridden = s->overridden};
         s->copies[i] = (cosim_copy){2 * i, i ? 2 * i - 1 : WIDTH - 1, 1};
     }
     for (int i = 0; i < LAGS; ++i) {
