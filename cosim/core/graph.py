@@ -164,6 +164,34 @@ class Graph:
         schedule = tuple(stage.description for stage in self.stages)
         return Plan(self.layout, step_ns, designs, self.held, schedule)
 
+    def exchange(self, components: Mapping[str, Component], step_ns: int) -> None:
+        """Put other components in the places of some, and prepare those.
+
+        Parameters
+        ----------
+        components : mapping of component name to Component
+        step_ns : int
+            Communication step [ns].
+
+        Raises
+        ------
+        GraphError
+            If there is no such component, or it has another interface.
+        """
+        others = {}
+        for name, component in checked_components(components).items():
+            if name not in self.components:
+                raise GraphError(
+                    f"there is no component {name!r}; {nearest(name, self.components)}"
+                )
+            if component is not self.components[name]:
+                others[name] = component
+                self._members[name].check_exchange(component)
+        for name, component in others.items():
+            self.components[name] = component
+            self._members[name].exchange(component)
+            self._members[name].prepare(step_ns / 1e9, self.held[name], {})
+
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # the check below names them
     def initialize(self, t: float, row: Vector) -> None:
         """Initialize all components together; see :mod:`cosim.core.initial_values`.

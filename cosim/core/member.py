@@ -22,7 +22,14 @@ from cosim.core.contracts import Component, Design, Native, Preparable, Rollback
 from cosim.core.overrides import Overrides
 from cosim.core.ports import ConnectionEnd
 from cosim.core.signals import Channel, element_names
-from cosim.errors import AssumptionError, CosimError, LogError, NonFiniteError, RunError
+from cosim.errors import (
+    AssumptionError,
+    CosimError,
+    GraphError,
+    LogError,
+    NonFiniteError,
+    RunError,
+)
 from cosim.native.step import NativeStep
 from cosim.units import Conversion
 
@@ -165,6 +172,24 @@ class Member:
         self.optional = np.array(optional, np.bool_)
         self._seconds: dict[str, float] | None = None
         self._native_seconds = np.zeros(1)
+
+    def check_exchange(self, component: Component) -> None:
+        """Check that a component can take the place of this one.
+
+        Raises
+        ------
+        GraphError
+            If its interface is another one.
+        """
+        if component.interface != self.channel.interface:
+            raise GraphError(
+                f"component {self.name!r}: another one has another interface; needed the same "
+                "signals and declarations, so that wires and order stay"
+            )
+
+    def exchange(self, component: Component) -> None:
+        """Go on with another component, which has the same interface."""
+        self._component = component
 
     def measure(self, seconds: dict[str, float]) -> None:
         """Add the wall time of every call from now on to ``seconds``, under its name."""

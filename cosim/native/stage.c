@@ -139,3 +139,18 @@ int64_t cosim_stage_run(cosim_stage *s, int64_t end, int32_t done)
     }
     return 0;
 }
+
+void cosim_accumulate(int64_t n_rows, int64_t width, const double *rows, double *counts,
+                      double *sums, double *squares)
+{
+    for (int64_t k = 0; k < n_rows; ++k) {
+        const double *row = rows + k * width;
+        for (int64_t j = 0; j < width; ++j) {
+            const bool has_value = row[j] == row[j];
+            const double value = has_value ? row[j] : 0.0;
+            counts[j] += has_value;
+            sums[j] += value;
+            squares[j] += value * value;
+        }
+    }
+}

@@ -82,4 +82,9 @@ typedef struct {
  * completed: 0; or one is left to the caller: its number, counted from 1. */
 int64_t cosim_stage_run(cosim_stage *self, int64_t end, int32_t done);
 
+/* Add up rows (n_rows, width) one after the other: of each column how many have a value, their sum
+ * and the sum of their squares. */
+void cosim_accumulate(int64_t n_rows, int64_t width, const double *rows, double *counts,
+                      double *sums, double *squares);
+
 #endif

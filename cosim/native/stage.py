@@ -5,7 +5,8 @@ from __future__ import annotations
 from ctypes import Structure, c_double, c_int32, c_int64, c_void_p
 from typing import Final
 
-from cosim.native.library import declare
+from cosim.arrays import Matrix, Vector
+from cosim.native.library import declare, library, pointer
 
 KINDS: Final = {"keep": 0, "gather": 1, "advance": 2, "refresh": 3, "trace": 4, "check": 5}
 """COSIM_KEEP and so on."""
@@ -63,4 +64,22 @@ class StageStruct(Structure):
     )
 
 
-declare({"cosim_stage_run": (c_int64, (c_void_p, c_int64, c_int32))})
+declare(
+    {
+        "cosim_stage_run": (c_int64, (c_void_p, c_int64, c_int32)),
+        "cosim_accumulate": (None, (c_int64, c_int64, *[c_void_p] * 4)),
+    }
+)
+
+
+def accumulate(rows: Matrix, counts: Vector, sums: Vector, squares: Vector) -> None:
+    """Add up rows, shape (n, width), one after the other; see ``cosim_accumulate``.
+
+    Parameters
+    ----------
+    rows : Matrix, shape (n, width)
+    counts, sums, squares : Vector, shape (width,)
+        Are added to: how many values there are, their sum, and the sum of their squares.
+    """
+    n_rows, width = rows.shape
+    library.cosim_accumulate(n_rows, width, *map(pointer, (rows, counts, sums, squares)))
