@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import chain
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cosim.blocks.averages import AveragedModel, Smoothed
 from cosim.blocks.plant import linear_model
 from cosim.core.linear import LinearModel
 from cosim.core.signals import Signal
@@ -20,6 +20,9 @@ from cosim.theory.observers.observer import (
     realize_averages,
 )
 from cosim.theory.plants.descriptor import ReducedSystem, StateMap, state_maps
+
+if TYPE_CHECKING:
+    from cosim.blocks.averages import AveragedModel, Smoothed
 
 
 def observer_model(
@@ -106,6 +109,8 @@ def averaged_observer(
     )
     if constant:
         model = _with_constant_state(model)
+    from cosim.blocks.averages import AveragedModel  # rarely needed
+
     return AveragedModel(model, tuple(lagging))
 
 
@@ -123,6 +128,8 @@ def consistent_observer(model: AveragedModel, reduced: ReducedSystem, rate: floa
         end = begin + len(state.of_delta)
         start[begin:end, :n_d] = -state.of_delta
         begin = end
+    from cosim.blocks.averages import Smoothed  # rarely needed
+
     return Smoothed(model, rate, start)
 
 

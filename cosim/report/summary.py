@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cosim.arrays import Matrix, Vector, as_columns
 from cosim.core.contracts import Recording
 from cosim.errors import LogError
-from cosim.report.compensation import CompensationSummary, summarize_compensation
 from cosim.report.recorded_rows import (
     beside_truth,
     element_names,
@@ -41,6 +40,9 @@ from cosim.scenario.recorded_metadata import (
 from cosim.scenario.schema import truth_ports
 from cosim.theory.assessment.consistency import NOTHING_ELSE
 from cosim.theory.disturbances.excitation import describe_excitation, information
+
+if TYPE_CHECKING:
+    from cosim.report.compensation import CompensationSummary
 
 
 @dataclass(frozen=True)
@@ -212,6 +214,8 @@ def summarize(recording: Recording) -> Summary:
         if record.reconstruction is not None:
             reconstructions.append(_reconstruction(recording, name, record, record.reconstruction))
         if record.compensation is not None:
+            from cosim.report.compensation import summarize_compensation  # rarely needed
+
             compensations.append(summarize_compensation(recording, name, record.compensation))
     since = max((record.start_time for record in identifiers.values()), default=0.0)
     recorded = recorded_identification(recording)

@@ -12,9 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from cosim.blocks.declared import with_units
-from cosim.blocks.port_map import PortMap
-from cosim.blocks.renamed import Renamed
-from cosim.blocks.renaming import resolve
 from cosim.blocks.replay import Replay
 from cosim.core.clock import Clock, start_nanoseconds
 from cosim.core.connection_checks import check_connections
@@ -43,6 +40,7 @@ from cosim.scenario.swap import MapEntry, ports_in, unknown_ports
 from cosim.scenario.truth import check_truth
 
 if TYPE_CHECKING:
+    from cosim.blocks.port_map import PortMap
     from cosim.fmi.binary.messages import Message
 
 
@@ -311,6 +309,9 @@ class Builder:
         self, name: str, spec: Kind, component: Component, entries: Sequence[MapEntry]
     ) -> Component:
         """Show a swapped component under the scenario's names; add the problems of its map."""
+        from cosim.blocks.renamed import Renamed  # rarely needed
+        from cosim.blocks.renaming import resolve
+
         given = [entry.renaming for entry in entries]
         renamings = spec.renamings(component.interface, given)
         replaced = self._replaced.get(name)

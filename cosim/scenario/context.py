@@ -12,7 +12,6 @@ import numpy as np
 
 from cosim.arguments import check_path
 from cosim.arrays import Matrix, Vector
-from cosim.blocks.field_data import FieldData
 from cosim.blocks.replay import Replay
 from cosim.core.clock import Clock, nanoseconds, seconds
 from cosim.core.contracts import Component, Recording
@@ -24,7 +23,6 @@ from cosim.errors import CosimError, LogError, UsageError, nearest, option, quot
 from cosim.scenario.identification.model import IdentifiedPlant
 from cosim.scenario.kinds import Kind
 from cosim.scenario.kinds.base import KnownSignal, Spectrum
-from cosim.scenario.model_file import missing_text, read_model_file
 from cosim.scenario.models import LETTERS, system_of, system_of_file
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.problems import Key, TableProblems
@@ -38,6 +36,7 @@ from cosim.scenario.swap import ports_in
 from cosim.theory.plants.descriptor import DescriptorSystem
 
 if TYPE_CHECKING:
+    from cosim.blocks.field_data import FieldData
     from cosim.fmi.binary.messages import Message
     from cosim.fmi.component import Fmu
     from cosim.fmi.linearizing.linearization import Linearization
@@ -217,6 +216,8 @@ class ScenarioBuildContext:
             if record is not None and record.file == path:
                 self.models[name] = record.model_dump(mode="json")
                 return record.arrays
+        from cosim.scenario.model_file import missing_text, read_model_file  # rarely needed
+
         content = read_model_file(self.file(path), LETTERS)
         missing = [letter for letter in ("A", "C") if letter not in content.matrices]
         if missing:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeVar, overload
+from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 from cosim.arguments import callable_argument, mapping_argument, truth_argument, whole_argument
 from cosim.core.arguments import check_recorder
@@ -28,8 +28,9 @@ from cosim.scenario.replaying import (
     valid_designs,
 )
 from cosim.scenario.swap import PortNames
-from cosim.scenario.swap_comparison import build_swapped
-from cosim.scenario.swap_report import SwapReports
+
+if TYPE_CHECKING:
+    from cosim.scenario.swap_report import SwapReports
 
 OwnRecorder = TypeVar("OwnRecorder", bound=Recorder)
 
@@ -184,6 +185,8 @@ def _built(scenario: Scenario, resources: ExitStack, block: int | None) -> Exper
     """Build a scenario; one with swaps is compared with what it was, for its log and warnings."""
     if not scenario.file.swap:
         return Builder(scenario, resources, block=block).experiment()
+    from cosim.scenario.swap_comparison import build_swapped  # rarely needed
+
     experiment, reports = build_swapped(scenario, resources, block)
     return _with_reports(experiment, reports)
 

@@ -19,15 +19,17 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import chain
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
-from cosim.blocks.renaming import Renaming
 from cosim.core.port import Port
 from cosim.core.signals import Causality, Interface
 from cosim.errors import GraphError, UsageError, nearest, option
 from cosim.files import file_type
 from cosim.scenario.problems import Key, Problem
 from cosim.scenario.schema import truth_ports
+
+if TYPE_CHECKING:
+    from cosim.blocks.renaming import Renaming
 
 Tables: TypeAlias = dict[str, Any]
 PortNames: TypeAlias = str | Sequence[str]  # ports of the new component; or as text: "[s1, s2]"
@@ -188,6 +190,8 @@ def _resolve_map(
     component: str, table: Mapping[str, PortNames], ports: WrittenPorts
 ) -> tuple[list[MapEntry], list[Problem]]:
     """Return the entries of the map of a component, and the problems of the others."""
+    from cosim.blocks.renaming import Renaming  # rarely needed
+
     entries: dict[Port, MapEntry] = {}
     problems: list[Problem] = []
     for written, names in table.items():

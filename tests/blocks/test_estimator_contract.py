@@ -19,7 +19,7 @@ from cosim.native.expression import compile_expression
 from cosim.testing import check_estimator
 from cosim.theory.disturbances.families import group_by_alpha
 from cosim.theory.disturbances.regression import expand
-from cosim.theory.estimators import drem, gradient
+from cosim.theory.estimators import defaults
 from cosim.theory.estimators.least_squares import plan
 from cosim.theory.estimators.rayleigh import rayleigh_box, rayleigh_constants
 
@@ -120,8 +120,8 @@ ESTIMATORS = {
     "rayleigh": (rayleigh, 1e-6),
     "augmented-kalman": (augmented_kalman, 1e-3),
     "extended-kalman": (extended_kalman, 0.0),
-    "drem": (adaptive("drem", drem.GAIN, drem.FORGETTING), 1e-6),
-    "gradient": (adaptive("gradient", gradient.GAIN), np.inf),
+    "drem": (adaptive("drem", defaults.DREM_GAIN, defaults.DREM_FORGETTING), 1e-6),
+    "gradient": (adaptive("gradient", defaults.GRADIENT_GAIN), np.inf),
 }
 
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 
 from cosim.core.contracts import Recording
 from cosim.errors import flag
 from cosim.log import Log
-from cosim.report.compensation import CompensationSummary
 from cosim.report.guaranteed import interval_text, reach_text
 from cosim.report.recorded_rows import signal_of
 from cosim.report.summary import (
@@ -26,13 +25,16 @@ from cosim.report.summary import (
     summarize,
 )
 from cosim.report.tables.console import new_table, print_json, print_line, print_table
-from cosim.report.verification import Verification
 from cosim.scenario.initial_states import change_text
 from cosim.scenario.recorded_metadata import (
     component_record,
     recorded_state_changes,
     recorded_warnings,
 )
+
+if TYPE_CHECKING:
+    from cosim.report.compensation import CompensationSummary
+    from cosim.report.verification import Verification
 
 LONGEST_PRIMES = 4  # of a derivative
 

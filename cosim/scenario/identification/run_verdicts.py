@@ -19,13 +19,11 @@ from cosim.core.graph import Graph
 from cosim.core.signals import Channel
 from cosim.errors import AssumptionError, RunError
 from cosim.scenario.identification.feedback import inputs_in_feedback
-from cosim.scenario.identification.irregular import interval_of, irregular_part
 from cosim.scenario.identification.model import IdentifiedPlant, SampleRows
 from cosim.theory.assessment.advice import advised
 from cosim.theory.assessment.amplitude_verdicts import amplitude_verdicts
 from cosim.theory.assessment.assessing import assess
 from cosim.theory.assessment.verdicts import Assessment, ParameterVerdict, judge
-from cosim.theory.bounded.irregular_part import Programs
 from cosim.theory.disturbed_plant import DataSet
 
 IDENTIFICATION: Final = "identification"  # the key of the results
@@ -163,6 +161,10 @@ def plain_amplitudes(
 
 def _irregular(assessment: Assessment, bound: float) -> dict[str, Any]:
     """Return what an irregular part within its bound leaves open, or why that is not known."""
+    # rarely needed
+    from cosim.scenario.identification.irregular import interval_of, irregular_part
+    from cosim.theory.bounded.irregular_part import Programs
+
     try:
         interval = interval_of(assessment, bound, Programs.BEYOND_FIRST_ORDER)
     except (AssumptionError, RunError) as error:

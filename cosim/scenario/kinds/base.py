@@ -12,23 +12,23 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self, TypeAlias, Type
 from pydantic import Field
 
 from cosim.arrays import Mask, Matrix, Vector
-from cosim.blocks.field_data import FieldData
-from cosim.blocks.renaming import Renaming
 from cosim.core.clock import Clock, whole_steps
 from cosim.core.connections import Connection
 from cosim.core.contracts import Component, Recording
 from cosim.core.linear import Linear, LinearModel
 from cosim.core.port import Port
 from cosim.core.signals import Interface
-from cosim.fmi.exporting.specifications import Exportable
 from cosim.scenario.identification.model import IdentifiedPlant
 from cosim.scenario.initial_states import GivenStates
 from cosim.scenario.schema import Number, TomlTable, UnitName
 from cosim.theory.plants.descriptor import DescriptorSystem
 
 if TYPE_CHECKING:
+    from cosim.blocks.field_data import FieldData
+    from cosim.blocks.renaming import Renaming
     from cosim.fmi.component import Fmu
     from cosim.fmi.description import Description, InterfaceType
+    from cosim.fmi.exporting.specifications import Exportable
     from cosim.fmi.linearizing.linearization import Linearization
     from cosim.fmi.linearizing.moving import MovingLinearization
     from cosim.fmi.linearizing.request import LinearizationRequest

@@ -1,4 +1,7 @@
-"""The identifier: parameters of the disturbance, by one of many methods."""
+"""The identifier: parameters of the disturbance, by one of many methods.
+
+What is a method's own, other than output error's, is imported where the method is chosen.
+"""
 
 from __future__ import annotations
 
@@ -6,31 +9,22 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
-from typing import ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
 from cosim.arrays import Vector
-from cosim.blocks.adaptive_identifier import AdaptiveIdentifier
 from cosim.blocks.declared import with_units
 from cosim.blocks.estimator import Estimator
 from cosim.blocks.identification_problem import IdentificationProblem, IdentificationSchedule
-from cosim.blocks.identifier import LeastSquaresIdentifier, LeastSquaresMethod
-from cosim.blocks.kalman_identifier import AugmentedKalmanIdentifier, ExtendedKalmanIdentifier
-from cosim.blocks.late_samples import LateSamples
 from cosim.blocks.output_error_identifier import OutputErrorIdentifier
-from cosim.blocks.projection_identifier import ProjectionIdentifier, RayleighIdentifier
 from cosim.blocks.sampled import Decimated
 from cosim.core.clock import whole_steps
 from cosim.core.connections import Connection, components_driving
 from cosim.core.contracts import Component
 from cosim.core.port import Port
 from cosim.errors import AssumptionError, UsageError
-from cosim.fmi.exporting import kernels
-from cosim.fmi.exporting.identifier import output_error
-from cosim.fmi.exporting.kernels import DiscreteModel
-from cosim.fmi.exporting.specifications import Exportable
 from cosim.native.rayleigh import MOST_TERMS
 from cosim.scenario.identification.model import IdentifiedPlant, bounds_of
 from cosim.scenario.kinds.alphas import alpha_connections
@@ -55,8 +49,13 @@ from cosim.scenario.kinds.stated_noise import stated_covariance
 from cosim.scenario.kinds.variants import foreign_keys
 from cosim.scenario.schema import Flag, Limit, Number, NumberRow, NumberRows
 from cosim.theory.disturbances import regression
-from cosim.theory.estimators import augmented_kalman, drem, extended_kalman, gradient, least_squares
+from cosim.theory.estimators import defaults
 from cosim.theory.estimators.rayleigh import rayleigh_box, rayleigh_constants
+
+if TYPE_CHECKING:
+    from cosim.blocks.identifier import LeastSquaresIdentifier
+    from cosim.fmi.exporting.specifications import Exportable
+    from cosim.theory.estimators.least_squares import Recovery
 
 
 class IdentifierKind(PeriodicKind, ExportableKind):
@@ -102,19 +101,19 @@ class IdentifierKind(PeriodicKind, ExportableKind):
     forgetting: Number | None = Field(
         None,
         description="of output-error and drem: time constant in which samples lose their weight "
-        f"[s]; default: they keep it, of drem {drem.FORGETTING:g}",
+        f"[s]; default: they keep it, of drem {defaults.DREM_FORGETTING:g}",
     )
     gain: Number | None = Field(
         None,
         description="of gradient and drem: rate at which eta follows [1/s]; default: "
-        f"{gradient.GAIN:g}, of drem {drem.GAIN:g}",
+        f"{defaults.GRADIENT_GAIN:g}, of drem {defaults.DREM_GAIN:g}",
     )
     deviation: Number | NumberRow | None = Field(
         None,
         description="of output-error and the Kalman filters: standard deviation of the noise of y, "
         "one number or one for each output; default of output-error: that of the residual, of "
-        f"augmented-kalman {augmented_kalman.DEVIATION:g}, of extended-kalman "
-        f"{extended_kalman.DEVIATION:g}, more than the noise, for what its linearization errs: a "
+        f"augmented-kalman {defaults.AUGMENTED_DEVIATION:g}, of extended-kalman "
+        f"{defaults.EXTENDED_DEVIATION:g}, more than the noise, for what its linearization errs: a "
         "component that makes less of y than that has no theta",
     )
     covariance: NumberRows | None = Field(
@@ -125,12 +124,12 @@ class IdentifierKind(PeriodicKind, ExportableKind):
     size: Number | None = Field(
         None,
         description="of the Kalman filters: how large x and the disturbance may be at first; "
-        f"default: {extended_kalman.SIZE:g}",
+        f"default: {defaults.KALMAN_SIZE:g}",
     )
     intensity: Number | None = Field(
         None,
         description="of augmented-kalman: spectral density of the second derivative of delta; "
-        f"default: {augmented_kalman.INTENSITY:g}",
+        f"default: {defaults.AUGMENTED_INTENSITY:g}",
     )
     bounds: tuple[tuple[Limit, ...], ...] | None = Field(
         None,
@@ -273,6 +272,9 @@ class IdentifierKind(PeriodicKind, ExportableKind):
     def _least_squares(
         self, name: str, design: RegressorDesign, begin: float, context: BuildContext
     ) -> LeastSquaresIdentifier:
+        from cosim.blocks.identifier import LeastSquaresIdentifier
+        from cosim.theory.estimators import least_squares
+
         recovery = least_squares.plan(design.terms, design.groups, design.delays)
         metadata = {
             "P0": self.P0,
@@ -283,6 +285,9 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         return LeastSquaresIdentifier(recovery, start_time=begin, P0=self.P0)
 
     def _adaptive(self, design: RegressorDesign, begin: float) -> Estimator[Vector]:
+        from cosim.blocks.adaptive_identifier import AdaptiveIdentifier
+        from cosim.theory.estimators import least_squares
+
         recovery = least_squares.plan(design.terms, design.groups, design.delays)
         is_gradient = self.method == "gradient"
         law = AdaptiveIdentifier(
@@ -319,17 +324,26 @@ class IdentifierKind(PeriodicKind, ExportableKind):
             )
             late = source.late_steps()
             estimator = Estimator(identifier)
-            return LateSamples(estimator, steps=late) if late else estimator
+            return _waiting(estimator, late) if late else estimator
         if self.method == "projection":
+            from cosim.blocks.projection_identifier import ProjectionIdentifier
+
             within = problem.within(lower, upper)
             return Estimator(ProjectionIdentifier(within, schedule, lower, upper))
         if self.method == "rayleigh":
+            from cosim.blocks.projection_identifier import RayleighIdentifier
+
             return Estimator(RayleighIdentifier(problem, schedule))
         return self._kalman(problem, schedule)
 
     def _kalman(
         self, problem: IdentificationProblem, schedule: IdentificationSchedule
     ) -> Component:
+        from cosim.blocks.kalman_identifier import (
+            AugmentedKalmanIdentifier,
+            ExtendedKalmanIdentifier,
+        )
+
         size = self._number("size")
         if self.covariance is None and not isinstance(self.deviation, tuple):
             deviation = self._number("deviation")
@@ -431,6 +445,11 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         return whole_steps(self.window, step_ns, f"window of {name!r}")
 
     def exportable(self, name: str, context: BuildContext, wiring: Wiring) -> Exportable:
+        from cosim.blocks.identifier import LeastSquaresMethod
+        from cosim.blocks.late_samples import LateSamples
+        from cosim.fmi.exporting import kernels
+        from cosim.fmi.exporting.identifier import output_error
+
         component, units = self._built(name, context)
         if isinstance(component, LateSamples):
             raise UsageError(
@@ -455,7 +474,7 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         reason = (
             "the identifier takes one row at every communication point, so it has no derivatives"
         )
-        return DiscreteModel(
+        return kernels.DiscreteModel(
             self.with_period(with_units(component, units), every).interface,
             kernel,
             context.step_ns,
@@ -490,8 +509,17 @@ def _problem(
     )
 
 
-def _recovery_notes(recovery: least_squares.Recovery) -> list[str]:
+def _waiting(estimator: Estimator[Any], steps: int) -> Component:
+    """Return the estimator as one that waits for samples which come after their instants."""
+    from cosim.blocks.late_samples import LateSamples
+
+    return LateSamples(estimator, steps=steps)
+
+
+def _recovery_notes(recovery: Recovery) -> list[str]:
     """Return what the recovery of theta cannot distinguish."""
+    from cosim.theory.estimators.least_squares import RecoveryKind
+
     notes = []
     for group in recovery.groups:
         names = ", ".join(f"theta[{i}]" for i in group.theta)
@@ -500,7 +528,7 @@ def _recovery_notes(recovery: least_squares.Recovery) -> list[str]:
                 f"{names}: a rate above {group.limit:.4g} rad/s is taken for a slower one "
                 f"(delays {group.spacing:g} s apart)"
             )
-        if group.kind is least_squares.RecoveryKind.EXPONENTIALS:
+        if group.kind is RecoveryKind.EXPONENTIALS:
             notes.append(f"{names}: two exponentials under one alpha come back the larger first")
     return notes
 

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from cosim.blocks.field_data import SAMPLE_TIMES
 from cosim.core.connections import Connection
 from cosim.core.port import Port
 from cosim.core.signals import Interface
 from cosim.errors import UsageError
 from cosim.native.alphas import signals_among
 from cosim.scenario.kinds.base import BuildContext, ImpliedConnection, Kind
-from cosim.scenario.kinds.field_data import FieldDataKind
 from cosim.scenario.kinds.observers import DesignedObserver, UnknownInputObserverKind
 from cosim.scenario.kinds.reconstruction import AnyReconstruction
 from cosim.scenario.kinds.regressor import RegressorDesign, RegressorKind
@@ -277,6 +275,8 @@ def sample_connections(
     sampled = _sampled_outputs(y, specs)
     if sampled is None:
         return {}
+    from cosim.blocks.field_data import SAMPLE_TIMES  # rarely needed
+
     sources, timed_by = sampled
     samples = Connection(sources, y.gain, y.offset, y.unit)
     times = Connection(Port(timed_by, SAMPLE_TIMES))
@@ -323,7 +323,7 @@ def _sampled_behind(to: Port, context: BuildContext) -> str | None:
     None: there is none.
     """
     for name, spec in context.behind(to).items():
-        if isinstance(spec, FieldDataKind):
+        if spec.is_recorded and not spec.samples_at_points:
             return name
     for name, kind in context.drivers(to).items():
         if kind.most_in_a_step(name, context):

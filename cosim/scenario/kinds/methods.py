@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import Literal, TypeAlias
 
 from cosim.scenario.kinds.variants import Variant, without_default
-from cosim.theory.estimators import augmented_kalman, drem, extended_kalman, gradient
+from cosim.theory.estimators import defaults
 
 IdentificationMethod: TypeAlias = Literal[
     "output-error",
@@ -38,21 +38,21 @@ METHODS: Mapping[IdentificationMethod, Variant] = MappingProxyType(
         "augmented-kalman": Variant(
             inputs=frozenset({"alpha", "y", "u"}),
             own={
-                "deviation": augmented_kalman.DEVIATION,
+                "deviation": defaults.AUGMENTED_DEVIATION,
                 **without_default("covariance"),
-                "size": augmented_kalman.SIZE,
-                "intensity": augmented_kalman.INTENSITY,
+                "size": defaults.KALMAN_SIZE,
+                "intensity": defaults.AUGMENTED_INTENSITY,
             },
         ),
         "extended-kalman": Variant(
             inputs=frozenset({"alpha", "y", "u"}),
             own={
-                "deviation": extended_kalman.DEVIATION,
+                "deviation": defaults.EXTENDED_DEVIATION,
                 **without_default("covariance"),
-                "size": extended_kalman.SIZE,
+                "size": defaults.KALMAN_SIZE,
             },
         ),
-        "drem": Variant(own={"gain": drem.GAIN, "forgetting": drem.FORGETTING}),
-        "gradient": Variant(own={"gain": gradient.GAIN}),
+        "drem": Variant(own={"gain": defaults.DREM_GAIN, "forgetting": defaults.DREM_FORGETTING}),
+        "gradient": Variant(own={"gain": defaults.GRADIENT_GAIN}),
     }
 )

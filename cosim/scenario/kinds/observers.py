@@ -12,16 +12,12 @@ import numpy as np
 from pydantic import Field
 
 from cosim.arrays import Matrix, Vector
-from cosim.blocks.averages import AveragedModel
 from cosim.blocks.observer import averaged_observer, observer_model
 from cosim.blocks.plant import initial_vector
-from cosim.blocks.relinearized_observer import RelinearizedObserver
 from cosim.core.clock import NANOSECONDS, whole_steps
 from cosim.core.contracts import Component
 from cosim.core.linear import Linear, LinearModel
 from cosim.errors import AssumptionError, LogError, UsageError
-from cosim.fmi.exporting.kernels import DiscreteModel
-from cosim.fmi.exporting.specifications import Exportable
 from cosim.scenario.initial_states import GivenStates
 from cosim.scenario.kinds.base import (
     BuildContext,
@@ -70,6 +66,9 @@ from cosim.theory.reconstruction.filters import (
 )
 
 if TYPE_CHECKING:
+    from cosim.blocks.averages import AveragedModel
+    from cosim.blocks.relinearized_observer import RelinearizedObserver
+    from cosim.fmi.exporting.specifications import Exportable
     from cosim.fmi.linearizing.request import LinearizationRequest
 
 # filter_rate x step above which a zero-order hold distorts the derivative by more than 2.5 %
@@ -205,6 +204,8 @@ class UnknownInputObserverKind(ExportableKind):
 
     def _relinearized(self, name: str, context: BuildContext) -> RelinearizedObserver:
         """Return the observer that is designed anew on the way."""
+        from cosim.blocks.relinearized_observer import RelinearizedObserver  # rarely needed
+
         assert isinstance(self.model, FmuModel)
         model, _ = self.design(name, context)
         request = self.model.request
@@ -239,6 +240,8 @@ class UnknownInputObserverKind(ExportableKind):
         return self._filter_model(model, design)
 
     def exportable(self, name: str, context: BuildContext, wiring: Wiring) -> Exportable:
+        from cosim.fmi.exporting.kernels import DiscreteModel  # a run does not need it
+
         reconstruction = self.reconstruction(name, context)
         if self.relinearize:
             raise UsageError(

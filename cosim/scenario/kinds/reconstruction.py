@@ -6,22 +6,18 @@ import hashlib
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from types import MappingProxyType
-from typing import Any, Final, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
 import numpy as np
 
 from cosim.arrays import Matrix, Vector, as_columns
-from cosim.blocks.averages import AveragedModel, Smoothed, Windowed, window_constants
 from cosim.blocks.observer import averaged_observer, consistent_observer
 from cosim.core.contracts import Design, Recording
 from cosim.errors import AssumptionError, UsageError
-from cosim.fmi.exporting import kernels
-from cosim.fmi.exporting.kernels import Kernel
 from cosim.native.step import DiscretizedDynamics, first_order_hold
 from cosim.scenario.kinds.variants import Variant, without_default
 from cosim.theory.observers import observer
 from cosim.theory.plants.descriptor import ReducedSystem
-from cosim.theory.reconstruction.filter_choice import Conditions, choose
 from cosim.theory.reconstruction.filters import (
     ConsistentFilter,
     DirectReconstruction,
@@ -29,7 +25,10 @@ from cosim.theory.reconstruction.filters import (
     SavitzkyGolay,
 )
 from cosim.theory.reconstruction.noise_gain import noise_gain, windowed_noise_gain
-from cosim.theory.reconstruction.noise_level import noise_level
+
+if TYPE_CHECKING:
+    from cosim.blocks.averages import AveragedModel, Smoothed, Windowed
+    from cosim.fmi.exporting.kernels import Kernel
 
 AveragedReconstruction: TypeAlias = ConsistentFilter | SavitzkyGolay
 AnyReconstruction: TypeAlias = DirectReconstruction | FirstOrderFilter | AveragedReconstruction
@@ -68,6 +67,8 @@ def averaging_observer(
     model: AveragedModel, reduced: ReducedSystem, reconstruction: AveragedReconstruction
 ) -> Windowed | Smoothed:
     """Build the observer with its averages."""
+    from cosim.blocks.averages import Windowed  # rarely needed
+
     if isinstance(reconstruction, SavitzkyGolay):
         return Windowed(model, reconstruction.weights)
     return consistent_observer(model, reduced, reconstruction.rate)
@@ -75,6 +76,9 @@ def averaging_observer(
 
 def averaging_kernel(arrays: Design) -> Kernel:
     """Write the observer for export, with the arrays of its design."""
+    from cosim.blocks.averages import window_constants
+    from cosim.fmi.exporting import kernels  # a run needs none of it
+
     X0 = arrays["X0"]
     Xu = arrays["Xu"]
     if "weights" in arrays:
@@ -148,6 +152,8 @@ def choice(
     G: Matrix, noise: Vector, known: tuple[float, float, str], step: float
 ) -> dict[str, Any]:
     """Choose a window for the element of delta that has the most noise; G is the design's."""
+    from cosim.theory.reconstruction.filter_choice import Conditions, choose  # rarely needed
+
     amplitude, bandwidth, assumption = known
     if not G.any():
         raise AssumptionError(
@@ -171,6 +177,8 @@ def choice(
 
 def recorded_noise(recording: Recording, name: str, n_y: int) -> Vector:
     """Estimate the noise of each element of y from what an observer read in a log."""
+    from cosim.theory.reconstruction.noise_level import noise_level  # rarely needed
+
     port = f"{name}.y"
     is_recorded = name in recording.channels and "y" in recording.channels[name].by_name
     if not is_recorded:

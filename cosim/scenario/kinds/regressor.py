@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Final, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +18,6 @@ from cosim.core.connections import Connection
 from cosim.core.contracts import Component
 from cosim.core.port import Port
 from cosim.errors import UsageError
-from cosim.fmi.exporting import kernels
-from cosim.fmi.exporting.kernels import DiscreteModel
-from cosim.fmi.exporting.specifications import Exportable
 from cosim.native.alphas import Alpha, AlphaSignal, PastAlphas, signals_among
 from cosim.native.rayleigh import MOST_TERMS
 from cosim.native.step import RegressorConstants
@@ -46,6 +43,9 @@ from cosim.scenario.schema import NumberRow
 from cosim.theory.disturbances import regression
 from cosim.theory.disturbances.distinguishable import check_distinguishable, check_exchangeable
 from cosim.theory.disturbances.families import AlphaGroup, Family, group_by_alpha
+
+if TYPE_CHECKING:
+    from cosim.fmi.exporting.specifications import Exportable
 
 ALPHA_WAY_OUT = (
     "needed a continuous alpha: the regression multiplies alphas of different instants, "
@@ -326,6 +326,8 @@ class RegressorKind(ExportableKind):
         return design.component()
 
     def exportable(self, name: str, context: BuildContext, wiring: Wiring) -> Exportable:
+        from cosim.fmi.exporting import kernels  # a run needs none of it
+
         component = self.build(name, context)
         design = self.design(name, context)
         if design.each:
@@ -338,7 +340,7 @@ class RegressorKind(ExportableKind):
             "the regressor multiplies samples of the past, so it lives at the communication points "
             "and has no derivatives"
         )
-        return DiscreteModel(component.interface, kernel, context.step_ns, reason)
+        return kernels.DiscreteModel(component.interface, kernel, context.step_ns, reason)
 
     def spectrum(self, name: str, context: BuildContext) -> Spectrum | None:
         """Return amplitude and bandwidth of alpha, for exponentials, whose rates are real.

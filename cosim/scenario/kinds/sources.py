@@ -21,7 +21,6 @@ from cosim.core.signals import SignalType, Variability
 from cosim.errors import UsageError
 from cosim.native.alphas import Alpha, AlphaSignal
 from cosim.native.expression import FUNCTIONS, compile_expression
-from cosim.scenario.csv_file import read_csv
 from cosim.scenario.kinds.alphas import ALPHA, alpha_connections, alphas_of, naming
 from cosim.scenario.kinds.base import BuildContext, ImpliedConnection, Kind
 from cosim.scenario.kinds.jumps import (
@@ -232,6 +231,8 @@ class TableKind(Kind):
         return np.array(self.t), matrix(tuple(rows), "y")
 
     def _read(self, path: Path) -> tuple[Vector, Matrix]:
+        from cosim.scenario.csv_file import read_csv  # rarely needed
+
         table = read_csv(path)
         names = self.columns
         if names is None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from pydantic import Field
 
@@ -18,7 +18,9 @@ from cosim.theory.disturbances.families import (
     Polynomial,
     family_named,
 )
-from cosim.theory.disturbances.linear_family import LinearFamily, Rows
+
+if TYPE_CHECKING:
+    from cosim.theory.disturbances.linear_family import LinearFamily, Rows
 
 LINEAR: Final = "linear"
 LARGEST_DEGREE: Final = 8
@@ -91,6 +93,8 @@ class FamilyTerm(TomlTable):
                 raise UsageError(f"family {self.family!r}: needed {key}")
 
     def _linear(self) -> LinearFamily:
+        from cosim.theory.disturbances.linear_family import LinearFamily  # rarely needed
+
         assert self.G0 is not None
         assert self.c is not None
         slopes = [_rows(rows, f"G[{j}]") for j, rows in enumerate(self.G or ())]

@@ -24,7 +24,6 @@ them with the amplitudes.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
 
 import numpy as np
 
@@ -33,13 +32,14 @@ from cosim.native.kalman import AugmentedKalmanConstants, AugmentedKalmanStep
 from cosim.native.step import first_order_hold
 from cosim.theory.disturbances.families import Family
 from cosim.theory.disturbed_plant import DisturbedPlant, NoiseModel, white_noise
+from cosim.theory.estimators.defaults import (
+    AUGMENTED_DEVIATION,
+    AUGMENTED_INTENSITY,
+    KALMAN_SIZE,
+)
 from cosim.theory.estimators.output_error import OutputErrorFit
 from cosim.theory.estimators.projection import project
 from cosim.theory.sampling import equal_step
-
-DEVIATION: Final = 1e-3
-SIZE: Final = 1.0
-INTENSITY: Final = 1.0
 
 
 def augmented_model(
@@ -101,9 +101,9 @@ def smoothed_disturbance(
     u: Matrix,
     plant: DisturbedPlant,
     *,
-    deviation: float = DEVIATION,
-    size: float = SIZE,
-    intensity: float = INTENSITY,
+    deviation: float = AUGMENTED_DEVIATION,
+    size: float = KALMAN_SIZE,
+    intensity: float = AUGMENTED_INTENSITY,
 ) -> Vector:
     """Reconstruct delta from all samples of y and u, shape (N,).
 
@@ -153,9 +153,9 @@ def augmented_kalman(
     *,
     A: Matrix | None = None,
     c: Vector | None = None,
-    deviation: float = DEVIATION,
-    size: float = SIZE,
-    intensity: float = INTENSITY,
+    deviation: float = AUGMENTED_DEVIATION,
+    size: float = KALMAN_SIZE,
+    intensity: float = AUGMENTED_INTENSITY,
 ) -> OutputErrorFit:
     """Estimate theta by variable projection on the smoothed delta, from a start.
 

@@ -17,17 +17,10 @@ which samples lose their weight.
 
 from __future__ import annotations
 
-from typing import Final
-
 from cosim.arrays import Matrix, Vector
 from cosim.theory.estimators.adaptive import AdaptiveEstimate, adapt
+from cosim.theory.estimators.defaults import DREM_FORGETTING, DREM_GAIN
 from cosim.theory.estimators.least_squares import Recovery
-
-# Of 1, 2, 5, ..., 50 s and 0.1, 1, ..., 1e3 1/s, in the paper's example without noise: what forgets
-# sooner than 10 s is worse, what forgets later is not better by more than 3e-4; from 10 1/s on the
-# gain no longer matters.
-FORGETTING: Final = 20.0  # s
-GAIN: Final = 10.0  # 1/s
 
 
 def drem(
@@ -35,8 +28,8 @@ def drem(
     mu: Matrix,
     recovery: Recovery,
     *,
-    gain: float = GAIN,
-    forgetting: float = FORGETTING,
+    gain: float = DREM_GAIN,
+    forgetting: float = DREM_FORGETTING,
 ) -> AdaptiveEstimate:
     """Extend and mix rows of the regression, straight lines between them.
 

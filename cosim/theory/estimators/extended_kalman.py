@@ -18,7 +18,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
@@ -27,15 +26,9 @@ from cosim.native.expression import compile_expression
 from cosim.native.kalman import ExtendedKalmanConstants, ExtendedKalmanStep
 from cosim.theory.disturbances.families import Family, SearchBox, generators, search_box
 from cosim.theory.disturbed_plant import DisturbedPlant, discretize, white_noise
+from cosim.theory.estimators.defaults import EXTENDED_DEVIATION, KALMAN_SIZE
 from cosim.theory.estimators.output_error import presence_threshold
 from cosim.theory.sampling import equal_step
-
-# Of 3e-4, 1e-3, ..., 0.3 and 0.3, 1, 3, in the paper's example over 8 seeds of noise of 1e-3 and
-# without noise: the deviation of the noise itself loses theta in one of 8 seeds, 0.01 ends 10 of
-# its standard errors off; with 0.1, which pays for what the linearization errs, the error is
-# within them.
-DEVIATION: Final = 0.1
-SIZE: Final = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,8 +61,8 @@ def extended_kalman(
     plant: DisturbedPlant,
     families: Sequence[Family],
     *,
-    deviation: float = DEVIATION,
-    size: float = SIZE,
+    deviation: float = EXTENDED_DEVIATION,
+    size: float = KALMAN_SIZE,
     box: SearchBox | None = None,
 ) -> FilteredTheta:
     """Filter samples of y and u.

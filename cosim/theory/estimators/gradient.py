@@ -10,18 +10,15 @@ regressor, which is 3e4 times slower than the strongest in the paper's example.
 
 from __future__ import annotations
 
-from typing import Final
-
 from cosim.arrays import Matrix, Vector
 from cosim.theory.estimators.adaptive import AdaptiveEstimate, adapt
+from cosim.theory.estimators.defaults import GRADIENT_GAIN
 from cosim.theory.estimators.least_squares import Recovery
 
-# Of 0.1, 0.2, 0.5, 1, ..., 1e5 those between 1 and 5 leave the least error of eta in the paper's
-# example without noise; from 2 on eta belongs to no theta.
-GAIN: Final = 1.0  # 1/s
 
-
-def gradient(t: Vector, mu: Matrix, recovery: Recovery, *, gain: float = GAIN) -> AdaptiveEstimate:
+def gradient(
+    t: Vector, mu: Matrix, recovery: Recovery, *, gain: float = GRADIENT_GAIN
+) -> AdaptiveEstimate:
     """Follow the gradient over rows of the regression, straight lines between them.
 
     Parameters
