@@ -474,7 +474,7 @@ class ScenarioBuildContext:
             )
         return log
 
-    def user_class(self, name: str, class_name: str, *, in_folder: bool) -> UserClass:
+    def user_class(self, name: str, class_name: str, *, package: str | None = None) -> UserClass:
         """Import the class of a component, and record its source.
 
         Raises
@@ -492,11 +492,11 @@ class ScenarioBuildContext:
         if self._describes:
             self.add_metadata(name, {"class": class_name, "ports": _NOT_IMPORTED})
             raise NotImported(class_name)
-        folder = self._scenario.document.folder if in_folder else None
+        folder = self._scenario.document.folder if package is None else None
         try:
-            user_class = load_class(class_name, folder)
+            user_class = load_class(class_name, folder, distribution=package)
         except UsageError as error:
-            key = "class" if in_folder else "kind"
+            key = "class" if package is None else "kind"
             raise TableProblems([((key,), str(error))]) from error.__cause__
         code = {
             "class": class_name,

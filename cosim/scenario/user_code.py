@@ -25,15 +25,14 @@ from __future__ import annotations
 
 import hashlib
 import importlib
-import importlib.metadata
-import importlib.util
 import pkgutil
+import re
 import sys
 import threading
 import traceback
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from pathlib import Path
@@ -104,7 +103,9 @@ def class_name_parts(name: str) -> tuple[str, str]:
     return module, class_name
 
 
-def load_class(name: str, folder: Path | None = None) -> UserClass:
+def load_class(
+    name: str, folder: Path | None = None, *, distribution: str | None = None
+) -> UserClass:
     """Import a class.
 
     Parameters
@@ -113,6 +114,8 @@ def load_class(name: str, folder: Path | None = None) -> UserClass:
         ``package.module:Class``.
     folder : Path, optional
         Where its module is looked for first.
+    distribution : str, optional
+        Name and version of the installed package that it is part of, where that is known.
 
     Raises
     ------
@@ -131,7 +134,9 @@ def load_class(name: str, folder: Path | None = None) -> UserClass:
         importlib.invalidate_caches()  # a file may be younger than the listing of its folder
         inside = None if folder is None else _FolderFinder(folder)
         if inside is None or not inside.has(module_name):
-            return _ordinary_class(name, module_name, class_name, folder)
+            found = _ordinary_class(name, module_name, class_name, folder)
+            package = distribution or _distribution_of(module_name)
+            return replace(found, distribution=package)
         key = (inside.folder, module_name)
         imported = _of_folders.get(key)
         if imported is None or not imported.is_current():
@@ -291,15 +296,22 @@ def _ordinary_class(name: str, module_name: str, class_name: str, folder: Path |
     source = Path(*loaded.__module__.split(".")).with_suffix(path.suffix).as_posix()
     if path.stem == "__init__":
         source = Path(*loaded.__module__.split("."), path.name).as_posix()
-    return UserClass(name, loaded, {source: found}, _distribution_of(module_name))
+    return UserClass(name, loaded, {source: found})
 
 
 def _distribution_of(module: str) -> str | None:
-    """Return name and version of the installed package that a module is part of, if any."""
+    """Return name and version of the installed package that has a module, if any says so.
+
+    ``importlib.metadata.packages_distributions`` takes a second to parse the lists of all files.
+    """
+    import importlib.metadata
+
     top = module.partition(".")[0]
-    names = importlib.metadata.packages_distributions().get(top, ())
-    for name in dict.fromkeys(names):
-        return f"{name} {importlib.metadata.version(name)}"
+    files = re.compile(rf"^{top}(/|\.[^/]*,)", re.MULTILINE)
+    for distribution in importlib.metadata.distributions():
+        names = (distribution.read_text("top_level.txt") or "").split()
+        if top in names or files.search(distribution.read_text("RECORD") or ""):
+            return f"{distribution.name} {distribution.version}"
     return None
 
 

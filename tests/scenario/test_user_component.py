@@ -30,7 +30,7 @@ def folder(tmp_path, monkeypatch):
 def forbid_imports(monkeypatch):
     """Let every import of a user's class fail."""
 
-    def refused(*arguments):
+    def refused(*arguments, **options):
         raise AssertionError("a class is imported")
 
     monkeypatch.setattr(user_code, "load_class", refused)
@@ -228,6 +228,59 @@ def test_a_module_beside_the_class_counts_as_its_code(folder):
     (folder / "beside.py").write_text("LEVEL = 2\n")
     with pytest.raises(ScenarioError, match=r"found beside\.py with the SHA-256"):
         cosim.replay("a.mcap", allow_code=True)
+
+
+DESIGNED = """
+    import numpy as np
+    from cosim.core import Interface, Signal
+
+    class Own:
+        interface = Interface(
+            (Signal("u"),), (Signal("y"),), feedthrough={"y": ("u",)}, prepares=True
+        )
+
+        def prepare(self, h, held, recorded):
+            self.gain = recorded.get("gain", np.array([%s * h]))
+            return {"gain": self.gain}
+
+        def initialize(self, t, u):
+            return self.outputs(t, u)
+
+        def outputs(self, t, u):
+            return self.gain * u
+
+        def advance(self, t, h, u):
+            return self.gain * u[1:]
+"""
+
+
+def test_a_recorded_design_is_that_of_its_code(tmp_path, monkeypatch):
+    """The same code takes it in a replay; other code, named by the caller, makes its own."""
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path, own=DESIGNED % "4.0")
+    log = cosim.run(one(tmp_path), out="a.mcap")
+    assert log.designs["own"]["gain"].tolist() == [1.0]
+    again = cosim.replay("a.mcap", allow_code=True)
+    assert verify(open_log("a.mcap"), again).passed
+    write(tmp_path, own=DESIGNED % "8.0")
+    changed = cosim.replay("a.mcap", set={"own.class": "own:Own"})
+    np.testing.assert_array_equal(changed["own.y"], 2.0 * log["own.y"])
+
+
+def test_scenarios_in_two_folders_have_their_own_classes(tmp_path):
+    """With modules of one name, run in turns."""
+    for factor in ("2.0", "3.0"):
+        write(tmp_path / factor)
+        own_module(tmp_path / factor, advance=f"return {factor} * u[1:]")
+    scenarios = {factor: one(tmp_path / factor) for factor in ("2.0", "3.0")}
+    for factor in ("2.0", "3.0", "2.0"):
+        assert cosim.run(scenarios[factor])["own.y"][-1] == float(factor)
+
+
+def test_a_unit_of_the_table_is_that_of_the_output(tmp_path):
+    own_module(tmp_path)
+    log = cosim.run(one(tmp_path, 'unit = "N"'))
+    assert log.channels["own"].by_name["y"].unit == "N"
 
 
 def test_a_replay_in_another_folder_says_where_it_looked(folder, monkeypatch):

@@ -173,10 +173,11 @@ class BuildContext(Protocol):
         """
         ...
 
-    def user_class(self, name: str, class_name: str, *, in_folder: bool) -> UserClass:
+    def user_class(self, name: str, class_name: str, *, package: str | None = None) -> UserClass:
         """Import the class of a component, and record its source.
 
-        ``in_folder``: its module is looked for in the scenario's folder before sys.path.
+        ``package`` is the installed one that declares it, with its version; without it the module
+        is looked for in the scenario's folder, then on sys.path.
         """
         ...
 

@@ -75,7 +75,7 @@ class PythonKind(UserKind):
         return self.class_
 
     def build(self, name: str, context: BuildContext) -> Component:
-        user_class = context.user_class(name, self.class_, in_folder=True)
+        user_class = context.user_class(name, self.class_)
         return construct(name, user_class, self.parameters)
 
 
@@ -92,6 +92,7 @@ class InstalledKind(UserKind):
         return self.kind
 
     def build(self, name: str, context: BuildContext) -> Component:
-        class_name = installed_class(self.kind).class_name
-        user_class = context.user_class(name, class_name, in_folder=False)
+        installed = installed_class(self.kind)
+        package = installed.distribution
+        user_class = context.user_class(name, installed.class_name, package=package)
         return construct(name, user_class, self.parameters)
