@@ -105,6 +105,8 @@ class NativeStage:
         addresses = [addressof(array) for array in arrays]
         self._state = StageStruct(*addresses, len(operations), layout.width)
         self._address = addressof(self._state)
+        guards = [step.guard for step in steps.values() if step.guard is not None]
+        self._guard = guards[0].joined(guards[1:]) if guards else None
         self._measured = [member for member in self._members if member.is_measured]
 
     def advance(self, block: Block, signals: Matrix) -> None:
@@ -119,9 +121,13 @@ class NativeStage:
         state.h = block.h
         state.step = 0
         state.operation = 0
+        if self._guard is not None:
+            self._guard.begin()
         try:
             self._run(block, signals)
         finally:
+            if self._guard is not None:
+                self._guard.end(float(block.time[0]))
             for member in self._measured:
                 member.add_native_seconds()
 

@@ -18,7 +18,7 @@ from cosim.errors import RunError
 from cosim.fmi.description import Description
 from cosim.fmi.references import ReferenceMap
 from cosim.fmi.variable import Variable
-from cosim.native.fmu import DirectionalStruct, VariablesStruct
+from cosim.native.fmu import DirectionalStruct, SlopesStruct, StepStruct, VariablesStruct
 
 TERMINATED: Final = "the FMU requests the end of the run"
 
@@ -95,8 +95,20 @@ class Addresses(Protocol):
         """Return the directional derivatives of variables, all of them Float64."""
         ...
 
-    def failure(self) -> tuple[str, RunError] | None:
-        """Return the call that failed in compiled code, by its name, as an error; None: none did.
+    def step(self) -> StepStruct:
+        """Return do_step of co-simulation."""
+        ...
+
+    def slopes(self, references: ReferenceMap) -> SlopesStruct:
+        """Return the slopes of inputs, a selection of all of them."""
+        ...
+
+    def state(self, state: object) -> int:
+        """Return where the pointer of a copied FMU state is."""
+        ...
+
+    def failure(self) -> RunError | None:
+        """Return the call that failed in compiled code as an error; None: none did.
 
         It is returned once.
         """
@@ -264,6 +276,13 @@ class CoSimulationInstance(Instance, Protocol):
 
     def do_step(self, t: float, h: float) -> StepEnd:
         """Advance from ``t`` by ``h`` seconds."""
+        ...
+
+    def end_of_step(self, t: float, h: float, status: int) -> StepEnd:
+        """Return how a step ended whose do_step compiled code called.
+
+        ``status`` is what it returned.
+        """
         ...
 
     def enter_event_mode(self) -> None:

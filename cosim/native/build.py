@@ -46,6 +46,8 @@ SOURCES = (
     "noise.c",
     "fmi.c",
     "fmu.c",
+    "inner_step.c",
+    "co_simulation.c",
     "process.c",
     "model_exchange.c",
 )

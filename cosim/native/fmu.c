@@ -17,6 +17,13 @@ typedef int (*directional_3)(void *instance, const uint32_t *unknowns, size_t n_
                              const uint32_t *knowns, size_t n_knowns, const double *seed,
                              size_t n_seed, double *result, size_t n_result);
 
+typedef int (*slopes_2)(void *instance, const uint32_t *references, size_t n, const int32_t *orders,
+                        const double *values);
+typedef int (*step_1)(void *instance, double t, double h, signed char new_step);
+typedef int (*step_2)(void *instance, double t, double h, int no_way_back);
+typedef int (*step_3)(void *instance, double t, double h, bool no_way_back, bool *event_needed,
+                      bool *terminate, bool *early_return, double *last_successful_time);
+
 void cosim_fmu_record_warning(const cosim_fmu *fmu, cosim_fmu_call *call)
 {
     if (call->warned)
@@ -213,4 +220,82 @@ int32_t cosim_fmu_directional_derivative(cosim_fmu *fmu, const cosim_fmu_directi
         status = ((directional_2)d->call->function)(fmu->instance, d->unknowns, d->n_unknowns,
                                                     d->knowns, d->n_knowns, seed, result);
     return cosim_fmu_judge(fmu, d->call, status);
+}
+
+/* --- co-simulation --- */
+
+int32_t cosim_fmu_set_slopes(cosim_fmu *fmu, const cosim_fmu_slopes *slopes, const double *change,
+                             double h)
+{
+    for (size_t i = 0; i < slopes->size; ++i)
+        slopes->values[i] = change[slopes->columns[i]] / h;
+    int status;
+    if (fmu->version == 3)
+        status = ((values_3)slopes->call->function)(fmu->instance, slopes->references,
+                                                    slopes->count, slopes->start, slopes->size);
+    else
+        status = ((slopes_2)slopes->call->function)(fmu->instance, slopes->references,
+                                                    slopes->count, slopes->orders, slopes->values);
+    const int32_t result = cosim_fmu_judge(fmu, slopes->call, status);
+    if (result == COSIM_OK && slopes->interpolation)
+        slopes->interpolation->size = slopes->size; /* not 0: switched on for one step */
+    return result;
+}
+
+/* Whether inputs have slopes that the FMU never asked for in the step. */
+static bool was_not_asked(const cosim_interpolation *interpolation)
+{
+    if (interpolation->last_request != -INFINITY)
+        return false;
+    for (size_t i = 0; i < interpolation->size; ++i)
+        if (interpolation->slope[i] != 0.0)
+            return true;
+    return false;
+}
+
+static int32_t do_step_3(cosim_fmu *fmu, cosim_fmu_step *step, double t, double h)
+{
+    cosim_interpolation *interpolation = step->interpolation;
+    interpolation->t0 = t;
+    interpolation->h = h;
+    interpolation->last_request = -INFINITY;
+    step->status = ((step_3)step->call->function)(fmu->instance, t, h, !fmu->may_go_back,
+                                                  step->event_needed, step->terminate,
+                                                  step->early_return, step->last_successful_time);
+    if (step->status > COSIM_FMI_WARNING || step->status < COSIM_FMI_OK)
+        return COSIM_DECLINED;
+    if (*step->terminate || *step->early_return || (*step->event_needed && step->event_mode))
+        return COSIM_DECLINED;
+    const bool failed = interpolation->status > COSIM_FMI_WARNING;
+    if (interpolation->size && (failed || was_not_asked(interpolation)))
+        return COSIM_DECLINED;
+    return COSIM_OK;
+}
+
+int32_t cosim_fmu_do_step(cosim_fmu *fmu, cosim_fmu_step *step, double t, double h)
+{
+    fmu->messages->now = t;
+    if (fmu->version == 3) {
+        if (do_step_3(fmu, step, t, h) != COSIM_OK)
+            return COSIM_DECLINED;
+    } else if (fmu->version == 2)
+        step->status = ((step_2)step->call->function)(fmu->instance, t, h, !fmu->may_go_back);
+    else
+        step->status = ((step_1)step->call->function)(fmu->instance, t, h, 1);
+    if (step->status == COSIM_FMI_WARNING)
+        cosim_fmu_record_warning(fmu, step->call);
+    else if (step->status != COSIM_FMI_OK)
+        return COSIM_DECLINED;
+    return COSIM_OK;
+}
+
+double cosim_fmu_interpolated_until(cosim_fmu *fmu, const cosim_fmu_step *step)
+{
+    cosim_interpolation *interpolation = step->interpolation;
+    if (!interpolation || !interpolation->size)
+        return INFINITY;
+    interpolation->size = 0;
+    if (interpolation->status == COSIM_FMI_WARNING)
+        cosim_fmu_record_warning(fmu, step->set);
+    return interpolation->last_request;
 }

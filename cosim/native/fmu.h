@@ -33,6 +33,7 @@ typedef struct {
     void *instance;    /* NULL: there is none any more */
     int32_t version;   /* of FMI: 1, 2 or 3 */
     int32_t forbidden; /* no call is allowed any more */
+    int32_t may_go_back; /* the negation of noSetFMUStatePriorToCurrentPoint */
     cosim_messages *messages;
     const cosim_fmu_call *failed; /* NULL: none */
     int32_t status;               /* what that returned */
@@ -99,5 +100,39 @@ typedef struct {
 } cosim_fmu_directional;
 int32_t cosim_fmu_directional_derivative(cosim_fmu *fmu, const cosim_fmu_directional *derivative,
                                          const double *seed, double *result);
+
+/* The slopes of inputs over a step. */
+typedef struct {
+    /* SetRealInputDerivatives; of FMI 3.0 GetFloat64, of the values that the inputs have */
+    cosim_fmu_call *call;
+    const uint32_t *references;
+    size_t count, size;      /* of references, of elements */
+    const int32_t *orders;   /* (count) 1; not in FMI 3.0 */
+    const intptr_t *columns; /* (size) of the inputs */
+    double *start;           /* (size) of FMI 3.0 */
+    double *values;          /* (size) */
+    cosim_interpolation *interpolation; /* of FMI 3.0, with the memory of `start` and `values` */
+} cosim_fmu_slopes;
+/* Set change / h for the next step, from the change of the whole vector of inputs over it. */
+int32_t cosim_fmu_set_slopes(cosim_fmu *fmu, const cosim_fmu_slopes *slopes, const double *change,
+                             double h);
+
+/* do_step of co-simulation. */
+typedef struct {
+    cosim_fmu_call *call;
+    int32_t event_mode; /* the FMU has one */
+    int32_t status;     /* that it returned last */
+    /* of FMI 3.0 */
+    bool *event_needed, *terminate, *early_return;
+    double *last_successful_time;
+    cosim_interpolation *interpolation;
+    cosim_fmu_call *set; /* fmi3SetFloat64, which the interpolation calls */
+} cosim_fmu_step;
+/* Call it; COSIM_DECLINED: it ended in another way than with a completed step, and what is to be
+ * found out about that is left to the methods in Python. */
+int32_t cosim_fmu_do_step(cosim_fmu *fmu, cosim_fmu_step *step, double t, double h);
+/* Until when inputs with slopes followed them in a step that was completed [s], infinity: to its
+ * end, -infinity: not at all; ends the interpolation of FMI 3.0. */
+double cosim_fmu_interpolated_until(cosim_fmu *fmu, const cosim_fmu_step *step);
 
 #endif

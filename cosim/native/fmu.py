@@ -45,7 +45,7 @@ class FmuStruct(Structure):
 
     _fields_ = (
         ("instance", c_void_p),
-        *((name, c_int32) for name in ("version", "forbidden")),
+        *((name, c_int32) for name in ("version", "forbidden", "may_go_back")),
         *((name, c_void_p) for name in ("messages", "failed")),
         ("status", c_int32),
     )
@@ -77,6 +77,27 @@ class DirectionalStruct(Structure):
         *((name, c_void_p) for name in ("call", "unknowns", "knowns")),
         *((name, c_size_t) for name in ("n_unknowns", "n_knowns")),
         *((name, c_size_t) for name in ("unknowns_size", "knowns_size")),
+    )
+
+
+class SlopesStruct(Structure):
+    """cosim_fmu_slopes."""
+
+    _fields_ = (
+        *((name, c_void_p) for name in ("call", "references")),
+        *((name, c_size_t) for name in ("count", "size")),
+        *((name, c_void_p) for name in ("orders", "columns", "start", "values", "interpolation")),
+    )
+
+
+class StepStruct(Structure):
+    """cosim_fmu_step."""
+
+    _fields_ = (
+        ("call", c_void_p),
+        *((name, c_int32) for name in ("event_mode", "status")),
+        *((name, c_void_p) for name in ("event_needed", "terminate", "early_return")),
+        *((name, c_void_p) for name in ("last_successful_time", "interpolation", "set")),
     )
 
 

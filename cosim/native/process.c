@@ -204,3 +204,37 @@ int32_t cosim_process_restore(const void *state, int32_t shared)
         write_unit(saved->unit, now);
     return shared ? changes | restore_shared(saved) : changes;
 }
+
+/* --- steps --- */
+
+/* Put the unit back after a call that returned `status`. */
+static int32_t put_back(cosim_guarded *self, double t, Unit before, int32_t status)
+{
+    const Unit now = read_unit();
+    const int32_t changes = compare_units(now, before);
+    if (!changes)
+        return status;
+    write_unit(before, now);
+    if (!self->changes)
+        self->time = t;
+    self->changes |= changes;
+    if (!(changes & COSIM_ROUNDING))
+        return status;
+    self->distrusted = status == COSIM_OK;
+    return COSIM_NO_VALUE;
+}
+
+int32_t cosim_guarded_step(void *self, double t0, double t1, double h, const double *u0,
+                           const double *u1, double *y)
+{
+    cosim_guarded *guarded = self;
+    const Unit before = read_unit();
+    return put_back(guarded, t0, before, guarded->step(guarded->self, t0, t1, h, u0, u1, y));
+}
+
+int32_t cosim_guarded_outputs(void *self, double t, const double *u, double *y)
+{
+    cosim_guarded *guarded = self;
+    const Unit before = read_unit();
+    return put_back(guarded, t, before, guarded->outputs(guarded->self, t, u, y));
+}

@@ -6,6 +6,9 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "cosim.h"
+#include "stage.h"
+
 enum { /* what differed */
     COSIM_ROUNDING = 1,   /* rounding mode, or the precision of x87 */
     COSIM_SUBNORMALS = 2, /* flush to zero, denormals are zero */
@@ -23,5 +26,21 @@ size_t cosim_process_size(void);
 void cosim_process_save(void *state, int32_t shared);
 /* Put back what differs from a state; return what did. */
 int32_t cosim_process_restore(const void *state, int32_t shared);
+
+/* A step after which the floating-point unit is put back, which is the thread's own. */
+typedef struct {
+    cosim_step step;
+    cosim_outputs outputs; /* NULL: there are none */
+    void *self;
+    /* what was put back and is not reported yet: bits, and the time of the first change [s] */
+    int32_t changes;
+    double time;
+    /* a step or outputs that ended well with another rounding mode: not to be relied on */
+    int32_t distrusted;
+} cosim_guarded;
+/* A cosim_step and a cosim_outputs: COSIM_NO_VALUE after a change of the rounding mode. */
+int32_t cosim_guarded_step(void *self, double t0, double t1, double h, const double *u0,
+                           const double *u1, double *y);
+int32_t cosim_guarded_outputs(void *self, double t, const double *u, double *y);
 
 #endif

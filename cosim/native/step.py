@@ -6,7 +6,7 @@ import ctypes
 from collections.abc import Sequence
 from ctypes import byref, c_double, c_int32, c_void_p
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +39,22 @@ LARGEST_MEMORY = 2**27  # values in a component's memory or in a matrix, 1 GiB
 _OUTPUTS: Final = ctypes.CFUNCTYPE(c_int32, c_void_p, c_double, c_void_p, c_void_p)
 
 
+class Guard(Protocol):
+    """Puts back what steps of foreign code change of the process that they run in."""
+
+    def begin(self) -> None:
+        """Remember the process before a call of compiled code that does many steps."""
+        ...
+
+    def end(self, t: float) -> None:
+        """Put back and report what that call changed; it began at ``t`` [s]."""
+        ...
+
+    def joined(self, others: Sequence[Guard]) -> Guard:
+        """Return one for the steps of all."""
+        ...
+
+
 class NativeStep:
     """A step function of the C signature of ``cosim.h`` with its state.
 
@@ -57,6 +73,8 @@ class NativeStep:
     outputs : int
         Address of a function that evaluates the outputs again (``cosim_outputs`` of ``stage.h``);
         0: there is none.
+    guard : Guard or None
+        Of foreign code.
 
     Attributes
     ----------
@@ -73,8 +91,10 @@ class NativeStep:
         memory: Vector,
         keep: Sequence[object] = (),
         outputs: int = 0,
+        guard: Guard | None = None,
     ) -> None:
         self.function = function
+        self.guard = guard
         self.outputs = outputs
         self.state = state
         self.n_y = n_y

@@ -10,7 +10,7 @@ from cosim.fmi.driving.inner_step import InnerStep
 
 def detections(outputs, inputs, watch=None):
     """Return (number of the step, n) where an inner step is detected."""
-    watch = watch or InnerStep(np.array([0]))
+    watch = watch or InnerStep(np.array([0]), 1)
     detected = []
     for k, (y, u) in enumerate(zip(outputs, inputs, strict=True)):
         n = watch.observe(np.array([y]), np.array([u]))
@@ -65,7 +65,7 @@ def test_nothing_else_is_taken_for_one(outputs, inputs):
 def test_the_history_can_be_restored():
     """A run that goes back and on again detects the same at the same step."""
     outputs = np.exp(-0.1 * (STEPS // 10))
-    watch = InnerStep(np.array([0]))
+    watch = InnerStep(np.array([0]), 1)
     detections(outputs[:55], MOVING[:55], watch)
     history = watch.history
     first = detections(outputs[55:], MOVING[55:], watch)

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from ctypes import addressof
+from ctypes import addressof, c_void_p
 from typing import final
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import NDArray
 
 from cosim.errors import RunError
-from cosim.fmi.binary.library import Library
+from cosim.fmi.binary.binding import Calls
 from cosim.fmi.references import Group, ReferenceMap
-from cosim.fmi.variable import VariableType
-from cosim.native.fmu import DirectionalStruct, GroupStruct, VariablesStruct, carrier
+from cosim.native.fmu import (
+    DirectionalStruct,
+    GroupStruct,
+    SlopesStruct,
+    StepStruct,
+    VariablesStruct,
+    carrier,
+)
 
 
 @final
@@ -24,32 +29,14 @@ class InstanceAddresses:
 
     Parameters
     ----------
-    library : Library
-    version : int
-        First digit of the FMI version.
-    dtypes : mapping of VariableType to data type
-        How the FMU carries each type.
-    type_name : callable
-        What the functions that get and set a type are named after.
-    functions : mapping of str to str
-        Names of functions that differ in nothing else between the versions, by those of FMI 3.
+    calls : Calls
     """
 
-    def __init__(
-        self,
-        library: Library,
-        version: int,
-        *,
-        dtypes: Mapping[str, DTypeLike],
-        type_name: Callable[[VariableType], str],
-        functions: Mapping[str, str],
-    ) -> None:
-        self.version = version
-        self.fmu = library.address
-        self._library = library
-        self._dtypes = dtypes
-        self._type_name = type_name
-        self._functions = functions
+    def __init__(self, calls: Calls) -> None:
+        self.version = calls.version
+        self.fmu = calls.library.address
+        self._calls = calls
+        self._library = calls.library
         self._keep: list[object] = []
 
     def call(self, name: str) -> int:
@@ -58,7 +45,7 @@ class InstanceAddresses:
         ``name`` is that of FMI 3 where the versions differ in nothing else; the function is one
         that the instance has.
         """
-        return self._library.call_address(self._functions.get(name, name))
+        return self._library.call_address(self._calls.functions.get(name, name))
 
     def variables(self, references: ReferenceMap) -> VariablesStruct:
         """Return variables that are set or read together.
@@ -71,11 +58,11 @@ class InstanceAddresses:
         return VariablesStruct(addressof(groups), len(groups))
 
     def _group(self, references: ReferenceMap, group: Group) -> GroupStruct:
-        name = self._type_name(group.type)
+        name = self._calls.type_name(group.type)
         columns = np.ascontiguousarray(references.columns[group.columns], np.intp)
         first = int(columns[0]) if len(columns) else 0
         in_order = bool((np.diff(columns) == 1).all())
-        dtype = np.dtype(self._dtypes[group.type])
+        dtype = np.dtype(self._calls.dtypes[group.type])
         values: NDArray[np.uint8] = np.zeros(max(1, len(columns)) * dtype.itemsize, np.uint8)
         self._keep += [group, columns, values]
         return GroupStruct(
@@ -106,8 +93,23 @@ class InstanceAddresses:
             knowns.size,
         )
 
-    def failure(self) -> tuple[str, RunError] | None:
-        """Return the call that failed in compiled code, by its name, as an error; None: none did.
+    def step(self) -> StepStruct:
+        """Return do_step of co-simulation."""
+        return self._calls.step_struct()
+
+    def slopes(self, references: ReferenceMap) -> SlopesStruct:
+        """Return the slopes of inputs, a selection of all of them."""
+        columns = np.ascontiguousarray(references.columns, np.intp)
+        self._keep += [references, columns]
+        return self._calls.slopes_struct(references.ungrouped, columns)
+
+    def state(self, state: object) -> int:
+        """Return where the pointer of a copied FMU state is."""
+        assert isinstance(state, c_void_p)
+        return addressof(state)
+
+    def failure(self) -> RunError | None:
+        """Return the call that failed in compiled code as an error; None: none did.
 
         It is returned once.
         """

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Final, Protocol
 
+import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from cosim.arrays import Vector
@@ -16,6 +17,7 @@ from cosim.fmi.description import Capabilities, Description, InterfaceType
 from cosim.fmi.instance import DiscreteStates, StepEnd
 from cosim.fmi.references import Group
 from cosim.fmi.variable import Variable, VariableType
+from cosim.native.fmu import SlopesStruct, StepStruct
 
 NO_STATE: Final = "the FMU cannot save its state (canGetAndSetFMUstate is false)"
 NO_INPUT_DERIVATIVES: Final = "the FMU does not interpolate inputs (canInterpolateInputs is false)"
@@ -66,8 +68,6 @@ class Calls(Protocol):
     """Where the versions differ. A ``Call`` raises RunError for a status above warning."""
 
     library: Library
-    may_go_back: bool
-    """The negation of noSetFMUStatePriorToCurrentPoint."""
     version: ClassVar[int]
     """First digit of the FMI version."""
     functions: ClassVar[Mapping[str, str]]
@@ -141,4 +141,16 @@ class Calls(Protocol):
 
     def do_step(self, t: float, h: float) -> StepEnd:
         """Advance from ``t`` by ``h`` seconds."""
+        ...
+
+    def end_of_step(self, t: float, h: float, status: int) -> StepEnd:
+        """Return how a step ended, by what do_step returned; it was called in compiled code."""
+        ...
+
+    def step_struct(self) -> StepStruct:
+        """Return do_step for compiled code."""
+        ...
+
+    def slopes_struct(self, group: Group, columns: NDArray[np.intp]) -> SlopesStruct:
+        """Return the slopes of inputs for compiled code; ``columns`` are those of the inputs."""
         ...

@@ -31,6 +31,7 @@ from cosim.fmi.binary.structures import Fmi1CallbackFunctions, Fmi1EventInfo
 from cosim.fmi.instance import DiscreteStates, StepEnd
 from cosim.fmi.references import Group
 from cosim.fmi.variable import Variable, VariableType
+from cosim.native.fmu import SlopesStruct, StepStruct
 from cosim.native.library import address
 
 LAST_SUCCESSFUL_TIME: Final = 2  # of fmiStatusKind
@@ -62,7 +63,6 @@ class Fmi1:
         self.library = library
         self._specification = specification
         self._clock = specification.messages.clock
-        self.may_go_back = False  # FMI 1.0 cannot copy states
         self._callbacks = Fmi1CallbackFunctions()  # handed over by value
         self._event_info = Fmi1EventInfo()
         self._start_time: float | None = None  # None: before the initialization mode
@@ -305,10 +305,31 @@ class Fmi1:
             self._orders = np.ones(group.count, np.int32)
         self._set_slopes(group.address, group.count, pointer(self._orders), pointer(slopes))
 
+    def slopes_struct(self, group: Group, columns: NDArray[np.intp]) -> SlopesStruct:
+        """Return the slopes of inputs for compiled code."""
+        self._orders = np.ones(group.count, np.int32)
+        self._slopes = np.zeros(group.count)
+        struct = SlopesStruct(self.library.call_address("SetRealInputDerivatives"), group.address)
+        struct.count = group.count
+        struct.size = len(columns)
+        struct.orders = self._orders.ctypes.data
+        struct.columns = columns.ctypes.data
+        struct.values = self._slopes.ctypes.data
+        return struct
+
+    def step_struct(self) -> StepStruct:
+        """Return do_step for compiled code."""
+        return StepStruct(self.library.call_address("DoStep"))
+
     def do_step(self, t: float, h: float) -> StepEnd:
         """Advance from ``t`` by ``h`` seconds: always a new step, as it cannot be rolled back."""
         self._clock.value = t
-        if self._step(t, h, 1) <= WARNING:
+        return self.end_of_step(t, h, self._step(t, h, 1))
+
+    def end_of_step(self, t: float, h: float, status: int) -> StepEnd:
+        """Return how a step ended, by what do_step returned."""
+        self.library.judge("DoStep", status, DISCARD)
+        if status <= WARNING:
             return StepEnd(completed=True, terminate=False, last_successful_time=t + h)
         reached = c_double()
         known = self._real_status(LAST_SUCCESSFUL_TIME, byref(reached)) < DISCARD

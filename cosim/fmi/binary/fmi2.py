@@ -22,6 +22,7 @@ from cosim.fmi.description import Capabilities
 from cosim.fmi.instance import DiscreteStates, StepEnd
 from cosim.fmi.references import Group
 from cosim.fmi.variable import Variable, VariableType
+from cosim.native.fmu import SlopesStruct, StepStruct
 from cosim.native.library import address
 
 LAST_SUCCESSFUL_TIME: Final = 2  # of fmi2StatusKind
@@ -58,7 +59,6 @@ class Fmi2:
         self._free = library.function("FreeInstance", None, c_void_p)
         names = (c_char_p, c_int, c_char_p, c_char_p)  # name, type, token, resources
         self._create = library.function("Instantiate", c_void_p, *names, c_void_p, c_int, c_int)
-        self.may_go_back = False
         self._bind_values(capabilities)
         self._bind_modes()
         if specification.interface_type == "me":
@@ -200,7 +200,7 @@ class Fmi2:
 
     def completed_integrator_step(self) -> tuple[bool, bool]:
         """Accept the step; return (enter event mode, terminate)."""
-        self._completed(not self.may_go_back, byref(self._event), byref(self._terminate))
+        self._completed(not self.library.may_go_back, byref(self._event), byref(self._terminate))
         return bool(self._event.value), bool(self._terminate.value)
 
     # --- co-simulation ---
@@ -211,10 +211,31 @@ class Fmi2:
             self._orders = np.ones(group.count, np.int32)
         self._set_slopes(group.address, group.count, pointer(self._orders), pointer(slopes))
 
+    def slopes_struct(self, group: Group, columns: NDArray[np.intp]) -> SlopesStruct:
+        """Return the slopes of inputs for compiled code."""
+        self._orders = np.ones(group.count, np.int32)
+        self._slopes = np.zeros(group.count)
+        struct = SlopesStruct(self.library.call_address("SetRealInputDerivatives"), group.address)
+        struct.count = group.count
+        struct.size = len(columns)
+        struct.orders = self._orders.ctypes.data
+        struct.columns = columns.ctypes.data
+        struct.values = self._slopes.ctypes.data
+        return struct
+
+    def step_struct(self) -> StepStruct:
+        """Return do_step for compiled code."""
+        return StepStruct(self.library.call_address("DoStep"))
+
     def do_step(self, t: float, h: float) -> StepEnd:
         """Advance from ``t`` by ``h`` seconds (section 4.2.2: what discard means is asked for)."""
         self._clock.value = t
-        if self._step(t, h, not self.may_go_back) <= WARNING:
+        return self.end_of_step(t, h, self._step(t, h, not self.library.may_go_back))
+
+    def end_of_step(self, t: float, h: float, status: int) -> StepEnd:
+        """Return how a step ended, by what do_step returned."""
+        self.library.judge("DoStep", status, DISCARD)
+        if status <= WARNING:
             return StepEnd(completed=True, terminate=False, last_successful_time=t + h)
         terminated = c_int()
         reached = c_double()

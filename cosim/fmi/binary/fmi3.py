@@ -33,6 +33,7 @@ from cosim.fmi.description import Capabilities
 from cosim.fmi.instance import DiscreteStates, StepEnd
 from cosim.fmi.references import Group
 from cosim.fmi.variable import Variable, VariableType
+from cosim.native.fmu import SlopesStruct, StepStruct
 from cosim.native.library import InterpolationStruct, address
 
 _FLOATS = ("Float64", "Float32")
@@ -61,7 +62,6 @@ class Fmi3:
         self._clock = specification.messages.clock
         capabilities = specification.capabilities
         self._free = library.function("FreeInstance", None, c_void_p)
-        self.may_go_back = False
         self._interpolation = InterpolationStruct()
         self._interpolated: Group | None = None  # the inputs that it sets
         self._flags = [c_bool() for _ in range(5)]  # results of the calls below
@@ -223,7 +223,7 @@ class Fmi3:
 
     def completed_integrator_step(self) -> tuple[bool, bool]:
         """Accept the step; return (enter event mode, terminate)."""
-        self._completed(not self.may_go_back, *self._flag_pointers[:2])
+        self._completed(not self.library.may_go_back, *self._flag_pointers[:2])
         return self._flags[0].value, self._flags[1].value
 
     # --- co-simulation ---
@@ -255,6 +255,31 @@ class Fmi3:
         set_function = self.library.function("SetFloat64", c_int, c_void_p, *_VALUES)
         interpolation.set = cast(set_function, c_void_p).value
 
+    def slopes_struct(self, group: Group, columns: NDArray[np.intp]) -> SlopesStruct:
+        """Return the slopes of inputs for compiled code."""
+        self._prepare_interpolation(group, len(columns))
+        struct = SlopesStruct(self.library.call_address("GetFloat64"), group.address)
+        struct.count = group.count
+        struct.size = len(columns)
+        struct.columns = columns.ctypes.data
+        struct.start = self._start.ctypes.data
+        struct.values = self._slope.ctypes.data
+        struct.interpolation = addressof(self._interpolation)
+        return struct
+
+    def step_struct(self) -> StepStruct:
+        """Return do_step for compiled code."""
+        struct = StepStruct(self.library.call_address("DoStep"))
+        struct.event_mode = self._specification.capabilities.event_mode
+        event_needed, terminate, early_return = (addressof(flag) for flag in self._flags[:3])
+        struct.event_needed = event_needed
+        struct.terminate = terminate
+        struct.early_return = early_return
+        struct.last_successful_time = addressof(self._time)
+        struct.interpolation = addressof(self._interpolation)
+        struct.set = self.library.call_address("SetFloat64")
+        return struct
+
     def do_step(self, t: float, h: float) -> StepEnd:
         """Advance from ``t`` by ``h`` seconds.
 
@@ -265,7 +290,13 @@ class Fmi3:
         interpolation.t0 = t
         interpolation.h = h
         interpolation.last_request = -math.inf
-        status = self._step(t, h, not self.may_go_back, *self._step_results)
+        status = self._step(t, h, not self.library.may_go_back, *self._step_results)
+        return self.end_of_step(t, h, status)
+
+    def end_of_step(self, t: float, h: float, status: int) -> StepEnd:
+        """Return how a step ended, by what do_step returned and wrote."""
+        self.library.judge("DoStep", status, DISCARD)
+        interpolation = self._interpolation
         interpolated_until = math.inf
         if interpolation.size:
             interpolated_until = interpolation.last_request

@@ -169,13 +169,19 @@ class Library:
                 raise RunError(f"{self.name}: {full_name} cannot be called: {self._forbidden}")
             status: int = function(instance, *arguments)
             if status:
-                self._judge(name, status, worst)
+                self.judge(name, status, worst)
             return status
 
         return checked
 
-    def _judge(self, name: str, status: int, worst: int) -> None:
-        """Raise a status above ``worst``; report a warning, once for every function."""
+    def judge(self, name: str, status: int, worst: int) -> None:
+        """Report a warning, once for every function.
+
+        Raises
+        ------
+        RunError
+            For a status above ``worst``.
+        """
         if not OK <= status <= worst:
             raise self.record_failure(name, status)
         if status == WARNING:
@@ -198,12 +204,21 @@ class Library:
             )
             yield Message(time, "warning", "", text)
 
+    @property
+    def may_go_back(self) -> bool:
+        """Whether a state of an earlier time may be restored."""
+        return bool(self._struct.may_go_back)
+
+    @may_go_back.setter
+    def may_go_back(self, possible: bool) -> None:
+        self._struct.may_go_back = possible
+
     def call_address(self, name: str) -> int:
         """Return the address of a function of the instance that was bound, for compiled code."""
         return addressof(self._calls[name])
 
-    def failure_of_compiled_code(self) -> tuple[str, RunError] | None:
-        """Return the call that failed in compiled code, by its name, as an error; None: none did.
+    def failure_of_compiled_code(self) -> RunError | None:
+        """Return the call that failed in compiled code as an error; None: none did.
 
         It is returned once.
         """
@@ -213,7 +228,7 @@ class Library:
         self._struct.failed = None
         names = {addressof(call): name for name, call in self._calls.items()}
         name = names[address]
-        return name, self.record_failure(name, self._struct.status)
+        return self.record_failure(name, self._struct.status)
 
     def drain(self) -> list[Message]:
         """Return the FMU's messages since the last call, and what it returned as a warning."""

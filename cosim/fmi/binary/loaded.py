@@ -112,6 +112,7 @@ class LoadedInstance:
         else:
             self.enter_step_mode = calls.enter_step_mode
             self.do_step = calls.do_step
+            self.end_of_step = calls.end_of_step
 
     def _bind_model_exchange(self, calls: Calls) -> None:
         call = self._library.call
@@ -139,14 +140,7 @@ class LoadedInstance:
 
     def addresses(self) -> InstanceAddresses:
         """Return where compiled code finds the instance, its functions and its variables."""
-        calls = self._calls
-        return InstanceAddresses(
-            self._library,
-            calls.version,
-            dtypes=calls.dtypes,
-            type_name=calls.type_name,
-            functions=calls.functions,
-        )
+        return InstanceAddresses(self._calls)
 
     # --- modes ---
 
@@ -306,11 +300,11 @@ class LoadedInstance:
     @property
     def may_go_back(self) -> bool:
         """Whether a state of an earlier time may be restored."""
-        return self._calls.may_go_back
+        return self._library.may_go_back
 
     @may_go_back.setter
     def may_go_back(self, possible: bool) -> None:
-        self._calls.may_go_back = possible
+        self._library.may_go_back = possible
 
     def get_fmu_state(self, into: object | None = None) -> object:
         """Copy the FMU state, into the memory of an earlier copy if one is given or released."""

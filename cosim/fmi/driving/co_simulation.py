@@ -10,20 +10,18 @@ from dataclasses import replace
 from typing import NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Design, Stopped
 from cosim.errors import FmuError, RunError
 from cosim.fmi.binary.messages import Message
-from cosim.fmi.description import Description
 from cosim.fmi.driving.diagnostics import Diagnostics
 from cosim.fmi.driving.direct import DirectFeedthrough
 from cosim.fmi.driving.initialization import Initialization, Starts
-from cosim.fmi.driving.inner_step import InnerStep, StepHistory
 from cosim.fmi.driving.saved import SavedState, save
 from cosim.fmi.driving.stepping import InputDerivativesFailed, Stepper, StepperState
 from cosim.fmi.instance import TERMINATED, CoSimulationInstance
+from cosim.native.step import NativeStep
 
 
 class CoSimulationState(NamedTuple):
@@ -31,7 +29,6 @@ class CoSimulationState(NamedTuple):
 
     initialization_time: float | None  # of its initialization mode
     stepper: StepperState
-    step_history: StepHistory | None
 
 
 @final
@@ -58,7 +55,10 @@ class CoSimulation:
         self._initialization = Initialization(instance, starts or {})
         self._capabilities = description.capabilities["cs"]
         self.interface = replace(
-            instance.interface, prepares=True, rollback=self._capabilities.saves_state
+            instance.interface,
+            prepares=True,
+            rollback=self._capabilities.saves_state,
+            native=True,
         )
         self._in_events: frozenset[str] = frozenset()
         if self._capabilities.event_mode:
@@ -69,7 +69,6 @@ class CoSimulation:
             self._feedthrough = DirectFeedthrough(instance, self._in_events)
         # Of the FMU before an event that is only shown; its memory is used again.
         self._fmu_state: object | None = None
-        self._inner_step = InnerStep(_watched(description))
         self._diagnostics = Diagnostics(self._name)
         self._stepper = Stepper(instance, self._diagnostics)
 
@@ -103,7 +102,7 @@ class CoSimulation:
         if not all(self.interface.knows(name) for name in names):
             verb = "may depend"
         where = "what is read belongs to the inputs"
-        if self._stepper.state.interpolates:
+        if self._stepper.interpolates:
             where = "where inputs have a zero-order hold, what is read belongs to their value"
         why = "the FMU has no directional derivatives"
         if self._feedthrough:
@@ -128,7 +127,6 @@ class CoSimulation:
         u = np.array(u, np.float64)
         y = self._initialization.enter(t, u)
         self._stepper.begin(u, y)
-        self._inner_step.reset()
         return y.copy()
 
     def outputs(self, t: float, u: Vector) -> Vector:
@@ -136,6 +134,7 @@ class CoSimulation:
 
         They are corrected to the inputs ``u`` where D is known.
         """
+        self._stepper.check_compiled()
         self._leave_initialization(t)
         return self._outputs_at(t, np.array(u, np.float64)).copy()
 
@@ -153,13 +152,13 @@ class CoSimulation:
                 u1 = inputs[k + 1]
                 completed = self._step(times[k], h, inputs[k], u1)
                 if completed:
-                    self._look_for_inner_step(t1, h)
+                    self._report_inner_step(t1, h)
                     # An event at the end of the block is left to the next advance: a loop may still
                     # correct the inputs that it happens with.
                     if k < steps - 1:
                         stepper.handle_input_event(t1, u1)
                     y[k] = self._outputs_at(t1, u1)
-                if stepper.state.ended:
+                if stepper.ended:
                     raise Stopped(y[: k + completed].copy(), TERMINATED, failed=False)
         except Stopped:
             raise
@@ -174,7 +173,7 @@ class CoSimulation:
         except InputDerivativesFailed as error:
             # After an error an FMU cannot go on. Nothing is lost with it before the end of the
             # first step; later it would be the past.
-            if self._stepper.state.stepped:
+            if self._stepper.stepped:
                 raise
             self._instance.renew()
             self._fmu_state = None
@@ -194,30 +193,34 @@ class CoSimulation:
         """
         stepper = self._stepper
         if not (self._capabilities.saves_state and stepper.has_input_event(u)):
-            stepper.handle_input_event(t, u)
-            return self._corrected_outputs(u)
+            return self._outputs_after_event(t, u)
         # The copy holds the mode too: with it the FMU is back in step mode.
         self._fmu_state = self._instance.get_fmu_state(self._fmu_state)
         before = stepper.save()
-        stepper.handle_input_event(t, u)
-        y = self._corrected_outputs(u)
-        if not stepper.state.ended:
+        y = self._outputs_after_event(t, u).copy()
+        if not stepper.ended:
             self._instance.set_fmu_state(self._fmu_state)
             stepper.restore(before)
         return y
 
-    def _corrected_outputs(self, u: Vector) -> Vector:
-        """Return y + D (u - u_end)."""
-        state = self._stepper.state
-        if self._feedthrough is None or u is state.inputs:
-            return state.outputs
-        return self._feedthrough.add(state.outputs, u - state.inputs)
+    def _outputs_after_event(self, t: float, u: Vector) -> Vector:
+        """Return the outputs for inputs ``u``, after an event where one is due for them.
+
+        Without one they are y + D (u - u_end).
+        """
+        stepper = self._stepper
+        if stepper.handle_input_event(t, u) or self._feedthrough is None:
+            return stepper.outputs
+        return self._feedthrough.add(stepper.outputs, u - stepper.inputs)
+
+    def native(self) -> NativeStep | None:
+        """Return the compiled step; None: there is none."""
+        return self._stepper.native(self._feedthrough)
 
     # --- messages, states ---
 
-    def _look_for_inner_step(self, t: float, h: float) -> None:
-        state = self._stepper.state
-        n = self._inner_step.observe(state.outputs, state.inputs)
+    def _report_inner_step(self, t: float, h: float) -> None:
+        n = self._stepper.inner_steps
         if n:
             inner_step = f"{n * h:.12g} s"
             self._diagnostics.add(
@@ -239,9 +242,7 @@ class CoSimulation:
         FmuError
             If the FMU cannot save its state.
         """
-        state = CoSimulationState(
-            self._initialization.mode_time, self._stepper.save(), self._inner_step.history
-        )
+        state = CoSimulationState(self._initialization.mode_time, self._stepper.save())
         return save(self._instance, self._capabilities, state)
 
     def restore(self, state: SavedState[CoSimulationState]) -> None:
@@ -249,24 +250,6 @@ class CoSimulation:
         self._instance.set_fmu_state(state.fmu)
         self._initialization.mode_time = state.component.initialization_time
         self._stepper.restore(state.component.stepper)
-        self._inner_step.history = state.component.step_history
-
-
-def _watched(description: Description) -> NDArray[np.intp]:
-    """Return the columns of the outputs that show whether time advances in the FMU.
-
-    Real and continuous ones, if possible without direct feedthrough.
-    """
-    interface = description.interface
-    real = [output for output in interface.outputs if output.type == "real"]
-    moving = [output.name for output in real if output.variability == "continuous"]
-    not_fed = [name for name in moving if not interface.feeds(name)]
-    slices = interface.output_columns()
-    columns: list[int] = []
-    for name in not_fed or moving:
-        columns_of_output = slices[name]
-        columns += range(columns_of_output.start, columns_of_output.stop)
-    return np.array(columns, np.intp)
 
 
 def _ordinal(n: int) -> str:

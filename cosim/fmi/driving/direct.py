@@ -9,8 +9,9 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.fmi.description import Description
-from cosim.fmi.instance import CoSimulationInstance
+from cosim.fmi.instance import Addresses, CoSimulationInstance
 from cosim.fmi.references import ReferenceMap
+from cosim.native.co_simulation import CoSimulationStruct
 
 
 @final
@@ -55,6 +56,13 @@ class DirectFeedthrough:
         self._instance = instance
         self._unknowns = _select(description, "output", interface.output_columns(), feeds)
         self._knowns = _select(description, "input", interface.input_columns(), feeding)
+
+    def native(self, addresses: Addresses, struct: CoSimulationStruct) -> None:
+        """Write to the struct of a compiled step what it needs to add D du."""
+        if self._unknowns.size:
+            struct.feedthrough = addresses.directional(self._unknowns, self._knowns)
+            struct.unknowns = self._unknowns.columns.ctypes.data
+            struct.knowns = self._knowns.columns.ctypes.data
 
     def add(self, y: Vector, du: Vector) -> Vector:
         """Return y + D du, shape (n_y,)."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, Protocol, TypeVar, final
 
@@ -13,6 +13,8 @@ from cosim.errors import RunError
 from cosim.fmi.binary.messages import Message
 from cosim.fmi.binary.process import ROUNDING, Process, describe_changes
 from cosim.fmi.driving.diagnostics import Diagnostics
+from cosim.native.guarded import GuardedStruct, guarded_step
+from cosim.native.step import Guard, NativeStep
 
 Result = TypeVar("Result")
 
@@ -25,9 +27,53 @@ class FmuComponent(Component, Preparable, Rollback[Any], Protocol):
         """What is to be known about the results."""
         ...
 
+    def native(self) -> NativeStep | None:
+        """Return the compiled step, if there is one."""
+        ...
+
     def drain(self) -> list[Message]:
         """Return the events and warnings since the last call."""
         ...
+
+
+@final
+class SharedGuard:
+    """Puts back what all threads share, after many compiled steps of one or several FMUs.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Of the FMUs.
+    diagnostics : Diagnostics
+        Takes the report; those of the first FMU.
+    """
+
+    def __init__(self, names: Sequence[str], diagnostics: Diagnostics) -> None:
+        self._names = tuple(names)
+        self._diagnostics = diagnostics
+        self._process = Process()
+
+    def begin(self) -> None:
+        """Remember the process."""
+        self._process.save()
+
+    def end(self, t: float) -> None:
+        """Put back and report what changed in the call that began at ``t`` [s]."""
+        changes = self._process.restore()
+        if not changes:
+            return
+        what = describe_changes(changes)
+        others = ", ".join(self._names[1:])
+        who = f"it, or one of {others} in the same loop or after it, " if others else ""
+        self._diagnostics.add(t, what, f"{who}changed {what}; it is as before again")
+
+    def joined(self, others: Sequence[Guard]) -> Guard:
+        """Return one for the FMUs of all."""
+        names = list(self._names)
+        for other in others:
+            assert isinstance(other, SharedGuard)  # all foreign code is that of FMUs
+            names += other._names
+        return SharedGuard(names, self._diagnostics)
 
 
 @final
@@ -50,6 +96,7 @@ class Guarded:
         self._name = name
         self._process = Process()
         self._diagnostics = Diagnostics(name)
+        self._compiled = GuardedStruct()  # what compiled steps found
 
     @property
     def interface(self) -> Interface:
@@ -77,6 +124,15 @@ class Guarded:
         """Pass on."""
         return self._call(float(t[0]), lambda: self._component.advance(t, h, u))
 
+    def native(self) -> NativeStep | None:
+        """Return the compiled step of the component, with the floating-point unit put back."""
+        step = self._component.native()
+        if step is None:
+            return None
+        guard = SharedGuard([self._name], self._diagnostics)
+        guarded, self._compiled = guarded_step(step, guard)
+        return guarded
+
     def save(self) -> Any:
         """Pass on."""
         return self._call(None, self._component.save)
@@ -96,6 +152,7 @@ class Guarded:
 
     def drain(self) -> list[Message]:
         """Return the events and warnings since the last call."""
+        self._report_compiled()
         return self._component.drain() + self._diagnostics.drain()
 
     def _call(self, t: float | None, call: Callable[[], Result]) -> Result:
@@ -106,6 +163,12 @@ class Guarded:
         RunError
             If it changed the rounding mode; also in the place of a stop, which brings rows.
         """
+        compiled = self._compiled
+        if compiled.distrusted:
+            # A compiled step ended well, but with another rounding mode: there is nothing to call.
+            compiled.distrusted = 0
+            self._report_compiled()
+            raise RunError(self._distrust(compiled.time))
         self._process.save()
         try:
             result = call()
@@ -129,7 +192,21 @@ class Guarded:
 
     def _put_back(self, t: float | None) -> int:
         changes = self._process.restore()
+        self._report(t, changes)
+        return changes | self._report_compiled()
+
+    def _report_compiled(self) -> int:
+        """Report what compiled steps changed since the last time; return it.
+
+        It is put back already.
+        """
+        compiled = self._compiled
+        changes: int = compiled.changes
+        compiled.changes = 0
+        self._report(compiled.time, changes)
+        return changes
+
+    def _report(self, t: float | None, changes: int) -> None:
         if changes:
             what = describe_changes(changes)
             self._diagnostics.add(t, what, f"changed {what}; it is as before again")
-        return changes

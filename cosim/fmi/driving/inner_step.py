@@ -13,20 +13,20 @@ one only, n > 1. What looks alike is distinguished:
 ``REPEATS`` intervals in a row that equal the one before are needed, as chance gives a few;
 ``CHANGES_IN_A_ROW`` changes in successive steps show that there is no inner step. A quantized
 output that changes steadily looks the same: what is detected is an indication, no proof.
+``inner_step.c`` does it, as steps in compiled code are watched too.
 """
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple, final
+from ctypes import addressof
+from typing import NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Vector
-
-REPEATS: Final = 8
-CHANGES_IN_A_ROW: Final = 20
-RELATIVE: Final = 1e-9
+from cosim.native.co_simulation import InnerStepStruct
+from cosim.native.library import library
 
 
 class StepHistory(NamedTuple):
@@ -49,20 +49,55 @@ class InnerStep:
     ----------
     columns : array of int
         Which elements of the outputs to watch.
-
-    Attributes
-    ----------
-    history : StepHistory or None
-        None: nothing to watch, or it is decided.
+    n_u : int
+        Number of input elements.
     """
 
-    def __init__(self, columns: NDArray[np.intp]) -> None:
+    def __init__(self, columns: NDArray[np.intp], n_u: int) -> None:
         self._columns = columns
+        self._outputs = np.zeros(len(columns))
+        self._inputs = np.zeros(n_u)
+        self._outputs_before = np.zeros(len(columns))
+        self._struct = InnerStepStruct(columns.ctypes.data, len(columns), n_u)
+        self._struct.outputs = self._outputs.ctypes.data
+        self._struct.inputs = self._inputs.ctypes.data
+        self._struct.outputs_before = self._outputs_before.ctypes.data
+        self.address = addressof(self._struct)
         self.reset()
 
     def reset(self) -> None:
         """Forget the history."""
-        self.history: StepHistory | None = StepHistory() if len(self._columns) else None
+        self.history = StepHistory() if len(self._columns) else None
+
+    @property
+    def history(self) -> StepHistory | None:
+        """What the last steps showed, as a copy; None: nothing to watch, or it is decided."""
+        struct = self._struct
+        if not struct.watches:
+            return None
+        return StepHistory(
+            self._outputs.copy() if struct.begun else None,
+            self._inputs.copy() if struct.begun else None,
+            self._outputs_before.copy() if struct.changed else None,
+            struct.steps,
+            struct.input_changes,
+            struct.period,
+            struct.repeats,
+        )
+
+    @history.setter
+    def history(self, history: StepHistory | None) -> None:
+        struct = self._struct
+        struct.watches = history is not None
+        if history is None:
+            return
+        struct.begun = _restore(self._outputs, history.outputs)
+        _restore(self._inputs, history.inputs)
+        struct.changed = _restore(self._outputs_before, history.outputs_before)
+        struct.steps = history.steps
+        struct.input_changes = history.input_changes
+        struct.period = history.period
+        struct.repeats = history.repeats
 
     def observe(self, outputs: Vector, inputs: Vector) -> int:
         """Return n, once, where the outputs change at every n-th step only; else 0.
@@ -70,39 +105,18 @@ class InnerStep:
         Parameters
         ----------
         outputs : Vector, shape (n_y,)
-            After a step; must not be written to afterwards.
+            After a step.
         inputs : Vector, shape (n_u,)
-            Of that step; must not be written to afterwards.
+            Of that step.
         """
-        past = self.history
-        if past is None:
-            return 0
-        watched = outputs[self._columns]
-        if past.outputs is None or past.inputs is None:
-            self.history = StepHistory(watched, inputs)
-            return 0
-        steps = past.steps + 1
-        input_changes = past.input_changes + (inputs.tobytes() != past.inputs.tobytes())
-        if watched.tobytes() == past.outputs.tobytes():
-            self.history = past._replace(inputs=inputs, steps=steps, input_changes=input_changes)
-            return 0
-        repeats = 0
-        if steps == past.period and input_changes in (0, steps):
-            significant = _is_significant(watched, past.outputs, past.outputs_before)
-            repeats = past.repeats + significant
-        self.history = StepHistory(
-            watched, inputs, outputs_before=past.outputs, period=steps, repeats=repeats
-        )
-        if repeats < (CHANGES_IN_A_ROW if steps == 1 else REPEATS):
-            return 0
-        self.history = None
-        return steps if steps > 1 else 0
+        vectors = (outputs.ctypes.data, inputs.ctypes.data)
+        period: int = library.cosim_inner_step_observe(self.address, *vectors)
+        return period
 
 
-def _is_significant(outputs: Vector, last: Vector, before_last: Vector | None) -> bool:
-    """Return whether a change is more than rounding, and no switch back."""
-    with np.errstate(all="ignore"):  # what is not finite stops the run elsewhere
-        scale = np.maximum(np.abs(outputs), np.abs(last))
-        changed = np.abs(outputs - last) > RELATIVE * scale
-    switched_back = before_last is not None and outputs.tobytes() == before_last.tobytes()
-    return bool(changed.any()) and not switched_back
+def _restore(memory: Vector, saved: Vector | None) -> bool:
+    """Copy what was saved into the memory; return whether there is any."""
+    if saved is None:
+        return False
+    memory[:] = saved
+    return True

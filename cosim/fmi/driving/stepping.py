@@ -26,6 +26,9 @@ The mean makes the states second order. FMI forbids setting inputs and then read
 a step or an event between (FMI 2.0.4 section 4.2.4, FMI 3.0 section 4.2.1), so that is never done:
 the correction needs D alone.
 
+The usual step, in one part, is compiled too (``co_simulation.c``): it leaves every other one to the
+methods here, and notes what it has done of it.
+
 What a discrete input does at t1 a loop may still correct, as in ``integrator.py``: an FMU that can
 go back shows its outputs after the event and goes back; one that cannot is left behind it.
 """
@@ -33,16 +36,31 @@ go back shows its outputs after the event and goes back; one that cannot is left
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Vector
 from cosim.errors import RunError
+from cosim.fmi.description import Description
 from cosim.fmi.driving.diagnostics import Diagnostics
+from cosim.fmi.driving.direct import DirectFeedthrough
 from cosim.fmi.driving.events import iterate_event
-from cosim.fmi.instance import CoSimulationInstance, StepEnd
+from cosim.fmi.driving.inner_step import InnerStep, StepHistory
+from cosim.fmi.instance import Addresses, CoSimulationInstance, StepEnd
+from cosim.native.co_simulation import (
+    COMPLETED,
+    FAILED,
+    NOTHING,
+    SLOPES_FAILED,
+    STEPPED,
+    UNREAD,
+    CoSimulationStruct,
+)
+from cosim.native.library import address
+from cosim.native.step import NativeStep
 
 PARTS: Final = 1000  # of one communication step, by early returns and time events
 HALVINGS: Final = 10  # of a step that is discarded
@@ -53,20 +71,19 @@ class InputDerivativesFailed(RunError):
     """The FMU does not take the slopes of its inputs, though it says that it can."""
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class StepperState:
-    """The state of an FMU at one time.
-
-    Arrays are replaced, never written to, so that a shallow copy keeps the state.
-    """
+    """A copy of the state of an FMU at one time."""
 
     outputs: Vector  # as they were read last
     inputs: Vector  # that those outputs belong to
     event_inputs: Vector  # those that are set in events, as the FMU has them
+    initialized: bool  # the initialization was left
     interpolates: bool
-    stepped: bool = False  # a communication step was completed
-    next_event: float | None = None  # [s]
-    ended: bool = False  # the FMU requested the end of the run
+    stepped: bool  # a communication step was completed
+    next_event: float  # [s]; infinity: none
+    ended: bool  # the FMU requested the end of the run
+    step_history: StepHistory | None
 
 
 @dataclass(slots=True)
@@ -113,7 +130,12 @@ class Stepper:
 
     Attributes
     ----------
-    state : StepperState
+    outputs : Vector, shape (n_y,)
+        As they were read last.
+    inputs : Vector, shape (n_u,)
+        That those outputs belong to.
+    inner_steps : int
+        The inner step of the FMU, in communication steps, where the last step showed it; else 0.
     """
 
     def __init__(self, instance: CoSimulationInstance, diagnostics: Diagnostics) -> None:
@@ -141,22 +163,103 @@ class Stepper:
         self._can_interpolate = (
             capabilities.interpolates_inputs and self._interpolated_inputs.size > 0
         )
+        self._addresses: Addresses | None = None
+        n_u = len(discrete)
+        self._inner_step = InnerStep(_watched(description), n_u)
+        self.inner_steps = 0
+        self._share_state(n_u)
         self.hold(discrete)
-        self.begin(np.zeros(len(discrete)), np.zeros(self._outputs.size))
+        self.begin(np.zeros(n_u), np.zeros(self._outputs.size))
+
+    def _share_state(self, n_u: int) -> None:
+        """Put the state where compiled steps find it."""
+        self.outputs = np.zeros(self._outputs.size)
+        self.inputs = np.zeros(n_u)
+        self._event_values = np.zeros(self._event_inputs.size)
+        self._held = np.zeros(n_u, np.bool_)
+        self._ramped = self._interpolated | (not self._some_not_interpolated)
+        self._scratch = np.zeros(3 * n_u + self._outputs.size)
+        struct = CoSimulationStruct(n_u=n_u, n_y=self._outputs.size)
+        struct.n_event = self._event_inputs.size
+        struct.held = self._held.ctypes.data
+        struct.ramped = self._ramped.ctypes.data
+        struct.event_columns = self._event_inputs.columns.ctypes.data
+        struct.inner_step = self._inner_step.address
+        struct.outputs = self.outputs.ctypes.data
+        struct.inputs = self.inputs.ctypes.data
+        struct.event_inputs = self._event_values.ctypes.data
+        struct.scratch = self._scratch.ctypes.data
+        self._struct = struct
+
+    def native(self, feedthrough: DirectFeedthrough | None) -> NativeStep | None:
+        """Return the compiled step; None: the FMU is none of a binary."""
+        addresses = self._instance.addresses()
+        if addresses is None:
+            return None
+        struct = self._struct
+        struct.fmu = addresses.fmu
+        struct.step_inputs = addresses.variables(self._step_inputs)
+        struct.outputs_read = addresses.variables(self._outputs)
+        struct.do_step = addresses.step()
+        if self._can_interpolate:
+            struct.slopes = addresses.slopes(self._interpolated_inputs)
+        if self._saves_before_steps:
+            struct.get_state = addresses.call("GetFMUState")
+        if feedthrough is not None:
+            feedthrough.native(addresses, struct)
+        self._addresses = addresses
+        self._keep_fmu_state(self._fmu_state)
+        return NativeStep(
+            address("cosim_co_simulation_step"),
+            struct,
+            n_y=self._outputs.size,
+            memory=np.zeros(0),
+            keep=(self, addresses, feedthrough),
+            outputs=address("cosim_co_simulation_outputs"),
+        )
+
+    def _keep_fmu_state(self, state: object | None) -> None:
+        """Keep a state of the FMU whose memory is used again."""
+        self._fmu_state = state
+        if self._addresses is not None:
+            self._struct.fmu_state = None if state is None else self._addresses.state(state)
+
+    @property
+    def ended(self) -> bool:
+        """Whether the FMU requested the end of the run."""
+        return bool(self._struct.ended)
+
+    @property
+    def stepped(self) -> bool:
+        """Whether a communication step was completed."""
+        return bool(self._struct.stepped)
+
+    @property
+    def interpolates(self) -> bool:
+        """Whether the FMU gets slopes of its inputs."""
+        return bool(self._struct.interpolates)
 
     def hold(self, held: Mask) -> None:
         """Set which inputs keep their value over a step, beside the discrete ones."""
-        self._held = held | self._instance.description.discrete_inputs
+        self._held[:] = held | self._instance.description.discrete_inputs
         self._some_held = bool(self._held.any())
 
     def begin(self, u: Vector, y: Vector) -> None:
         """Begin anew, with these inputs and outputs; the FMU is in initialization mode."""
-        self.state = StepperState(
-            outputs=y,
-            inputs=u,
-            event_inputs=self._event_inputs.take(u),
-            interpolates=self._can_interpolate,
+        self.restore(
+            StepperState(
+                outputs=y,
+                inputs=u,
+                event_inputs=self._event_inputs.take(u),
+                initialized=False,
+                interpolates=self._can_interpolate,
+                stepped=False,
+                next_event=math.inf,
+                ended=False,
+                step_history=None,
+            )
         )
+        self._inner_step.reset()
 
     def begin_without_slopes(self, t: float, u: Vector, y: Vector, reason: str) -> None:
         """Begin anew with an FMU that was instantiated anew, which gets no slopes any more."""
@@ -168,7 +271,7 @@ class Stepper:
             "input, and the direct feedthrough to outputs belongs to that",
         )
         self._can_interpolate = False
-        self._fmu_state = None
+        self._keep_fmu_state(None)
         self.begin(u, y)
 
     def leave_initialization(self, t: float) -> None:
@@ -179,44 +282,109 @@ class Stepper:
         """
         if self._capabilities.event_mode:
             self._iterate_event(t)
-        self.state.outputs = self._instance.get_float64(self._outputs)
+        self.outputs[:] = self._instance.get_float64(self._outputs)
+        self._struct.initialized = True
 
     def save(self) -> StepperState:
         """Copy everything but the FMU's own state."""
-        return replace(self.state)
+        struct = self._struct
+        return StepperState(
+            outputs=self.outputs.copy(),
+            inputs=self.inputs.copy(),
+            event_inputs=self._event_values.copy(),
+            initialized=bool(struct.initialized),
+            interpolates=self.interpolates,
+            stepped=self.stepped,
+            next_event=struct.next_event,
+            ended=self.ended,
+            step_history=self._inner_step.history,
+        )
 
     def restore(self, state: StepperState) -> None:
         """Go back to a saved state, after the FMU."""
-        self.state = replace(state)
+        struct = self._struct
+        self.outputs[:] = state.outputs
+        self.inputs[:] = state.inputs
+        self._event_values[:] = state.event_inputs
+        struct.initialized = state.initialized
+        struct.interpolates = state.interpolates
+        struct.stepped = state.stepped
+        struct.next_event = state.next_event
+        struct.ended = state.ended
+        self._inner_step.history = state.step_history
+
+    def check_compiled(self) -> None:
+        """Raise what failed in a compiled step, or in compiled outputs, that was left to be done.
+
+        Raises
+        ------
+        InputDerivativesFailed
+            If that was a call for slopes of inputs.
+        RunError
+            If it was another call.
+        """
+        note = self._struct.note
+        if note not in (FAILED, SLOPES_FAILED):
+            return
+        self._struct.note = NOTHING
+        assert self._addresses is not None
+        error = self._addresses.failure()
+        assert error is not None
+        if note == SLOPES_FAILED:
+            raise InputDerivativesFailed(str(error)) from error
+        raise error
 
     def step(self, t: float, h: float, u0: Vector, u1: Vector) -> bool:
-        """Do one communication step; return False where the FMU requests the end inside it."""
-        change = u1 - u0
-        if self._some_held:
-            change[self._held] = 0.0
-            u1 = np.where(self._held, u0, u1)
-        ramp = _InputRamp(t, h, u0, u1, change)
-        self.handle_input_event(t, u0)
-        if self._advance(ramp, 0.0, 1.0, 0) < 1.0:
-            return False
-        self.state.outputs = self._instance.get_float64(self._outputs)
-        self.state.stepped = True
+        """Do one communication step; return False where the FMU requests the end inside it.
+
+        Of a step that compiled code has begun, what is left of it.
+        """
+        self.check_compiled()
+        begun = self._struct.note
+        self._struct.note = NOTHING
+        if begun == COMPLETED:
+            self.inner_steps = self._struct.inner_steps
+            return True
+        if begun != UNREAD:
+            change = u1 - u0
+            if self._some_held:
+                change[self._held] = 0.0
+                u1 = np.where(self._held, u0, u1)
+            ramp = _InputRamp(t, h, u0, u1, change)
+            end: StepEnd | None = None
+            if begun == STEPPED:
+                end = self._instance.end_of_step(t, h, self._struct.do_step.status)
+            else:
+                self.handle_input_event(t, u0)
+            if self._advance(ramp, 0.0, 1.0, 0, end) < 1.0:
+                return False
+        self.outputs[:] = self._instance.get_float64(self._outputs)
+        self._struct.stepped = True
+        self.inner_steps = self._inner_step.observe(self.outputs, self.inputs)
         return True
 
-    def _advance(self, ramp: _InputRamp, s0: float, s1: float, halvings: int) -> float:
+    def _advance(
+        self,
+        ramp: _InputRamp,
+        s0: float,
+        s1: float,
+        halvings: int,
+        end: StepEnd | None = None,
+    ) -> float:
         """Advance from ``s0`` to ``s1``, in halves where the FMU discards the whole.
+
+        ``end`` is how the first part ended, if do_step was called already.
 
         Returns
         -------
         float
             How far the FMU came: less than ``s1`` where it requests the end of the run.
         """
-        state = self.state
         s = s0
         part_begin = s0
         part_end = s0
         for _ in range(PARTS):
-            if state.ended:
+            if self.ended:
                 return s
             stop = self._next_stop(ramp, s, s1)
             if stop != part_end:
@@ -225,51 +393,63 @@ class Stepper:
             # The mean over the whole part, also for what is left of it after an early return: the
             # beginning of the part had it, and only so the integral of the inputs is right.
             mean = 0.5 * (part_begin + part_end)
-            end = self._do_step(ramp, s, part_end, mean)
-            state.ended |= end.terminate
+            if end is None:
+                self._set_inputs(ramp, s, mean)
+                end = self._instance.do_step(ramp.time(s), (part_end - s) * ramp.h)
+            self._keep_inputs(ramp, s, part_end, mean, end)
+            if end.terminate:
+                self._struct.ended = True
             s = self._reached(ramp, s, part_end, end, halvings)
             if self._is_event_due(ramp, s, end):
                 self._handle_event(ramp.time(s))
             if s >= s1:
                 return s
+            end = None
         raise RunError(
             f"{self._name}: {PARTS} returns did not reach the end of the step of {ramp.h} s from "
             f"t = {ramp.t} s; the last was at t = {ramp.time(s)} s"
         )
 
-    def _do_step(self, ramp: _InputRamp, s0: float, s1: float, mean: float) -> StepEnd:
-        """Set the inputs and call do_step once.
+    def _set_inputs(self, ramp: _InputRamp, s0: float, mean: float) -> None:
+        """Set the inputs for a call of do_step, after a copy of the state where one is needed.
 
         Those that are interpolated have their values at ``s0``, the others those at ``mean``.
         """
         instance = self._instance
-        t = ramp.time(s0)
-        h = (s1 - s0) * ramp.h
         if self._saves_before_steps:
             # Before the inputs and the step: a discarded step can be repeated from a state that was
             # copied at its beginning only (FMI 2.0.4 section 4.2.2).
-            self._fmu_state = instance.get_fmu_state(self._fmu_state)
-        if not self.state.interpolates:
+            self._keep_fmu_state(instance.get_fmu_state(self._fmu_state))
+        if not self.interpolates:
             inputs = ramp.at(mean)
-            self.state.inputs = inputs
             instance.set_float64(self._step_inputs, self._step_inputs.take(inputs))
-            return instance.do_step(t, h)
+            return
         # Values and derivatives are those at the beginning of the step (FMI 2.0.4 section 4.2.1).
         inputs = self._interpolated_at(ramp, s0, mean)
         instance.set_float64(self._step_inputs, self._step_inputs.take(inputs))
-        slopes = self._interpolated_inputs.take(ramp.change) / ramp.h
         try:
-            instance.set_input_derivatives(self._interpolated_inputs, slopes)
+            instance.set_input_derivatives(self._interpolated_inputs, self._slopes(ramp))
         except RunError as error:
             raise InputDerivativesFailed(str(error)) from error
-        end = instance.do_step(t, h)
-        if end.interpolated_until == -math.inf and slopes.any():
-            self._stop_interpolating(t)
+
+    def _slopes(self, ramp: _InputRamp) -> Vector:
+        """Return du/dt of the inputs that are interpolated."""
+        slopes: Vector = self._interpolated_inputs.take(ramp.change) / ramp.h
+        return slopes
+
+    def _keep_inputs(
+        self, ramp: _InputRamp, s0: float, s1: float, mean: float, end: StepEnd
+    ) -> None:
+        """Keep the inputs that the outputs after a call of do_step belong to."""
+        if not self.interpolates:
+            self.inputs[:] = ramp.at(mean)
+            return
+        if end.interpolated_until == -math.inf and self._slopes(ramp).any():
+            self._stop_interpolating(ramp.time(s0))
         s_end = s1
         if end.interpolated_until != math.inf:
             s_end = min(max(s0, ramp.fraction(end.interpolated_until)), s1)
-        self.state.inputs = self._interpolated_at(ramp, s_end, mean)
-        return end
+        self.inputs[:] = self._interpolated_at(ramp, s_end, mean)
 
     def _interpolated_at(self, ramp: _InputRamp, s: float, mean: float) -> Vector:
         """Return the inputs at ``s``; those that cannot be interpolated as they are at ``mean``."""
@@ -278,7 +458,7 @@ class Stepper:
         return np.where(self._interpolated, ramp.at(s), ramp.at(mean))
 
     def _stop_interpolating(self, t: float) -> None:
-        self.state.interpolates = False
+        self._struct.interpolates = False
         self._diagnostics.add(
             t,
             "interpolation",
@@ -344,8 +524,8 @@ class Stepper:
 
     def _next_stop(self, ramp: _InputRamp, s0: float, s1: float) -> float:
         """Return the next time event, if the FMU can stop there, else ``s1``."""
-        next_event = self.state.next_event
-        if next_event is None:
+        next_event = self._struct.next_event
+        if next_event == math.inf:
             return s1
         s = ramp.fraction(next_event)
         if not s0 < s < s1:
@@ -362,26 +542,34 @@ class Stepper:
 
     def _is_event_due(self, ramp: _InputRamp, s: float, end: StepEnd) -> bool:
         """Return whether an event is to be handled at ``s``: a requested one or a time event."""
-        state = self.state
-        if state.ended or not self._capabilities.event_mode:
+        if self.ended or not self._capabilities.event_mode:
             return False
         if end.event_needed:
             return True
-        return state.next_event is not None and ramp.fraction(state.next_event) <= s
+        next_event = self._struct.next_event
+        return next_event != math.inf and ramp.fraction(next_event) <= s
 
     def has_input_event(self, u: Vector) -> bool:
         """Return whether a discrete input that is set in events is not as before."""
-        if self.state.ended or not self._capabilities.event_mode:
+        if self.ended or not self._capabilities.event_mode:
             return False
         event_inputs = self._event_inputs.take(u)
         # By their bits: NaN as before is no change.
-        return event_inputs.tobytes() != self.state.event_inputs.tobytes()
+        return event_inputs.tobytes() != self._event_values.tobytes()
 
-    def handle_input_event(self, t: float, u: Vector) -> None:
-        """Set all inputs in an event, if a discrete one changes, and read the outputs."""
-        if self.has_input_event(u):
-            self._handle_event(t, u)
-            self.state.outputs = self._instance.get_float64(self._outputs)
+    def handle_input_event(self, t: float, u: Vector) -> bool:
+        """Set all inputs in an event, if a discrete one changes, and read the outputs.
+
+        Returns
+        -------
+        bool
+            Whether there was an event.
+        """
+        if not self.has_input_event(u):
+            return False
+        self._handle_event(t, u)
+        self.outputs[:] = self._instance.get_float64(self._outputs)
+        return True
 
     def _handle_event(self, t: float, u: Vector | None = None) -> None:
         # Event mode first: it is where inputs may be set and outputs read without a step between,
@@ -389,15 +577,33 @@ class Stepper:
         self._instance.enter_event_mode()
         if u is not None:
             self._instance.set_float64(self._inputs, u)
-            self.state.event_inputs = self._event_inputs.take(u)
-            self.state.inputs = u
+            self._event_values[:] = self._event_inputs.take(u)
+            self.inputs[:] = u
         self._iterate_event(t)
 
     def _iterate_event(self, t: float) -> None:
         """Iterate the event; unless the run is to end, leave event mode."""
         discrete = iterate_event(self._instance, t)
-        self.state.next_event = discrete.next_event_time
-        self.state.ended = discrete.terminate
+        next_event = discrete.next_event_time
+        self._struct.next_event = math.inf if next_event is None else next_event
+        self._struct.ended = discrete.terminate
         if not discrete.terminate:
             # Else only terminate may follow (FMI 3.0 section 2.3.5).
             self._instance.enter_step_mode()
+
+
+def _watched(description: Description) -> NDArray[np.intp]:
+    """Return the columns of the outputs that show whether time advances in the FMU.
+
+    Real and continuous ones, if possible without direct feedthrough.
+    """
+    interface = description.interface
+    real = [output for output in interface.outputs if output.type == "real"]
+    moving = [output.name for output in real if output.variability == "continuous"]
+    not_fed = [name for name in moving if not interface.feeds(name)]
+    slices = interface.output_columns()
+    columns: list[int] = []
+    for name in not_fed or moving:
+        columns_of_output = slices[name]
+        columns += range(columns_of_output.start, columns_of_output.stop)
+    return np.array(columns, np.intp)

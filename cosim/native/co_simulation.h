@@ -1,0 +1,49 @@
+/* A communication step of a co-simulation FMU: the usual one of stepping.py, in one part.
+ *
+ * What is not usual is left to the methods in Python: an event, a discarded step, an early return, a
+ * failure, the end. `note` tells them what is done already. */
+#ifndef COSIM_CO_SIMULATION_H
+#define COSIM_CO_SIMULATION_H
+
+#include "cosim.h"
+#include "fmu.h"
+#include "inner_step.h"
+
+/* What a step did that was left to the methods: */
+#define COSIM_NOTHING 0
+#define COSIM_STEPPED 1       /* do_step was called, and `do_step.status` returned */
+#define COSIM_UNREAD 2        /* all but reading the outputs */
+#define COSIM_COMPLETED 3     /* all but the outputs for the inputs at the end */
+#define COSIM_FAILED 4        /* a call failed, which the FMU remembers */
+#define COSIM_SLOPES_FAILED 5 /* that call was one for the slopes of inputs */
+
+typedef struct {
+    cosim_fmu *fmu; /* NULL: all is left to the methods */
+    cosim_fmu_variables step_inputs, outputs_read;
+    cosim_fmu_step do_step;
+    cosim_fmu_slopes slopes;        /* of inputs that are interpolated */
+    cosim_fmu_call *get_state;      /* NULL: no state is saved before a step */
+    void **fmu_state;               /* where; NULL: there is no memory for it yet */
+    cosim_fmu_directional feedthrough; /* D; n_unknowns 0: not known */
+    const intptr_t *unknowns, *knowns; /* columns of its outputs and inputs */
+    int32_t n_u, n_y, n_event;
+    const uint8_t *held;           /* (n_u) keeps its value over a step */
+    const uint8_t *ramped;         /* (n_u) has its value, not its mean, where slopes are set */
+    const intptr_t *event_columns; /* (n_event) inputs that are set in events */
+    cosim_inner_step *inner_step;
+    /* the state: as in StepperState */
+    double *outputs, *inputs, *event_inputs;
+    double next_event; /* infinity: none */
+    int32_t initialized, interpolates, stepped, ended;
+    double *scratch; /* (3 n_u + n_y) */
+    /* of the last step that was left to the methods */
+    int32_t note;
+    int64_t inner_steps; /* the inner step that was detected, in communication steps */
+} cosim_co_simulation;
+
+/* A cosim_step and a cosim_outputs. */
+int32_t cosim_co_simulation_step(void *self, double t0, double t1, double h, const double *u0,
+                                 const double *u1, double *y);
+int32_t cosim_co_simulation_outputs(void *self, double t, const double *u, double *y);
+
+#endif

@@ -1,0 +1,54 @@
+"""The structs of ``co_simulation.h`` and ``inner_step.h``."""
+
+from __future__ import annotations
+
+from ctypes import Structure, c_double, c_int32, c_int64, c_void_p
+from typing import Final
+
+from cosim.native.fmu import DirectionalStruct, SlopesStruct, StepStruct, VariablesStruct
+from cosim.native.library import declare
+
+NOTHING: Final = 0  # COSIM_NOTHING and so on: what a step did that was left to the methods
+STEPPED: Final = 1
+UNREAD: Final = 2
+COMPLETED: Final = 3
+FAILED: Final = 4
+SLOPES_FAILED: Final = 5
+
+
+class InnerStepStruct(Structure):
+    """cosim_inner_step."""
+
+    _fields_ = (
+        ("columns", c_void_p),
+        *((name, c_int32) for name in ("n", "n_u", "watches", "begun", "changed")),
+        *((name, c_int64) for name in ("steps", "input_changes", "period", "repeats")),
+        *((name, c_void_p) for name in ("outputs", "inputs", "outputs_before")),
+    )
+
+
+class CoSimulationStruct(Structure):
+    """cosim_co_simulation."""
+
+    _fields_ = (
+        ("fmu", c_void_p),
+        ("step_inputs", VariablesStruct),
+        ("outputs_read", VariablesStruct),
+        ("do_step", StepStruct),
+        ("slopes", SlopesStruct),
+        ("get_state", c_void_p),
+        ("fmu_state", c_void_p),
+        ("feedthrough", DirectionalStruct),
+        *((name, c_void_p) for name in ("unknowns", "knowns")),
+        *((name, c_int32) for name in ("n_u", "n_y", "n_event")),
+        *((name, c_void_p) for name in ("held", "ramped", "event_columns", "inner_step")),
+        *((name, c_void_p) for name in ("outputs", "inputs", "event_inputs")),
+        ("next_event", c_double),
+        *((name, c_int32) for name in ("initialized", "interpolates", "stepped", "ended")),
+        ("scratch", c_void_p),
+        ("note", c_int32),
+        ("inner_steps", c_int64),
+    )
+
+
+declare({"cosim_inner_step_observe": (c_int64, (c_void_p, c_void_p, c_void_p))})

@@ -1,0 +1,41 @@
+"""A compiled step after which the floating-point unit is put back (``process.h``)."""
+
+from __future__ import annotations
+
+from ctypes import Structure, c_double, c_int32, c_void_p
+
+from cosim.native.library import address
+from cosim.native.step import Guard, NativeStep
+
+
+class GuardedStruct(Structure):
+    """cosim_guarded."""
+
+    _fields_ = (
+        *((name, c_void_p) for name in ("step", "outputs", "self")),
+        ("changes", c_int32),
+        ("time", c_double),
+        ("distrusted", c_int32),
+    )
+
+
+def guarded_step(step: NativeStep, guard: Guard) -> tuple[NativeStep, GuardedStruct]:
+    """Return a step that puts the floating-point unit back after a step, and what it finds.
+
+    Parameters
+    ----------
+    step : NativeStep
+    guard : Guard
+        Puts back the rest, once for many steps.
+    """
+    struct = GuardedStruct(step.function, step.outputs, step.address)
+    guarded = NativeStep(
+        address("cosim_guarded_step"),
+        struct,
+        n_y=step.n_y,
+        memory=step.memory,
+        keep=(step,),
+        outputs=address("cosim_guarded_outputs") if step.outputs else 0,
+        guard=guard,
+    )
+    return guarded, struct

@@ -1,0 +1,22 @@
+/* Whether an FMU ignores the communication step and keeps one of its own: see inner_step.py. */
+#ifndef COSIM_INNER_STEP_H
+#define COSIM_INNER_STEP_H
+
+#include <stdint.h>
+
+typedef struct {
+    const intptr_t *columns; /* (n) of the outputs that are watched */
+    int32_t n, n_u;
+    int32_t watches; /* 0: there is nothing to watch, or it is decided */
+    int32_t begun;   /* `outputs` and `inputs` are those of a step */
+    int32_t changed; /* `outputs_before` is known */
+    int64_t steps, input_changes, period, repeats;
+    double *outputs, *inputs, *outputs_before; /* (n), (n_u), (n) */
+} cosim_inner_step;
+
+/* Watch the outputs and inputs of one more step: n, once, where the outputs change at every n-th
+ * step only; else 0. */
+int64_t cosim_inner_step_observe(cosim_inner_step *self, const double *outputs,
+                                 const double *inputs);
+
+#endif
