@@ -169,9 +169,6 @@ class ModelExchange:
             return self._advance_exactly(self._exact, t, h, u)
         return self._integrate(t, u)
 
-    def native(self) -> None:
-        """Return None: there is no compiled step."""
-
     def drain(self) -> list[Message]:
         """Return the events since the last call, at level debug, and warnings."""
         return self._integrator.events.drain() + self._integrator.diagnostics.drain()
