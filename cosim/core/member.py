@@ -280,10 +280,11 @@ class Member:
         except CosimError:
             raise
         except Exception as error:
-            raise RunError(f"{self.name!r}: {_raised('initialize', error)}") from error
+            text = f"{self.name!r} stopped at t = {t} s: {_raised('initialize', error)}"
+            raise RunError(text) from error
         problem = result_problem(y, (self._n_y,))
         if problem:
-            raise RunError(f"{self.name!r}: initialize {problem}")
+            raise RunError(f"{self.name!r} stopped at t = {t} s: initialize {problem}")
         return y.copy()
 
     def initial_outputs(self, t: float, u: Vector) -> Vector:
@@ -484,7 +485,10 @@ def _raised(method: str, error: Exception) -> str:
     if isinstance(error, CosimError):
         return f"{method}: {error}"
     last = traceback.extract_tb(error.__traceback__)[-1]
-    return f"{method} raised {text} ({last.filename}, line {last.lineno})"
+    text = f"{method} raised {text} ({last.filename}, line {last.lineno})"
+    if isinstance(error, ValueError) and "read-only" in str(error):
+        text += "; what a component is handed cannot be written to: copy it"
+    return text
 
 
 def result_problem(y: Any, needed: tuple[int, ...]) -> str:

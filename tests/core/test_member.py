@@ -88,6 +88,7 @@ def test_time_and_inputs_cannot_be_written_to(build, method):
     error, _ = failure(build(Custom(advance=method)))
     assert str(error).startswith("'x' stopped at t = 0.0 s: advance raised ValueError: ")
     assert "read-only" in str(error)
+    assert str(error).endswith("; what a component is handed cannot be written to: copy it")
 
 
 def test_the_inputs_of_outputs_cannot_be_written_to():
@@ -104,7 +105,7 @@ def test_the_inputs_of_initialize_cannot_be_written_to():
         return u.copy()
 
     error, _ = failure(cascade(Custom(initialize=spoils)))
-    assert str(error).startswith("'x': initialize raised ValueError: ")
+    assert str(error).startswith("'x' stopped at t = 0.0 s: initialize raised ValueError: ")
     assert "read-only" in str(error)
 
 
