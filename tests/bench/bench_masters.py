@@ -27,9 +27,11 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from tests.bench.masters.cases import CONTENDERS, FLOOR, Case, FmuCase
+from tests.bench.masters.core_cases import core_cases
 from tests.bench.masters.environments import Unavailable, run
 from tests.bench.masters.systems import chain, ring
 
@@ -113,7 +115,7 @@ def cases() -> list[Case]:
             FmuCase(system, "2", "rk4"),
             FmuCase(system, "2", "RK45"),
         ]
-    return every
+    return every + core_cases()
 
 
 def table(pairings: Iterable[Pairing]) -> Table:
@@ -123,21 +125,34 @@ def table(pairings: Iterable[Pairing]) -> Table:
         shown.add_column(heading, justify="right")
     last = ""
     for pairing in pairings:
+        if pairing.reason:
+            continue
         name = pairing.case.name
         if name != last:
             shown.add_section()
-        cells = ["-"] * 5
-        if pairing.times and not pairing.reason:
-            cells = [
-                f"{1e6 * statistics.median(pairing.times):.3f}",
-                f"{1e6 * statistics.median(pairing.floors):.3f}",
-                f"{pairing.ratio:.2f}",
-                f"{pairing.error:.1e}",
-                str(pairing.steps),
-            ]
+        cells = (
+            f"{1e6 * statistics.median(pairing.times):.3f}",
+            f"{1e6 * statistics.median(pairing.floors):.3f}",
+            f"{pairing.ratio:.2f}",
+            f"{pairing.error:.1e}",
+            str(pairing.steps),
+        )
         keeps = pairing.case.keeps(pairing.contender)
         shown.add_row("" if name == last else name, pairing.contender, keeps, *cells)
         last = name
+    return shown
+
+
+def not_measured(pairings: Iterable[Pairing]) -> Table:
+    """Return who could not run which cases, and why."""
+    cases_by_reason: dict[tuple[str, str], list[str]] = {}
+    for pairing in pairings:
+        if pairing.reason:
+            key = (pairing.contender, pairing.reason)
+            cases_by_reason.setdefault(key, []).append(pairing.case.name)
+    shown = Table("contender", "reason", "cases", title="not measured")
+    for (contender, reason), names in cases_by_reason.items():
+        shown.add_row(contender, escape(reason), ", ".join(names))
     return shown
 
 
@@ -193,10 +208,9 @@ def main() -> None:
         measure(pairings, options, Console(stderr=True))
     console = Console(width=None if sys.stdout.isatty() else WIDTH)
     console.print(table(pairings))
-    for pairing in pairings:
-        if pairing.reason:
-            line = f"{pairing.case.name}: {pairing.contender}: {pairing.reason}"
-            console.print(line, markup=False, highlight=False)
+    missing = not_measured(pairings)
+    if missing.row_count:
+        console.print(missing)
 
 
 if __name__ == "__main__":

@@ -86,27 +86,36 @@ def binary(fmu: Path) -> Path:
     return fmu.with_suffix(SUFFIX)
 
 
-def build_program(folder: Path, name: str, *sources: Path, defines: tuple[str, ...] = ()) -> Path:
-    """Compile a C program together with kernels of cosim.
+def build_program(
+    folder: Path,
+    source: str,
+    *kernels: str,
+    name: str = "",
+    defines: tuple[str, ...] = (),
+    shared: bool = False,
+) -> Path:
+    """Compile a C source of this folder together with kernels of cosim; a program or a library.
 
     Raises
     ------
     RuntimeError
         With the words of the compiler.
     """
-    native = build.HERE
-    program = folder / name
+    program = folder / (name or Path(source).stem)
+    sources = [HERE / source, *(build.HERE / kernel for kernel in kernels)]
     flags = ["-std=c11", "-ffp-contract=off", *build.OPTIONS, "-D_POSIX_C_SOURCE=200809L"]
-    flags += [f"-I{HEADERS}", f"-I{native}", *(f"-D{define}" for define in defines)]
+    flags += [f"-I{HEADERS}", f"-I{build.HERE}", *(f"-D{define}" for define in defines)]
+    if shared:
+        flags += ["-shared", "-fPIC"]
     command = [*build.compiler(), *flags, *map(str, sources), "-o", str(program), "-ldl", "-lm"]
     result = subprocess.run(command, capture_output=True, text=True, check=False)
     if result.returncode:
-        raise RuntimeError(f"{name}: {result.stderr}")
+        raise RuntimeError(f"{source}: {result.stderr}")
     return program
 
 
 def build_loop(version: str, folder: Path) -> Path:
     """Compile ``loop.c`` for a version of FMI."""
-    kernels = [build.HERE / name for name in ("runge_kutta.c", "elementary.c")]
+    kernels = ("runge_kutta.c", "elementary.c")
     defines = (f"FMI={version}",)
-    return build_program(folder, f"loop{version}", HERE / "loop.c", *kernels, defines=defines)
+    return build_program(folder, "loop.c", *kernels, name=f"loop{version}", defines=defines)

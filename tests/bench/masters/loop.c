@@ -29,14 +29,11 @@
 #define GetReal_ "fmi3GetFloat64"
 #endif
 #include "cosim.h"
+#include "program.h"
 
 #include <dlfcn.h>
 #include <math.h>
 #include <stdbool.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-#include <time.h>
 
 #define RTOL 1e-9
 #define COLUMNS 2 /* of a lag: u, y */
@@ -62,12 +59,6 @@ typedef struct {
     double t0, t1, u0, u1, x, t_set, u_set;
     cosim_runge_kutta solver;
 } Lag;
-
-static void fail(const char *what)
-{
-    fprintf(stderr, "loop: %s\n", what);
-    exit(1);
-}
 
 static void *function(void *library, const char *name)
 {
@@ -288,13 +279,6 @@ static int step_model_exchange(Lag *lags, int n, double *before, double *row, do
     return 0;
 }
 
-static double now(void)
-{
-    struct timespec time;
-    clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &time);
-    return (double)time.tv_sec + 1e-9 * (double)time.tv_nsec;
-}
-
 static Lag *load(int n, char **arguments, const char *method)
 {
     static cosim_method tableau;
@@ -381,17 +365,6 @@ int main(int count, char **arguments)
             if (lags[i].held)
                 row[COLUMNS * i] = row[COLUMNS * lags[i].source + 1];
     }
-    printf("measured: {\"seconds\": %.9f, \"samples\": [", now() - began);
-
-    const char *separator = "";
-    for (char *sample = strtok(arguments[4], ","); sample; sample = strtok(NULL, ",")) {
-        const int64_t k = atoll(sample);
-        printf("%s[%lld, [", separator, (long long)k);
-        for (int i = 0; i < n; ++i)
-            printf("%s%.17g", i ? ", " : "", rows[(size_t)k * width + (size_t)(COLUMNS * i + 1)]);
-        printf("]]");
-        separator = ", ";
-    }
-    printf("]}\n");
+    report(now() - began, arguments[4], rows, width, 1, COLUMNS);
     return 0;
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,8 +29,11 @@ class System:
     name: str
     lags: tuple[Lag, ...]
 
-    def exact(self, t: float) -> Matrix:
-        """Return the outputs at ``t`` [s] in closed form, shape (n,)."""
+    def exact(self, steps: Sequence[int]) -> Matrix:
+        """Return the outputs behind some numbers of steps, increasing, in closed form.
+
+        Shape (number of them, n).
+        """
         n = len(self.lags)
         augmented = np.zeros((n + 1, n + 1))
         for i, lag in enumerate(self.lags):
@@ -37,7 +41,22 @@ class System:
             augmented[i, n] = lag.bias
             if lag.source is not None:
                 augmented[i, lag.source] = lag.gain
-        return expm(augmented * t)[:n, n]
+        exponentials: dict[int, Matrix] = {}  # by number of steps
+        state = np.zeros(n + 1)
+        state[n] = 1.0
+        rows = []
+        for distance in np.diff(steps, prepend=0).tolist():
+            if distance not in exponentials:
+                exponentials[distance] = expm(augmented * (distance * STEP_NS / 1e9))
+            state = exponentials[distance] @ state
+            rows.append(state[:n])
+        return np.array(rows)
+
+    def error(self, samples: Sequence[tuple[int, Sequence[float]]]) -> float:
+        """Return the largest distance from the closed form of outputs behind numbers of steps."""
+        outputs = np.array([row for _, row in samples])
+        exact = self.exact([step for step, _ in samples])
+        return float(np.abs(outputs - exact).max())
 
 
 def ring(count: int) -> System:

@@ -1,0 +1,153 @@
+"""The cases without FMUs: only cosim runs them, beside the same arithmetic without a master."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tests.bench.masters.building import build_program
+from tests.bench.masters.cases import FLOOR, sampled_steps
+from tests.bench.masters.core_systems import GAIN, OFFSET, loop_of_lags
+from tests.bench.masters.environments import Command, Result, driver
+from tests.bench.masters.systems import STEP_NS, Lag, System
+
+STEP = STEP_NS / 1e9  # s
+OURS = "drive_core.py"
+
+
+class CoreCase(ABC):
+    """A graph of ``core_systems.py``.
+
+    Attributes
+    ----------
+    name : str
+    contenders : tuple of str
+    watched : tuple of str
+        The signals that are compared with what they should be.
+    """
+
+    name: str
+    watched: tuple[str, ...]
+    contenders: tuple[str, ...] = ("cosim",)
+
+    def build(self, folder: Path) -> None:
+        """Compile nothing."""
+
+    def command(self, contender: str, steps: int) -> Command:
+        """Return the process of a contender."""
+        if contender == FLOOR:
+            return self.floor(steps)
+        return driver(OURS, (), self.task(steps))
+
+    @abstractmethod
+    def floor(self, steps: int) -> Command:
+        """Return the process that all are compared with."""
+
+    def task(self, steps: int) -> dict[str, Any]:
+        """Return what a driver reads."""
+        return {
+            "system": self.name,
+            "step_ns": STEP_NS,
+            "steps": steps,
+            "samples": sampled_steps(steps),
+            "watched": self.watched,
+        }
+
+    def keeps(self, contender: str) -> str:
+        """Return what a contender keeps of every step."""
+        return "u, y"
+
+    @abstractmethod
+    def error(self, result: Result) -> float:
+        """Return the largest error of the watched signals."""
+
+
+@dataclass
+class LagsCase(CoreCase):
+    """Lags in a loop, beside ``lags.c``."""
+
+    count: int
+    _program: Path = field(init=False, default=Path())
+
+    def __post_init__(self) -> None:
+        self.name = f"lags-{self.count}"
+        self.watched = tuple(f"lag{i}.y" for i in range(self.count))
+
+    def build(self, folder: Path) -> None:
+        """Compile the program."""
+        self._program = build_program(folder, "lags.c", "linear.c", "elementary.c")
+
+    def floor(self, steps: int) -> Command:
+        """Return the C program."""
+        samples = ",".join(map(str, sampled_steps(steps)))
+        values = (self.count, GAIN, OFFSET, STEP_NS, steps, samples)
+        return Command((str(self._program), *map(str, values)))
+
+    def error(self, result: Result) -> float:
+        """Return the largest distance from the closed form."""
+        return loop_of_lags(self.count).error(result.samples)
+
+
+@dataclass
+class ScenarioCase(CoreCase):
+    """A shipped scenario, beside the kernels of its components in a plain loop (``kernels.c``)."""
+
+    name: str
+    watched: tuple[str, ...] = ("delta.y", "observer.delta")
+    settled: int = 6500  # steps that the observer takes; then it has the disturbance
+    _library: Path = field(init=False, default=Path())
+
+    def build(self, folder: Path) -> None:
+        """Compile the loop."""
+        self._library = build_program(folder, "kernels.c", shared=True)
+
+    def floor(self, steps: int) -> Command:
+        """Return the loop, behind the preparation by cosim."""
+        task = {**self.task(steps), "library": str(self._library)}
+        return driver("drive_kernels.py", (), task)
+
+    def error(self, result: Result) -> float:
+        """Return how far the observer is from the disturbance; NaN: the run is too short."""
+        errors = [abs(a - b) for step, (a, b) in result.samples if step >= self.settled]
+        return max(errors, default=np.nan)
+
+
+@dataclass
+class PythonCase(CoreCase):
+    """A component written in Python, beside calls of its ``advance`` with the same arrays."""
+
+    name: str
+    watched: tuple[str, ...] = ("python.y",)
+
+    def floor(self, steps: int) -> Command:
+        """Return the calls."""
+        return driver("drive_body.py", (), self.task(steps))
+
+    def error(self, result: Result) -> float:
+        """Return the largest distance from the closed form."""
+        if self.name == "python-loop":
+            lags = (Lag(gain=GAIN, bias=OFFSET, source=1), Lag(gain=1.0, bias=0.0, source=0))
+            steps = [step for step, _ in result.samples]
+            exact = System(self.name, lags).exact(steps)[:, 0]
+        else:
+            t = np.array([step for step, _ in result.samples]) * STEP
+            exact = 0.5 * (np.sin(t) - np.cos(t) + np.exp(-t))
+        outputs = np.array([row for _, (row,) in result.samples])
+        return float(np.abs(outputs - exact).max())
+
+
+def core_cases() -> list[CoreCase]:
+    """Return all cases without FMUs."""
+    return [
+        LagsCase(10),
+        LagsCase(100),
+        LagsCase(1000),
+        ScenarioCase("academic"),
+        ScenarioCase("closed-loop"),
+        PythonCase("python-cascade"),
+        PythonCase("python-loop"),
+    ]
