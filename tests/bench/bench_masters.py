@@ -32,7 +32,7 @@ from rich.table import Table
 
 from tests.bench.masters.cases import CONTENDERS, FLOOR, Case, FmuCase
 from tests.bench.masters.core_cases import core_cases
-from tests.bench.masters.environments import Unavailable, run
+from tests.bench.masters.environments import Result, Unavailable, run
 from tests.bench.masters.systems import chain, ring
 
 STEPS = 500_000  # of the longer run
@@ -56,7 +56,9 @@ class Pairing:
     times: list[float] = field(default_factory=list)  # of a step [s]
     floors: list[float] = field(default_factory=list)  # of the C program beside it [s]
     error: float = 0.0
+    same_bits: bool = False  # as the C program, at every sample
     reason: str = ""  # why it was not measured
+    floor_reason: str = ""  # why the C program was not
 
     def calibrate(self, most: int, seconds: float) -> None:
         """Choose the number of steps; find out whether the contender can run the case at all."""
@@ -69,33 +71,39 @@ class Pairing:
             return
         short, long = times
         step = max(long - short, 0.1 * long) / (CALIBRATION[1] - CALIBRATION[0])
-        self.steps = min(most, max(FEWEST, int(seconds / max(step, 1e-9))))
+        chosen = max(FEWEST, int(seconds / max(step, 1e-9)))
+        self.steps = self.case.fixed_steps or min(most, chosen)
 
     def measure(self, steps: int) -> None:
         """Measure the contender and the C program, which gets ``steps``, side by side."""
-        sides = [(self.contender, self.steps), (FLOOR, steps)]
-        random.shuffle(sides)
-        slopes = {}
-        try:
-            for contender, most in sides:
-                slopes[contender] = self._slope(contender, most)
-        except Unavailable as error:
-            self.reason = str(error)
-            return
-        self.times.append(slopes[self.contender])
-        self.floors.append(slopes[FLOOR])
+        sides = {self.contender: self.steps, FLOOR: self.case.fixed_steps or steps}
+        measured: dict[str, tuple[float, Result]] = {}
+        for contender in random.sample(list(sides), len(sides)):
+            try:
+                measured[contender] = self._slope(contender, sides[contender])
+            except Unavailable as error:
+                if contender == self.contender:
+                    self.reason = str(error)
+                    return
+                self.floor_reason = str(error)
+        time, result = measured[self.contender]
+        self.times.append(time)
+        self.error = self.case.error(result)
+        if FLOOR in measured:
+            floor_time, floor_result = measured[FLOOR]
+            self.floors.append(floor_time)
+            self.same_bits = _agree(result, floor_result)
 
-    def _slope(self, contender: str, most: int) -> float:
+    def _slope(self, contender: str, most: int) -> tuple[float, Result]:
+        """Return the time of a step [s], and the result of the longer run."""
         least = most // SHORTER
         lengths = [least, most]
         random.shuffle(lengths)
-        seconds = {}
+        results = {}
         for steps in lengths:
-            result = run(self.case.command(contender, steps))
-            seconds[steps] = result.seconds
-            if steps == most and contender == self.contender:
-                self.error = self.case.error(result)
-        return (seconds[most] - seconds[least]) / (most - least)
+            results[steps] = run(self.case.command(contender, steps))
+        slope = (results[most].seconds - results[least].seconds) / (most - least)
+        return slope, results[most]
 
     @property
     def ratio(self) -> float:
@@ -103,6 +111,13 @@ class Pairing:
         return statistics.median(
             time / floor for time, floor in zip(self.times, self.floors, strict=True)
         )
+
+
+def _agree(result: Result, floor: Result) -> bool:
+    """Return whether the outputs of both are the same at all steps that both show."""
+    outputs = dict(floor.samples)
+    common = [(row, outputs[step]) for step, row in result.samples if step in outputs]
+    return bool(common) and all(row == expected for row, expected in common)
 
 
 def cases() -> list[Case]:
@@ -121,7 +136,7 @@ def cases() -> list[Case]:
 def table(pairings: Iterable[Pairing]) -> Table:
     """Return the result."""
     shown = Table("case", "contender", "keeps", title="time of a communication step")
-    for heading in ("us a step", "C, us", "ratio to C", "error", "steps"):
+    for heading in ("us a step", "C, us", "ratio to C", "error", "bits", "steps"):
         shown.add_column(heading, justify="right")
     last = ""
     for pairing in pairings:
@@ -130,11 +145,13 @@ def table(pairings: Iterable[Pairing]) -> Table:
         name = pairing.case.name
         if name != last:
             shown.add_section()
+        floors = pairing.floors
         cells = (
             f"{1e6 * statistics.median(pairing.times):.3f}",
-            f"{1e6 * statistics.median(pairing.floors):.3f}",
-            f"{pairing.ratio:.2f}",
+            f"{1e6 * statistics.median(floors):.3f}" if floors else "-",
+            f"{pairing.ratio:.2f}" if floors else "-",
             f"{pairing.error:.1e}",
+            "as C" if pairing.same_bits else "",
             str(pairing.steps),
         )
         keeps = pairing.case.keeps(pairing.contender)
@@ -147,9 +164,12 @@ def not_measured(pairings: Iterable[Pairing]) -> Table:
     """Return who could not run which cases, and why."""
     cases_by_reason: dict[tuple[str, str], list[str]] = {}
     for pairing in pairings:
-        if pairing.reason:
-            key = (pairing.contender, pairing.reason)
-            cases_by_reason.setdefault(key, []).append(pairing.case.name)
+        for contender, reason in (
+            (pairing.contender, pairing.reason),
+            (FLOOR, pairing.floor_reason),
+        ):
+            if reason:
+                cases_by_reason.setdefault((contender, reason), []).append(pairing.case.name)
     shown = Table("contender", "reason", "cases", title="not measured")
     for (contender, reason), names in cases_by_reason.items():
         shown.add_row(contender, escape(reason), ", ".join(names))

@@ -55,6 +55,11 @@ class Case(Protocol):
         """Who runs it, without the C program."""
         ...
 
+    @property
+    def fixed_steps(self) -> int | None:
+        """The number of steps of the longer run, of all contenders; None: it is chosen."""
+        ...
+
     def build(self, folder: Path) -> None:
         """Compile what it needs."""
         ...
@@ -94,6 +99,7 @@ class FmuCase:
     fmi_version: str
     method: str
     contenders: tuple[str, ...] = tuple(CONTENDERS)
+    fixed_steps: int | None = None
     _loop: Path = field(init=False, default=Path())
     _fmus: list[Path] = field(init=False, default_factory=list)
 

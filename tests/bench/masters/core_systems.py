@@ -19,6 +19,7 @@ from tests.bench.masters.systems import Lag, System
 
 GAIN = -0.9  # of the connection from the last lag of a loop to the first one
 OFFSET = 1.0
+WITHOUT_IDENTIFIER = " - identifier"  # end of the name of a scenario
 
 
 def loop_of_lags(count: int) -> System:
@@ -44,6 +45,17 @@ def scenario(name: str, stop: float, resources: ExitStack) -> Graph:
     """Build a shipped scenario; some of its components keep as many samples as it lasts, [s]."""
     longer = load(name).set({"scenario.stop": stop})
     return Builder(longer, resources, block=None).experiment().graph
+
+
+def without_identifier(graph: Graph) -> Graph:
+    """Build a graph anew without its identifier, which drives nothing."""
+    components = dict(graph.components)
+    del components["identifier"]
+    connections = {}
+    for to, connection in graph.connections.items():
+        if to.component in components:
+            connections[to] = connection
+    return Graph(components, connections)
 
 
 class PythonLag:
@@ -97,4 +109,6 @@ def graph_of(name: str, stop: float, resources: ExitStack) -> Graph:
         return python_cascade()
     if name == "python-loop":
         return python_loop()
+    if name.endswith(WITHOUT_IDENTIFIER):
+        return without_identifier(scenario(name.removesuffix(WITHOUT_IDENTIFIER), stop, resources))
     return scenario(name, stop, resources)
