@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from cosim.arrays import Matrix
-from cosim.blocks.static import Static
+from cosim.blocks.static import CompiledStatic
 from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
+from cosim.native.functions import gain_step, limit_step, sum_step, switch_step
 
 
 def _with_feedthrough(inputs: Sequence[Signal], size: int, unit: str | None) -> Interface:
@@ -19,7 +18,7 @@ def _with_feedthrough(inputs: Sequence[Signal], size: int, unit: str | None) -> 
     return Interface(tuple(inputs), (output,), {"y": names})
 
 
-def sum_of(signs: Sequence[float], *, size: int = 1, unit: str | None = None) -> Static:
+def sum_of(signs: Sequence[float], *, size: int = 1, unit: str | None = None) -> CompiledStatic:
     """Build ``y = sum_i signs_i u_i``: inputs ``u1``, ``u2``, ... of the same size.
 
     Raises
@@ -27,39 +26,23 @@ def sum_of(signs: Sequence[float], *, size: int = 1, unit: str | None = None) ->
     UsageError
         If there are no signs.
     """
-
-    def signed_sum(u: Matrix) -> Matrix:
-        total = np.zeros((len(u), size))
-        for i, sign in enumerate(signs):
-            begin = i * size
-            end = begin + size
-            total += sign * u[:, begin:end]
-        return total
-
     if not signs:
         raise UsageError("sum: found no signs, needed one for each input, like [1, -1]")
     names = [f"u{i}" for i in range(1, len(signs) + 1)]
     inputs = [Signal(name, size, unit) for name in names]
     interface = _with_feedthrough(inputs, size, unit)
-    return Static(interface, signed_sum)
+    return CompiledStatic(interface, sum_step(signs, size))
 
 
-def gain(K: Matrix, *, unit: str | None = None) -> Static:
+def gain(K: Matrix, *, unit: str | None = None) -> CompiledStatic:
     """Build ``y = K u`` for K of shape (n_y, n_u); the sum runs in a fixed order."""
-
-    def product(u: Matrix) -> Matrix:
-        total = np.zeros((len(u), len(K)))
-        for j, column in enumerate(K.T):
-            total += u[:, j : j + 1] * column
-        return total
-
     n_y, n_u = K.shape
     u = Signal("u", n_u)
     interface = _with_feedthrough([u], n_y, unit)
-    return Static(interface, product)
+    return CompiledStatic(interface, gain_step(K))
 
 
-def limit(*, lower: float, upper: float, size: int = 1, unit: str | None = None) -> Static:
+def limit(*, lower: float, upper: float, size: int = 1, unit: str | None = None) -> CompiledStatic:
     """Build ``y = min(max(u, lower), upper)``.
 
     Raises
@@ -69,18 +52,14 @@ def limit(*, lower: float, upper: float, size: int = 1, unit: str | None = None)
     """
     if not lower < upper:
         raise UsageError(f"limit: found lower = {lower} and upper = {upper}, needed lower < upper")
-
-    def clipped(u: Matrix) -> Matrix:
-        return np.clip(u, lower, upper)
-
     u = Signal("u", size, unit)
     interface = _with_feedthrough([u], size, unit)
-    return Static(interface, clipped)
+    return CompiledStatic(interface, limit_step(lower, upper, size))
 
 
 def switch(
     *, threshold: float = 0.5, size: int = 1, discrete: bool = False, unit: str | None = None
-) -> Static:
+) -> CompiledStatic:
     """Build ``y = u1`` where ``control >= threshold``, else ``y = u2``.
 
     Parameters
@@ -94,14 +73,8 @@ def switch(
     unit : str, optional
         The unit of y, u1 and u2.
     """
-
-    def chosen(u: Matrix) -> Matrix:
-        first = u[:, :size]
-        second = u[:, size:-1]
-        control = u[:, -1:]
-        return np.where(control >= threshold, first, second)
-
     inputs = (Signal("u1", size, unit), Signal("u2", size, unit), Signal("control"))
     names = tuple(signal.name for signal in inputs)
     y = Signal("y", size, unit, "discrete" if discrete else "inherited")
-    return Static(Interface(inputs, (y,), {"y": names}), chosen)
+    interface = Interface(inputs, (y,), {"y": names})
+    return CompiledStatic(interface, switch_step(threshold, size))

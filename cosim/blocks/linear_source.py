@@ -3,34 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-
-import numpy as np
 
 from cosim.arrays import Matrix, Vector
 from cosim.core.signals import Interface, Signal
 from cosim.native.expression import Program
-from cosim.native.step import evaluate_at, response
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class LinearResponse:
-    """A term factor(t) c' expm(G t) beta of one element of a signal.
-
-    Parameters
-    ----------
-    factor : Program
-    G : Matrix, shape (v, v)
-        [1/s]
-    c, beta : Vector, shape (v,)
-    element : int
-    """
-
-    factor: Program
-    G: Matrix
-    c: Vector
-    beta: Vector
-    element: int
+from cosim.native.functions import LinearResponse, linear_source_step
+from cosim.native.step import NativeStep
 
 
 class LinearSource:
@@ -54,10 +32,9 @@ class LinearSource:
         *,
         unit: str | None = None,
     ) -> None:
-        self._programs = tuple(programs)
-        self._responses = tuple(responses)
-        self._factors = tuple(term.factor for term in responses)
-        self.interface = Interface(outputs=(Signal("y", len(programs), unit),), rollback=True)
+        self._step = linear_source_step(programs, responses)
+        y = Signal("y", len(programs), unit)
+        self.interface = Interface(outputs=(y,), rollback=True, native=True)
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Return y(t)."""
@@ -65,12 +42,13 @@ class LinearSource:
 
     def outputs(self, t: float, u: Vector) -> Vector:
         """Return y(t)."""
-        y: Vector = self._at(np.array([t]))[0]
+        y = self._step.outputs_at(t, u)
+        assert y is not None
         return y
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Return y at ``t[1:]``."""
-        return self._at(t[1:])
+        return self._step.advance(t, h, u)
 
     def save(self) -> None:
         """Copy nothing: there is no state."""
@@ -78,9 +56,6 @@ class LinearSource:
     def restore(self, state: None) -> None:
         """Do nothing: there is no state."""
 
-    def _at(self, t: Vector) -> Matrix:
-        y = evaluate_at(self._programs, t)
-        factors = evaluate_at(self._factors, t)
-        for k, term in enumerate(self._responses):
-            y[:, term.element] += factors[:, k] * response(term.G, term.c, term.beta, t)
-        return y
+    def native(self) -> NativeStep:
+        """Return the compiled step."""
+        return self._step

@@ -10,20 +10,17 @@ with ``w = (u - u[i])/(u[i+1] - u[i])``: exactly the value of the grid at its po
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector, frozen
-from cosim.blocks.static import Static
+from cosim.blocks.static import CompiledStatic
 from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
+from cosim.native.functions import Extrapolation, look_up_step
 
-Extrapolation = Literal["error", "hold", "linear"]
 
-
-class LookUpTable(Static):
+class LookUpTable(CompiledStatic):
     """``y = f(u)`` or ``y = f(u1, u2)``, interpolated linearly.
 
     Parameters
@@ -59,19 +56,9 @@ class LookUpTable(Static):
         self.extrapolation = extrapolation
         inputs = tuple(Signal(name) for name in self.names)
         y = Signal("y", 1, unit, "inherited")
-        super().__init__(Interface(inputs, (y,), {"y": self.names}), self._at, self._first_outside)
-
-    def _first_outside(self, u: Matrix) -> tuple[int, str] | None:
-        """Return the first row that is outside of the grid, where that is an error."""
-        if self.extrapolation != "error":
-            return None
-        outside = np.zeros(len(u), np.bool_)
-        for column, points in zip(u.T, self.grid, strict=True):
-            outside |= (column < points[0]) | (column > points[-1])
-        if not outside.any():
-            return None
-        first = int(outside.argmax())
-        return first, self._beyond(u[first])
+        interface = Interface(inputs, (y,), {"y": self.names})
+        step = look_up_step(self.grid, self.values, extrapolation)
+        super().__init__(interface, step, self._beyond)
 
     def _beyond(self, u: Vector) -> str:
         covered = []
@@ -83,35 +70,6 @@ class LookUpTable(Static):
             f"look-up table: covers {', '.join(covered)}; "
             'extrapolation = "hold" or "linear" goes beyond'
         )
-
-    def _at(self, u: Matrix) -> Matrix:
-        """Return y, shape (K, 1), for inputs of shape (K, n_u)."""
-        first, weight = self._cell(u[:, 0], self.grid[0])
-        if len(self.grid) == 1:
-            below = self.values[first]
-            above = self.values[first + 1]
-        else:
-            second, second_weight = self._cell(u[:, 1], self.grid[1])
-            below = self._between(first, second, second_weight)
-            above = self._between(first + 1, second, second_weight)
-        y: Vector = (1.0 - weight) * below + weight * above
-        return y[:, np.newaxis]
-
-    def _between(self, row: NDArray[np.int64], column: NDArray[np.int64], weight: Vector) -> Vector:
-        """Interpolate along the second input."""
-        below = self.values[row, column]
-        above = self.values[row, column + 1]
-        between: Vector = (1.0 - weight) * below + weight * above
-        return between
-
-    def _cell(self, u: Vector, points: Vector) -> tuple[NDArray[np.int64], Vector]:
-        """Return the cell of each value, and where in it the value is, from 0 to 1."""
-        if self.extrapolation == "hold":
-            u = np.clip(u, points[0], points[-1])
-        last = len(points) - 2
-        cell = np.clip(np.searchsorted(points, u, side="right") - 1, 0, last)
-        width = points[cell + 1] - points[cell]
-        return cell, (u - points[cell]) / width
 
 
 def _check(names: Sequence[str], grid: Sequence[Vector], values: Matrix) -> None:

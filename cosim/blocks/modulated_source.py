@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 
 from cosim.arrays import Matrix, Vector
-from cosim.core.contracts import Component
+from cosim.core.contracts import Component, Native
 from cosim.core.signals import Interface, Signal
+from cosim.native.functions import modulated_step
+from cosim.native.step import NativeStep
 
 
 class Modulation(NamedTuple):
@@ -47,7 +49,8 @@ class ModulatedSource:
         self._n_y = outputs.size - len(products)
         y = Signal("y", self._n_y, unit)
         fed = tuple(signal.name for signal in inputs)
-        self.interface = Interface(inputs, (y,), {"y": fed}, rollback=True)
+        is_native = source.interface.native
+        self.interface = Interface(inputs, (y,), {"y": fed}, rollback=True, native=is_native)
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Return y(t)."""
@@ -69,6 +72,15 @@ class ModulatedSource:
 
     def restore(self, state: None) -> None:
         """Do nothing: there is no state."""
+
+    def native(self) -> NativeStep | None:
+        """Return the compiled step, if the source has one."""
+        source = cast(Native, self._source).native()
+        if source is None:
+            return None
+        elements = [product.output for product in self._products]
+        alphas = [product.alpha for product in self._products]
+        return modulated_step(source, elements, alphas)
 
     def _multiplied(self, values: Matrix, alpha: Matrix) -> Matrix:
         y = values[:, : self._n_y].copy()

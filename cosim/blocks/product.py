@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from cosim.arrays import Matrix
-from cosim.blocks.static import Static
+from cosim.arrays import Vector
+from cosim.blocks.static import CompiledStatic
 from cosim.core.signals import Interface, Signal, element_names
 from cosim.errors import UsageError
+from cosim.native.functions import product_step
 
 
-class Product(Static):
+class Product(CompiledStatic):
     """``y = u1 u2 ...``, or divided by some of them, element by element.
 
     Not defined where an input to divide by is 0.
@@ -40,27 +41,14 @@ class Product(Static):
         names = tuple(f"u{i}" for i in range(1, len(operations) + 1))
         inputs = tuple(Signal(name, size) for name in names)
         y = Signal("y", size, unit, "inherited")
-        self._size = size
-        super().__init__(Interface(inputs, (y,), {"y": names}), self._at, self._first_zero)
+        divides = [operation == "/" for operation in operations]
+        self._divisors = np.repeat(divides, size)
+        interface = Interface(inputs, (y,), {"y": names})
+        super().__init__(interface, product_step(divides, size), self._zero)
 
-    def _at(self, u: Matrix) -> Matrix:
-        """Return y, shape (K, size), for inputs of shape (K, n_u)."""
-        y = np.ones((len(u), self._size))
-        # a result beyond all numbers is named by the master, as with every component
-        with np.errstate(over="ignore", invalid="ignore"):
-            for i, operation in enumerate(self.operations):
-                factor = u[:, i * self._size : (i + 1) * self._size]
-                y = y * factor if operation == "*" else y / factor
-        return y
-
-    def _first_zero(self, u: Matrix) -> tuple[int, str] | None:
-        """Return the first row with an input that is 0 and to divide by."""
-        divides = [operation == "/" for operation in self.operations]
-        zeros = np.repeat(divides, self._size) & (u == 0.0)
-        refused = zeros.any(axis=1)
-        if not refused.any():
-            return None
-        first = int(refused.argmax())
+    def _zero(self, u: Vector) -> str:
+        """Name the first input that is 0 and to divide by."""
+        zeros = self._divisors & (u == 0.0)
         elements = element_names(self.interface.inputs)
-        name = elements[int(zeros[first].argmax())]
-        return first, f"product: {name} is 0, and y is divided by it; needed another value"
+        name = elements[int(zeros.argmax())]
+        return f"product: {name} is 0, and y is divided by it; needed another value"

@@ -11,6 +11,8 @@ from cosim.core.contracts import Design, Recording, Stopped
 from cosim.core.recorded import find_channel
 from cosim.core.signals import Interface, Signal
 from cosim.errors import GraphError, LogError
+from cosim.native.functions import recorded_step
+from cosim.native.step import NativeStep
 
 
 class Replay:
@@ -50,10 +52,11 @@ class Replay:
         if inputs:
             signals = tuple(_shown(recording, component, signal) for signal in recorded.inputs)
             shown = replace(recorded, inputs=signals)
-        self.interface = replace(shown, prepares=True, rollback=True, native=False)
+        self.interface = replace(shown, prepares=True, rollback=True, native=True)
         blocks = [rows[:, recorded.n_u :] for _, rows in recording.blocks(component)]
         self._rows = blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
         self._time = time_ns / 1e9
+        self._step = recorded_step(self._time, self._rows)
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Pass the recorded design on, so that a replay's log is as complete as the run's."""
@@ -97,6 +100,10 @@ class Replay:
 
     def restore(self, state: None) -> None:
         """Do nothing: there is no state."""
+
+    def native(self) -> NativeStep:
+        """Return the compiled step."""
+        return self._step
 
     def _index(self, t: Vector) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
         index = np.searchsorted(self._time, t, side="right") - 1

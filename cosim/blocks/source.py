@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,10 @@ from cosim.core.contracts import Stopped
 from cosim.core.signals import Interface, Signal, SignalType, Variability
 from cosim.errors import UsageError
 from cosim.native.expression import compile_expression
+from cosim.native.functions import drawn_step, table_step
 from cosim.native.step import WORDS_PER_NORMAL, NativeStep, evaluate, expression_step, normal
+
+_DRAWN_AHEAD: Final = 4096  # numbers that are drawn at once: a call for each value is slow
 
 
 class Expression:
@@ -166,12 +169,13 @@ class Table:
         self.y = frozen(y, 2)
         self.hold = hold
         self.extrapolate = extrapolate
-        self._slopes = np.zeros_like(self.y)
+        slopes = np.zeros_like(self.y)
         if not hold:
-            self._slopes[:-1] = _slopes(self.t, self.y)
+            slopes[:-1] = _slopes(self.t, self.y)
+        self._step = table_step(self.t, self.y, slopes, hold=hold, extrapolate=extrapolate)
         size = y.shape[1]
         signal = Signal("y", size, unit, "discrete" if hold else "continuous")
-        self.interface = Interface(outputs=(signal,), rollback=True)
+        self.interface = Interface(outputs=(signal,), rollback=True, native=True)
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Return y(t)."""
@@ -185,10 +189,9 @@ class Table:
         UsageError
             If ``t`` is outside the table.
         """
-        if not (self.extrapolate or self.t[0] <= t <= self.t[-1]):
+        y = self._step.outputs_at(t, u)
+        if y is None:
             raise UsageError(self._beyond(t))
-        rows = self._at(np.array([t]))
-        y: Vector = rows[0]
         return y
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
@@ -199,13 +202,9 @@ class Table:
         Stopped
             Where the table ends; with the rows before it.
         """
-        times = t[1:]
-        covered = times <= (np.inf if self.extrapolate else self.t[-1])
-        y = self._at(times[covered])
-        completed = len(y)
-        if completed < len(times):
-            first_beyond = float(times[completed])
-            raise Stopped(y, self._beyond(first_beyond))
+        y = self._step.advance(t, h, u)
+        if self._step.status:
+            raise Stopped(y, self._beyond(float(t[len(y) + 1])))
         return y
 
     def save(self) -> None:
@@ -214,19 +213,14 @@ class Table:
     def restore(self, state: None) -> None:
         """Do nothing: there is no state."""
 
+    def native(self) -> NativeStep:
+        """Return the compiled step."""
+        return self._step
+
     def _beyond(self, t: float) -> str:
         begin = self.t[0]
         end = self.t[-1]
         return f"table: covers {begin} s to {end} s, was asked for {t} s"
-
-    def _at(self, t: Vector) -> Matrix:
-        index = np.maximum(np.searchsorted(self.t, t, side="right") - 1, 0)
-        if self.hold:
-            return self.y[index]
-        t = np.clip(t, self.t[0], self.t[-1])
-        # np.interp is one loop in C, where compilers may fuse the product and the sum
-        elapsed = (t - self.t[index])[:, np.newaxis]
-        return self.y[index] + self._slopes[index] * elapsed
 
 
 def _slopes(t: Vector, y: Matrix) -> Matrix:
@@ -281,9 +275,9 @@ def check_points(t: Vector, y: Matrix, *, hold: bool) -> None:
 
 
 class NoiseState(NamedTuple):
-    """The last value, and the state of the generator."""
+    """Which of the rows that were drawn is next, and the state of the generator before them."""
 
-    last: Vector
+    next: int
     generator: Any
 
 
@@ -307,37 +301,62 @@ class Noise:
         self.seed = seed
         self.size = size
         y = Signal("y", size, unit, "discrete")
-        self.interface = Interface(outputs=(y,), rollback=True)
-        self._last = np.zeros(size)
+        self.interface = Interface(outputs=(y,), rollback=True, native=True)
+        self._rows = np.zeros((max(1, _DRAWN_AHEAD // size), size))
+        self._step = drawn_step(self._rows)
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Initialize the sequence from its seed."""
         self._bits = np.random.PCG64(self.seed)
-        self._last = self._draw(1)[0]
-        return self._last.copy()
+        self._draw()
+        self._next = 1
+        return self.outputs(t, u)
 
     def outputs(self, t: float, u: Vector) -> Vector:
         """Return the last value."""
-        return self._last.copy()
+        y: Vector = self._rows[self._next - 1].copy()
+        return y
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
-        """Draw K values."""
-        values = self._draw(len(t) - 1)
-        if len(values):
-            self._last = values[-1].copy()
+        """Return the next K values; draw more where those that were drawn are used up."""
+        values = np.empty((len(t) - 1, self.size))
+        completed = 0
+        while completed < len(values):
+            if self._next == len(self._rows):
+                self._draw()
+                self._next = 0
+            rows = self._rows[self._next :][: len(values) - completed]
+            values[completed : completed + len(rows)] = rows
+            completed += len(rows)
+            self._next += len(rows)
         return values
 
     def save(self) -> NoiseState:
-        """Copy the last value, and where the generator is."""
-        return NoiseState(self._last.copy(), self._bits.state)
+        """Return which of the rows that were drawn is next, and the generator before them."""
+        return NoiseState(self._next, self._before)
 
     def restore(self, state: NoiseState) -> None:
         """Go back to a saved state."""
-        self._last = state.last.copy()
-        self._bits.state = state.generator
+        if state.generator != self._before:
+            self._bits.state = state.generator
+            self._draw()
+        self._next = state.next
 
-    def _draw(self, count: int) -> Matrix:
-        total = count * self.size
-        words: NDArray[np.uint64] = self._bits.random_raw(WORDS_PER_NORMAL * total)
-        values: Matrix = normal(words).reshape(count, self.size)
-        return self.deviation * values
+    def native(self) -> NativeStep:
+        """Return the compiled step: it takes what was drawn."""
+        return self._step
+
+    @property
+    def _next(self) -> int:
+        """The number of the next row of those that were drawn."""
+        return int(self._step.memory[0])
+
+    @_next.setter
+    def _next(self, row: int) -> None:
+        self._step.memory[0] = row
+
+    def _draw(self) -> None:
+        """Draw all rows anew."""
+        self._before = self._bits.state
+        words: NDArray[np.uint64] = self._bits.random_raw(WORDS_PER_NORMAL * self._rows.size)
+        self._rows[:] = self.deviation * normal(words).reshape(self._rows.shape)

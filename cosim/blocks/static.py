@@ -11,10 +11,72 @@ from cosim.arrays import Matrix, Vector
 from cosim.core.contracts import Stopped
 from cosim.core.signals import Interface
 from cosim.errors import RunError
+from cosim.native.step import NativeStep
+
+
+class CompiledStatic:
+    """``y = g(u)`` at every instant, by a compiled function.
+
+    Parameters
+    ----------
+    interface : Interface
+        Every output feeds through from every input.
+    step : NativeStep
+        Of a component without memory; it declines where the function is not defined.
+    reason : callable
+        From inputs, shape (n_u,), that it declines, to the reason.
+    """
+
+    def __init__(
+        self, interface: Interface, step: NativeStep, reason: Callable[[Vector], str] = str
+    ) -> None:
+        self.interface = replace(interface, rollback=True, native=True)
+        self._step = step
+        self._reason = reason
+
+    def initialize(self, t: float, u: Vector) -> Vector:
+        """Return y(t)."""
+        return self.outputs(t, u)
+
+    def outputs(self, t: float, u: Vector) -> Vector:
+        """Return y(t).
+
+        Raises
+        ------
+        RunError
+            Where the function is not defined.
+        """
+        y = self._step.outputs_at(t, u)
+        if y is None:
+            raise RunError(self._reason(u))
+        return y
+
+    def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
+        """Return y at ``t[1:]``.
+
+        Raises
+        ------
+        Stopped
+            Where the function is not defined; with the rows before it.
+        """
+        y = self._step.advance(t, h, u)
+        if self._step.status:
+            raise Stopped(y, self._reason(u[len(y) + 1]))
+        return y
+
+    def native(self) -> NativeStep:
+        """Return the compiled step."""
+        return self._step
+
+    def save(self) -> None:
+        """Copy nothing: there is no state."""
+
+    def restore(self, state: None) -> None:
+        """Do nothing: there is no state."""
 
 
 class Static:
-    """``y = g(u)`` at every instant.
+    """``y = g(u)`` at every instant, by a function in Python.
 
     Parameters
     ----------

@@ -24,6 +24,8 @@ SOURCES = (
     "augmented_kalman.c",
     "loops.c",
     "stage.c",
+    "static.c",
+    "functions.c",
     "refresh.c",
     "wrapping.c",
     "linear.c",

@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 
 from cosim.arrays import NAN
-from cosim.blocks.arithmetic import Static, gain, limit, sum_of, switch
+from cosim.blocks.arithmetic import gain, limit, sum_of, switch
 from cosim.blocks.averages import Windowed
 from cosim.blocks.dynamics import Delay, integrator, lag
 from cosim.blocks.identifier import LeastSquaresIdentifier
 from cosim.blocks.limited_integrator import LimitedIntegrator
+from cosim.blocks.linear_source import LinearSource
 from cosim.blocks.look_up import LookUpTable
 from cosim.blocks.measurement import SensorParameters
+from cosim.blocks.modulated_source import ModulatedSource, Modulation
 from cosim.blocks.observer import averaged_observer, consistent_observer, observer_model
 from cosim.blocks.pid import Pid, PidParameters
 from cosim.blocks.plant import descriptor_model
@@ -23,6 +25,7 @@ from cosim.blocks.sampled import Decimated, Sampled
 from cosim.blocks.sensor import Sensor
 from cosim.blocks.source import Expression, Noise, Table, chirp, constant, ramp, sine, step
 from cosim.blocks.state_space import DiscreteStateSpace, controller, system_matrices
+from cosim.blocks.static import Static
 from cosim.blocks.transfer import transfer_function
 from cosim.core.clock import Clock
 from cosim.core.graph import Graph
@@ -31,6 +34,7 @@ from cosim.core.master import run
 from cosim.core.recorders import Memory
 from cosim.core.signals import Interface, Signal
 from cosim.native.expression import compile_expression
+from cosim.native.functions import LinearResponse
 from cosim.native.step import delay_step
 from cosim.testing import check_component, check_rollback
 from cosim.theory.disturbances.families import Exponential, group_by_alpha
@@ -119,6 +123,18 @@ def discrete():
     )
 
 
+def linear_source():
+    """Return a source of three elements, the response of a damped oscillation in two of them."""
+    program = compile_expression("1 + t")
+    G = np.array([[0.0, 1.0], [-9e4, -20.0]])
+    terms = [
+        LinearResponse(factor=program, G=G, c=np.eye(2)[i], beta=np.ones(2), element=2 * i)
+        for i in range(2)
+    ]
+    texts = ["sin(300*t)", "t", "0"]
+    return LinearSource([compile_expression(text) for text in texts], terms)
+
+
 def limited_pid(**more):
     """Return a PID controller whose output is at its limits much of the time."""
     times = {"integral_time": 0.01, "derivative_time": 0.005, "lower": -1.0, "upper": 0.5}
@@ -163,10 +179,17 @@ COMPONENTS = {
     "table": lambda: Table(
         np.linspace(0.0, 0.03, 12), np.random.default_rng(1).standard_normal((12, 2))
     ),
+    "extrapolated table": lambda: Table(
+        np.array([-0.002, 0.011]), np.array([[1.0], [-0.3]]), extrapolate=True
+    ),
     "held table": lambda: Table(
         np.linspace(0.0, 0.03, 12), np.random.default_rng(1).standard_normal((12, 2)), hold=True
     ),
     "noise": lambda: Noise(deviation=2.0, seed=3, size=2),
+    "linear source": linear_source,
+    "modulated source": lambda: ModulatedSource(
+        linear_source(), [Modulation(0, 1), Modulation(0, 0)], (Signal("alpha", 2),)
+    ),
     "sum": lambda: sum_of([1.0, -2.0, 0.5], size=2),
     "gain": lambda: gain(np.array([[1.0, 2.0], [0.0, -1.0], [3.0, 0.5]])),
     "limit": lambda: limit(lower=-0.5, upper=0.7, size=2),
@@ -485,6 +508,8 @@ class Compiled(Delay):
     def native(self):
         if self.fault == "other bits":
             return delay_step(2, 1)
+        if self.fault == "always declines":
+            return LookUpTable([np.array([8.0, 9.0])], np.zeros(2)).native()
         own = delay_step(3, 1)
         own.memory[:] = self._step.memory
         return own
@@ -494,6 +519,7 @@ class Compiled(Delay):
     ("fault", "law"),
     [
         ("other bits", "the compiled step: has the bits of advance: 'y' at t = 0.0 s: found"),
+        ("always declines", "the compiled step: it declined all of 30 steps"),
         ("state of its own", "the compiled step: restore goes back to the outputs at save: 'y' at"),
     ],
 )

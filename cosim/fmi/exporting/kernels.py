@@ -298,7 +298,7 @@ def limit(lower: float, upper: float) -> Kernel:
     """Write a limit; it has no memory."""
     bounds = f"const double kernel_lower = {lower.hex()}, kernel_upper = {upper.hex()};"
     equations = f"y = u, at least {lower} and at most {upper}."
-    return Kernel("limit.c", (), 0, (bounds,), equations, affine=False)
+    return Kernel("limit.c", ("static.c",), 0, (bounds,), equations, affine=False)
 
 
 def product(operations: str) -> Kernel:
@@ -308,14 +308,14 @@ def product(operations: str) -> Kernel:
     lines = (integer("kernel_count", count), integers("kernel_divides", divides))
     factors = " ".join(f"{operation} u{i}" for i, operation in enumerate(operations, 1))
     equations = f"y = 1 {factors}, element by element."
-    return Kernel("product.c", (), 0, lines, equations, affine=False)
+    return Kernel("product.c", ("static.c",), 0, lines, equations, affine=False)
 
 
 def switch(threshold: float) -> Kernel:
     """Write a switch; it has no memory."""
     lines = (f"const double kernel_threshold = {threshold.hex()};",)
     equations = f"y = u1 where control >= {threshold}, else y = u2."
-    return Kernel("switch.c", (), 0, lines, equations, affine=False)
+    return Kernel("switch.c", ("static.c",), 0, lines, equations, affine=False)
 
 
 def integrator(width: int, lower: float, upper: float, initial: float) -> Kernel:

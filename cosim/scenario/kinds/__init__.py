@@ -12,7 +12,7 @@ package, and add it to ``KINDS`` below. A dead zone, for example::
     from pydantic import Field
 
     from cosim.arrays import Matrix
-    from cosim.blocks.arithmetic import Static
+    from cosim.blocks.static import Static
     from cosim.core.contracts import Component
     from cosim.core.signals import Interface, Signal
     from cosim.errors import UsageError

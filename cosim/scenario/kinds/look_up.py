@@ -9,9 +9,10 @@ import numpy as np
 from pydantic import Field
 
 from cosim.arrays import Matrix, Vector
-from cosim.blocks.look_up import Extrapolation, LookUpTable
+from cosim.blocks.look_up import LookUpTable
 from cosim.core.contracts import Component
 from cosim.errors import UsageError
+from cosim.native.functions import Extrapolation
 from cosim.scenario.csv_file import read_csv
 from cosim.scenario.kinds.base import BuildContext, Kind
 from cosim.scenario.schema import NumberRow, NumberRows, matrix

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from cosim.arrays import Matrix, Vector
 from cosim.blocks import source
-from cosim.blocks.linear_source import LinearResponse, LinearSource
+from cosim.blocks.linear_source import LinearSource
 from cosim.blocks.modulated_source import ModulatedSource, Modulation
 from cosim.blocks.regressor import alpha_signals
 from cosim.core.connections import Connection
@@ -21,6 +21,7 @@ from cosim.core.signals import SignalType, Variability
 from cosim.errors import UsageError
 from cosim.native.alphas import Alpha, AlphaSignal
 from cosim.native.expression import FUNCTIONS, compile_expression
+from cosim.native.functions import LinearResponse
 from cosim.scenario.kinds.alphas import ALPHA, alpha_connections, alphas_of, naming
 from cosim.scenario.kinds.base import BuildContext, ImpliedConnection, Kind
 from cosim.scenario.kinds.jumps import (

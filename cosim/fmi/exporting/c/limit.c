@@ -1,4 +1,4 @@
-/* y = u within two limits. */
+/* y = u within two limits (cosim_limit). */
 #include "discrete.h"
 
 extern const double kernel_lower, kernel_upper;
@@ -11,13 +11,7 @@ void kernel_initialize(double *memory, double t, const double *u, double *last)
 void kernel_outputs(double *memory, double t, const double *u, const double *last, double *y)
 {
     (void)memory, (void)t, (void)last;
-    for (int32_t k = 0; k < model_p; ++k) {
-        y[k] = u[k];
-        if (u[k] < kernel_lower)
-            y[k] = kernel_lower;
-        else if (u[k] > kernel_upper)
-            y[k] = kernel_upper;
-    }
+    cosim_limit(model_p, kernel_lower, kernel_upper, u, y);
 }
 
 const char *kernel_step(double *memory, double t0, double t1, double h, const double *u0,

@@ -1,4 +1,4 @@
-/* One of two inputs, by a third: u1, u2 (model_p elements each), control. */
+/* One of two inputs, by a third: u1, u2 (model_p elements each), control (cosim_switch). */
 #include "discrete.h"
 
 extern const double kernel_threshold;
@@ -17,8 +17,7 @@ void kernel_initialize(double *memory, double t, const double *u, double *last)
 void kernel_outputs(double *memory, double t, const double *u, const double *last, double *y)
 {
     (void)memory, (void)t, (void)last;
-    for (int32_t k = 0; k < model_p; ++k)
-        y[k] = u[chosen(u) + k];
+    cosim_switch(model_p, kernel_threshold, u, y);
 }
 
 const char *kernel_step(double *memory, double t0, double t1, double h, const double *u0,

@@ -1,0 +1,108 @@
+"""Where a compiled step declines, the component does what it does without it."""
+
+import numpy as np
+import pytest
+
+from cosim.blocks.arithmetic import gain
+from cosim.blocks.look_up import LookUpTable
+from cosim.blocks.product import Product
+from cosim.blocks.replay import Replay
+from cosim.blocks.source import Expression, Noise, Table, ramp
+from cosim.core.clock import Clock
+from cosim.core.contracts import Stopped
+from cosim.core.graph import Graph
+from cosim.core.master import run
+from cosim.core.recorders import Memory
+from cosim.errors import RunError
+from tests.blocks.test_contract import H, identifier
+
+
+def recorded(stop):
+    memory = Memory()
+    run(Graph({"u": ramp(slope=1.0)}, {}), Clock(stop, H), memory)
+    return memory
+
+
+# a component, what drives its inputs, and why it stops
+STOPS = {
+    "product": (
+        lambda: Product("*/"),
+        {"u1": "t", "u2": "t - 15*0.001"},
+        r"u2 is 0, and y is divided",
+    ),
+    "look-up table": (
+        lambda: LookUpTable([np.array([-1.0, 0.0131])], np.array([0.0, 1.0])),
+        {"u": "t"},
+        r"look-up table: covers u from -1.0 to 0.0131 \(found 0.014\)",
+    ),
+    "table": (
+        lambda: Table(np.array([0.0, 0.015]), np.array([[1.0], [2.0]])),
+        {},
+        r"table: covers 0.0 s to 0.015 s, was asked for 0.016 s",
+    ),
+    "replay": (
+        lambda: Replay(recorded(0.02), "u"),
+        {},
+        r"the recording ends at 0.02 s",
+    ),
+}
+
+
+def graph_of(make, texts, *, native):
+    """Return a graph of a component, behind sources of its inputs."""
+    sources = {f"source_{name}": Expression([text]) for name, text in texts.items()}
+    connections = {f"part.{name}": f"source_{name}.y" for name in texts}
+    return Graph({**sources, "part": make()}, connections, native=native)
+
+
+@pytest.mark.parametrize("steps", [1, 7, 100])
+@pytest.mark.parametrize("name", STOPS)
+def test_a_step_that_is_declined_ends_as_it_does_in_python(name, steps):
+    """The same message, and the same rows before it."""
+    make, texts, message = STOPS[name]
+    ends = []
+    for native in (False, True):
+        memory = Memory()
+        with pytest.raises(RunError, match=message) as error:
+            run(graph_of(make, texts, native=native), Clock(0.03, H, steps), memory)
+        ends.append((str(error.value), memory["part.y"].tobytes(), memory.status))
+    assert ends[0] == ends[1]
+
+
+def test_an_identifier_without_a_value_stops_as_it_does_in_python():
+    """The kernel declines the sample, and the component says why."""
+    u = np.full((11, 4), np.nan)
+    messages = []
+    for native in (False, True):
+        component = identifier()
+        component.prepare(H, np.zeros(4, np.bool_), {})
+        component.initialize(0.0, u[0])
+        t = np.arange(11) * 1_000_000 / 1e9
+        first = 0
+        if native:
+            step = component.native()
+            first = len(step.advance(t, H, u))
+        with pytest.raises(Stopped) as stop:
+            component.advance(t[first:], H, u[first:])
+        messages.append((str(stop.value), first + stop.value.steps))
+    assert messages[0] == messages[1]
+
+
+@pytest.mark.parametrize("steps", [1, 1000, 9000])
+def test_noise_goes_on_where_all_that_was_drawn_is_used_up(steps):
+    """Its numbers depend neither on the blocks, nor on how many are drawn at once."""
+    rows = []
+    for native in (False, True):
+        memory = Memory()
+        graph = Graph(
+            {"noise": Noise(deviation=2.0, seed=5, size=3), "gain": gain(np.ones((1, 3)))},
+            {"gain.u": "noise.y"},
+            native=native,
+        )
+        run(graph, Clock(9.0, H, steps), memory)
+        rows.append((memory["noise.y"].tobytes(), memory["gain.y"].tobytes()))
+    one = Noise(deviation=2.0, seed=5, size=3)
+    first = one.initialize(0.0, np.zeros(0))
+    whole = np.vstack([first, one.advance(np.zeros(9001), H, np.zeros((9001, 0)))])
+    assert rows[0] == rows[1]
+    assert rows[0][0] == whole.tobytes()
