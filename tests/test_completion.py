@@ -67,6 +67,17 @@ def test_components_parameters_and_ports_are_those_of_the_scenario(complete):
     ]
 
 
+def test_completing_imports_no_class_of_a_user(complete, tmp_path):
+    """Not even where a scenario has problems, of which a run would tell all."""
+    (tmp_path / "own.py").write_text("open('imported', 'w').close()\n")
+    text = '[scenario]\nname = "x"\nstop = 1.0\nstep = 0.1\n[components.own]\nkind = "python"\n'
+    (tmp_path / "x.toml").write_text(text + 'class = "own:Own"\n')
+    assert complete("cosim run x.toml --set own.") == ["own.class=", "own.unit="]
+    (tmp_path / "x.toml").write_text(text + 'class = "own:Own"\n[components.b]\nkind = "no"\n')
+    assert complete("cosim run x.toml --set own.") == []
+    assert not (tmp_path / "imported").exists()
+
+
 def test_a_line_without_a_scenario_that_can_be_read_completes_nothing(complete):
     """Without a message, which would stand in the line."""
     for scenario in ("nonsense", "academic-mine.toml"):

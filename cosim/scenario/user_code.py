@@ -95,12 +95,19 @@ def class_name_parts(name: str) -> tuple[str, str]:
         If it is something else.
     """
     module, colon, class_name = name.partition(":")
-    parts = [*module.split("."), class_name]
-    if not colon or not all(part.isidentifier() for part in parts):
-        before, dot, after = name.rpartition(".")
-        meant = f"; did you mean {f'{before}:{after}'!r}?" if dot and not colon else ""
-        raise UsageError(f"found {quoted(name)}; needed 'package.module:Class'{meant}")
+    names = [*module.split("."), class_name]
+    if not colon or not all(map(str.isidentifier, names)):
+        raise UsageError(f"found {quoted(name)}; needed 'package.module:Class'{_meant(name)}")
     return module, class_name
+
+
+def _meant(name: str) -> str:
+    """Return what may be meant by ``package.module.Class``; empty: nobody knows."""
+    module, dot, class_name = name.rpartition(".")
+    if not dot or ":" in name:
+        return ""
+    corrected = f"{module}:{class_name}"
+    return f"; did you mean {corrected!r}?"
 
 
 def load_class(
