@@ -45,6 +45,18 @@ def test_blocks_do_not_change_a_bit(name, changes, tmp_path):
     assert len({log.content_hash() for log in logs}) == 1
 
 
+@pytest.mark.parametrize(
+    "changes", [SHORT, pytest.param({}, marks=pytest.mark.campaign)], ids=["short", "whole"]
+)
+@pytest.mark.parametrize("name", shipped())
+def test_compiled_stages_do_not_change_a_bit(name, changes, tmp_path, monkeypatch):
+    """A run in compiled code and one whose stages call components from Python give equal logs."""
+    compiled = cosim.run(name, out=tmp_path / "compiled.mcap", set=changes)
+    monkeypatch.setattr("cosim.core.master.advancing_stages", lambda graph: graph.stages)
+    called = cosim.run(name, out=tmp_path / "called.mcap", set=changes)
+    assert compiled.content_hash() == called.content_hash()
+
+
 MIXED = """
 [scenario]
 name = "mixed"
