@@ -11,6 +11,7 @@ from cosim.lazy import lazy_names
 
 if TYPE_CHECKING:
     from cosim.blocks.arithmetic import gain, limit, sum_of, switch
+    from cosim.blocks.compiled import CompiledFunction
     from cosim.blocks.dynamics import Delay, integrator, lag
     from cosim.blocks.identifier import LeastSquaresIdentifier
     from cosim.blocks.limited_integrator import LimitedIntegrator
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "chirp": "cosim.blocks.source",
+    "CompiledFunction": "cosim.blocks.compiled",
     "constant": "cosim.blocks.source",
     "controller": "cosim.blocks.state_space",
     "Decimated": "cosim.blocks.sampled",
@@ -78,6 +80,7 @@ _HOMES = {
 }
 
 __all__ = [
+    "CompiledFunction",
     "Decimated",
     "Delay",
     "DiscreteStateSpace",

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
         Design,
         MessageLevel,
         Model,
+        Native,
         Plan,
         Preparable,
         Recorder,
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
         check_design,
         prepare,
     )
+    from cosim.core.ensemble import EnsembleRows, run_members
     from cosim.core.graph import Graph
     from cosim.core.linear import Linear, LinearModel
     from cosim.core.master import run, simulate
@@ -42,6 +44,7 @@ _HOMES = {
     "Design": "cosim.core.contracts",
     "end_of_run": "cosim.core.recorders",
     "EndOfRun": "cosim.core.recorders",
+    "EnsembleRows": "cosim.core.ensemble",
     "Graph": "cosim.core.graph",
     "Interface": "cosim.core.signals",
     "Layout": "cosim.core.signals",
@@ -50,6 +53,7 @@ _HOMES = {
     "Memory": "cosim.core.recorders",
     "MessageLevel": "cosim.core.contracts",
     "Model": "cosim.core.contracts",
+    "Native": "cosim.core.contracts",
     "Nothing": "cosim.core.recorders",
     "Plan": "cosim.core.contracts",
     "Port": "cosim.core.port",
@@ -59,6 +63,7 @@ _HOMES = {
     "Recording": "cosim.core.contracts",
     "Rollback": "cosim.core.contracts",
     "run": "cosim.core.master",
+    "run_members": "cosim.core.ensemble",
     "RunMessage": "cosim.core.recorded",
     "Signal": "cosim.core.signals",
     "simulate": "cosim.core.master",
@@ -74,6 +79,7 @@ __all__ = [
     "Connection",
     "Design",
     "EndOfRun",
+    "EnsembleRows",
     "Graph",
     "Interface",
     "Layout",
@@ -82,6 +88,7 @@ __all__ = [
     "Memory",
     "MessageLevel",
     "Model",
+    "Native",
     "Nothing",
     "Plan",
     "Port",
@@ -97,6 +104,7 @@ __all__ = [
     "end_of_run",
     "prepare",
     "run",
+    "run_members",
     "simulate",
 ]
 

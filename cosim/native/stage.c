@@ -154,3 +154,19 @@ void cosim_accumulate(int64_t n_rows, int64_t width, const double *rows, double 
         }
     }
 }
+
+int32_t cosim_held_step(void *self, double t0, double t1, double h, const double *u0,
+                        const double *u1, double *y)
+{
+    const cosim_held *s = self;
+    for (int32_t i = 0; i < s->n_u; ++i)
+        s->u[i] = s->held[i] ? u0[i] : u1[i];
+    const int32_t status = s->step(s->self, t0, t1, h, u0, s->u, y);
+    return status == COSIM_OK ? s->outputs(s->self, t1, u1, y) : status;
+}
+
+int32_t cosim_held_outputs(void *self, double t, const double *u, double *y)
+{
+    const cosim_held *s = self;
+    return s->outputs(s->self, t, u, y);
+}

@@ -87,4 +87,18 @@ int64_t cosim_stage_run(cosim_stage *self, int64_t end, int32_t done);
 void cosim_accumulate(int64_t n_rows, int64_t width, const double *rows, double *counts,
                       double *sums, double *squares);
 
+/* A step whose function does not know of inputs with a zero-order hold: it gets their values at the
+ * start of the step at both ends, and the outputs are evaluated for those at the end. */
+typedef struct {
+    cosim_step step;
+    cosim_outputs outputs;
+    void *self;
+    int32_t n_u;
+    const uint8_t *held; /* (n_u) */
+    double *u;           /* (n_u) scratch */
+} cosim_held;
+int32_t cosim_held_step(void *self, double t0, double t1, double h, const double *u0,
+                        const double *u1, double *y);
+int32_t cosim_held_outputs(void *self, double t, const double *u, double *y);
+
 #endif

@@ -51,6 +51,16 @@ class OperationStruct(Structure):
     _fields_ = tuple((name, c_int32) for name in ("kind", "first", "count"))
 
 
+class HeldStruct(Structure):
+    """cosim_held."""
+
+    _fields_ = (
+        *((name, c_void_p) for name in ("step", "outputs", "self")),
+        ("n_u", c_int32),
+        *((name, c_void_p) for name in ("held", "u")),
+    )
+
+
 class StageStruct(Structure):
     """cosim_stage."""
 
