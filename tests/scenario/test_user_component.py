@@ -54,6 +54,16 @@ def test_a_class_runs_as_a_component_of_a_scenario(folder):
     assert set(np.unique(run["relay.y"])) == {0.0, 1.0}
 
 
+def test_the_size_of_a_block_changes_no_bit(folder, tmp_path):
+    """In a loop with compiled components, and in a cascade behind them."""
+    runs = [cosim.run("thermostat.toml", block=block) for block in (1, 7, 1000)]
+    own_module(tmp_path)
+    cascades = [cosim.run(one(tmp_path), block=block) for block in (1, 3, 1000)]
+    for first, *others in (runs, cascades):
+        for other in others:
+            assert cosim.diff(first, other).equal
+
+
 def test_the_log_names_class_and_source(folder):
     log = cosim.run("thermostat.toml", out="a.mcap")
     code = json.loads(log.metadata["cosim.component.relay"]["metadata"])["code"]
