@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from html import escape
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -246,6 +245,8 @@ class RecordedSignals(Mapping[str, NDArray[np.float64]]):
 
     def _repr_html_(self) -> str:
         """Return a table of the signals for notebooks."""
+        from html import escape  # only notebooks need it
+
         rows = []
         for component, channel in self.channels.items():
             for signal in channel.signals:

@@ -45,6 +45,7 @@ _LOG_TIME = slice(6, 14)  # of a message record's content
 _DATA = slice(22, None)
 _DOUBLE_BYTES = 8
 _MOST_AHEAD = 2**26  # bytes of rows that are read ahead, or that a block has
+_ALWAYS_AHEAD = 2**24  # bytes of rows that every pass reads: little beside what a pass costs
 _AHEAD_GROWTH = 64  # components that a pass reads ahead, in units of those of the one before
 _MOST_SORTED = 2**28  # bytes of rows that are sorted in memory to be hashed
 
@@ -429,8 +430,9 @@ class Log(RecordedSignals):
         """Return the rows of a component; read those behind it in the same pass.
 
         The first pass reads one component, the second 64, those behind it 4096, as far as they
-        fit: whoever asks for one component after another needs few passes, however many there
-        are, and whoever asks for one only reads no other.
+        fit, and each as many more as are small: whoever asks for one component after another needs
+        few passes, however many there are, and whoever asks for one only reads no other that would
+        take long.
         """
         if component not in self._ahead:
             names = list(self._channels)
@@ -438,9 +440,10 @@ class Log(RecordedSignals):
             others = [*names[first + 1 :], *names[:first]]
             batch = [component]
             size = self._row_bytes(component)
-            for name in others[: _AHEAD_GROWTH ** min(self._passes, 2) - 1]:
+            most_others = _AHEAD_GROWTH ** min(self._passes, 2) - 1
+            for number, name in enumerate(others):
                 size += self._row_bytes(name)
-                if size > _MOST_AHEAD:
+                if size > (_MOST_AHEAD if number < most_others else _ALWAYS_AHEAD):
                     break
                 batch.append(name)
             self._passes += 1

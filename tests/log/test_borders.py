@@ -140,8 +140,9 @@ def many(count):
     return Layout(tuple(channels))
 
 
-def test_many_components_need_few_passes(tmp_path, monkeypatch):
-    """The hash needs one; to ask for one component after another needs few."""
+@pytest.fixture
+def passes(monkeypatch):
+    """Return a list with an entry for each pass over a file."""
     passes = []
     read_blocks = log_container.Container.blocks
 
@@ -149,9 +150,24 @@ def test_many_components_need_few_passes(tmp_path, monkeypatch):
         passes.append(self)
         return read_blocks(self)
 
+    monkeypatch.setattr(log_container.Container, "blocks", counted)
+    return passes
+
+
+def test_small_components_need_one_pass(tmp_path, passes):
+    """Whichever is asked for first."""
+    record(tmp_path / "a.mcap", steps=5, lay=many(300))
+    log = open_log(tmp_path / "a.mcap")
+    for name in ("c7.y", "c299.y", "c0.y"):
+        assert len(log[name]) == 6
+    assert len(passes) == 1
+
+
+def test_many_components_need_few_passes(tmp_path, monkeypatch, passes):
+    """The hash needs one; to ask for one component after another needs few."""
+    monkeypatch.setattr(log_reader, "_ALWAYS_AHEAD", 0)
     lay = many(300)
     rows = record(tmp_path / "a.mcap", steps=5, lay=lay)
-    monkeypatch.setattr(log_container.Container, "blocks", counted)
     log = open_log(tmp_path / "a.mcap")
     log.content_hash()
     assert len(passes) == 1

@@ -24,6 +24,7 @@ from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.errors import LogError, UsageError
 from cosim.log import McapRecorder, open_log, preamble
 from cosim.log import buffer as row_buffer
+from cosim.log import reader as log_reader
 from tests.log.crafting import put_together, take_apart
 
 from .recordings import STEP_NS, blocks, layout, plan, record, same_bits, table
@@ -379,8 +380,12 @@ def test_a_decompression_bomb_is_refused_before_it_goes_off(tmp_path, declared, 
 
 
 def test_reading_a_component_takes_little_more_memory_than_it_has(tmp_path, monkeypatch):
-    """The file is read chunk by chunk, and the rows go to their place at once."""
+    """The file is read chunk by chunk, and the rows go to their place at once.
+
+    Other components are read ahead in the first pass only where all are small.
+    """
     monkeypatch.setattr(row_buffer, "CHUNK_BYTES", 50_000)
+    monkeypatch.setattr(log_reader, "_ALWAYS_AHEAD", 2**20)
     record(tmp_path / "a.mcap", steps=2000, lay=layout(wide=500))
     log = open_log(tmp_path / "a.mcap")
     tracemalloc.start()

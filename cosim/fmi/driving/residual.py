@@ -35,7 +35,6 @@ from cosim.errors import FmuError, RunError
 from cosim.fmi.description import Dae, Description, Formulation
 from cosim.fmi.driving.solvers import SolutionPoint
 from cosim.fmi.instance import ModelExchangeInstance
-from cosim.fmi.reading.dae import MANIFEST
 from cosim.fmi.references import ReferenceMap
 from cosim.native.step import affine, invert
 
@@ -74,6 +73,8 @@ def require_residual_form(description: Description) -> Dae:
         If there is none or a broken one, or it is not semi-explicit of index 1: with derivatives of
         its equations beside them, or with equations for the derivatives of the states.
     """
+    from cosim.fmi.reading.dae import MANIFEST  # rarely needed
+
     subject = f'{description.name}: dae = "residual"'
     dae = description.dae
     if not description.version.startswith("3."):

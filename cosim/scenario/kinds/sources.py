@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
 from cosim.arrays import Matrix, Vector
 from cosim.blocks import source
-from cosim.blocks.linear_source import LinearSource
-from cosim.blocks.modulated_source import ModulatedSource, Modulation
 from cosim.blocks.regressor import alpha_signals
 from cosim.core.connections import Connection
 from cosim.core.contracts import Component
@@ -40,6 +38,9 @@ from cosim.scenario.schema import (
     Whole,
     matrix,
 )
+
+if TYPE_CHECKING:
+    from cosim.blocks.modulated_source import Modulation
 
 
 def _vector(value: float | Sequence[float]) -> list[float]:
@@ -304,6 +305,8 @@ class _TermSum:
         element = term.element
         factor = alpha.text
         if isinstance(alpha, AlphaSignal):
+            from cosim.blocks.modulated_source import Modulation  # rarely needed
+
             self._modulations.append(Modulation(element, alpha.element))
             element = len(self._texts)
             factor = "1"
@@ -325,11 +328,15 @@ class _TermSum:
         """Return what computes the sum."""
         if not self._modulations:
             return self._source(unit)
+        from cosim.blocks.modulated_source import ModulatedSource  # rarely needed
+
         return ModulatedSource(self._source(None), self._modulations, alpha_signals(alphas), unit)
 
     def _source(self, unit: str | None) -> Component:
         texts = [" + ".join(element) or "0" for element in self._texts]
         if not self._responses:
             return source.Expression(texts, unit=unit)
+        from cosim.blocks.linear_source import LinearSource  # rarely needed
+
         programs = [compile_expression(text) for text in texts]
         return LinearSource(programs, self._responses, unit=unit)

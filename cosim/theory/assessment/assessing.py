@@ -10,7 +10,7 @@ in a few samples; where noise alone may have decided which of two is the better 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -19,7 +19,6 @@ from cosim.errors import AssumptionError, StartError
 from cosim.theory.assessment.consistency import WHITENESS, Consistency, examine
 from cosim.theory.assessment.fitted_model import FittedModel
 from cosim.theory.assessment.missing_terms import hidden_terms, silent_terms
-from cosim.theory.assessment.noise_color import UNKNOWN_COLOR, Criterion, noise_color
 from cosim.theory.assessment.noise_covariance import first_noise, fit_with_noise, residual_size
 from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.assessment.standing_outputs import standing_outputs
@@ -38,6 +37,9 @@ from cosim.theory.estimators.output_error import (
     excess_squares,
     largest_chance,
 )
+
+if TYPE_CHECKING:
+    from cosim.theory.assessment.noise_color import Criterion
 
 # Of a component that is 100 of its deviations from absent: a wrong optimum would not pass.
 CLEAR_PRESENCE: Final = 1e4
@@ -325,6 +327,8 @@ def _missing(examined: _Examined) -> dict[int, str]:
 
 def _colored(white: _Examined) -> _Examined:
     """Return the fit for colored noise where that explains the residual, else the white one."""
+    from cosim.theory.assessment.noise_color import UNKNOWN_COLOR, Criterion  # rarely needed
+
     remark = ""
     for criterion in Criterion:
         colored, unknown = _with_color(white, criterion)
@@ -341,6 +345,8 @@ def _colored(white: _Examined) -> _Examined:
 
 def _with_color(examined: _Examined, criterion: Criterion) -> tuple[_Examined, str]:
     """Fit and estimate the color of the noise by turns; with a remark where it is not known."""
+    from cosim.theory.assessment.noise_color import noise_color  # rarely needed
+
     for _ in range(COLOR_FITS):
         fitted = examined.fitted
         color = noise_color(fitted, criterion)
