@@ -9,7 +9,7 @@ from cosim.core.contracts import Component, Recorder
 from cosim.core.signals import Interface
 from cosim.errors import GraphError, UsageError, quoted
 
-RECORDER_METHODS = ("__enter__", "__exit__", "begin", "write", "message", "result")
+RECORDER_METHODS = ("__enter__", "__exit__", "begin", "write", "message", "event", "result")
 
 
 def check_type(label: str, value: object, needed: type, error: type[UsageError]) -> None:

@@ -284,13 +284,34 @@ class Plan:
     schedule: tuple[str, ...]
 
 
+class SignalEvent(NamedTuple):
+    """A jump of a signal at a communication point: its right limit; the row has the left one.
+
+    Parameters
+    ----------
+    time_ns : int
+    cause : {"override", "release", "follow"}
+        An input was overridden, or released; or the signal followed one that was.
+    signal : str
+        ``component.signal``; of an override or a release also elements of one.
+    values : tuple of float
+        Of its elements.
+    """
+
+    time_ns: int
+    cause: EventCause
+    signal: str
+    values: tuple[float, ...]
+
+
 @runtime_checkable
 class Recorder(Protocol):
     """A context manager that takes blocks of rows and leaves a complete record behind.
 
     It does so however the run ends. Order of the calls: ``__enter__``; ``begin``, unless a
     component cannot be prepared; ``write`` after every block; ``__exit__``.
-    :func:`cosim.core.run` calls neither ``message`` nor ``result``; running a scenario does.
+    :func:`cosim.core.run` calls neither ``message`` nor ``result``; running a scenario does. There
+    are events only where inputs are overridden (:class:`cosim.core.Simulation`).
     """
 
     def __enter__(self) -> Self: ...
@@ -329,36 +350,12 @@ class Recorder(Protocol):
         """Record a message of the run or of a component, ``source``, at a simulation time [ns]."""
         ...
 
-    def result(self, values: Mapping[str, Any]) -> None:
-        """Record plain values about the end of the run; called before ``__exit__``."""
+    def event(self, event: SignalEvent) -> None:
+        """Record a jump of a signal; called after the row at its instant was written."""
         ...
 
-
-class SignalEvent(NamedTuple):
-    """A jump of a signal at a communication point: its right limit; the row has the left one.
-
-    Parameters
-    ----------
-    time_ns : int
-    cause : {"override", "release", "follow"}
-        An input was overridden, or released; or the signal followed one that was.
-    signal : str
-        ``component.signal``; of an override or a release also elements of one.
-    values : tuple of float
-        Of its elements.
-    """
-
-    time_ns: int
-    cause: EventCause
-    signal: str
-    values: tuple[float, ...]
-
-
-class EventRecorder(Recorder, Protocol):
-    """A recorder that takes the jumps of signals, too."""
-
-    def event(self, event: SignalEvent) -> None:
-        """Record a jump; called after the row at that instant was written."""
+    def result(self, values: Mapping[str, Any]) -> None:
+        """Record plain values about the end of the run; called before ``__exit__``."""
         ...
 
 
@@ -473,4 +470,8 @@ class CompleteRecording(Recording, Protocol):
 
     def load(self, *components: str) -> None:
         """Read several components at once, where they are not in memory yet."""
+        ...
+
+    def events(self) -> list[SignalEvent]:
+        """Return the jumps of signals by overrides, in the order of time."""
         ...

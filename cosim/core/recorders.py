@@ -16,7 +16,15 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Nanoseconds, Vector
 from cosim.core.arguments import check_type
-from cosim.core.contracts import Block, MessageLevel, Plan, Recorder, RowMemory, Stopped
+from cosim.core.contracts import (
+    Block,
+    MessageLevel,
+    Plan,
+    Recorder,
+    RowMemory,
+    SignalEvent,
+    Stopped,
+)
 from cosim.core.member import read_only
 from cosim.core.recorded import RecordedSignals, RunMessage, find_channel
 from cosim.core.signals import Channel
@@ -142,6 +150,7 @@ class Memory(RecordedSignals):
         self._attachments: Mapping[str, bytes] = attachments or {}
         self._channels: dict[str, Channel] = {}
         self._messages: list[RunMessage] = []
+        self._events: list[SignalEvent] = []
         self._results: dict[str, Any] = {}
         self._rows = _GrowingRows()
         self._times: list[Nanoseconds] = []
@@ -183,6 +192,10 @@ class Memory(RecordedSignals):
         """Keep a message."""
         self._messages.append(RunMessage(time_ns, level, source, text))
 
+    def event(self, event: SignalEvent) -> None:
+        """Keep a jump."""
+        self._events.append(event)
+
     def result(self, values: Mapping[str, Any]) -> None:
         """Keep values of the end of the run."""
         self._results.update(values)
@@ -190,6 +203,10 @@ class Memory(RecordedSignals):
     def messages(self) -> list[RunMessage]:
         """Return the messages of the run and its components, in the order of time."""
         return sorted(self._messages, key=lambda message: message.time_ns)
+
+    def events(self) -> list[SignalEvent]:
+        """Return the jumps of signals by overrides, in the order of time."""
+        return list(self._events)
 
     @property
     def results(self) -> Mapping[str, Any]:
@@ -375,6 +392,9 @@ class Nothing:
     def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
         """Do nothing."""
 
+    def event(self, event: SignalEvent) -> None:
+        """Do nothing."""
+
     def result(self, values: Mapping[str, Any]) -> None:
         """Do nothing."""
 
@@ -426,6 +446,10 @@ class Watched:
     def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
         """Pass on."""
         self._recorder.message(time_ns, level, source, text)
+
+    def event(self, event: SignalEvent) -> None:
+        """Pass on."""
+        self._recorder.event(event)
 
     def result(self, values: Mapping[str, Any]) -> None:
         """Pass on."""

@@ -24,7 +24,7 @@ from cosim.errors import RunError
 
 END: Final = slice(0, 1)  # the only row
 
-GivenOutputs: TypeAlias = Mapping[str, Mapping[slice, Vector]]  # by component and columns
+GivenOutputs: TypeAlias = Mapping[str, Sequence[tuple[slice, Vector]]]  # by component, with columns
 
 
 class _Update(NamedTuple):
@@ -80,7 +80,7 @@ class RightLimits:
             With the left limits, and the right ones of these inputs; is changed.
         jumped : frozenset of Port
             Whole inputs.
-        given : mapping of component name to outputs by columns
+        given : mapping of component name to columns with their values
             Right limits that are known: of recorded components, which are not evaluated.
 
         Raises
@@ -187,7 +187,7 @@ def _perform(update: _Update, t: float, row: Vector, given: GivenOutputs) -> Non
         return
     known = given.get(member.name)
     if known is not None:
-        for columns, values in known.items():
+        for columns, values in known:
             row[columns] = values
         return
     try:

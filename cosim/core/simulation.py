@@ -27,7 +27,7 @@ import numpy as np
 from cosim.arrays import Matrix, Nanoseconds, Vector
 from cosim.core.arguments import check_type, kind_of
 from cosim.core.clock import Clock, seconds
-from cosim.core.contracts import Block, EventCause, EventRecorder, Plan, SignalEvent
+from cosim.core.contracts import Block, EventCause, Plan, Recorder, SignalEvent
 from cosim.core.coupling import Cut
 from cosim.core.graph import Graph
 from cosim.core.master import TWO_SIMULATIONS
@@ -82,7 +82,7 @@ class Simulation:
     clock : Clock
     plan : Plan, optional
         Returned by ``graph.prepare``; left out, the graph is prepared here.
-    recorder : EventRecorder, optional
+    recorder : Recorder, optional
         Takes the rows and the events. It has begun, and is closed elsewhere.
     identity : str, optional
         What states of this graph are known by, beside its structure; left out: its designs.
@@ -91,6 +91,8 @@ class Simulation:
     ----------
     index : int
         Number of the communication point that is reached.
+    error : RunError or None
+        What the simulation ended with.
 
     Raises
     ------
@@ -104,7 +106,7 @@ class Simulation:
         clock: Clock,
         plan: Plan | None = None,
         *,
-        recorder: EventRecorder | None = None,
+        recorder: Recorder | None = None,
         identity: str | None = None,
     ) -> None:
         check_type("graph", graph, Graph, UsageError)
@@ -124,6 +126,7 @@ class Simulation:
         self._right_limits = RightLimits(graph)
         self._width = graph.layout.width
         self._thread = get_ident()
+        self._closed = False
         self._begin()
 
     def _begin(self) -> None:
@@ -133,6 +136,7 @@ class Simulation:
         self._ended = "its initialization failed"
         graph.initialize(self._clock.start_time, row)
         self._ended = ""
+        self.error: RunError | None = None
         self._initialization = graph.initializations
         stages = advancing_stages(graph)
         self._pacer = Pacer(stages, divide=True)
@@ -243,7 +247,7 @@ class Simulation:
         self.index += reached
         self._stand_at(signals[reached])
         if error is not None:
-            self._ended = str(error)
+            self._end_with(error)
             raise error
         self._ended = ""
         return StepRows(self._columns, block, signals)
@@ -299,6 +303,30 @@ class Simulation:
         rows = slice(first, first + count + 1)
         return Block(self.index, self._times_ns[rows], self._times[rows], self._clock.step)
 
+    def _end_with(self, error: RunError) -> None:
+        """Take no further steps."""
+        self._ended = str(error)
+        self.error = error
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """The names of all signals."""
+        return self._columns.signals
+
+    def check_thread(self) -> None:
+        """Check that it is the thread of the simulation that calls.
+
+        Raises
+        ------
+        UsageError
+            If it is another one.
+        """
+        if get_ident() != self._thread:
+            raise UsageError(
+                "this simulation was started in another thread; needed a simulation of its own "
+                "for every thread, with a graph of its own"
+            )
+
     def _check_current(self) -> None:
         """Check that the state of the components is that of this simulation, and thread.
 
@@ -307,11 +335,9 @@ class Simulation:
         UsageError
             If it is not.
         """
-        if get_ident() != self._thread:
-            raise UsageError(
-                "this simulation was started in another thread; needed a simulation of its own "
-                "for every thread, with a graph of its own"
-            )
+        self.check_thread()
+        if self._closed:
+            raise UsageError("this simulation is closed; needed another one: start it again")
         if self._graph.initializations != self._initialization:
             raise UsageError(TWO_SIMULATIONS)
 
@@ -349,11 +375,18 @@ class Simulation:
             f"{self.t} s to the stop at {stop} s"
         )
 
-    def end(self, reason: str) -> None:
-        """Record the jumps at the point reached, and take no further steps."""
-        if not self._ended:
+    def close(self) -> None:
+        """Evaluate and record the jumps at the point reached; what is there can be read on.
+
+        Raises
+        ------
+        NonFiniteError, Stopped
+            If what follows the jumps cannot be evaluated.
+        """
+        if not (self._closed or self._ended):
+            self._check_current()
             self.complete_jumps()
-        self._ended = reason
+        self._closed = True
 
     # --- signals ---
 
@@ -368,8 +401,8 @@ class Simulation:
             If it is the simulation of another thread.
         """
         columns = self._columns[signal]
-        self._check_current()
-        if self._jumped:
+        if self._jumped or get_ident() != self._thread:
+            self._check_ready("read")
             self._evaluate()
         return self._row[columns].copy()
 
@@ -449,7 +482,7 @@ class Simulation:
         try:
             self._right_limits.evaluate(self.t, self._row, jumped, self._given)
         except RunError as error:
-            self._ended = str(error)
+            self._end_with(error)
             raise
 
     def complete_jumps(self, given: GivenOutputs = NOTHING_GIVEN) -> None:
@@ -457,7 +490,7 @@ class Simulation:
 
         Parameters
         ----------
-        given : mapping of component name to outputs by columns
+        given : mapping of component name to columns with their values
             Right limits that are known, of components that are not evaluated.
 
         Raises
@@ -559,6 +592,7 @@ class Simulation:
         self.index = state.index
         self._stand_at(state.row.copy())
         self._pacer.error = None
+        self.error = None
         self._ended = ""
 
     def _check_rollback(self) -> None:

@@ -9,11 +9,19 @@ from cosim.core.contracts import Plan
 from cosim.log.environment import environment
 from cosim.log.layout import Part
 from cosim.log.metadata import add_checksum, compact, encode_design
-from cosim.log.schema import LOG_SCHEMA, component_schema, identifiers, log_schema
+from cosim.log.schema import (
+    EVENT_SCHEMA,
+    LOG_SCHEMA,
+    component_schema,
+    event_schema,
+    identifiers,
+    log_schema,
+)
 from cosim.log.sink import Sink
 
 FORMAT = "2"
 LOG_TOPIC = "/cosim/log"
+EVENT_TOPIC = "/cosim/event"
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +43,11 @@ def write_parts(sink: Sink, parts: Sequence[Part]) -> list[int]:
         channel_id = sink.channel(topic, schema=schema, metadata=part.metadata)
         channel_ids.append(channel_id)
     return channel_ids
+
+
+def write_event_channel(sink: Sink) -> int:
+    """Write the channel of the jumps of signals; return its id."""
+    return sink.channel(EVENT_TOPIC, schema=(EVENT_SCHEMA, event_schema()), metadata={})
 
 
 def write_preamble(

@@ -17,7 +17,7 @@ from mcap.opcode import Opcode
 
 from cosim.arguments import log_argument
 from cosim.arrays import Mask, Matrix, Nanoseconds
-from cosim.core.contracts import Design
+from cosim.core.contracts import Design, SignalEvent
 from cosim.core.recorded import RecordedSignals, RunMessage, find_channel
 from cosim.core.recorders import Memory
 from cosim.core.signals import Channel
@@ -35,10 +35,10 @@ from cosim.log.metadata import (
 )
 from cosim.log.own_file import OwnFile
 from cosim.log.paths import log_path
-from cosim.log.preamble import FORMAT, LOG_TOPIC
+from cosim.log.preamble import EVENT_TOPIC, FORMAT, LOG_TOPIC
 from cosim.log.result import RESULT, RESULT_FILE
 from cosim.log.scan import OtherRecord, scan
-from cosim.log.schema import decode_log
+from cosim.log.schema import decode_event, decode_log
 from cosim.log.stream import RowStream, TimedRows
 
 _LOG_TIME = slice(6, 14)  # of a message record's content
@@ -323,18 +323,39 @@ class Log(RecordedSignals):
         LogError
             If the file is damaged.
         """
-        channel_ids = set()
-        for number, channel in self._declared.items():
-            if channel.topic == LOG_TOPIC:
-                channel_ids.add(number)
         try:
-            for record in self._other_records():
-                if record.opcode == Opcode.MESSAGE and record.channel_id in channel_ids:
-                    time_ns = int.from_bytes(record.content[_LOG_TIME], "little")
-                    level, source, text = decode_log(record.content[_DATA])
-                    yield RunMessage(time_ns, level, source, text)
+            for time_ns, data in self._messages_of(LOG_TOPIC):
+                level, source, text = decode_log(data)
+                yield RunMessage(time_ns, level, source, text)
         except MALFORMED as error:
             raise LogError(f"{self.path} is damaged: {error}") from error
+
+    def events(self) -> list[SignalEvent]:
+        """Return the jumps of signals by overrides, in the order of time.
+
+        Raises
+        ------
+        LogError
+            If the file is damaged.
+        """
+        try:
+            events = [decode_event(*message) for message in self._messages_of(EVENT_TOPIC)]
+        except MALFORMED as error:
+            raise LogError(f"{self.path} is damaged: {error}") from error
+        return sorted(events, key=lambda event: event.time_ns)
+
+    def _messages_of(self, topic: str) -> Iterator[tuple[int, bytes]]:
+        """Yield time [ns] and data of the messages of a topic, in the order of the file."""
+        channel_ids = set()
+        for number, channel in self._declared.items():
+            if channel.topic == topic:
+                channel_ids.add(number)
+        if not channel_ids:
+            return
+        for record in self._other_records():
+            if record.opcode == Opcode.MESSAGE and record.channel_id in channel_ids:
+                time_ns = int.from_bytes(record.content[_LOG_TIME], "little")
+                yield time_ns, bytes(record.content[_DATA])
 
     def content_hash(self) -> str:
         """Compute the hash of every bit of every signal from the rows, in one pass over the file.

@@ -15,11 +15,14 @@ from typing import Any
 
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
 
-from cosim.core.contracts import MessageLevel
+from cosim.core.contracts import EventCause, MessageLevel, SignalEvent
+from cosim.errors import quoted
 
 # foxglove.Log.Level 1 to 5
 LEVELS: tuple[MessageLevel, ...] = ("debug", "info", "warning", "error", "fatal")
 LOG_SCHEMA = "foxglove.Log"
+EVENT_SCHEMA = "cosim_event.SignalEvent"
+CAUSES: tuple[EventCause, ...] = ("override", "release", "follow")
 
 _LEGAL = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _ILLEGAL = re.compile(r"[^A-Za-z0-9_]+")
@@ -151,3 +154,55 @@ def _log_descriptors() -> descriptor_pb2.FileDescriptorSet:
         log.field.add(name=name, number=number, type=_FIELD.TYPE_STRING, **field)
     log.field.add(name="line", number=6, type=_FIELD.TYPE_FIXED32, **field)
     return descriptor_pb2.FileDescriptorSet(file=[timestamp, file])
+
+
+@cache
+def event_schema() -> bytes:
+    """Return the FileDescriptorSet of the jump of a signal, serialized."""
+    return bytes(_event_descriptors().SerializeToString())
+
+
+def encode_event(event: SignalEvent) -> bytes:
+    """Serialize the jump of a signal, but for its time, which is that of its record."""
+    message = _event_message()(cause=event.cause, signal=event.signal, values=event.values)
+    return bytes(message.SerializeToString(deterministic=True))
+
+
+def decode_event(time_ns: int, data: bytes) -> SignalEvent:
+    """Return a serialized jump of a signal.
+
+    Raises
+    ------
+    ValueError
+        If ``data`` is no such message.
+    """
+    try:
+        message = _event_message().FromString(data)
+    # The error's type depends on which of its three implementations protobuf runs on.
+    except Exception as error:
+        raise ValueError(f"no {EVENT_SCHEMA} message: {error}") from error
+    for cause in CAUSES:
+        if message.cause == cause:
+            return SignalEvent(time_ns, cause, message.signal, tuple(message.values))
+    raise ValueError(f"an event has the cause {quoted(message.cause)}; needed one of {CAUSES}")
+
+
+@cache
+def _event_message() -> Any:
+    pool = descriptor_pool.DescriptorPool()
+    for file in _event_descriptors().file:
+        pool.Add(file)
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(EVENT_SCHEMA))
+
+
+def _event_descriptors() -> descriptor_pb2.FileDescriptorSet:
+    file = descriptor_pb2.FileDescriptorProto(
+        name="cosim/event.proto", package="cosim_event", syntax="proto3"
+    )
+    event = file.message_type.add(name="SignalEvent")
+    for number, name in enumerate(("cause", "signal"), start=1):
+        event.field.add(
+            name=name, number=number, type=_FIELD.TYPE_STRING, label=_FIELD.LABEL_OPTIONAL
+        )
+    event.field.add(name="values", number=3, type=_FIELD.TYPE_DOUBLE, label=_FIELD.LABEL_REPEATED)
+    return descriptor_pb2.FileDescriptorSet(file=[file])

@@ -14,7 +14,7 @@ from types import TracebackType
 from typing import Any, Self, final
 
 from cosim.arrays import Matrix
-from cosim.core.contracts import Block, MessageLevel, Plan
+from cosim.core.contracts import Block, MessageLevel, Plan, SignalEvent
 from cosim.core.recorders import EndOfRun, end_of_run
 from cosim.core.signals import Interface
 from cosim.errors import LogError, LogWriteError, RunError
@@ -25,10 +25,10 @@ from cosim.log.content import combine_hashes
 from cosim.log.environment import library_name
 from cosim.log.layout import Part, signals_json, split_channel
 from cosim.log.paths import check_new_log, log_path
-from cosim.log.preamble import Attachment, write_parts, write_preamble
+from cosim.log.preamble import Attachment, write_event_channel, write_parts, write_preamble
 from cosim.log.reader import Log
 from cosim.log.result import LastRow, write_result
-from cosim.log.schema import encode_log
+from cosim.log.schema import encode_event, encode_log
 from cosim.log.sink import Mark, Sink
 from cosim.log.size import size_bound
 from cosim.log.unfinished import UnfinishedLog
@@ -71,6 +71,8 @@ class McapRecorder:
         Metadata records, such as ``cosim.run``, ``cosim.connections``,
         ``cosim.component.<name>`` (parameters).
     attachments : sequence of Attachment
+    events : bool
+        Inputs may be overridden: there is a channel ``/cosim/event`` for the jumps.
     """
 
     def __init__(
@@ -83,6 +85,7 @@ class McapRecorder:
         kinds: Mapping[str, str] | None = None,
         metadata: Mapping[str, Mapping[str, str]] | None = None,
         attachments: Sequence[Attachment] = (),
+        events: bool = False,
     ) -> None:
         self._force = force
         self._numbered = numbered
@@ -92,6 +95,9 @@ class McapRecorder:
         self._attachments = attachments
         self._result: dict[str, Any] = {}
         self._messages: list[tuple[int, bytes]] = []
+        self._has_events = events
+        self._event_channel_id: int | None = None
+        self._events: list[tuple[int, bytes]] = []
         self._last_row = LastRow()
         self._file = UnfinishedLog(log_path(path), force=force, numbered=numbered)
         self._sink: Sink | None = None
@@ -173,6 +179,8 @@ class McapRecorder:
             self._log_channel_id = write_preamble(
                 sink, plan, metadata=self._metadata, attachments=self._attachments
             )
+            if self._has_events:
+                self._event_channel_id = write_event_channel(sink)
         except OSError as error:
             reason = error.strerror or error
             raise LogError(f"{self.path} cannot be written: {reason}") from error
@@ -240,6 +248,11 @@ class McapRecorder:
         data = encode_log(time_ns, level, source, text)
         self._messages.append((time_ns, data))
 
+    def event(self, event: SignalEvent) -> None:
+        """Record a jump of a signal; it goes to ``/cosim/event`` with the next chunk."""
+        assert self._event_channel_id is not None, "declared with events"
+        self._events.append((event.time_ns, encode_event(event)))
+
     def result(self, values: Mapping[str, Any]) -> None:
         """Add values to ``result.json``, which is written at the end.
 
@@ -270,6 +283,15 @@ class McapRecorder:
                 step_ns=self._step_ns,
             )
             batches.append(batch)
+        if self._events:
+            assert self._event_channel_id is not None
+            batch = message_batch(
+                self._events,
+                channel_id=self._event_channel_id,
+                start_ns=self._start_ns,
+                step_ns=self._step_ns,
+            )
+            batches.append(batch)
         if batches:
             self._sink.chunk(batches, self._compression)
         # Before the checkpoint: it takes the hashes and the last row of what the file holds now.
@@ -279,6 +301,7 @@ class McapRecorder:
         # After the checkpoint: until then the rows are needed, to be written again.
         self._buffer.clear()
         self._messages.clear()
+        self._events.clear()
 
     def _add_checkpoint(self) -> None:
         """Store what the file holds now, and when."""

@@ -5,7 +5,7 @@ and results, which reports show. A replay computes the latter from the former, s
 compared:
 
 * of the run: name, start, step, stop, truth, schedule, connections, and whatever else
-  ``cosim.run`` has;
+  ``cosim.run`` has; the overrides of its inputs, and what followed them;
 * of every component: its table and kind;
 * of those that are computed again, too: the tables that they rest on, their declared signals, held
   inputs, metadata, warnings and messages;
@@ -48,7 +48,9 @@ from cosim.scenario.recorded_metadata import (
 )
 from cosim.scenario.replaying import recorded_stop
 
-COMPARED = "truth, connections, schedule, times, component tables, warnings, last row, verdicts"
+COMPARED = (
+    "truth, connections, schedule, times, component tables, overrides, warnings, last row, verdicts"
+)
 NOT_COMPARED = "designs, why the run ended, its machine, what FMUs and files say of themselves"
 
 # An n-fold eigenvalue moves by eps**(1/n) with the last bits of its matrix, which depend on the
@@ -126,6 +128,7 @@ class _Statements:
         expected = run_metadata(self._again)
         for key in sorted((expected.keys() | recorded.keys()) - _OTHER_KEYS):
             yield key, recorded.get(key), expected.get(key)
+        yield "overrides", _event_bits(source), _event_bits(self._again)
         stop = recorded_stop(source)
         yield "stop", recorded.get("stop"), repr(stop)
         if source.status == "complete" and not source.reason:
@@ -213,6 +216,15 @@ class _Statements:
                 yield f"verdicts on {name!r}", found, needed
             if name in recorded and name in expected:
                 yield from _beside_verdicts(name, recorded[name], expected[name])
+
+
+def _event_bits(run: Log | Memory) -> list[tuple[Any, ...]]:
+    """Return the jumps by overrides, values to the last bit; NaN is equal to itself so."""
+    events: list[tuple[Any, ...]] = []
+    for event in run.events():
+        values = tuple(value.hex() for value in event.values)
+        events.append((event.time_ns, event.cause, event.signal, values))
+    return events
 
 
 def _parameters(record: IdentificationRecord | None) -> list[dict[str, Any]]:

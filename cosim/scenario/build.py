@@ -15,7 +15,7 @@ from cosim.blocks.declared import with_units
 from cosim.blocks.replay import Replay
 from cosim.core.clock import Clock, start_nanoseconds
 from cosim.core.connection_checks import check_connections
-from cosim.core.contracts import Component, Design, Plan, Recording
+from cosim.core.contracts import Component, Design, Plan, Recording, SignalEvent
 from cosim.core.graph import Graph
 from cosim.core.port import Port
 from cosim.core.ports import Ports, layout_of
@@ -87,6 +87,8 @@ class Experiment:
         What was drained from ``fmus`` already.
     origin : ReplayOrigin or None
         Of a replay: the log it is made from.
+    events : tuple of SignalEvent
+        Of a replay: overrides and releases of inputs, and what followed them.
     """
 
     scenario: Scenario
@@ -106,6 +108,7 @@ class Experiment:
     designs: Mapping[str, Design] | None = None
     messages: Mapping[str, Sequence[Message]] = field(default_factory=dict)
     origin: ReplayOrigin | None = None
+    events: tuple[SignalEvent, ...] = ()
 
 
 class Builder:

@@ -15,8 +15,9 @@ from cosim.core.contracts import Recorder
 from cosim.core.recorders import Memory
 from cosim.errors import UsageError, option, quoted
 from cosim.log import Log, open_log
-from cosim.scenario.build import Builder, Experiment, parse
-from cosim.scenario.document import find
+from cosim.scenario.build import parse
+from cosim.scenario.building import build_experiment
+from cosim.scenario.document import Document, find
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.recorded_metadata import ReplayOrigin
 from cosim.scenario.recording import Notice, Progress, Target, check_target, record, run_into
@@ -30,7 +31,7 @@ from cosim.scenario.replaying import (
 from cosim.scenario.swap import PortNames
 
 if TYPE_CHECKING:
-    from cosim.scenario.swap_report import SwapReports
+    from cosim.scenario.session import Session
 
 OwnRecorder = TypeVar("OwnRecorder", bound=Recorder)
 
@@ -45,7 +46,19 @@ def load(name: str | Path) -> Scenario:
     ScenarioError
         With every problem of the file.
     """
-    return parse(find(name))
+    return _startable(find(name))
+
+
+def _startable(document: Document) -> Scenario:
+    """Read and validate a document; the scenario can be started."""
+    return replace(parse(document), parse=_startable, starter=_start)
+
+
+def _start(scenario: Scenario, out: str | Path | None, *, force: bool, numbered: bool) -> Session:
+    # A run needs none of it.
+    from cosim.scenario.starting import start
+
+    return start(scenario, out, force=force, numbered=numbered)
 
 
 @overload
@@ -154,7 +167,7 @@ def run(
     loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
     edited = loaded.edit(swap=swap, map=map, set=set)
     with ExitStack() as resources:
-        experiment = _built(edited, resources, block)
+        experiment = build_experiment(edited, resources, block)
         if recorder is not None:
             run_into(recorder, experiment, progress=progress, profile=profile)
             return recorder
@@ -179,26 +192,6 @@ def _check_unaccompanied(out: str | Path | None, notice: Notice | None) -> None:
             "found both a notice and a recorder; needed one of them: notice is called about the "
             "log at out"
         )
-
-
-def _built(scenario: Scenario, resources: ExitStack, block: int | None) -> Experiment:
-    """Build a scenario; one with swaps is compared with what it was, for its log and warnings."""
-    if not scenario.file.swap:
-        return Builder(scenario, resources, block=block).experiment()
-    from cosim.scenario.swap_comparison import build_swapped  # rarely needed
-
-    experiment, reports = build_swapped(scenario, resources, block)
-    return _with_reports(experiment, reports)
-
-
-def _with_reports(experiment: Experiment, reports: SwapReports) -> Experiment:
-    """Keep in the log how swapped components compare with those they replace."""
-    metadata = dict(experiment.metadata)
-    for name, report in reports.reports.items():
-        kept = metadata.get(name, {})
-        metadata[name] = {**kept, "swap_report": report.to_dict()}
-    warnings = (*experiment.warnings, *reports.warnings)
-    return replace(experiment, metadata=metadata, warnings=warnings)
 
 
 def replay(
@@ -267,6 +260,7 @@ def replay(
         designs = valid_designs(experiment, source)
         copied = tuple(recorded_components(experiment.scenario))
         origin = ReplayOrigin(str(source.path), source.recorded_hash, copied)
-        experiment = replace(experiment, origin=origin, designs=designs)
+        events = tuple(source.events())
+        experiment = replace(experiment, origin=origin, designs=designs, events=events)
         target = Target(out, force, notice=notice)
         return record(experiment, target, progress=progress, profile=profile)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from pydantic import ValidationError
 
@@ -20,7 +20,20 @@ from cosim.scenario.problems import Key, Problem, TableProblems, problems_of
 from cosim.scenario.schema import ConnectionTable, File
 from cosim.scenario.swap import MapEntry, PortNames, ports_in, resolve_maps
 
+if TYPE_CHECKING:
+    from cosim.scenario.session import Session
+
 STAND_INS = {"name": "unnamed", "stop": 1.0, "step": 1.0}  # for settings without a right value
+
+
+class Starter(Protocol):
+    """Starts a scenario."""
+
+    def __call__(
+        self, scenario: Scenario, out: str | Path | None, *, force: bool, numbered: bool
+    ) -> Session:
+        """Start it; parameters as of :meth:`Scenario.start`."""
+        ...
 
 
 @dataclass(frozen=True, repr=False)
@@ -46,6 +59,8 @@ class Scenario:
     invalid : frozenset of Key
         The tables and their entries that are wrong, so that they are missing in ``file`` or have
         values that stand for others; what rests on them cannot be checked.
+    starter : callable or None
+        Starts the scenario (:mod:`cosim.scenario.starting`); None: it is only read here.
     """
 
     document: Document
@@ -57,6 +72,7 @@ class Scenario:
     tree: Mapping[str, Any]
     parse: Callable[[Document], Scenario] = field(repr=False, compare=False)
     invalid: frozenset[Key] = frozenset()
+    starter: Starter | None = field(default=None, repr=False, compare=False)
 
     def __repr__(self) -> str:
         return f"<the scenario {self.name!r}: {len(self.specs)} components>"
@@ -148,6 +164,33 @@ class Scenario:
         :mod:`cosim.scenario.swap`.
         """
         return self.edit(swap=paths, map=map)
+
+    def start(
+        self,
+        *,
+        out: str | Path | None = None,
+        force: bool = False,
+        numbered: bool = False,
+    ) -> Session:
+        """Start the scenario, to advance it step by step: a context manager.
+
+        Parameters
+        ----------
+        out : str or Path, optional
+            Log file to write; without it nothing is recorded.
+        force : bool
+            Replace a log at ``out``.
+        numbered : bool
+            Where there is a log at ``out``, write to the next free one of ``x-2.mcap``, ...
+
+        Raises
+        ------
+        CosimError
+            UsageError if the scenario cannot be built or the log not be written, RunError if an
+            initial value is not finite.
+        """
+        assert self.starter is not None, "what users load can be started"
+        return self.starter(self, out, force=force, numbered=numbered)
 
     def set(self, changes: Mapping[str, Any]) -> Scenario:
         """Set values by dotted key, such as ``{"observer.filter_rate": 500.0}``."""

@@ -76,11 +76,11 @@ def record(
     is_read = Path(os.path.realpath(out)) in experiment.files
     if is_read and not target.numbered:
         raise UsageError(f"{out} is read in this run; choose another path for the log")
-    log = _log_recorder(experiment, out, target)
+    log = log_recorder(experiment, out, target)
 
     def began() -> None:
         if target.notice is not None:
-            _announce_size(log, experiment.clock.steps, target.notice)
+            announce_size(log, experiment.clock.steps, target.notice)
 
     try:
         run_into(log, experiment, progress=progress, profile=profile, began=began)
@@ -93,7 +93,7 @@ def record(
     return log.recorded()
 
 
-def _announce_size(log: McapRecorder, steps: int, notice: Notice) -> None:
+def announce_size(log: McapRecorder, steps: int, notice: Notice) -> None:
     """Announce how large a log may become, if that is much or more than there is room for."""
     bound = log.size_bound(steps)
     free = shutil.disk_usage(log.path.parent).free
@@ -120,14 +120,41 @@ def run_into(
     with interruptible() as check:
         reached = _reached(experiment, progress, check)
         watched = Watched(with_messages, reached, began)
-        run_graph(graph, experiment.clock, watched, experiment.plan, designs=experiment.designs)
+        _run(experiment, watched)
     if profile is not None:
         elapsed = perf_counter() - first
         seconds["recorder and master"] = elapsed - sum(seconds.values())
         profile.update(seconds)
 
 
-def _log_recorder(experiment: Experiment, out: str | Path, target: Target) -> McapRecorder:
+def _run(experiment: Experiment, recorder: Recorder) -> None:
+    """Run the graph; with the events of its recording, where it is a replay of such."""
+    graph = experiment.graph
+    clock = experiment.clock
+    plan = experiment.plan
+    designs = experiment.designs
+    if not experiment.events:
+        run_graph(graph, clock, recorder, plan, designs=designs)
+        return
+    # Most runs need none of it.
+    from cosim.core.repeating import repeat
+
+    copied = () if experiment.origin is None else experiment.origin.copied
+    repeat(
+        graph,
+        clock,
+        recorder,
+        plan,
+        events=experiment.events,
+        recorded=copied,
+        designs=designs,
+    )
+
+
+def log_recorder(
+    experiment: Experiment, out: str | Path, target: Target, *, events: bool = False
+) -> McapRecorder:
+    """Return the recorder of a log; with ``events`` for a run whose inputs may be overridden."""
     kinds = {name: spec.kind for name, spec in experiment.scenario.specs.items()}
     metadata = metadata_of(experiment)
     attachments = attachments_of(experiment)
@@ -138,6 +165,7 @@ def _log_recorder(experiment: Experiment, out: str | Path, target: Target) -> Mc
         kinds=kinds,
         metadata=metadata,
         attachments=attachments,
+        events=events or bool(experiment.events),
     )
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from cosim.arrays import Matrix, Vector
 from cosim.core.connections import Connection
-from cosim.core.contracts import Block, MessageLevel, Plan, Recorder, Stopped
+from cosim.core.contracts import Block, MessageLevel, Plan, Recorder, SignalEvent, Stopped
 from cosim.core.recorders import end_of_run
 from cosim.errors import Interrupted, RunError
 from cosim.interrupts import uninterrupted
@@ -103,6 +103,10 @@ class MessageRecorder:
     def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
         """Pass on."""
         self._recorder.message(time_ns, level, source, text)
+
+    def event(self, event: SignalEvent) -> None:
+        """Pass on."""
+        self._recorder.event(event)
 
     def result(self, values: Mapping[str, Any]) -> None:
         """Pass on."""

@@ -11,15 +11,17 @@ from cosim.blocks.dynamics import Delay
 from cosim.blocks.source import Noise, Table, sine
 from cosim.core.clock import Clock
 from cosim.core.connections import Connection
-from cosim.core.contracts import Stopped
+from cosim.core.contracts import SignalEvent, Stopped
 from cosim.core.graph import Graph
 from cosim.core.master import run
 from cosim.core.recorders import Memory
+from cosim.core.repeating import repeat
 from cosim.core.signals import Interface, Signal
 from cosim.core.simulation import Simulation
 from cosim.errors import (
     ClockError,
     GraphError,
+    LogError,
     NonFiniteError,
     UnknownSignalError,
     UsageError,
@@ -60,7 +62,7 @@ def driven_lag():
     return Graph({"u": sine(rate=1.0), "x": integrator()}, {"x.u": "u.y"})
 
 
-def repeat(function, times, *arguments):
+def call_often(function, times, *arguments):
     for _ in range(times):
         function(*arguments)
 
@@ -175,7 +177,7 @@ def test_what_stops_the_graph_ends_the_simulation(size):
     values = [*range(5), np.inf, *range(6, 20)]
     simulation = Simulation(Graph({"x": Scripted(values)}, {}), clock())
     with pytest.raises(NonFiniteError, match=r"'x.y' became inf at t = 0.5 s"):
-        repeat(simulation.step, 10 // size, size)
+        call_often(simulation.step, 10 // size, size)
     assert simulation.t_ns == 4 * 10**8
     assert simulation["x.y"].tolist() == [4.0]
     with pytest.raises(UsageError, match=r"ended at t = 0.4 s: 'x.y' became inf at t = 0.5 s"):
@@ -415,6 +417,41 @@ def test_only_what_is_overridden_is_released():
     simulation["first.u"] = 1.0
     with pytest.raises(GraphError, match=r"overridden: first.u"):
         simulation.release("x.u")
+
+
+# --- events ---
+
+
+def test_events_are_repeated_in_the_order_of_time():
+    """Each at its communication point; others are refused."""
+    events = [SignalEvent(3 * 10**8, "override", "x.u", (2.0,))]
+    memory = Memory()
+    repeat(driven_lag(), clock(), memory, events=events)
+    simulation = Simulation(driven_lag(), clock())
+    simulation.step(3)
+    simulation["x.u"] = 2.0
+    assert memory["x.y"][4:].tolist() == simulation.step(37)["x.y"][:, 0].tolist()
+    assert memory.events() == events
+    earlier = [*events, SignalEvent(2 * 10**8, "release", "x.u", (0.0,))]
+    with pytest.raises(LogError, match=r"an event at t = 0.2 s: found behind a later one"):
+        repeat(driven_lag(), clock(), Memory(), events=earlier)
+    between = [SignalEvent(10**8 + 1, "override", "x.u", (2.0,))]
+    with pytest.raises(LogError, match=r"t = 0.100000001 s: that is no communication point"):
+        repeat(driven_lag(), clock(), Memory(), events=between)
+
+
+@pytest.mark.parametrize("is_recorded", [True, False])
+def test_what_followed_in_a_recorded_component_is_taken_from_its_events(is_recorded):
+    """Of others it is evaluated."""
+    events = [
+        SignalEvent(3 * 10**8, "override", "first.u", (2.0,)),
+        SignalEvent(3 * 10**8, "follow", "first.y", (5.0,)),
+    ]
+    memory = Memory()
+    recorded = ["first"] if is_recorded else []
+    repeat(chain(), clock(), memory, events=events, recorded=recorded)
+    values = {event.signal: event.values for event in memory.events()}
+    assert values["second.y"] == ((15.0,) if is_recorded else (12.0,))
 
 
 # --- states ---

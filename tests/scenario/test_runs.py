@@ -594,6 +594,9 @@ class Extremes:
     def message(self, time_ns, level, source, text):
         self.calls.append((level, source))
 
+    def event(self, event):
+        self.calls.append(event.cause)
+
     def result(self, values):
         self.calls.append(sorted(values))
 

@@ -1,0 +1,106 @@
+"""Run a graph again with the overrides of its recording, each at its instant."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from itertools import groupby
+
+import numpy as np
+
+from cosim.arrays import Vector
+from cosim.core.clock import Clock
+from cosim.core.contracts import Design, Plan, Recorder, SignalEvent, Stopped
+from cosim.core.graph import Graph
+from cosim.core.port import Port
+from cosim.core.simulation import Simulation
+from cosim.errors import LogError, UsageError
+
+
+def repeat(
+    graph: Graph,
+    clock: Clock,
+    recorder: Recorder,
+    plan: Plan | None = None,
+    *,
+    events: Sequence[SignalEvent],
+    recorded: Collection[str] = (),
+    designs: Mapping[str, Design] | None = None,
+) -> None:
+    """Run a graph from the start of a clock to its stop, and apply recorded events on the way.
+
+    Parameters
+    ----------
+    graph, clock, recorder, plan, designs
+        As of :func:`cosim.core.run`.
+    events : sequence of SignalEvent
+        In order of time; those behind the stop are left out.
+    recorded : collection of str
+        Components that return what was recorded: what followed in them is taken from the events.
+
+    Raises
+    ------
+    LogError
+        If an event is at no communication point, or fits nothing that there is.
+    NonFiniteError, Stopped
+        As from :func:`cosim.core.run`.
+    """
+    try:
+        with recorder:
+            if plan is None:
+                plan = graph.prepare(clock.step_ns, designs)
+            recorder.begin(plan)
+            simulation = Simulation(graph, clock, plan, recorder=recorder)
+            for time_ns, jumps in groupby(events, key=lambda event: event.time_ns):
+                index = _point(clock, time_ns)
+                if index > clock.steps:
+                    break
+                if index < simulation.index:
+                    t = time_ns / 1e9
+                    raise LogError(f"an event at t = {t} s: found behind a later one; sort them")
+                simulation.pass_to(index)
+                _apply(simulation, list(jumps), graph, recorded)
+            simulation.pass_to(clock.steps)
+    except Stopped as stop:
+        if stop.failed:
+            raise
+
+
+def _point(clock: Clock, time_ns: int) -> int:
+    """Return the communication point of an event."""
+    index, rest = divmod(time_ns - clock.start_ns, clock.step_ns)
+    if rest or index < 0:
+        raise LogError(f"an event at t = {time_ns / 1e9} s: that is no communication point")
+    return index
+
+
+def _apply(
+    simulation: Simulation, jumps: Iterable[SignalEvent], graph: Graph, recorded: Collection[str]
+) -> None:
+    """Override and release inputs as they were, and let the rest follow."""
+    given: dict[str, list[tuple[slice, Vector]]] = {}
+    try:
+        for jump in jumps:
+            if jump.cause == "override":
+                simulation[jump.signal] = jump.values
+            elif jump.cause == "release":
+                simulation.release(jump.signal)
+            else:
+                port = Port.parse(jump.signal)
+                if port.component in recorded:
+                    columns = _output_columns(graph, jump, port)
+                    given.setdefault(port.component, []).append((columns, np.array(jump.values)))
+    except UsageError as error:
+        where = f"'{jump.signal}' at t = {simulation.t} s"
+        raise LogError(f"the event of {where} does not fit: {error}") from error
+    simulation.complete_jumps(given)
+
+
+def _output_columns(graph: Graph, jump: SignalEvent, port: Port) -> slice:
+    """Return the columns of a signal that followed."""
+    interface = graph.layout[port.component].interface
+    if port.name in interface.input_names:
+        return slice(0, 0)  # follows its source here
+    end = graph.ports.output(port)
+    if end.size != len(jump.values):
+        raise UsageError(f"found {len(jump.values)} values, needed {end.size}")
+    return end.columns

@@ -1,0 +1,39 @@
+"""Build a scenario to run it, with its swaps compared."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from cosim.scenario.build import Builder, Experiment
+from cosim.scenario.parsing import Scenario
+
+if TYPE_CHECKING:
+    from cosim.scenario.swap_report import SwapReports
+
+
+def build_experiment(scenario: Scenario, resources: ExitStack, block: int | None) -> Experiment:
+    """Build a scenario; one with swaps is compared with what it was, for its log and warnings.
+
+    Raises
+    ------
+    ScenarioError
+        With every problem of the file.
+    """
+    if not scenario.file.swap:
+        return Builder(scenario, resources, block=block).experiment()
+    from cosim.scenario.swap_comparison import build_swapped  # rarely needed
+
+    experiment, reports = build_swapped(scenario, resources, block)
+    return _with_reports(experiment, reports)
+
+
+def _with_reports(experiment: Experiment, reports: SwapReports) -> Experiment:
+    """Keep in the log how swapped components compare with those they replace."""
+    metadata = dict(experiment.metadata)
+    for name, report in reports.reports.items():
+        kept = metadata.get(name, {})
+        metadata[name] = {**kept, "swap_report": report.to_dict()}
+    warnings = (*experiment.warnings, *reports.warnings)
+    return replace(experiment, metadata=metadata, warnings=warnings)

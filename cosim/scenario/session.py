@@ -1,0 +1,283 @@
+"""A scenario that is advanced by hand, with a log of it or without."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Self, TypeAlias, final
+
+import numpy as np
+
+from cosim.arrays import Vector
+from cosim.core.contracts import Recorder, Stopped
+from cosim.core.overrides import OverrideValue
+from cosim.core.recorders import end_of_run
+from cosim.core.simulation import Simulation
+from cosim.core.snapshots import SimulationState, StepRows
+from cosim.errors import RunError, UsageError
+
+
+@dataclass(frozen=True)
+class Opened:
+    """A simulation that has begun.
+
+    Parameters
+    ----------
+    simulation : Simulation
+    recorder : Recorder or None
+        Of its log, entered; None: there is no log.
+    log : callable
+        Returns the path of the log.
+    terminate : callable
+        Ends what was opened beside the graph, where no recorder does it.
+    """
+
+    simulation: Simulation
+    recorder: Recorder | None
+    log: Callable[[], Path | None]
+    terminate: Callable[[], None]
+
+
+Opener: TypeAlias = Callable[[ExitStack, bool], Opened]
+
+
+@final
+class Session:
+    """A scenario that is advanced by hand; :meth:`cosim.scenario.parsing.Scenario.start` starts it.
+
+    A context manager: at its end the log is complete, and FMUs are closed. It is used by the thread
+    that started it.
+
+    Parameters
+    ----------
+    opener : callable
+        From resources, and whether a log is the next one beside others, to what is opened.
+    """
+
+    def __init__(self, opener: Opener) -> None:
+        self._opener = opener
+        self._logs: list[Path] = []
+        self._is_open = False
+        self._open(is_next=False)
+
+    def _open(self, *, is_next: bool) -> None:
+        with ExitStack() as resources:
+            self._opened = self._opener(resources, is_next)
+            self._resources = resources.pop_all()
+        self._simulation = self._opened.simulation
+        path = self._opened.log()
+        if path is not None:
+            self._logs.append(path)
+        self._is_open = True
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        error_type: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Complete the log, and close what was opened.
+
+        Raises
+        ------
+        CosimError
+            If the log cannot be completed, or an FMU fails at its end.
+        """
+        self._close(error, "closed")
+
+    def close(self) -> None:
+        """Complete the log, and close what was opened; as at the end of a ``with`` block.
+
+        Raises
+        ------
+        CosimError
+            If the log cannot be completed, or an FMU fails at its end.
+        """
+        self._close(None, "closed")
+
+    def _close(self, error: BaseException | None, how: str) -> None:
+        if not self._is_open:
+            return
+        self._is_open = False
+        with self._resources:
+            try:
+                self._simulation.close()
+            except RunError as failure:
+                self._conclude(error or failure)
+                raise
+            self._conclude(error or self._simulation.error or self._early_end(how))
+
+    def _conclude(self, ended: BaseException | None) -> None:
+        """Complete the log, or end the FMUs without one."""
+        recorder = self._opened.recorder
+        if recorder is not None:
+            trace = None if ended is None else ended.__traceback__
+            recorder.__exit__(None if ended is None else type(ended), ended, trace)
+            return
+        try:
+            self._opened.terminate()
+        except RunError:
+            if end_of_run(ended).status == "complete":
+                raise
+
+    def _early_end(self, how: str) -> Stopped | None:
+        """Return why a session has no more steps, if it is before its stop."""
+        simulation = self._simulation
+        if not simulation.steps_left:
+            return None
+        reason = f"the session was {how} at t = {simulation.t} s, before its stop"
+        return Stopped(np.empty((0, 0)), reason, failed=False)
+
+    # --- time ---
+
+    @property
+    def t_ns(self) -> int:
+        """The time that is reached [ns]."""
+        return self._simulation.t_ns
+
+    @property
+    def t(self) -> float:
+        """The time that is reached [s]."""
+        return self._simulation.t
+
+    @property
+    def steps_left(self) -> int:
+        """Communication steps up to the stop of the scenario."""
+        return self._simulation.steps_left
+
+    def step(self, count: int = 1) -> StepRows:
+        """Advance over some communication steps; return their rows by the names of signals.
+
+        An array of the rows has shape (count, size), cannot be written to, and is yours to keep.
+
+        Raises
+        ------
+        UsageError
+            If ``count`` is no whole number from 1 on, or goes beyond the stop of the scenario; if
+            the session has ended, or is that of another thread.
+        NonFiniteError, Stopped
+            Where a component cannot go on, or asks for the end; what was completed before is in the
+            log, and the session has ended there.
+        """
+        return self._simulation.step(count)
+
+    def run_until(self, t: float) -> StepRows:
+        """Advance up to an instant [s]; return the rows.
+
+        Raises
+        ------
+        ClockError
+            If it is no communication point.
+        UsageError
+            If it is before the time reached, or as from :meth:`step`.
+        NonFiniteError, Stopped
+            As from :meth:`step`.
+        """
+        return self._simulation.run_until(t)
+
+    # --- signals ---
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """The names of all signals."""
+        return self._simulation.signals
+
+    def __getitem__(self, signal: str) -> Vector:
+        """Return what a signal is at the time reached, behind its jumps; shape (size,).
+
+        Raises
+        ------
+        UnknownSignalError
+            If there is no such component, signal or element; names the nearest.
+        UsageError
+            If it is the session of another thread.
+        """
+        return self._simulation[signal]
+
+    def __setitem__(self, to: str, value: OverrideValue) -> None:
+        """Override an input, or elements of it, from the time reached on.
+
+        It holds until it is changed or released. The row at this instant keeps the value before;
+        outputs that feed through follow at once.
+
+        Raises
+        ------
+        GraphError
+            If there is no such input, or the value does not fit it.
+        UsageError
+            If the session has ended, or is that of another thread.
+        """
+        self._simulation[to] = value
+
+    def release(self, to: str) -> None:
+        """Release an override, of an input or of elements of it: its connection drives it again.
+
+        Raises
+        ------
+        GraphError
+            If there is no such input, or it is not overridden.
+        UsageError
+            If the session has ended, or is that of another thread.
+        """
+        self._simulation.release(to)
+
+    @property
+    def overrides(self) -> dict[str, float]:
+        """The elements of inputs that are overridden, and their values."""
+        return self._simulation.overrides
+
+    # --- going back ---
+
+    @property
+    def state(self) -> SimulationState:
+        """The state at the time reached, to go back to; it can be pickled.
+
+        Raises
+        ------
+        UsageError
+            If components cannot go back, or the session has ended.
+        """
+        return self._simulation.state
+
+    @state.setter
+    def state(self, state: SimulationState) -> None:
+        """Go back to a state of this scenario.
+
+        Raises
+        ------
+        UsageError
+            If it is none, or that of another scenario; if there is a log.
+        """
+        self._simulation.state = state
+
+    def reset(self) -> None:
+        """Begin again at the start, without overrides.
+
+        A log is completed, and the next one begins beside it: ``x-2.mcap``, ``x-3.mcap``, ...
+
+        Raises
+        ------
+        UsageError
+            If the session is closed, or that of another thread.
+        """
+        if not self._is_open:
+            raise UsageError("reset: this session is closed; needed another one: start it again")
+        if self._opened.recorder is None:
+            self._simulation.reset()
+            return
+        self._simulation.check_thread()
+        self._close(None, "reset")
+        self._open(is_next=True)
+
+    # --- logs ---
+
+    @property
+    def logs(self) -> tuple[Path, ...]:
+        """The logs of this session, in their order: one, and one more for every reset."""
+        return tuple(self._logs)
