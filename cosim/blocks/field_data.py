@@ -20,6 +20,8 @@ from cosim.arrays import NAN, Matrix, Vector
 from cosim.core.contracts import Stopped
 from cosim.core.signals import Interface, Signal
 from cosim.errors import GraphError, UsageError, nearest
+from cosim.native.field_data import field_data_step
+from cosim.native.step import NativeStep
 
 SAMPLE_TIMES: Final = "sample_times"
 USUAL_GAP: Final = 10.0  # median distances of samples
@@ -148,13 +150,17 @@ class FieldRecording:
             samples.append(of_signal)
             self._columns += list(signal.values[is_measured].T)
         times = Signal(SAMPLE_TIMES, most, unit="s", variability="discrete", optional=True)
-        self.interface = Interface((), (*outputs, *samples, times), rollback=True)
+        self.interface = Interface((), (*outputs, *samples, times), rollback=True, native=True)
         self._lines = measured_lines(data)
         self._begin = max(line.t[0] for line in self._lines)
         self._end = min(line.t[-1] for line in self._lines)
         self._source = data.source
         self._most = most
-        self._before: float | None = None  # the communication point before the last
+        lines = [(line.t, line.values) for line in self._lines]
+        columns = np.stack([*self._columns, self._t])
+        self._columns = list(columns[:-1])
+        self._t = columns[-1]
+        self._step = field_data_step(lines, columns, most=most, end=float(self._end))
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Begin at ``t``: the samples before it are of no step."""
@@ -196,6 +202,20 @@ class FieldRecording:
             raise Stopped(rows, f"the samples end at {self._end} s")
         self._before = float(t[-2])
         return rows
+
+    def native(self) -> NativeStep:
+        """Return the compiled step."""
+        return self._step
+
+    @property
+    def _before(self) -> float | None:
+        """The communication point before the last [s]; None: there is none."""
+        before = float(self._step.memory[0])
+        return None if np.isnan(before) else before
+
+    @_before.setter
+    def _before(self, t: float | None) -> None:
+        self._step.memory[0] = NAN if t is None else t
 
     def save(self) -> float | None:
         """Return the communication point before the last."""

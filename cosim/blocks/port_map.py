@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.signals import Causality, Dependencies, Interface, Signal
+from cosim.native.wrapping import Element
 from cosim.units import Conversion, conversion
 
 
@@ -186,6 +187,16 @@ class PortMap:
         copies = all(conversion.copies for conversion in (*self._inward, *self._outward))
         return same_inputs and same_outputs and copies
 
+    def input_elements(self) -> list[Element]:
+        """Return for every input element of the component where it stands in those shown."""
+        columns = self._shown_columns.tolist()
+        return [_element(column, self._inward[column]) for column in columns]
+
+    def output_elements(self) -> list[Element]:
+        """Return for every shown output element where it stands in those of the component."""
+        pairs = zip(self._output_columns.tolist(), self._outward, strict=True)
+        return [_element(column, conversion) for column, conversion in pairs]
+
     @cached_property
     def _input_columns(self) -> NDArray[np.intp]:
         """Column of the component for every shown input element."""
@@ -237,6 +248,12 @@ def _convert(values: Matrix, conversions: Sequence[Conversion]) -> Matrix:
     for column, convert in enumerate(conversions):
         converted[..., column] = convert(values[..., column])
     return converted
+
+
+def _element(column: int, conversion: Conversion) -> Element:
+    first = (conversion.factor1, conversion.offset1)
+    second = (conversion.offset2, conversion.factor2)
+    return Element(column, not conversion.copies, *first, *second)
 
 
 def _factors(conversions: Iterable[Conversion]) -> Vector:

@@ -12,6 +12,7 @@ from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
 from cosim.native.alphas import Alpha, AlphaSignal, PastAlphas, signals_among
 from cosim.native.step import LARGEST_MEMORY, NativeStep, RegressorConstants, RegressorStep
+from cosim.native.wrapping import parts_step
 from cosim.theory.disturbances.regression import Term
 
 
@@ -132,6 +133,7 @@ class ElementRegressors:
             (Signal("mu", size, optional=True),),
             {"mu": tuple(sorted(fed))},
             rollback=True,
+            native=True,
         )
 
     def initialize(self, t: float, u: Vector) -> Vector:
@@ -151,6 +153,10 @@ class ElementRegressors:
             own = np.ascontiguousarray(u[:, columns])
             parts.append(element.advance(t, h, own))
         return np.hstack(parts)
+
+    def native(self) -> NativeStep:
+        """Return the compiled step."""
+        return parts_step([(element.native(), columns) for element, columns in self._each()])
 
     def _each(self) -> Iterator[tuple[Regressor, list[int]]]:
         """Yield the regressors, each with its columns of the inputs."""

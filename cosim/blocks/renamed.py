@@ -9,6 +9,7 @@ from cosim.arrays import Mask, Matrix, Vector
 from cosim.blocks.port_map import PortMap
 from cosim.core.contracts import Component, Design, Native, Rollback, Stopped, prepare
 from cosim.native.step import NativeStep
+from cosim.native.wrapping import ports_step
 
 
 @final
@@ -55,10 +56,11 @@ class Renamed:
         return self._ports.shown_outputs(y)
 
     def native(self) -> NativeStep | None:
-        """Return the compiled step of the component, where its elements keep their places."""
-        if not self._ports.keeps_places:
-            return None
-        return cast(Native, self._component).native()
+        """Return the compiled step, if the component has one: its own, if nothing has moved."""
+        step = cast(Native, self._component).native()
+        if step is None or self._ports.keeps_places:
+            return step
+        return ports_step(step, self._ports.input_elements(), self._ports.output_elements())
 
     def save(self) -> object:
         """Copy the state of the component."""

@@ -9,9 +9,11 @@ import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.clock import NANOSECONDS
-from cosim.core.contracts import Component, Design, Rollback, Stopped, prepare
+from cosim.core.contracts import Component, Design, Native, Rollback, Stopped, prepare
 from cosim.core.signals import Interface
 from cosim.errors import ClockError, RunError
+from cosim.native.step import NativeStep
+from cosim.native.wrapping import DecimatedMemory, SampledMemory, decimated_step, sampled_step
 
 
 class SampledState(NamedTuple):
@@ -73,28 +75,31 @@ class Sampled:
         self._component = component
         self._n = n
         self._hold = hold
+        self._own_h = 0.0
+        self._memory = SampledMemory(interface.n_u, interface.n_y)
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Prepare the component for its own step."""
         held_inputs = held | self._hold
+        self._own_h = self._own_step(h)
         return prepare(self._component, self._own_step(h), held_inputs, recorded)
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Initialize the component; its first own step begins here."""
-        self._count = 0
-        self._y = self._component.initialize(t, u).copy()
-        return self._y.copy()
+        self._memory.steps = 0
+        self._memory.y[:] = self._component.initialize(t, u)
+        return self._memory.y.copy()
 
     def outputs(self, t: float, u: Vector) -> Vector:
         """Return the outputs of the last own step; at its instant they follow the inputs."""
-        if self._count == 0:
+        if self._memory.steps == 0:
             return self._component.outputs(t, u)
-        return self._y.copy()
+        return self._memory.y.copy()
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Buffer K rows; advance the component wherever one of its own steps ends."""
         steps = len(t) - 1
-        rows = np.empty((steps, len(self._y)))
+        rows = np.empty((steps, self.interface.n_y))
         for k in range(steps):
             ends = slice(k, k + 2)
             try:
@@ -111,33 +116,45 @@ class Sampled:
     def save(self) -> SampledState:
         """Copy the state, and that of the component, which can go back too."""
         component = cast(Rollback[Any], self._component).save()
-        begin = (self._begin, self._u_begin) if self._count else None
-        return SampledState(component, self._count, self._y.copy(), begin)
+        memory = self._memory
+        begin = (memory.begin, memory.u_begin.copy()) if memory.steps else None
+        return SampledState(component, memory.steps, memory.y.copy(), begin)
 
     def restore(self, state: SampledState) -> None:
         """Go back to a saved state."""
         cast(Rollback[Any], self._component).restore(state.component)
-        self._count = state.steps
-        self._y = state.y.copy()
+        memory = self._memory
+        memory.steps = state.steps
+        memory.y[:] = state.y
         if state.begin is not None:
-            self._begin, self._u_begin = state.begin
+            begin, u_begin = state.begin
+            memory.begin = begin
+            memory.u_begin[:] = u_begin
+
+    def native(self) -> NativeStep | None:
+        """Return the compiled step, if the component has one."""
+        step = cast(Native, self._component).native()
+        if step is None:
+            return None
+        return sampled_step(step, self._memory, steps=self._n, h=self._own_h)
 
     def _step(self, t: Vector, h: float, u: Matrix) -> Vector:
         """Take one communication step, ``t`` (2,) and ``u`` (2, n_u); return the outputs held."""
-        if self._count == 0:
-            begin = float(t[0])
-            self._begin = begin
-            self._u_begin = u[0].copy()
+        memory = self._memory
+        if memory.steps == 0:
+            memory.begin = float(t[0])
+            memory.u_begin[:] = u[0]
             # an input that was extrapolated before is corrected now
-            self._y = self._component.outputs(begin, u[0])
-        self._count += 1
-        if self._count == self._n:
-            own_t = np.array([self._begin, t[1]])
-            own_u = np.vstack([self._u_begin, u[1]])
-            y = self._component.advance(own_t, self._own_step(h), own_u)
-            self._y = y[0].copy()
-            self._count = 0
-        return self._y
+            memory.y[:] = self._component.outputs(memory.begin, u[0])
+        if memory.steps + 1 < self._n:
+            memory.steps += 1
+            return memory.y
+        own_t = np.array([memory.begin, t[1]])
+        own_u = np.vstack([memory.u_begin, u[1]])
+        y = self._component.advance(own_t, self._own_step(h), own_u)
+        memory.y[:] = y[0]
+        memory.steps = 0
+        return memory.y
 
     def _own_step(self, h: float) -> float:
         """Return its own step [s], computed from whole nanoseconds."""
@@ -165,6 +182,7 @@ class Decimated:
         self.interface = _held_between(component.interface, n)
         self._component = component
         self._n = n
+        self._memory = DecimatedMemory(self.interface.n_y)
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Prepare the component."""
@@ -172,24 +190,24 @@ class Decimated:
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Initialize the component; the first sample is its initial output."""
-        self._count = 0
-        self._y = self._component.initialize(t, u).copy()
-        return self._y.copy()
+        self._memory.steps = 0
+        self._memory.y[:] = self._component.initialize(t, u)
+        return self._memory.y.copy()
 
     def outputs(self, t: float, u: Vector) -> Vector:
         """Return the last sample; at its instant it follows the inputs."""
-        if self._count == 0:
+        if self._memory.steps == 0:
             return self._component.outputs(t, u)
-        return self._y.copy()
+        return self._memory.y.copy()
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Advance K steps; pass on the samples that are due."""
         stopped: Stopped | None = None
-        y = np.empty((0, len(self._y)))
+        y = np.empty((0, self.interface.n_y))
         try:
-            if self._count == 0:
+            if self._memory.steps == 0:
                 # an input that was extrapolated before is corrected now
-                self._y = self._component.outputs(float(t[0]), u[0])
+                self._memory.y[:] = self._component.outputs(float(t[0]), u[0])
             y = self._component.advance(t, h, u)
         except Stopped as stop:
             stopped = stop
@@ -204,24 +222,32 @@ class Decimated:
     def save(self) -> DecimatedState:
         """Copy the state, and that of the component, which can go back too."""
         component = cast(Rollback[Any], self._component).save()
-        return DecimatedState(component, self._count, self._y.copy())
+        return DecimatedState(component, self._memory.steps, self._memory.y.copy())
 
     def restore(self, state: DecimatedState) -> None:
         """Go back to a saved state."""
         cast(Rollback[Any], self._component).restore(state.component)
-        self._count = state.steps
-        self._y = state.y.copy()
+        self._memory.steps = state.steps
+        self._memory.y[:] = state.y
+
+    def native(self) -> NativeStep | None:
+        """Return the compiled step, if the component has one."""
+        step = cast(Native, self._component).native()
+        if step is None:
+            return None
+        return decimated_step(step, self._memory, steps=self._n)
 
     def _held_samples(self, y: Matrix) -> Matrix:
         """Return for each of the rows ``y``, shape (K, n_y), the sample that is held there."""
         if not len(y):
             return y
-        known = np.vstack([self._y, y])  # row 0: the sample before these steps
+        memory = self._memory
+        known = np.vstack([memory.y, y])  # row 0: the sample before these steps
         row = np.arange(1, len(y) + 1)
-        since_sample = (self._count + row) % self._n
+        since_sample = (memory.steps + row) % self._n
         rows: Matrix = known[np.maximum(row - since_sample, 0)]
-        self._y = rows[-1].copy()
-        self._count = int(since_sample[-1])
+        memory.y[:] = rows[-1]
+        memory.steps = int(since_sample[-1])
         return rows
 
 
@@ -230,4 +256,4 @@ def _held_between(interface: Interface, n: int) -> Interface:
     if n < 1:
         raise ClockError(f"period: found {n} communication steps, needed at least 1")
     outputs = tuple(replace(signal, variability="discrete") for signal in interface.outputs)
-    return replace(interface, outputs=outputs, prepares=True, native=False)
+    return replace(interface, outputs=outputs, prepares=True)

@@ -38,6 +38,62 @@ int32_t cosim_kept_step(void *self, double t0, double t1, double h, const double
                         const double *u1, double *y);
 int32_t cosim_kept_outputs(void *self, double t, const double *u, double *y);
 
+/* A component that advances by steps of so many communication steps, each `h` long: its outputs
+ * change where one has ended, and are those for the inputs then. */
+typedef struct {
+    cosim_inner inner;
+    int32_t steps, n_u, n_y;
+    double h; /* [s] */
+    /* communication steps since its own step began, time and inputs (n_u) then, outputs that are
+     * held (n_y) */
+    double *memory;
+} cosim_sampled;
+int32_t cosim_sampled_step(void *self, double t0, double t1, double h, const double *u0,
+                           const double *u1, double *y);
+int32_t cosim_sampled_outputs(void *self, double t, const double *u, double *y);
+
+/* A component that advances by communication steps, and whose outputs change in one of so many. */
+typedef struct {
+    cosim_inner inner;
+    int32_t steps, n_y;
+    double *memory; /* steps since the last sample, outputs that are held (n_y), scratch (n_y) */
+} cosim_decimated;
+int32_t cosim_decimated_step(void *self, double t0, double t1, double h, const double *u0,
+                             const double *u1, double *y);
+int32_t cosim_decimated_outputs(void *self, double t, const double *u, double *y);
+
+/* A component with other ports: its inputs are picked from those shown, the outputs that are shown
+ * from its own, each converted as in cosim_sum where it `converts`. */
+typedef struct {
+    int32_t from, converts;
+    double factor1, offset1, offset2, factor2;
+} cosim_element;
+typedef struct {
+    cosim_inner inner;
+    int32_t n_u, n_y;                      /* its inputs, and the outputs that are shown */
+    const cosim_element *inputs, *outputs; /* (n_u), (n_y) */
+    double *work;                          /* its inputs at both ends, its outputs */
+} cosim_ports;
+int32_t cosim_ports_step(void *self, double t0, double t1, double h, const double *u0,
+                         const double *u1, double *y);
+int32_t cosim_ports_outputs(void *self, double t, const double *u, double *y);
+
+/* Components side by side, each with some of the inputs; their outputs stand one behind the other.
+ * None of them ever declines a step: the others would have taken it. */
+typedef struct {
+    cosim_inner inner;
+    int32_t n_u, n_y;
+    const int32_t *columns; /* (n_u) */
+    double *u;              /* (2, n_u) scratch */
+} cosim_part;
+typedef struct {
+    int32_t count;
+    const cosim_part *parts;
+} cosim_parts;
+int32_t cosim_parts_step(void *self, double t0, double t1, double h, const double *u0,
+                         const double *u1, double *y);
+int32_t cosim_parts_outputs(void *self, double t, const double *u, double *y);
+
 /* --- functions.c --- */
 
 /* A component without memory: its outputs are a function of t and the inputs then. The functions
@@ -157,5 +213,29 @@ typedef struct {
 int32_t cosim_drawn_step(void *self, double t0, double t1, double h, const double *u0,
                          const double *u1, double *y);
 int32_t cosim_drawn_outputs(void *self, double t, const double *u, double *y);
+
+/* --- field_data.c --- */
+
+/* Samples at instants of their own: at a communication point the values on the straight lines
+ * between those of each element, then the samples since the point before, `most` places for each
+ * element and for their instants. COSIM_OUTSIDE where an element is not measured, or the places do
+ * not suffice. */
+typedef struct {
+    int64_t count; /* of the samples of an element */
+    const double *t, *values;
+    int64_t near;
+} cosim_line;
+typedef struct {
+    int32_t elements, most;
+    cosim_line *lines; /* (elements) */
+    int64_t count;     /* of all instants */
+    /* (elements + 1, count): samples, NaN where there is none, and in the last row their instants */
+    const double *columns;
+    double end;     /* the last instant at which all is measured */
+    double *before; /* the communication point before the last */
+    int64_t near;
+} cosim_field_data;
+int32_t cosim_field_data_step(void *self, double t0, double t1, double h, const double *u0,
+                              const double *u1, double *y);
 
 #endif

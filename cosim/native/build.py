@@ -26,6 +26,7 @@ SOURCES = (
     "stage.c",
     "static.c",
     "functions.c",
+    "field_data.c",
     "refresh.c",
     "wrapping.c",
     "linear.c",

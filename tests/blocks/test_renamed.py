@@ -127,6 +127,13 @@ class Gauge:
         return u[1:].copy()
 
 
+def linear_gauge():
+    """Return a gauge with a compiled step, and a state that nothing sees."""
+    zero = np.zeros((1, 2))
+    matrices = (np.zeros((1, 1)), zero, zero.T, np.eye(2), np.zeros(1), zero)
+    return Linear(LinearModel(Gauge.interface, ("x",), *matrices))
+
+
 def test_a_vector_of_two_units_is_converted_element_by_element():
     """To the unit of the first, or to that of the port that it replaces; 1 m is 100 cm."""
     names = {"x": ["a", "b"], "w": ["p", "q"]}
@@ -143,6 +150,11 @@ def test_a_vector_of_two_units_is_converted_element_by_element():
     assert ports.shown_gain(np.diag([1.0, 1.0])) == pytest.approx(np.diag([100.0, 100.0]))
     assert ports.shown_inputs(np.array([2.0, 5.0])) == pytest.approx([2.0, 0.005])
     check_component(lambda: renamed(names, Gauge(), replaced))
+    check_component(lambda: renamed(names, linear_gauge(), replaced))
+    compiled = renamed(names, linear_gauge(), replaced)
+    compiled.prepare(1.0, np.zeros(2, np.bool_), {})
+    compiled.initialize(0.0, np.zeros(2))
+    assert compiled.native().outputs_at(0.0, np.array([2.0, 0.003])) == pytest.approx([200.0, 0.3])
 
 
 def test_elements_from_0_on_make_a_port():
