@@ -14,9 +14,10 @@ typedef struct {
     const double *u0, *u1, *change;
 } Ramp;
 
-static double fraction(const Ramp *ramp, double time)
+/* How far into the step from t over h an instant is; the ends where it is close to them. */
+static double fraction(double t, double h, double time)
 {
-    const double s = (time - ramp->t) / ramp->h;
+    const double s = (time - t) / h;
     if (fabs(s) <= CLOSE)
         return 0.0;
     if (fabs(s - 1.0) <= CLOSE)
@@ -46,6 +47,21 @@ static bool has_input_event(const Component *c, const double *u)
     return false;
 }
 
+/* Whether a time event is inside a step. */
+static bool has_time_event(const Component *c, double t, double h)
+{
+    if (c->next_event == INFINITY)
+        return false;
+    const double s = fraction(t, h, c->next_event);
+    return s > 0.0 && s < 1.0;
+}
+
+/* Whether a time event is due at the end of a step. */
+static bool is_event_due(const Component *c, double t, double h)
+{
+    return c->next_event != INFINITY && fraction(t, h, c->next_event) <= 1.0;
+}
+
 static bool can_step(const Component *c)
 {
     return c->fmu && cosim_fmu_is_open(c->fmu) && c->initialized && !c->ended;
@@ -57,13 +73,10 @@ static int32_t leave(Component *c, int32_t note)
     return COSIM_DECLINED;
 }
 
-/* y <- outputs + D (u - inputs) */
-static int32_t corrected_outputs(Component *c, const double *u, double *y)
+/* y <- y + D (u - inputs) */
+static int32_t add_feedthrough(Component *c, const double *u, double *y)
 {
-    memcpy(y, c->outputs, (size_t)c->n_y * sizeof *y);
     const cosim_fmu_directional *feedthrough = &c->feedthrough;
-    if (feedthrough->n_unknowns == 0)
-        return COSIM_OK;
     double *seed = c->scratch, *changes = c->scratch + c->n_u;
     bool any = false;
     for (size_t i = 0; i < feedthrough->knowns_size; ++i) {
@@ -81,46 +94,70 @@ static int32_t corrected_outputs(Component *c, const double *u, double *y)
     return COSIM_OK;
 }
 
+/* y <- outputs + D (u - inputs) */
+static int32_t corrected_outputs(Component *c, const double *u, double *y)
+{
+    for (int32_t i = 0; i < c->n_y; ++i)
+        y[i] = c->outputs[i];
+    return c->feedthrough.n_unknowns ? add_feedthrough(c, u, y) : COSIM_OK;
+}
+
 static int32_t save_state(const Component *c)
 {
     const int status = ((get_state_function)c->get_state->function)(c->fmu->instance, c->fmu_state);
     return cosim_fmu_judge(c->fmu, c->get_state, status);
 }
 
-/* Set the inputs of a step, and their slopes. */
-static int32_t set_inputs(Component *c, const Ramp *ramp, double *inputs)
+/* Leave what a failed call, or a value that does not fit its type, ended before do_step. */
+static int32_t leave_before_step(Component *c, int32_t status)
 {
-    if (c->interpolates)
-        interpolated_at(c, ramp, 0.0, inputs);
-    else
-        for (int32_t i = 0; i < c->n_u; ++i)
-            inputs[i] = input_at(ramp, 0.5, i);
-    const int32_t status = cosim_fmu_set(c->fmu, &c->step_inputs, inputs);
-    if (status != COSIM_OK)
-        return leave(c, status == COSIM_CALL_FAILED ? COSIM_FAILED : COSIM_NOTHING);
-    if (!c->interpolates)
-        return COSIM_OK;
-    const double *change = ramp->change;
-    if (cosim_fmu_set_slopes(c->fmu, &c->slopes, change, ramp->h) != COSIM_OK)
-        return leave(c, COSIM_SLOPES_FAILED);
-    return COSIM_OK;
+    return leave(c, status == COSIM_CALL_FAILED ? COSIM_FAILED : COSIM_NOTHING);
 }
 
-/* Find out which inputs the outputs after a step belong to. */
-static void keep_inputs(Component *c, const Ramp *ramp, const double *set)
+/* Set inputs to their values at the beginning of a step, with their slopes, and call do_step. */
+static int32_t do_step_on_ramps(Component *c, double t0, double h, const double *u0,
+                                const double *u1)
 {
-    if (!c->interpolates) {
-        memcpy(c->inputs, set, (size_t)c->n_u * sizeof *set);
-        return;
+    double *end = c->scratch, *change = end + c->n_u, *inputs = change + c->n_u;
+    for (int32_t i = 0; i < c->n_u; ++i) {
+        change[i] = c->held[i] ? 0.0 : u1[i] - u0[i];
+        end[i] = c->held[i] ? u0[i] : u1[i];
     }
+    const Ramp ramp = {t0, h, u0, end, change};
+    interpolated_at(c, &ramp, 0.0, inputs);
+    const int32_t status = cosim_fmu_set(c->fmu, &c->step_inputs, inputs);
+    if (status != COSIM_OK)
+        return leave_before_step(c, status);
+    if (cosim_fmu_set_slopes(c->fmu, &c->slopes, change, h) != COSIM_OK)
+        return leave(c, COSIM_SLOPES_FAILED);
+    if (cosim_fmu_do_step(c->fmu, &c->do_step, t0, h) != COSIM_OK || is_event_due(c, t0, h))
+        return leave(c, COSIM_STEPPED);
     const double until = cosim_fmu_interpolated_until(c->fmu, &c->do_step);
     double s = 1.0;
     if (until != INFINITY) {
-        s = fraction(ramp, until);
+        s = fraction(t0, h, until);
         s = s > 0.0 ? s : 0.0;
         s = s < 1.0 ? s : 1.0;
     }
-    interpolated_at(c, ramp, s, c->inputs);
+    interpolated_at(c, &ramp, s, c->inputs);
+    return COSIM_OK;
+}
+
+/* Set inputs to the mean of both ends of a step, and call do_step. */
+static int32_t do_step_with_means(Component *c, double t0, double h, const double *u0,
+                                  const double *u1)
+{
+    double *inputs = c->inputs;
+    for (int32_t i = 0; i < c->n_u; ++i) {
+        const double change = c->held[i] ? 0.0 : u1[i] - u0[i];
+        inputs[i] = u0[i] + 0.5 * change;
+    }
+    const int32_t status = cosim_fmu_set(c->fmu, &c->step_inputs, inputs);
+    if (status != COSIM_OK)
+        return leave_before_step(c, status);
+    if (cosim_fmu_do_step(c->fmu, &c->do_step, t0, h) != COSIM_OK || is_event_due(c, t0, h))
+        return leave(c, COSIM_STEPPED);
+    return COSIM_OK;
 }
 
 int32_t cosim_co_simulation_step(void *self, double t0, double t1, double h, const double *u0,
@@ -129,30 +166,25 @@ int32_t cosim_co_simulation_step(void *self, double t0, double t1, double h, con
     (void)t1;
     Component *c = self;
     c->note = COSIM_NOTHING;
-    if (!can_step(c) || (c->get_state && !c->fmu_state) || has_input_event(c, u0))
+    if (!can_step(c) || has_input_event(c, u0) || has_time_event(c, t0, h))
         return COSIM_DECLINED;
-    double *end = c->scratch, *change = end + c->n_u, *inputs = change + c->n_u;
-    for (int32_t i = 0; i < c->n_u; ++i) {
-        change[i] = c->held[i] ? 0.0 : u1[i] - u0[i];
-        end[i] = c->held[i] ? u0[i] : u1[i];
+    if (c->get_state) {
+        if (!c->fmu_state)
+            return COSIM_DECLINED;
+        if (save_state(c) != COSIM_OK)
+            return leave(c, COSIM_FAILED);
     }
-    const Ramp ramp = {t0, h, u0, end, change};
-    const double next_event = isinf(c->next_event) ? INFINITY : fraction(&ramp, c->next_event);
-    if (next_event > 0.0 && next_event < 1.0)
-        return COSIM_DECLINED;
-
-    if (c->get_state && save_state(c) != COSIM_OK)
-        return leave(c, COSIM_FAILED);
-    if (set_inputs(c, &ramp, inputs) != COSIM_OK)
-        return COSIM_DECLINED;
-    if (cosim_fmu_do_step(c->fmu, &c->do_step, t0, h) != COSIM_OK || next_event <= 1.0)
-        return leave(c, COSIM_STEPPED);
-    keep_inputs(c, &ramp, inputs);
-    int32_t status = cosim_fmu_get(c->fmu, &c->outputs_read, c->outputs);
+    int32_t status = c->interpolates ? do_step_on_ramps(c, t0, h, u0, u1)
+                                     : do_step_with_means(c, t0, h, u0, u1);
+    if (status != COSIM_OK)
+        return status;
+    status = cosim_fmu_get(c->fmu, &c->outputs_read, c->outputs);
     if (status != COSIM_OK)
         return leave(c, status == COSIM_CALL_FAILED ? COSIM_FAILED : COSIM_UNREAD);
     c->stepped = 1;
-    c->inner_steps = cosim_inner_step_observe(c->inner_step, c->outputs, c->inputs);
+    c->inner_steps = 0;
+    if (c->inner_step->watches)
+        c->inner_steps = cosim_inner_step_observe(c->inner_step, c->outputs, c->inputs);
     if (c->inner_steps || has_input_event(c, u1))
         return leave(c, COSIM_COMPLETED);
     status = corrected_outputs(c, u1, y);

@@ -18,27 +18,27 @@
 #define COSIM_SLOPES_FAILED 5 /* that call was one for the slopes of inputs */
 
 typedef struct {
+    /* what every step reads, first */
     cosim_fmu *fmu; /* NULL: all is left to the methods */
-    cosim_fmu_variables step_inputs, outputs_read;
-    cosim_fmu_step do_step;
-    cosim_fmu_slopes slopes;        /* of inputs that are interpolated */
-    cosim_fmu_call *get_state;      /* NULL: no state is saved before a step */
-    void **fmu_state;               /* where; NULL: there is no memory for it yet */
-    cosim_fmu_directional feedthrough; /* D; n_unknowns 0: not known */
-    const intptr_t *unknowns, *knowns; /* columns of its outputs and inputs */
+    int32_t initialized, interpolates, stepped, ended;
     int32_t n_u, n_y, n_event;
-    const uint8_t *held;           /* (n_u) keeps its value over a step */
-    const uint8_t *ramped;         /* (n_u) has its value, not its mean, where slopes are set */
-    const intptr_t *event_columns; /* (n_event) inputs that are set in events */
-    cosim_inner_step *inner_step;
+    int32_t note; /* of the last step: what it did before it was left to the methods */
+    double next_event; /* infinity: none */
+    cosim_fmu_call *get_state; /* NULL: no state is saved before a step */
+    const uint8_t *held;       /* (n_u) keeps its value over a step */
     /* the state: as in StepperState */
     double *outputs, *inputs, *event_inputs;
-    double next_event; /* infinity: none */
-    int32_t initialized, interpolates, stepped, ended;
-    double *scratch; /* (3 n_u + n_y) */
-    /* of the last step that was left to the methods */
-    int32_t note;
+    cosim_inner_step *inner_step;
     int64_t inner_steps; /* the inner step that was detected, in communication steps */
+    cosim_fmu_directional feedthrough; /* D; n_unknowns 0: not known */
+    cosim_fmu_variables step_inputs, outputs_read;
+    cosim_fmu_step do_step;
+    cosim_fmu_slopes slopes;           /* of inputs that are interpolated */
+    void **fmu_state;                  /* where it is saved; NULL: there is no memory for it yet */
+    const intptr_t *unknowns, *knowns; /* columns of the outputs and inputs of D */
+    const uint8_t *ramped; /* (n_u) has its value, not its mean, where slopes are set */
+    const intptr_t *event_columns; /* (n_event) inputs that are set in events */
+    double *scratch;               /* (3 n_u + n_y) */
 } cosim_co_simulation;
 
 /* A cosim_step and a cosim_outputs. */

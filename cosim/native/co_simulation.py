@@ -32,22 +32,19 @@ class CoSimulationStruct(Structure):
 
     _fields_ = (
         ("fmu", c_void_p),
+        *((name, c_int32) for name in ("initialized", "interpolates", "stepped", "ended")),
+        *((name, c_int32) for name in ("n_u", "n_y", "n_event", "note")),
+        ("next_event", c_double),
+        *((name, c_void_p) for name in ("get_state", "held", "outputs", "inputs")),
+        *((name, c_void_p) for name in ("event_inputs", "inner_step")),
+        ("inner_steps", c_int64),
+        ("feedthrough", DirectionalStruct),
         ("step_inputs", VariablesStruct),
         ("outputs_read", VariablesStruct),
         ("do_step", StepStruct),
         ("slopes", SlopesStruct),
-        ("get_state", c_void_p),
-        ("fmu_state", c_void_p),
-        ("feedthrough", DirectionalStruct),
-        *((name, c_void_p) for name in ("unknowns", "knowns")),
-        *((name, c_int32) for name in ("n_u", "n_y", "n_event")),
-        *((name, c_void_p) for name in ("held", "ramped", "event_columns", "inner_step")),
-        *((name, c_void_p) for name in ("outputs", "inputs", "event_inputs")),
-        ("next_event", c_double),
-        *((name, c_int32) for name in ("initialized", "interpolates", "stepped", "ended")),
-        ("scratch", c_void_p),
-        ("note", c_int32),
-        ("inner_steps", c_int64),
+        *((name, c_void_p) for name in ("fmu_state", "unknowns", "knowns")),
+        *((name, c_void_p) for name in ("ramped", "event_columns", "scratch")),
     )
 
 

@@ -7,9 +7,6 @@
 /* The largest integer up to which all are float64. */
 #define LARGEST_EXACT 9007199254740992.0
 
-typedef int (*values_2)(void *instance, const uint32_t *references, size_t n, void *values);
-typedef int (*values_3)(void *instance, const uint32_t *references, size_t n, void *values,
-                        size_t n_values);
 typedef int (*directional_2)(void *instance, const uint32_t *unknowns, size_t n_unknowns,
                              const uint32_t *knowns, size_t n_knowns, const double *seed,
                              double *result);
@@ -167,15 +164,15 @@ static int32_t access(cosim_fmu *fmu, cosim_fmu_call *call, const cosim_fmu_grou
 {
     int status;
     if (fmu->version == 3)
-        status = ((values_3)call->function)(fmu->instance, group->references, group->count, values,
-                                            group->size);
+        status = ((cosim_fmu_values_3)call->function)(fmu->instance, group->references,
+                                                      group->count, values, group->size);
     else
-        status =
-            ((values_2)call->function)(fmu->instance, group->references, group->count, values);
+        status = ((cosim_fmu_values_2)call->function)(fmu->instance, group->references,
+                                                      group->count, values);
     return cosim_fmu_judge(fmu, call, status);
 }
 
-int32_t cosim_fmu_set(cosim_fmu *fmu, const cosim_fmu_variables *variables, const double *vector)
+int32_t cosim_fmu_set_any(cosim_fmu *fmu, const cosim_fmu_variables *variables, const double *vector)
 {
     for (int64_t i = 0; i < variables->count; ++i) {
         const cosim_fmu_group *group = variables->groups + i;
@@ -193,7 +190,7 @@ int32_t cosim_fmu_set(cosim_fmu *fmu, const cosim_fmu_variables *variables, cons
     return COSIM_OK;
 }
 
-int32_t cosim_fmu_get(cosim_fmu *fmu, const cosim_fmu_variables *variables, double *vector)
+int32_t cosim_fmu_get_any(cosim_fmu *fmu, const cosim_fmu_variables *variables, double *vector)
 {
     for (int64_t i = 0; i < variables->count; ++i) {
         const cosim_fmu_group *group = variables->groups + i;
@@ -231,7 +228,7 @@ int32_t cosim_fmu_set_slopes(cosim_fmu *fmu, const cosim_fmu_slopes *slopes, con
         slopes->values[i] = change[slopes->columns[i]] / h;
     int status;
     if (fmu->version == 3)
-        status = ((values_3)slopes->call->function)(fmu->instance, slopes->references,
+        status = ((cosim_fmu_values_3)slopes->call->function)(fmu->instance, slopes->references,
                                                     slopes->count, slopes->start, slopes->size);
     else
         status = ((slopes_2)slopes->call->function)(fmu->instance, slopes->references,
@@ -259,7 +256,7 @@ static int32_t do_step_3(cosim_fmu *fmu, cosim_fmu_step *step, double t, double 
     interpolation->t0 = t;
     interpolation->h = h;
     interpolation->last_request = -INFINITY;
-    step->status = ((step_3)step->call->function)(fmu->instance, t, h, !fmu->may_go_back,
+    step->status = ((step_3)step->function)(fmu->instance, t, h, !fmu->may_go_back,
                                                   step->event_needed, step->terminate,
                                                   step->early_return, step->last_successful_time);
     if (step->status > COSIM_FMI_WARNING || step->status < COSIM_FMI_OK)
@@ -279,9 +276,9 @@ int32_t cosim_fmu_do_step(cosim_fmu *fmu, cosim_fmu_step *step, double t, double
         if (do_step_3(fmu, step, t, h) != COSIM_OK)
             return COSIM_DECLINED;
     } else if (fmu->version == 2)
-        step->status = ((step_2)step->call->function)(fmu->instance, t, h, !fmu->may_go_back);
+        step->status = ((step_2)step->function)(fmu->instance, t, h, !fmu->may_go_back);
     else
-        step->status = ((step_1)step->call->function)(fmu->instance, t, h, 1);
+        step->status = ((step_1)step->function)(fmu->instance, t, h, 1);
     if (step->status == COSIM_FMI_WARNING)
         cosim_fmu_record_warning(fmu, step->call);
     else if (step->status != COSIM_FMI_OK)

@@ -67,6 +67,12 @@ typedef struct {
 typedef struct {
     const cosim_fmu_group *groups;
     int64_t count;
+    /* what a call needs where there is one group of Float64 in order: a copy, as what a step reads
+     * should be close together; NULL: there are others */
+    void (*get)(void), (*set)(void);
+    const uint32_t *references;
+    size_t n_references, size;
+    intptr_t first;
 } cosim_fmu_variables;
 
 /* Whether calls are allowed. */
@@ -85,11 +91,51 @@ static inline int32_t cosim_fmu_judge(cosim_fmu *fmu, cosim_fmu_call *call, int3
     return status == COSIM_FMI_OK ? 0 : cosim_fmu_judge_other(fmu, call, status);
 }
 
+typedef int (*cosim_fmu_values_2)(void *instance, const uint32_t *references, size_t n,
+                                  void *values);
+typedef int (*cosim_fmu_values_3)(void *instance, const uint32_t *references, size_t n,
+                                  void *values, size_t n_values);
+
 /* Set variables from a vector; COSIM_DECLINED where a value is none of its type. */
-int32_t cosim_fmu_set(cosim_fmu *fmu, const cosim_fmu_variables *variables, const double *vector);
+int32_t cosim_fmu_set_any(cosim_fmu *fmu, const cosim_fmu_variables *variables,
+                          const double *vector);
 /* Read variables into a vector; COSIM_DECLINED where an integer does not fit a float64: then they
  * were read, and may be read again. */
-int32_t cosim_fmu_get(cosim_fmu *fmu, const cosim_fmu_variables *variables, double *vector);
+int32_t cosim_fmu_get_any(cosim_fmu *fmu, const cosim_fmu_variables *variables, double *vector);
+
+/* The same, quick for what is usual. */
+static inline int cosim_fmu_access(const cosim_fmu *fmu, void (*function)(void),
+                                   const cosim_fmu_variables *variables, void *values)
+{
+    if (fmu->version == 3)
+        return ((cosim_fmu_values_3)function)(fmu->instance, variables->references,
+                                              variables->n_references, values, variables->size);
+    return ((cosim_fmu_values_2)function)(fmu->instance, variables->references,
+                                          variables->n_references, values);
+}
+
+static inline int32_t cosim_fmu_set(cosim_fmu *fmu, const cosim_fmu_variables *variables,
+                                    const double *vector)
+{
+    if (!variables->set)
+        return cosim_fmu_set_any(fmu, variables, vector);
+    /* functions of FMI that set take const values */
+    double *values = (double *)vector + variables->first;
+    const int status = cosim_fmu_access(fmu, variables->set, variables, values);
+    return status == COSIM_FMI_OK ? 0
+                                  : cosim_fmu_judge_other(fmu, variables->groups->set, status);
+}
+
+static inline int32_t cosim_fmu_get(cosim_fmu *fmu, const cosim_fmu_variables *variables,
+                                    double *vector)
+{
+    if (!variables->get)
+        return cosim_fmu_get_any(fmu, variables, vector);
+    double *values = vector + variables->first;
+    const int status = cosim_fmu_access(fmu, variables->get, variables, values);
+    return status == COSIM_FMI_OK ? 0
+                                  : cosim_fmu_judge_other(fmu, variables->groups->get, status);
+}
 
 /* Write d(unknowns)/d(knowns) . seed, of Float64 variables. */
 typedef struct {
@@ -119,6 +165,7 @@ int32_t cosim_fmu_set_slopes(cosim_fmu *fmu, const cosim_fmu_slopes *slopes, con
 
 /* do_step of co-simulation. */
 typedef struct {
+    void (*function)(void); /* of `call`: a copy */
     cosim_fmu_call *call;
     int32_t event_mode; /* the FMU has one */
     int32_t status;     /* that it returned last */

@@ -13,6 +13,7 @@ from cosim.native.library import MessageStruct, declare
 DECLINED: Final = 20  # COSIM_DECLINED
 CALL_FAILED: Final = 21  # COSIM_CALL_FAILED
 
+FLOAT64: Final = 0  # COSIM_FLOAT64
 _CARRIERS: Final = (
     np.float64,
     np.float32,
@@ -67,7 +68,13 @@ class GroupStruct(Structure):
 class VariablesStruct(Structure):
     """cosim_fmu_variables."""
 
-    _fields_ = (("groups", c_void_p), ("count", c_int64))
+    _fields_ = (
+        ("groups", c_void_p),
+        ("count", c_int64),
+        *((name, c_void_p) for name in ("get", "set", "references")),
+        *((name, c_size_t) for name in ("n_references", "size")),
+        ("first", c_ssize_t),
+    )
 
 
 class DirectionalStruct(Structure):
@@ -94,7 +101,7 @@ class StepStruct(Structure):
     """cosim_fmu_step."""
 
     _fields_ = (
-        ("call", c_void_p),
+        *((name, c_void_p) for name in ("function", "call")),
         *((name, c_int32) for name in ("event_mode", "status")),
         *((name, c_void_p) for name in ("event_needed", "terminate", "early_return")),
         *((name, c_void_p) for name in ("last_successful_time", "interpolation", "set")),
@@ -109,8 +116,8 @@ def carrier(dtype: DTypeLike) -> int:
 declare(
     {
         "cosim_fmu_record_warning": (None, (c_void_p, c_void_p)),
-        "cosim_fmu_set": (c_int32, (c_void_p, c_void_p, c_void_p)),
-        "cosim_fmu_get": (c_int32, (c_void_p, c_void_p, c_void_p)),
+        "cosim_fmu_set_any": (c_int32, (c_void_p, c_void_p, c_void_p)),
+        "cosim_fmu_get_any": (c_int32, (c_void_p, c_void_p, c_void_p)),
         "cosim_fmu_directional_derivative": (
             c_int32,
             (c_void_p, c_void_p, c_void_p, c_void_p),

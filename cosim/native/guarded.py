@@ -5,30 +5,26 @@ from __future__ import annotations
 from ctypes import Structure, c_double, c_int32, c_void_p
 
 from cosim.native.library import address
-from cosim.native.step import Guard, NativeStep
+from cosim.native.step import NativeStep
 
 
 class GuardedStruct(Structure):
     """cosim_guarded."""
 
     _fields_ = (
-        *((name, c_void_p) for name in ("step", "outputs", "self")),
+        *((name, c_void_p) for name in ("process", "step", "outputs", "self")),
         ("changes", c_int32),
         ("time", c_double),
         ("distrusted", c_int32),
     )
 
 
-def guarded_step(step: NativeStep, guard: Guard) -> tuple[NativeStep, GuardedStruct]:
+def guarded_step(step: NativeStep) -> tuple[NativeStep, GuardedStruct]:
     """Return a step that puts the floating-point unit back after a step, and what it finds.
 
-    Parameters
-    ----------
-    step : NativeStep
-    guard : Guard
-        Puts back the rest, once for many steps.
+    The step needs a guard, and ``process`` of the struct the memory of the guard's process.
     """
-    struct = GuardedStruct(step.function, step.outputs, step.address)
+    struct = GuardedStruct(None, step.function, step.outputs, step.address)
     guarded = NativeStep(
         address("cosim_guarded_step"),
         struct,
@@ -36,6 +32,5 @@ def guarded_step(step: NativeStep, guard: Guard) -> tuple[NativeStep, GuardedStr
         memory=step.memory,
         keep=(step,),
         outputs=address("cosim_guarded_outputs") if step.outputs else 0,
-        guard=guard,
     )
     return guarded, struct

@@ -29,10 +29,11 @@ enum { X87_ROUNDING = 0x0C00, X87_PRECISION = 0x0300, X87_TRAPS = 0x003F }; /* o
 
 static Unit read_unit(void)
 {
-    Unit unit;
-    __asm__ volatile("stmxcsr %0" : "=m"(unit.sse));
-    __asm__ volatile("fnstcw %0" : "=m"(unit.x87));
-    return unit;
+    uint32_t sse; /* on their own: what is read back is as wide as what was written, so quick */
+    uint16_t x87;
+    __asm__ volatile("stmxcsr %0" : "=m"(sse));
+    __asm__ volatile("fnstcw %0" : "=m"(x87));
+    return (Unit){sse, x87};
 }
 
 static void write_unit(Unit unit, Unit now)
@@ -48,6 +49,8 @@ static int32_t compare_units(Unit a, Unit b)
 {
     const uint32_t sse = a.sse ^ b.sse, x87 = (uint32_t)(a.x87 ^ b.x87);
     int32_t changes = 0;
+    if (!(sse & (ROUNDING | SUBNORMALS | TRAPS)) && !x87)
+        return 0;
     if (sse & ROUNDING || x87 & (X87_ROUNDING | X87_PRECISION))
         changes |= COSIM_ROUNDING;
     if (sse & SUBNORMALS)
@@ -207,10 +210,11 @@ int32_t cosim_process_restore(const void *state, int32_t shared)
 
 /* --- steps --- */
 
-/* Put the unit back after a call that returned `status`. */
-static int32_t put_back(cosim_guarded *self, double t, Unit before, int32_t status)
+/* Put the unit back after a call that returned `status`. It is read once: that waits for all
+ * arithmetic before it. */
+static int32_t put_back(cosim_guarded *self, double t, int32_t status)
 {
-    const Unit now = read_unit();
+    const Unit before = ((const State *)self->process)->unit, now = read_unit();
     const int32_t changes = compare_units(now, before);
     if (!changes)
         return status;
@@ -228,13 +232,11 @@ int32_t cosim_guarded_step(void *self, double t0, double t1, double h, const dou
                            const double *u1, double *y)
 {
     cosim_guarded *guarded = self;
-    const Unit before = read_unit();
-    return put_back(guarded, t0, before, guarded->step(guarded->self, t0, t1, h, u0, u1, y));
+    return put_back(guarded, t0, guarded->step(guarded->self, t0, t1, h, u0, u1, y));
 }
 
 int32_t cosim_guarded_outputs(void *self, double t, const double *u, double *y)
 {
     cosim_guarded *guarded = self;
-    const Unit before = read_unit();
-    return put_back(guarded, t, before, guarded->outputs(guarded->self, t, u, y));
+    return put_back(guarded, t, guarded->outputs(guarded->self, t, u, y));
 }

@@ -29,6 +29,7 @@ int32_t cosim_process_restore(const void *state, int32_t shared);
 
 /* A step after which the floating-point unit is put back, which is the thread's own. */
 typedef struct {
+    const void *process; /* the state before the first of many steps */
     cosim_step step;
     cosim_outputs outputs; /* NULL: there are none */
     void *self;

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from ctypes import byref, c_double, c_int32, c_void_p
 from dataclasses import dataclass
 from typing import Any, Final, Protocol
@@ -132,7 +133,8 @@ class NativeStep:
         row_distance = u.strides[0] // DOUBLE
         inputs = (u.ctypes.data, row_distance)
         outputs = (y.ctypes.data, self.n_y)
-        completed: int = library.cosim_cascade(*step, *points, *inputs, *outputs, byref(status))
+        with self._guarded(float(t[0])):
+            completed: int = library.cosim_cascade(*step, *points, *inputs, *outputs, byref(status))
         self.status = status.value
         return y[:completed]
 
@@ -145,9 +147,21 @@ class NativeStep:
             return None
         inputs = _contiguous(u)
         y = np.empty(self.n_y)
-        if _OUTPUTS(self.outputs)(self.address, t, pointer(inputs), pointer(y)):
-            return None
-        return y
+        with self._guarded(t):
+            status = _OUTPUTS(self.outputs)(self.address, t, pointer(inputs), pointer(y))
+        return None if status else y
+
+    @contextmanager
+    def _guarded(self, t: float) -> Iterator[None]:
+        """Put back what foreign code changes of the process in a call that begins at ``t`` [s]."""
+        if self.guard is None:
+            yield
+            return
+        self.guard.begin()
+        try:
+            yield
+        finally:
+            self.guard.end(t)
 
     def save(self) -> Vector:
         """Copy the state."""

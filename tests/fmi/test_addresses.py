@@ -25,11 +25,11 @@ class Compiled:
 
     def set(self, vector):
         arguments = (self.addresses.fmu, byref(self._variables), vector.ctypes.data)
-        return library.cosim_fmu_set(*arguments)
+        return library.cosim_fmu_set_any(*arguments)
 
     def get(self, vector):
         arguments = (self.addresses.fmu, byref(self._variables), vector.ctypes.data)
-        return library.cosim_fmu_get(*arguments)
+        return library.cosim_fmu_get_any(*arguments)
 
 
 def names_of(version):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ctypes import addressof, c_void_p
-from typing import final
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from cosim.errors import RunError
 from cosim.fmi.binary.binding import Calls
 from cosim.fmi.references import Group, ReferenceMap
+from cosim.native.arena import Arena
 from cosim.native.fmu import (
+    FLOAT64,
     DirectionalStruct,
     GroupStruct,
     SlopesStruct,
@@ -37,6 +39,7 @@ class InstanceAddresses:
         self.fmu = calls.library.address
         self._calls = calls
         self._library = calls.library
+        self._memory = Arena()
         self._keep: list[object] = []
 
     def call(self, name: str) -> int:
@@ -55,28 +58,41 @@ class InstanceAddresses:
         array_type = GroupStruct * len(references.groups)
         groups = array_type(*[self._group(references, group) for group in references.groups])
         self._keep.append(groups)
-        return VariablesStruct(addressof(groups), len(groups))
+        struct = VariablesStruct(addressof(groups), len(groups))
+        if len(groups) == 1 and groups[0].carrier == FLOAT64 and not groups[0].columns:
+            (group,) = groups
+            name = self._calls.type_name("Float64")
+            struct.get = self._library.function_address(f"Get{name}")
+            struct.set = self._library.function_address(f"Set{name}")
+            struct.references = group.references
+            struct.n_references = group.count
+            struct.size = group.size
+            struct.first = group.first
+        return struct
 
     def _group(self, references: ReferenceMap, group: Group) -> GroupStruct:
         name = self._calls.type_name(group.type)
-        columns = np.ascontiguousarray(references.columns[group.columns], np.intp)
+        columns = references.columns[group.columns]
         first = int(columns[0]) if len(columns) else 0
         in_order = bool((np.diff(columns) == 1).all())
         dtype = np.dtype(self._calls.dtypes[group.type])
         values: NDArray[np.uint8] = np.zeros(max(1, len(columns)) * dtype.itemsize, np.uint8)
-        self._keep += [group, columns, values]
         return GroupStruct(
             self.call(f"Get{name}"),
             self.call(f"Set{name}"),
-            group.address,
+            self._copied(group.references),
             group.count,
             len(columns),
-            None if in_order else columns.ctypes.data,
+            None if in_order else self._copied(columns),
             first,
             carrier(dtype),
             int(group.type == "Boolean"),
-            values.ctypes.data,
+            self._copied(values),
         )
+
+    def _copied(self, array: NDArray[Any]) -> int:
+        """Copy an array behind those that a step reads beside it; return its address."""
+        return self._memory.place(np.ascontiguousarray(array)).ctypes.data
 
     def directional(self, unknowns: ReferenceMap, knowns: ReferenceMap) -> DirectionalStruct:
         """Return the directional derivatives of variables, all of them Float64."""

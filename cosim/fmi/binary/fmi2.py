@@ -225,7 +225,9 @@ class Fmi2:
 
     def step_struct(self) -> StepStruct:
         """Return do_step for compiled code."""
-        return StepStruct(self.library.call_address("DoStep"))
+        return StepStruct(
+            self.library.function_address("DoStep"), self.library.call_address("DoStep")
+        )
 
     def do_step(self, t: float, h: float) -> StepEnd:
         """Advance from ``t`` by ``h`` seconds (section 4.2.2: what discard means is asked for)."""

@@ -269,7 +269,9 @@ class Fmi3:
 
     def step_struct(self) -> StepStruct:
         """Return do_step for compiled code."""
-        struct = StepStruct(self.library.call_address("DoStep"))
+        struct = StepStruct(
+            self.library.function_address("DoStep"), self.library.call_address("DoStep")
+        )
         struct.event_mode = self._specification.capabilities.event_mode
         event_needed, terminate, early_return = (addressof(flag) for flag in self._flags[:3])
         struct.event_needed = event_needed

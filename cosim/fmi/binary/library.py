@@ -213,6 +213,11 @@ class Library:
     def may_go_back(self, possible: bool) -> None:
         self._struct.may_go_back = possible
 
+    def function_address(self, name: str) -> int:
+        """Return the address of a function that was bound itself."""
+        address: int = self._calls[name].function
+        return address
+
     def call_address(self, name: str) -> int:
         """Return the address of a function of the instance that was bound, for compiled code."""
         return addressof(self._calls[name])

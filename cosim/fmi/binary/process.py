@@ -14,7 +14,7 @@ cannot be read without setting it for all threads.
 from __future__ import annotations
 
 import threading
-from ctypes import create_string_buffer
+from ctypes import addressof, create_string_buffer
 from typing import Final, final
 
 from cosim.native.library import library
@@ -45,6 +45,11 @@ class Process:
     def __init__(self) -> None:
         self._state = create_string_buffer(library.cosim_process_size())
         self._shared = 0
+
+    @property
+    def address(self) -> int:
+        """Where compiled code finds what is remembered."""
+        return addressof(self._state)
 
     def save(self) -> None:
         """Remember the state."""

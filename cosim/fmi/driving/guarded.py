@@ -38,24 +38,34 @@ class FmuComponent(Component, Preparable, Rollback[Any], Protocol):
 
 @final
 class SharedGuard:
-    """Puts back what all threads share, after many compiled steps of one or several FMUs.
+    """Puts back what compiled steps of one or several FMUs change of the process.
+
+    The floating-point unit they put back themselves, after every step; the rest is what all threads
+    share, and is looked at after many steps.
 
     Parameters
     ----------
     names : sequence of str
         Of the FMUs.
+    steps : sequence of GuardedStruct
+        The compiled steps.
     diagnostics : Diagnostics
         Takes the report; those of the first FMU.
     """
 
-    def __init__(self, names: Sequence[str], diagnostics: Diagnostics) -> None:
+    def __init__(
+        self, names: Sequence[str], steps: Sequence[GuardedStruct], diagnostics: Diagnostics
+    ) -> None:
         self._names = tuple(names)
+        self._steps = tuple(steps)
         self._diagnostics = diagnostics
         self._process = Process()
 
     def begin(self) -> None:
-        """Remember the process."""
+        """Remember the process, for the steps too."""
         self._process.save()
+        for step in self._steps:
+            step.process = self._process.address
 
     def end(self, t: float) -> None:
         """Put back and report what changed in the call that began at ``t`` [s]."""
@@ -64,16 +74,18 @@ class SharedGuard:
             return
         what = describe_changes(changes)
         others = ", ".join(self._names[1:])
-        who = f"it, or one of {others} in the same loop or after it, " if others else ""
+        who = f"it, or one of {others}, " if others else ""
         self._diagnostics.add(t, what, f"{who}changed {what}; it is as before again")
 
     def joined(self, others: Sequence[Guard]) -> Guard:
         """Return one for the FMUs of all."""
         names = list(self._names)
+        steps = list(self._steps)
         for other in others:
             assert isinstance(other, SharedGuard)  # all foreign code is that of FMUs
             names += other._names
-        return SharedGuard(names, self._diagnostics)
+            steps += other._steps
+        return SharedGuard(names, steps, self._diagnostics)
 
 
 @final
@@ -129,8 +141,8 @@ class Guarded:
         step = self._component.native()
         if step is None:
             return None
-        guard = SharedGuard([self._name], self._diagnostics)
-        guarded, self._compiled = guarded_step(step, guard)
+        guarded, self._compiled = guarded_step(step)
+        guarded.guard = SharedGuard([self._name], [self._compiled], self._diagnostics)
         return guarded
 
     def save(self) -> Any:
