@@ -52,6 +52,7 @@ SOURCES = (
     "inner_step.c",
     "co_simulation.c",
     "process.c",
+    "exact.c",
     "model_exchange.c",
 )
 FLAGS = ("-std=c11", "-O2", "-ffp-contract=off", "-fPIC", "-shared")

@@ -22,6 +22,7 @@ RightHandSide: TypeAlias = Callable[[float, Vector], Vector]  # (t, x) -> x'
 STEP_TOO_SMALL: Final = 2  # COSIM_STEP_TOO_SMALL
 FAILED: Final = -1  # of a right-hand side that raised
 NUMBER: Final = 8  # bytes
+TIME: Final = 1  # where the time reached stands in the memory
 
 _RIGHT_HAND_SIDE: Final = CFUNCTYPE(c_int32, c_void_p, c_double, c_void_p, c_void_p)
 
@@ -89,11 +90,28 @@ class RungeKutta:
         status = library.cosim_runge_kutta_step(self._address, t_end, byref(self._reached))
         self._check(status)
         if status == STEP_TOO_SMALL:
-            raise RunError(
-                f"solver {self._method}: at t = {self._reached.value} s the tolerance needs steps "
-                "below the spacing of numbers"
-            )
+            raise self.too_small_a_step()
         return self._reached.value
+
+    def too_small_a_step(self) -> RunError:
+        """Return the error of a tolerance that needs too small a step where it is now."""
+        return RunError(
+            f"solver {self._method}: at t = {self._memory[TIME]} s the tolerance needs steps below "
+            "the spacing of numbers"
+        )
+
+    def compiled(self, f: int, model: int) -> RungeKuttaStruct:
+        """Return the same solver, in the same state, of a compiled right-hand side.
+
+        Parameters
+        ----------
+        f : int
+            Address of a ``cosim_right_hand_side``.
+        model : int
+            Its first argument.
+        """
+        tableau = ctypes.addressof(self._tableau)
+        return RungeKuttaStruct(tableau, f, model, self._n, self._state.rtol, 0, self._begin)
 
     def at(self, t: float) -> Vector:
         """Return the state at a time within the last step, shape (n,)."""

@@ -11,7 +11,11 @@ from tests.fmi.compiled import compile_fmu, kept_folder
 
 VARIABLES = ("u", "d", "x", "v", "der(x)", "der(v)", "q", "count", "p", "evaluations", "completed")
 STATES = {"BALL": 2, "FRICTION": 2, "COUNTER": 0}  # else 1
-INDICATORS = {"FRICTION": 2, "TWO": 3, "SAW": 0, "COUNTER": 0, "MEMORY": 0}  # else 1
+INDICATORS = {
+    **dict.fromkeys(("SAW", "COUNTER", "MEMORY", "STEPS", "TIRED", "SCALED", "REFUSES"), 0),
+    "FRICTION": 2,
+    "TWO": 3,
+}  # else 1
 CAUSALITY = {
     "u": "input",
     "d": "input",
@@ -100,9 +104,13 @@ def xml3(model: str) -> str:
 
 
 @cache
-def build(model: str, version: int = 2, nominal: float = 1.0) -> Path:
+def build(model: str, version: int = 2, nominal: float = 1.0, *, saves: bool = True) -> Path:
+    """Build the FMU; ``saves``: it says that it can save its state."""
     path = kept_folder() / f"{model}{version}.fmu"
     xml = xml2(model) if version == 2 else xml3(model)
+    if not saves:
+        xml = xml.replace('canGetAndSetFMUstate="true"', "")
+        xml = xml.replace('canGetAndSetFMUState="true"', "")
     defines = (f"FMI={version}", f"MODEL={model}", f"NOMINAL={nominal}")
     return compile_fmu(path, xml, "events.c", defines=defines)
 

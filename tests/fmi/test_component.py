@@ -409,6 +409,7 @@ def test_components_keep_the_contract_of_the_interface(exported):
             initial={"y": ("u",), "x_b": ("u",)},
             prepares=True,
             rollback=True,
+            native=True,
         )
         assert fmu.component.interface == expected
         assert fmu.interface_type == "me"

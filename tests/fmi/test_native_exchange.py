@@ -4,12 +4,21 @@ import numpy as np
 import pytest
 
 from cosim.core.clock import Clock
+from cosim.core.connections import Connection
+from cosim.core.contracts import Stopped
 from cosim.core.graph import Graph
-from cosim.core.master import simulate
+from cosim.core.master import run, simulate
+from cosim.core.recorders import Memory
 from cosim.core.signals import Interface, Signal
-from cosim.fmi.component import ModelExchange
+from cosim.errors import RunError
+from cosim.fmi.component import ModelExchange, load
 from cosim.fmi.generated import GeneratedInstance
+from cosim.fmi.options import FmuOptions
+from cosim.native.runge_kutta import EXPLICIT
 from tests.core.parts import integrator, times
+from tests.fmi import eventful
+from tests.fmi.compiled import compile_fmu
+from tests.fmi.probes import xml1
 from tests.fmi.test_contract import VARIABILITIES, Watched, model
 
 STEPS = 60
@@ -24,11 +33,14 @@ class Compiled:
     ----------
     taken : int
         Compiled steps.
+    rows : list of Matrix
+        Those of an advance that stopped.
     """
 
     def __init__(self, component):
         self.component = component
         self.taken = 0
+        self.rows = []
         self._step = None
 
     def begin(self, u, held):
@@ -41,7 +53,7 @@ class Compiled:
 
     def advance(self, k, end, u):
         """Return the rows of steps k to end."""
-        rows = []
+        rows = self.rows = []
         while k < end:
             y = self._step.advance(T[k : end + 1], H, u[k : end + 1])
             rows.append(y)
@@ -74,7 +86,7 @@ def inputs_of(names, seed=1):
     return u
 
 
-def run(driven, u, held, size=STEPS):
+def run_alone(driven, u, held, size=STEPS):
     """Return all rows, in blocks of ``size`` steps."""
     rows = [driven.begin(u[0], held)[np.newaxis]]
     for k in range(0, STEPS, size):
@@ -100,15 +112,15 @@ def test_exact_steps_in_blocks_of_any_size(inputs):
     u = inputs_of(names)
     held = np.zeros(len(names), np.bool_)
     plain = Plain(exact(inputs))
-    expected = run(plain, u, held)
+    expected = run_alone(plain, u, held)
     events = messages(plain.component)
     assert len(events) == (0 if inputs == "continuous" else STEPS // 7)
     for size in (1, 7, STEPS):
         other = Plain(exact(inputs))
-        assert run(other, u, held, size).tobytes() == expected.tobytes()
+        assert run_alone(other, u, held, size).tobytes() == expected.tobytes()
         assert messages(other.component) == events
         compiled = Compiled(exact(inputs))
-        assert run(compiled, u, held, size).tobytes() == expected.tobytes()
+        assert run_alone(compiled, u, held, size).tobytes() == expected.tobytes()
         assert messages(compiled.component) == events
         assert compiled.taken == STEPS - len(events)
 
@@ -119,7 +131,7 @@ def test_exact_outputs_and_states_between_compiled_steps(inputs):
     names = VARIABILITIES[inputs]
     u = inputs_of(names)
     held = np.zeros(len(names), np.bool_)
-    expected = run(Plain(exact(inputs)), u, held)
+    expected = run_alone(Plain(exact(inputs)), u, held)
     compiled = Compiled(exact(inputs))
     compiled.begin(u[0], held)
     compiled.advance(0, 20, u)
@@ -198,3 +210,179 @@ def test_exact_plants_in_loops(coupling):
         plant = exact("both")
         assert signals_of(graph(plant, coupling, True), block).tobytes() == expected.tobytes()
         assert messages(plant) == events
+
+
+# --- FMUs with a Runge-Kutta method ---
+
+LEVELS = {
+    "BALL": 0.1,
+    "FRICTION": 0.5,
+    "SAW": 0.0733,
+    "COUNTER": 0.05,
+    "TWO": 0.0,
+    "SLIDE": 0.5,
+    "ENDLESS": 0.45,
+    "ENDS": 0.45,
+    "MEMORY": 0.0,
+    "SWITCH": 0.3,
+    "STEPS": 0.0733,
+    "TIRED": 0.45,
+    "SCALED": 0.11,
+    "REFUSES": 0.08,
+}
+"""The models of ``c/events.c``, with their parameter p."""
+
+
+def swinging():
+    """Return the inputs u and d of those models."""
+    u = np.sin(7.0 * T)
+    d = np.arange(STEPS + 1) // 7 % 3
+    return np.column_stack([u, d])
+
+
+def events_of(fmu):
+    """Return what the run says, and how often it evaluated and accepted."""
+    instance = fmu._instance
+    references = instance.description.references_of(["evaluations", "completed"])
+    counts = instance.get_float64(references).tolist()
+    return [(m.time, m.level, m.text) for m in fmu.drain()], counts
+
+
+def run_eventful(driving, path, options, held, size):
+    """Return the rows, how it stopped, what it said, and how many compiled steps it took."""
+    with load(path, options) as fmu:
+        driven = driving(fmu.component)
+        u = swinging()
+        rows = [driven.begin(u[0], held)[np.newaxis]]
+        ended = ("", False)
+        try:
+            for k in range(0, STEPS, size):
+                rows.append(driven.advance(k, min(k + size, STEPS), u))
+        except Stopped as stop:
+            driven.rows.append(stop.outputs.reshape(-1, len(rows[0][0])))
+            rows += driven.rows
+            ended = (str(stop), stop.failed)
+        return np.concatenate(rows).tobytes(), ended, events_of(fmu), driven.taken
+
+
+@pytest.mark.parametrize("saves", [True, False])
+@pytest.mark.parametrize("version", [2, 3])
+@pytest.mark.parametrize("solver", EXPLICIT)
+@pytest.mark.parametrize("model", LEVELS)
+def test_events_of_fmus_in_compiled_steps(model, solver, version, saves):
+    """State, time, step and input events, ends and failures: equal bits, words and evaluations.
+
+    Inputs interpolated linearly, or held, so that each step begins with an event. An FMU that
+    cannot go back is left behind the events at the end of a step.
+    """
+    path = eventful.build(model, version, saves=saves)
+    options = FmuOptions(solver=solver, start={"p": LEVELS[model]})
+    for held in ([False, False], [True, False]):
+        mask = np.array(held)
+        *expected, _ = run_eventful(Plain, path, options, mask, 1)
+        for size in (1, 7, STEPS):
+            *found, taken = run_eventful(Compiled, path, options, mask, size)
+            assert found == expected
+            assert taken >= 5
+
+
+@pytest.mark.parametrize("model", ["BALL", "SAW", "TWO", "SWITCH", "SCALED"])
+@pytest.mark.parametrize("solver", ["rk4", "RK45"])
+def test_states_of_fmus_between_compiled_steps(model, solver):
+    """Whatever comes between: outputs, also with other inputs, a saved state, and going back."""
+    path = eventful.build(model)
+    options = FmuOptions(solver=solver, start={"p": LEVELS[model]})
+    u = swinging()
+    held = np.zeros(2, np.bool_)
+    rows = []
+    for driving in (Plain, Compiled):
+        with load(path, options) as fmu:
+            driven = driving(fmu.component)
+            y = [driven.begin(u[0], held)[np.newaxis]]
+            y.append(driven.advance(0, 20, u))
+            y.append(fmu.component.outputs(T[20], u[20] + 1.0)[np.newaxis])
+            state = fmu.component.save()
+            y.append(driven.advance(20, 40, u))
+            fmu.component.restore(state)
+            y.append(driven.advance(20, 50, u))
+            fmu.component.restore(state)
+            y.append(fmu.component.outputs(T[20], u[20])[np.newaxis])
+            y.append(driven.advance(20, STEPS, u))
+            fmu.component.initialize(0.0, u[0])
+            fmu.component.outputs(0.0, u[0])
+            y.append(driven.advance(0, STEPS, u))
+            rows.append([part.tobytes() for part in y])
+    assert rows[0] == rows[1]
+    assert driven.taken > 100
+
+
+def test_more_events_than_there_is_room_for():
+    """They are listed all the same, as many of each communication step as ever."""
+    path = eventful.build("SLIDE")
+    options = FmuOptions(solver="euler", start={"p": 0.5})
+    texts = []
+    for driving in (Plain, Compiled):
+        with load(path, options) as fmu:
+            driven = driving(fmu.component)
+            u = np.zeros((STEPS + 1, 2))
+            u[:, 1] = np.arange(STEPS + 1)
+            driven.begin(u[0], np.zeros(2, np.bool_))
+            for _ in range(60):
+                driven.advance(0, 40, u)
+                fmu.component.initialize(0.0, u[0])
+                fmu.component.outputs(0.0, u[0])
+            texts.append([(m.time, m.text) for m in fmu.drain()])
+    assert texts[0] == texts[1]
+    assert len(texts[0]) > 2048
+
+
+def connected(coupling, native, fmus):
+    """Return two FMUs in a loop, and a third behind it; the first one gets a discrete signal."""
+    components = {f"fmu{i}": fmu.component for i, fmu in enumerate(fmus)}
+    components["pulses"] = Pulses()
+    connections = {
+        "fmu0.u": Connection("fmu1.x", gain=-0.5, offset=1.0),
+        "fmu1.u": "fmu0.x",
+        "fmu2.u": "fmu1.v",
+        **{f"fmu{i}.d": "pulses.y" for i in range(3)},
+    }
+    return Graph(components, connections, coupling=coupling, native=native)
+
+
+@pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
+@pytest.mark.parametrize("version", [2, 3])
+@pytest.mark.parametrize("solver", ["rk4", "RK45"])
+@pytest.mark.parametrize("model", ["SWITCH", "SCALED", "MEMORY", "FRICTION"])
+def test_fmus_in_loops_and_cascades(model, solver, version, coupling):
+    """With extrapolated inputs that are corrected at every step; one that chatters stops."""
+    found = []
+    for native, block in ((False, STEPS), (True, 1), (True, 7), (True, STEPS)):
+        options = FmuOptions(solver=solver, start={"p": LEVELS[model]})
+        fmus = [load(eventful.build(model, version), options) for _ in range(3)]
+        memory = Memory()
+        error = ""
+        try:
+            run(connected(coupling, native, fmus), Clock(STEPS * H, H, block), memory)
+        except RunError as raised:
+            error = str(raised)
+        rows = [memory[name].tobytes() for name in memory.signals()]
+        found.append((rows, error, [events_of(fmu) for fmu in fmus]))
+        for fmu in fmus:
+            fmu.close()
+    assert all(other == found[0] for other in found[1:])
+
+
+@pytest.mark.parametrize("solver", ["rk4", "DOP853"])
+def test_fmi_1_in_compiled_steps(solver, tmp_path):
+    """FMI 1.0 has no modes of events and no FMU state."""
+    path = compile_fmu(tmp_path / "probe1.fmu", xml1(interface_type="me"), "probe1.c")
+    rows = []
+    for driving in (Plain, Compiled):
+        with load(path, FmuOptions(solver=solver)) as fmu:
+            driven = driving(fmu.component)
+            n_u = fmu.component.interface.n_u
+            u = np.random.default_rng(4).standard_normal((STEPS + 1, n_u))
+            rows.append(run_alone(driven, u, np.zeros(n_u, np.bool_), 7).tobytes())
+            rows.append(run_alone(driven, u, np.ones(n_u, np.bool_), 7).tobytes())
+    assert rows[:2] == rows[2:]
+    assert driven.taken == 2 * STEPS

@@ -18,7 +18,19 @@ Co-Simulation 1.0, section 2.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from ctypes import byref, c_char_p, c_double, c_int, c_int8, c_size_t, c_uint, c_void_p
+from ctypes import (
+    addressof,
+    byref,
+    c_char_p,
+    c_double,
+    c_int,
+    c_int8,
+    c_size_t,
+    c_uint,
+    c_void_p,
+    memset,
+    sizeof,
+)
 from typing import Any, ClassVar, Final, final
 
 import numpy as np
@@ -283,6 +295,7 @@ class Fmi1:
         if self._event_info_is_new:
             self._event_info_is_new = False
         else:
+            memset(addressof(info), 0, sizeof(info))  # what it does not write is false
             self._update(0, byref(info))
         return DiscreteStates(
             need_update=not info.iterationConverged,

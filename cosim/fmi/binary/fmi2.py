@@ -3,7 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from ctypes import addressof, byref, c_char_p, c_double, c_int, c_size_t, c_uint, c_void_p
+from ctypes import (
+    addressof,
+    byref,
+    c_char_p,
+    c_double,
+    c_int,
+    c_size_t,
+    c_uint,
+    c_void_p,
+    memset,
+    sizeof,
+)
 from typing import Any, ClassVar, Final, final
 
 import numpy as np
@@ -39,6 +50,7 @@ class Fmi2:
     functions: ClassVar[Mapping[str, str]] = {
         "GetContinuousStateDerivatives": "GetDerivatives",
         "GetFMUState": "GetFMUstate",
+        "SetFMUState": "SetFMUstate",
     }
     dtypes: ClassVar[Mapping[str, DTypeLike]] = {
         "Float64": np.float64,
@@ -189,6 +201,7 @@ class Fmi2:
     def update_discrete_states(self) -> DiscreteStates:
         """Do one event iteration."""
         info = self._event_info
+        memset(addressof(info), 0, sizeof(info))  # what it does not write is false
         self._update(byref(info))
         return DiscreteStates(
             need_update=bool(info.newDiscreteStatesNeeded),

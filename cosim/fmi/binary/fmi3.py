@@ -211,6 +211,8 @@ class Fmi3:
 
     def update_discrete_states(self) -> DiscreteStates:
         """Do one event iteration."""
+        for flag in self._flags:
+            flag.value = False  # what it does not write
         self._update()
         need_update, terminate, nominals, values, has_time = (flag.value for flag in self._flags)
         return DiscreteStates(

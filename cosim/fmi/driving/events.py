@@ -7,7 +7,7 @@ A state event is where an event indicator changes its domain, z > 0 or z <= 0 (F
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Final, Literal, NamedTuple, TypeAlias, final
 
 import numpy as np
@@ -16,12 +16,23 @@ from cosim.arrays import Vector
 from cosim.errors import RunError
 from cosim.fmi.binary.messages import Message
 from cosim.fmi.instance import CoSimulationInstance, DiscreteStates, ModelExchangeInstance
+from cosim.native.model_exchange import INPUT_EVENT, NOT_LISTED, STATE_EVENT, STEP_EVENT, TIME_EVENT
 
 EventKind: TypeAlias = Literal["state event", "time event", "step event", "input event"]
+EventRecord: TypeAlias = tuple[float, int, int]  # time [s], bit of the kind, events not listed
 
 ITERATIONS: Final = 100  # of the discrete states in one event
 EVENTS: Final = 1000  # in one communication step
 KEPT: Final = 100  # events of one communication step that are listed
+
+KINDS: Final[Mapping[int, EventKind]] = {
+    STATE_EVENT: "state event",
+    STEP_EVENT: "step event",
+    TIME_EVENT: "time event",
+    INPUT_EVENT: "input event",
+}
+"""By the bit of ``model_exchange.h``, in the order in which events that are due together stand."""
+BITS: Final[Mapping[EventKind, int]] = {kind: bit for bit, kind in KINDS.items()}
 
 
 def close(t: float) -> float:
@@ -57,7 +68,8 @@ def locate(
     """
     resolution = close(max(abs(a), abs(b)))
     ratio = max((b - a) / resolution, 1.0)
-    bisections = math.ceil(math.log2(ratio))
+    mantissa, exponent = math.frexp(ratio)
+    bisections = exponent if mantissa > 0.5 else exponent - 1  # the logarithm, rounded up
     # Largest bracket from which the bisections that are left still end within the resolution.
     largest = resolution * 2.0 ** (bisections + 1)
     scale = 0.2 / (b - a)
@@ -131,17 +143,22 @@ def iterate_event(
         nominals_changed = nominals_changed or states.nominals_changed
         if states.terminate or not states.need_update:
             return states._replace(values_changed=values_changed, nominals_changed=nominals_changed)
-    raise RunError(
-        f"{instance.description.name}: the event iteration at t = {t} s does not converge in "
-        f"{ITERATIONS} iterations"
+    raise endless_iteration(instance.description.name, t)
+
+
+def endless_iteration(name: str, t: float) -> RunError:
+    """Return the error of an event iteration at ``t`` [s] that does not converge."""
+    return RunError(
+        f"{name}: the event iteration at t = {t} s does not converge in {ITERATIONS} iterations"
     )
 
 
 class EventListState(NamedTuple):
     """A copy of an ``EventList``."""
 
-    messages: tuple[Message, ...]
+    records: tuple[EventRecord, ...]
     in_step: int
+    latest: float
 
 
 @final
@@ -149,40 +166,61 @@ class EventList:
     """The first ``KEPT`` events of each communication step, and how many more it had.
 
     What is listed depends on the steps alone, not on when it is fetched.
+
+    Attributes
+    ----------
+    in_step : int
+        Events since a communication step began.
+    latest : float
+        Time of the last one [s].
     """
 
     def __init__(self) -> None:
-        self._messages: list[Message] = []
-        self._in_step = 0
-        self._latest = 0.0
+        self._records: list[EventRecord] = []
+        self.in_step = 0
+        self.latest = 0.0
 
     def begin_step(self) -> None:
         """Begin to count anew; tell of the step before what was not listed."""
-        omitted = self._in_step - KEPT
+        omitted = self.in_step - KEPT
         if omitted > 0:
-            notice = f"{omitted} more events of this step are not listed"
-            self._messages.append(Message(self._latest, "debug", "event", notice))
-        self._in_step = 0
+            self._records.append((self.latest, NOT_LISTED, omitted))
+        self.in_step = 0
 
     def add(self, kind: EventKind, t: float) -> None:
         """Add an event at ``t`` [s]."""
-        self._in_step += 1
-        self._latest = t
-        if self._in_step <= KEPT:
-            self._messages.append(Message(t, "debug", "event", f"{kind} at t = {t!r} s"))
+        self.in_step += 1
+        self.latest = t
+        if self.in_step <= KEPT:
+            self._records.append((t, BITS[kind], 0))
+
+    def extend(self, records: Iterable[EventRecord], in_step: int, latest: float) -> None:
+        """Add what compiled steps listed; ``in_step`` and ``latest`` are as they are behind it."""
+        self._records += records
+        self.in_step = in_step
+        self.latest = latest
 
     def drain(self) -> list[Message]:
         """Return the events since the last call, at the end of a step."""
         self.begin_step()
-        messages = self._messages
-        self._messages = []
+        messages = [_message(record) for record in self._records]
+        self._records = []
         return messages
 
     def save(self) -> EventListState:
         """Copy the list."""
-        return EventListState(tuple(self._messages), self._in_step)
+        return EventListState(tuple(self._records), self.in_step, self.latest)
 
     def restore(self, state: EventListState) -> None:
         """Go back to a saved list."""
-        self._messages = list(state.messages)
-        self._in_step = state.in_step
+        self._records = list(state.records)
+        self.in_step = state.in_step
+        self.latest = state.latest
+
+
+def _message(record: EventRecord) -> Message:
+    t, kind, omitted = record
+    text = f"{omitted} more events of this step are not listed"
+    if kind != NOT_LISTED:
+        text = f"{KINDS[kind]} at t = {t!r} s"
+    return Message(t, "debug", "event", text)

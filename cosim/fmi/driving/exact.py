@@ -16,8 +16,8 @@ from cosim.core.contracts import Design
 from cosim.core.linear import Linear, LinearModel
 from cosim.fmi.driving.integrator import Integrator
 from cosim.fmi.instance import ModelExchangeInstance
+from cosim.native.exact import ExactStruct
 from cosim.native.library import address, int32, pointer
-from cosim.native.model_exchange import ExactStruct
 from cosim.native.step import NativeStep
 
 

@@ -48,12 +48,15 @@ from cosim.fmi.driving.events import (
     EventListState,
     close,
     crosses,
+    endless_iteration,
     iterate_event,
     locate,
 )
 from cosim.fmi.driving.residual import RADAU, RadauIIA, ResidualForm
 from cosim.fmi.driving.solvers import TOLERANT, Adaptive, Solver, Stateless
 from cosim.fmi.instance import ModelExchangeInstance
+from cosim.native.library import RungeKuttaStruct
+from cosim.native.model_exchange import AT_END, ENDLESS_UPDATE, EVENT_IS_OVER, FAILED_SOLVER
 from cosim.native.runge_kutta import EXPLICIT, RightHandSide, RungeKutta
 
 NONE: Final = np.empty(0)
@@ -82,6 +85,27 @@ class IntegratorSnapshot(NamedTuple):
     state: IntegratorState
     solver: Any  # what the solver's ``save`` returned
     events: EventListState
+
+
+class Interruption(NamedTuple):
+    """What compiled code has left of a communication step.
+
+    Attributes
+    ----------
+    reached : int
+        How far it came: ``AT_BEGIN`` and so on, of :mod:`cosim.native.model_exchange`.
+    failure : int
+        What ends the run: ``FAILED_CALL`` and so on; 0: nothing does.
+    events : int
+        How many were handled since the step began.
+    nominals_changed : bool
+        Whether an event is to be finished: ``finish_event``.
+    """
+
+    reached: int
+    failure: int
+    events: int
+    nominals_changed: bool
 
 
 class LinearInputs:
@@ -122,6 +146,12 @@ class Integrator:
     state : IntegratorState
     event_inputs : array of int
         Which inputs change in events only: held and discrete ones; set by the owner.
+    inputs_time : float
+        The time whose inputs of this step the FMU has; NaN: it has others.
+    rolls_back : bool
+        Whether an event at the end of a step is undone when the outputs after it were read.
+    fmu_state : object or None
+        Copy of the FMU state before such an event; its memory is used again.
     events : EventList
     diagnostics : Diagnostics
     """
@@ -137,22 +167,34 @@ class Integrator:
         self._n_x = description.n_states
         self._n_z = description.event_indicators
         self._form = ResidualForm(instance) if solver == RADAU else None
+        self._runge_kutta: RungeKutta | None = None
         self._solver: Solver[Any]  # each restores what it saved itself
-        if self._form is None:
-            self._solver = _build_solver(solver, self._derivatives, self._n_x, rtol)
-        else:
+        if self._form is not None:
             self._solver = RadauIIA(self._name, self._equations, self._jacobian, self._n_x)
+        elif solver in EXPLICIT and self._n_x:
+            self._runge_kutta = RungeKutta(solver, self._derivatives, self._n_x, rtol=rtol)
+            self._solver = self._runge_kutta
+        else:
+            self._solver = _build_solver(solver, self._derivatives, self._n_x, rtol)
         self._uses_nominals = solver in (*TOLERANT, RADAU) and self._n_x > 0
         # With the exact solver the model is linear: an event changes nothing but its inputs.
-        self._rolls_back = self._capabilities.saves_state and solver != "exact"
-        self._fmu_state: object | None = None  # before an event; its memory is used again
+        self.rolls_back = self._capabilities.saves_state and solver != "exact"
+        self.fmu_state: object | None = None
         self._step_inputs = LinearInputs(0.0, 0.0, NONE, NONE)
-        # The time whose inputs of this step the FMU has; NaN: it has others.
-        self._inputs_time = math.nan
+        self.inputs_time = math.nan
         self.state = IntegratorState()
         self.event_inputs: NDArray[np.intp] = np.flatnonzero(description.discrete_inputs)
         self.events = EventList()
         self.diagnostics = Diagnostics(self._name)
+
+    @property
+    def is_explicit(self) -> bool:
+        """Whether it can be compiled: with an explicit Runge-Kutta method, or without states."""
+        return self._runge_kutta is not None or (self._n_x == 0 and self._form is None)
+
+    def compiled_solver(self, f: int, model: int) -> RungeKuttaStruct | None:
+        """Return the solver for a compiled right-hand side; None: there are no states."""
+        return None if self._runge_kutta is None else self._runge_kutta.compiled(f, model)
 
     def begin(self) -> None:
         """Handle the event that the initialization ends with; from here on time may advance.
@@ -171,7 +213,7 @@ class Integrator:
     def restore(self, snapshot: IntegratorSnapshot) -> None:
         """Go back to a saved state, after the FMU."""
         self.state = replace(snapshot.state)
-        self._inputs_time = math.nan
+        self.inputs_time = math.nan
         self._solver.restore(snapshot.solver)
         self.events.restore(snapshot.events)
 
@@ -190,7 +232,12 @@ class Integrator:
         """
         self._step_inputs = inputs
         self.events.begin_step()
-        for _ in range(EVENTS):
+        return self._integrate_on(0)
+
+    def _integrate_on(self, events: int) -> bool:
+        """Integrate over what is left of a communication step that had some events already."""
+        inputs = self._step_inputs
+        for _ in range(events, EVENTS):
             due = self._integrate_to_event(inputs.t1)
             state = self.state
             if state.t >= inputs.t1:
@@ -207,6 +254,28 @@ class Integrator:
             f"{self._name}: {EVENTS} events between t = {inputs.t0} s and {inputs.t1} s, "
             f"the last at {self.state.t} s; they do not end"
         )
+
+    def finish_event(self) -> None:
+        """Read the nominal values that an event changed, and start the solver with them."""
+        self.state.nominals = self._read_nominals()
+        self._restart_solver()
+
+    def go_on(self, inputs: LinearInputs, interruption: Interruption) -> bool:
+        """Integrate over what compiled code has left of a communication step; as ``integrate``."""
+        self._step_inputs = inputs
+        if interruption.reached == AT_END:
+            return True
+        return not self.state.ended and self._integrate_on(interruption.events)
+
+    def failure(self, interruption: Interruption) -> RunError:
+        """Return the error of what failed in a compiled step, but for a call of the FMU."""
+        if interruption.failure == FAILED_SOLVER:
+            assert self._runge_kutta is not None
+            return self._runge_kutta.too_small_a_step()
+        if interruption.failure == EVENT_IS_OVER:
+            return self._event_is_over()
+        assert interruption.failure == ENDLESS_UPDATE
+        return endless_iteration(self._name, self.state.t)
 
     def _integrate_to_event(self, t1: float) -> tuple[EventKind, ...]:
         """Integrate to the next event, or to ``t1`` at most; return what is due there."""
@@ -273,11 +342,11 @@ class Integrator:
         FMI 2.0.4 section 3.2.2: the arguments of an evaluation are set before it. Time and inputs
         are set where they change only, as each call makes an FMU forget what it has computed.
         """
-        if t != self._inputs_time:
+        if t != self.inputs_time:
             self._instance.set_time(t)
             if self._continuous_inputs.size:
                 self.set_continuous_inputs(self._step_inputs(t))
-            self._inputs_time = t
+            self.inputs_time = t
         if self._form is not None:
             self._form.set_variables(x)
         elif self._n_x:
@@ -322,7 +391,7 @@ class Integrator:
             return self._instance.get_float64(self._outputs)
         if not (state.due or self._jumps(u)):
             self._correct_inputs(u)
-        elif self._rolls_back:
+        elif self.rolls_back:
             return self._outputs_after_event(u)
         else:
             self.handle_events(u)
@@ -332,10 +401,10 @@ class Integrator:
         """Set continuous inputs for the outputs alone; the state stays what it is."""
         state = self.state
         corrected = u.tobytes() != state.inputs.tobytes()
-        if not corrected and not math.isnan(self._inputs_time):
+        if not corrected and not math.isnan(self.inputs_time):
             return
         self.set_continuous_inputs(u)
-        self._inputs_time = math.nan
+        self.inputs_time = math.nan
         if self._form is not None:
             x = self._form.solve(state.t, state.x) if corrected else state.x
             self._form.set_variables(x)
@@ -344,11 +413,11 @@ class Integrator:
         instance = self._instance
         before = replace(self.state)
         # The copy holds the mode too: with it the FMU is back in continuous-time mode.
-        self._fmu_state = instance.get_fmu_state(self._fmu_state)
+        self.fmu_state = instance.get_fmu_state(self.fmu_state)
         self._handle_event(u)
         y = instance.get_float64(self._outputs)
         if not self.state.ended:
-            instance.set_fmu_state(self._fmu_state)
+            instance.set_fmu_state(self.fmu_state)
             self.state = before
         return y
 
@@ -370,7 +439,7 @@ class Integrator:
         """Set continuous inputs that are not what they were a moment ago; that may be an event."""
         state = self.state
         self.set_continuous_inputs(u)
-        self._inputs_time = math.nan
+        self.inputs_time = math.nan
         state.inputs = u
         if self._form is not None:
             state.x = self._form.solve(state.t, state.x)
@@ -399,7 +468,7 @@ class Integrator:
         state = self.state
         discrete = iterate_event(instance, state.t)
         state.due = ()
-        self._inputs_time = math.nan
+        self.inputs_time = math.nan
         state.ended |= discrete.terminate
         if state.ended:
             # Only terminate may follow (FMI 2.0.4 section 3.2.2).
@@ -407,10 +476,7 @@ class Integrator:
         next_event = discrete.next_event_time
         state.next_event = math.inf if next_event is None else next_event
         if not state.next_event >= state.t - close(state.t):
-            raise RunError(
-                f"{self._name}: at t = {state.t} s it announces a time event at "
-                f"{state.next_event} s; needed a time that is not over"
-            )
+            raise self._event_is_over()
         # States and nominals are read behind this call, as an FMU may select other states in it
         # (FMI 2.0.4 section 3.2.2).
         instance.enter_continuous_time_mode()
@@ -422,6 +488,13 @@ class Integrator:
             state.indicators = instance.get_event_indicators()
         if discrete.nominals_changed or not state.nominals.size:
             state.nominals = self._read_nominals()
+
+    def _event_is_over(self) -> RunError:
+        """Return the error of a time event that is announced too late."""
+        return RunError(
+            f"{self._name}: at t = {self.state.t} s it announces a time event at "
+            f"{self.state.next_event} s; needed a time that is not over"
+        )
 
     def _read_nominals(self) -> Vector:
         """Return the nominal values that the solver scales its tolerances with.
@@ -453,8 +526,6 @@ class Integrator:
 def _build_solver(name: str, f: RightHandSide, n: int, rtol: float) -> Solver[Any]:
     if name == "exact" or n == 0:
         return Stateless()
-    if name in EXPLICIT:
-        return RungeKutta(name, f, n, rtol=rtol)
     if name == "CVode":
         from cosim.fmi.driving.cvode import CVode
 

@@ -16,18 +16,21 @@ from cosim.core.contracts import Design, Stopped, check_design
 from cosim.core.linear import LinearModel, shapes_of
 from cosim.errors import FmuError, RunError, nearest
 from cosim.fmi.binary.messages import Message
+from cosim.fmi.driving.compiled import CompiledIntegrator
 from cosim.fmi.driving.exact import ExactSolver
 from cosim.fmi.driving.initialization import Initialization, Starts
 from cosim.fmi.driving.integrator import (
     Integrator,
     IntegratorSnapshot,
     IntegratorState,
+    Interruption,
     LinearInputs,
 )
 from cosim.fmi.driving.residual import FORMS, RADAU, DaeForm
 from cosim.fmi.driving.saved import SavedState, save
 from cosim.fmi.driving.solvers import LIBRARIES, SOLVERS, STEPPING, TOLERANT
 from cosim.fmi.instance import TERMINATED, ModelExchangeInstance
+from cosim.native.model_exchange import AT_BEGIN
 from cosim.native.step import NativeStep
 
 RTOL: Final = 1e-9
@@ -93,14 +96,16 @@ class ModelExchange:
         self._initialization = Initialization(instance, starts or {})
         self._discrete = instance.description.discrete_inputs
         self._capabilities = instance.description.capabilities["me"]
+        self._integrator = Integrator(instance, self.solver, rtol=tolerance)
+        self._addresses = instance.addresses() if self._integrator.is_explicit else None
         self.interface = replace(
             instance.interface,
             prepares=True,
             rollback=self._capabilities.saves_state,
-            native=self.solver == "exact",
+            native=self.solver == "exact" or self._addresses is not None,
         )
-        self._integrator = Integrator(instance, self.solver, rtol=tolerance)
         self._exact: ExactSolver | None = None
+        self._compiled: CompiledIntegrator | None = None
 
     @property
     def metadata(self) -> dict[str, str | float]:
@@ -122,6 +127,7 @@ class ModelExchange:
         # With the exact solver the jump of an input with a zero-order hold is in the matrices.
         in_events = self._discrete if self.solver == "exact" else held
         self._integrator.event_inputs = np.flatnonzero(in_events)
+        self._compiled = None
         model = self._instance.linear
         if model is None:
             return {}
@@ -142,7 +148,7 @@ class ModelExchange:
 
     def outputs(self, t: float, u: Vector) -> Vector:
         """Return the outputs at ``t``, the time reached, after what is due there."""
-        self._take_over()
+        self._settle(self._take_over())
         self._leave_initialization()
         y = self._integrator.outputs(np.array(u, np.float64, order="C"))
         self._hand_over()
@@ -150,27 +156,35 @@ class ModelExchange:
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Step K times; see :class:`cosim.core.contracts.Component`."""
-        self._take_over()
-        y = self._advance(t, h, u)
-        self._hand_over()
-        return y
-
-    def _advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
+        interruption = self._take_over()
         no_rows = np.empty((0, self.interface.n_y))
         try:
+            self._settle(interruption)
             self._leave_initialization()
         except RunError as error:
             raise Stopped(no_rows, str(error)) from error
+        if interruption is None or interruption.reached == AT_BEGIN:
+            interruption = None
+            self._begin_step(u[0], no_rows)
+        if self._exact:
+            y = self._advance_exactly(self._exact, t, h, u)
+        else:
+            y = self._integrate(t, u, interruption)
+        self._hand_over()
+        return y
+
+    def _begin_step(self, u: Vector, no_rows: Matrix) -> None:
+        """Handle what is due where a step begins; stop where the FMU requests the end."""
         if not self._integrator.state.ended:
-            self._handle_events(u[0], no_rows)
+            self._handle_events(u, no_rows)
         if self._integrator.state.ended:
             raise Stopped(no_rows, TERMINATED, failed=False)
-        if self._exact:
-            return self._advance_exactly(self._exact, t, h, u)
-        return self._integrate(t, u)
 
     def drain(self) -> list[Message]:
         """Return the events since the last call, at level debug, and warnings."""
+        if self._compiled:
+            self._compiled.list_events()
+            self._compiled.begin_events()
         return self._integrator.events.drain() + self._integrator.diagnostics.drain()
 
     def save(self) -> SavedState[ModelExchangeState]:
@@ -183,7 +197,7 @@ class ModelExchange:
         FmuError
             If the FMU cannot save its state.
         """
-        self._take_over()
+        self._settle(self._take_over())
         state = ModelExchangeState(self._initialization.mode_time, self._integrator.save())
         saved = save(self._instance, self._capabilities, state)
         self._hand_over()
@@ -201,10 +215,13 @@ class ModelExchange:
 
     def native(self) -> NativeStep | None:
         """Return the compiled step; see :class:`cosim.core.contracts.Native`."""
-        if self._exact is None:
-            return None
-        self._take_over()
-        step = self._exact.native()
+        self._settle(self._take_over())
+        step: NativeStep | None = None
+        if self._exact is not None:
+            step = self._exact.native()
+        elif self._addresses is not None:
+            self._compiled = CompiledIntegrator(self._integrator, self._instance, self._addresses)
+            step = self._compiled.step
         self._hand_over()
         return step
 
@@ -215,14 +232,32 @@ class ModelExchange:
         if self._exact and not self._integrator.state.ended:
             self._exact.begin()
 
-    def _take_over(self) -> None:
-        """Go on from where compiled steps ended; none is taken until ``_hand_over``."""
+    def _take_over(self) -> Interruption | None:
+        """Go on from where compiled steps ended; none is taken until ``_hand_over``.
+
+        Returns
+        -------
+        Interruption or None
+            What is left of a step that was begun.
+        """
+        if self._compiled:
+            return self._compiled.take_over()
         if self._exact:
             self._exact.take_over()
+        return None
+
+    def _settle(self, interruption: Interruption | None) -> None:
+        """Finish the event that a compiled step was left in; raise what failed in it."""
+        if self._compiled and interruption:
+            self._compiled.settle(interruption)
 
     def _hand_over(self) -> None:
         """Let compiled steps go on from here, unless the initialization is not over."""
-        if self._exact and self._initialization.mode_time is None:
+        if self._initialization.mode_time is not None:
+            return
+        if self._compiled:
+            self._compiled.hand_over()
+        if self._exact:
             self._exact.hand_over()
 
     def _handle_events(self, u: Vector, rows: Matrix) -> None:
@@ -253,7 +288,8 @@ class ModelExchange:
 
     # --- solvers in steps ---
 
-    def _integrate(self, t: Vector, u: Matrix) -> Matrix:
+    def _integrate(self, t: Vector, u: Matrix, interruption: Interruption | None) -> Matrix:
+        """Step K times; the first step goes on where it was interrupted."""
         times = t.tolist()
         inputs = np.array(u, np.float64, order="C")
         # Inputs that change in events only keep their value to the end of the step.
@@ -265,7 +301,11 @@ class ModelExchange:
         for k, t1 in enumerate(times[1:]):
             try:
                 step_inputs = LinearInputs(times[k], t1, inputs[k], end_inputs[k])
-                completed = self._integrator.integrate(step_inputs)
+                if interruption is None:
+                    completed = self._integrator.integrate(step_inputs)
+                else:
+                    completed = self._integrator.go_on(step_inputs, interruption)
+                    interruption = None
                 # An event at the end of the block is left to the next advance: a loop may still
                 # correct the inputs that it happens with.
                 if completed and k < steps - 1:

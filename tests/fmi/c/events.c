@@ -12,7 +12,12 @@
  * ENDLESS  x' = 1; above x = p discrete states always need an update
  * ENDS     x' = 1; asks for the end above x = p, and refuses to let time move after that
  * MEMORY   x' = q; q counts the changes of the discrete input d
- * SWITCH   x' = u - x below x = p, u - 4 x above */
+ * SWITCH   x' = u - x below x = p, u - 4 x above
+ * STEPS    x' = 1; asks for an event after the step in which x reaches the next k p: count of them,
+ *          and x <- x + p / 4
+ * TIRED    x' = 1; asks for the end after a step above x = p
+ * SCALED   x' = u - x; at the times k p the nominal value of x changes; at 2 p it is none
+ * REFUSES  x' = u; no derivatives above x = p: they are discarded */
 #if FMI == 2
 #include "fmi2Functions.h"
 #define F(name) fmi2##name
@@ -30,6 +35,7 @@
 #include <string.h>
 
 enum { BALL, FRICTION, SAW, COUNTER, TWO, SLIDE, ENDLESS, ENDS, MEMORY, SWITCH };
+enum { STEPS = SWITCH + 1, TIRED, SCALED, REFUSES };
 enum { U, D, X, V, DER_X, DER_V, Q, COUNT, P, EVALUATIONS, COMPLETED, VARIABLES };
 
 typedef struct {
@@ -38,13 +44,14 @@ typedef struct {
 } Instance;
 
 typedef struct {
-    bool need_update, terminate, values_changed;
+    bool need_update, terminate, values_changed, nominals_changed;
 } Answer;
 
 static void begin(Instance *instance, double t)
 {
     instance->t = t;
-    instance->next = MODEL == SAW || MODEL == COUNTER ? instance->v[P] : 0.0;
+    const bool ticks = MODEL == SAW || MODEL == COUNTER || MODEL == SCALED;
+    instance->next = ticks ? instance->v[P] : 0.0;
     instance->v[Q] = MODEL == FRICTION || MODEL == TWO || MODEL == MEMORY ? 0.0 : 1.0;
     if (MODEL == BALL)
         instance->v[X] = 1.0;
@@ -61,6 +68,10 @@ static void derive(Instance *instance)
                                                    : 1.0;
     if (MODEL == SWITCH)
         v[DER_X] = v[U] - (v[Q] > 0.0 ? 1.0 : 4.0) * v[X];
+    if (MODEL == SCALED)
+        v[DER_X] = v[U] - v[X];
+    if (MODEL == REFUSES)
+        v[DER_X] = v[U];
 }
 
 static void indicate(const Instance *instance, double z[])
@@ -86,9 +97,14 @@ static bool tick(Instance *instance)
     return true;
 }
 
+static bool is_reached(const Instance *instance)
+{
+    return instance->v[X] >= (instance->v[COUNT] + 1.0) * instance->v[P];
+}
+
 static Answer update(Instance *instance)
 {
-    Answer found = {false, false, false};
+    Answer found = {false, false, false, false};
     double *v = instance->v, z[3];
     if (MODEL == BALL && v[X] <= 0.0 && v[V] < 0.0) {
         v[X] = DBL_MIN;
@@ -107,6 +123,12 @@ static Answer update(Instance *instance)
         found.values_changed = true;
     } else if (MODEL == COUNTER) {
         tick(instance);
+    } else if (MODEL == SCALED && tick(instance)) {
+        found.nominals_changed = true;
+    } else if (MODEL == STEPS && is_reached(instance)) {
+        v[COUNT] += 1.0;
+        v[X] += 0.25 * v[P];
+        found.values_changed = true;
     } else if (MODEL == TWO) {
         indicate(instance, z);
         double positive = (z[0] > 0.0) + (z[1] > 0.0) + (z[2] > 0.0);
@@ -181,14 +203,15 @@ static Status get_derivatives(Handle c, double dx[], size_t n)
     derive(c);
     ((Instance *)c)->v[EVALUATIONS] += 1.0;
     memcpy(dx, ((Instance *)c)->v + DER_X, n * sizeof *dx);
-    return F(OK);
+    const Instance *instance = c;
+    return MODEL == REFUSES && instance->v[X] > instance->v[P] ? F(Discard) : F(OK);
 }
 
 Status F(GetNominalsOfContinuousStates)(Handle c, double nominals[], size_t n)
 {
-    (void)c;
+    const double count = ((Instance *)c)->v[COUNT];
     for (size_t i = 0; i < n; ++i)
-        nominals[i] = NOMINAL;
+        nominals[i] = MODEL != SCALED ? NOMINAL : count == 2.0 ? 0.0 : 1.0 / (1.0 + 100.0 * count);
     return F(OK);
 }
 
@@ -286,7 +309,7 @@ Status fmi2NewDiscreteStates(Handle c, fmi2EventInfo *info)
     info->newDiscreteStatesNeeded = found.need_update;
     info->terminateSimulation = found.terminate;
     info->valuesOfContinuousStatesChanged = found.values_changed;
-    info->nominalsOfContinuousStatesChanged = fmi2False;
+    info->nominalsOfContinuousStatesChanged = found.nominals_changed;
     info->nextEventTimeDefined = instance->next > 0.0;
     info->nextEventTime = instance->next;
     return fmi2OK;
@@ -296,8 +319,10 @@ Status fmi2CompletedIntegratorStep(Handle c, fmi2Boolean no_way_back, fmi2Boolea
                                    fmi2Boolean *terminate)
 {
     (void)no_way_back;
-    ((Instance *)c)->v[COMPLETED] += 1.0;
-    *event = *terminate = fmi2False;
+    Instance *instance = c;
+    instance->v[COMPLETED] += 1.0;
+    *event = MODEL == STEPS && is_reached(instance);
+    *terminate = MODEL == TIRED && instance->v[X] > instance->v[P];
     return fmi2OK;
 }
 #else
@@ -393,7 +418,7 @@ Status fmi3UpdateDiscreteStates(Handle c, bool *need_update, bool *terminate, bo
     *need_update = found.need_update;
     *terminate = found.terminate;
     *values = found.values_changed;
-    *nominals = false;
+    *nominals = found.nominals_changed;
     *has_next = instance->next > 0.0;
     *next = instance->next;
     return fmi3OK;
@@ -402,8 +427,10 @@ Status fmi3UpdateDiscreteStates(Handle c, bool *need_update, bool *terminate, bo
 Status fmi3CompletedIntegratorStep(Handle c, bool no_way_back, bool *event, bool *terminate)
 {
     (void)no_way_back;
-    ((Instance *)c)->v[COMPLETED] += 1.0;
-    *event = *terminate = false;
+    Instance *instance = c;
+    instance->v[COMPLETED] += 1.0;
+    *event = MODEL == STEPS && is_reached(instance);
+    *terminate = MODEL == TIRED && instance->v[X] > instance->v[P];
     return fmi3OK;
 }
 #endif
