@@ -5,7 +5,8 @@ The names below load what they need when they are first used: ``import cosim`` c
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 from cosim.lazy import lazy_names
 from cosim.version import __version__
@@ -56,7 +57,13 @@ __all__ = [
     "run",
 ]
 
-__getattr__ = lazy_names(__name__, _HOMES)
+_named = lazy_names(__name__, _HOMES)
+
+
+def __getattr__(name: str) -> Any:
+    if name == "gym":  # a module of its own, which needs an extra
+        return import_module("cosim.gym")
+    return _named(name)
 
 
 def __dir__() -> list[str]:

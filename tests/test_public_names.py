@@ -15,8 +15,9 @@ import cosim
 ROOT = Path(cosim.__file__).parent
 PACKAGES = ["cosim", "cosim.core", "cosim.blocks", "cosim.theory", "cosim.fmi", "cosim.log"]
 TESTING = {
-    "cosim.testing": ["check_component", "check_estimator", "check_rollback"]
-}  # a module of its own
+    "cosim.testing": ["check_component", "check_estimator", "check_rollback"],
+    "cosim.gym": ["Env"],
+}  # modules of their own
 README = (ROOT.parent / "README.md").read_text(encoding="utf-8")
 
 

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
         Recorder,
         Recording,
         Rollback,
+        SignalEvent,
         Stopped,
         check_design,
         prepare,
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
     from cosim.core.recorded import RunMessage
     from cosim.core.recorders import EndOfRun, Memory, Nothing, Watched, end_of_run
     from cosim.core.signals import Channel, Interface, Layout, Signal
+    from cosim.core.simulation import Simulation
+    from cosim.core.snapshots import SimulationState, StepRows
 
 _HOMES = {
     "Block": "cosim.core.contracts",
@@ -66,7 +69,11 @@ _HOMES = {
     "run_members": "cosim.core.ensemble",
     "RunMessage": "cosim.core.recorded",
     "Signal": "cosim.core.signals",
+    "SignalEvent": "cosim.core.contracts",
     "simulate": "cosim.core.master",
+    "Simulation": "cosim.core.simulation",
+    "SimulationState": "cosim.core.snapshots",
+    "StepRows": "cosim.core.snapshots",
     "Stopped": "cosim.core.contracts",
     "Watched": "cosim.core.recorders",
 }
@@ -98,6 +105,10 @@ __all__ = [
     "Rollback",
     "RunMessage",
     "Signal",
+    "SignalEvent",
+    "Simulation",
+    "SimulationState",
+    "StepRows",
     "Stopped",
     "Watched",
     "check_design",

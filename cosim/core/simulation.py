@@ -93,6 +93,9 @@ class Simulation:
         Number of the communication point that is reached.
     error : RunError or None
         What the simulation ended with.
+    rows : StepRows or None
+        What the last call advanced over, also where it came to an end before its last step; None:
+        it has not been advanced.
 
     Raises
     ------
@@ -137,6 +140,7 @@ class Simulation:
         graph.initialize(self._clock.start_time, row)
         self._ended = ""
         self.error: RunError | None = None
+        self.rows: StepRows | None = None
         self._initialization = graph.initializations
         stages = advancing_stages(graph)
         self._pacer = Pacer(stages, divide=True)
@@ -244,13 +248,15 @@ class Simulation:
         passing = self._pass_one if count == 1 and self._native else self._pass_through
         reached, error = passing(block, signals)
         signals.flags.writeable = False  # who keeps the rows sees them as they are
+        self.rows = StepRows(self._columns, block, signals)
         self.index += reached
         self._stand_at(signals[reached])
         if error is not None:
+            self.rows = StepRows(self._columns, block.part(0, reached), signals[: reached + 1])
             self._end_with(error)
             raise error
         self._ended = ""
-        return StepRows(self._columns, block, signals)
+        return self.rows
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # as of the pacer
     def _pass_one(self, block: Block, signals: Matrix) -> tuple[int, RunError | None]:

@@ -167,6 +167,11 @@ class Session:
         """
         return self._simulation.step(count)
 
+    @property
+    def rows(self) -> StepRows | None:
+        """What the last step advanced over, also where it ended early; None: there was none."""
+        return self._simulation.rows
+
     def run_until(self, t: float) -> StepRows:
         """Advance up to an instant [s]; return the rows.
 

@@ -196,6 +196,8 @@ def test_a_regular_end_is_raised_too():
         simulation.step(3)
     assert not caught.value.failed
     assert simulation["x.y"].tolist() == [7.0]
+    assert simulation.rows["x.y"][:, 0].tolist() == [1.0, 7.0]
+    assert simulation.rows.time_ns.tolist() == [10**8, 2 * 10**8]
 
 
 # --- overrides ---

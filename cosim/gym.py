@@ -1,0 +1,247 @@
+"""Scenarios as environments of Gymnasium, for reinforcement learning; needs the extra ``gym``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, SupportsFloat, TypeAlias, cast, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.arrays import Vector
+from cosim.core.contracts import Stopped
+from cosim.core.snapshots import StepRows
+from cosim.errors import UsageError
+from cosim.scenario.execution import load
+from cosim.scenario.parsing import Scenario
+from cosim.scenario.session import Session
+
+try:
+    import gymnasium
+    from gymnasium.spaces import Box
+except ImportError as error:
+    raise ImportError(
+        "cosim.gym needs gymnasium, which is not installed: pip install gymnasium, or, in a clone "
+        "of cosim, pip install -e '.[gym]'"
+    ) from error
+
+SEEDS: Final = 2**31  # seeds of components are drawn below it
+
+Reward: TypeAlias = Callable[[StepRows], float]
+SignalBounds: TypeAlias = Sequence[str] | Mapping[str, tuple[float, float]]
+
+
+@final
+class Env(gymnasium.Env[NDArray[np.float64], NDArray[np.float64]]):
+    """A scenario whose inputs are the actions, and signals of which are the observations.
+
+    An action overrides inputs for some communication steps. An episode is truncated at the stop of
+    the scenario, and terminated where a component asks for the end, or ``terminated`` says so.
+
+    A reset draws a new seed for every component with a ``seed`` in its table, so that a seeded
+    reset gives the same episode again; without such components all episodes begin alike.
+
+    Parameters
+    ----------
+    scenario : str, Path or Scenario
+        A shipped name, a path, or what :func:`cosim.load` gave.
+    act : sequence of str, or mapping of str to (lowest, highest)
+        Inputs that an action sets, one after the other, and the bounds of their elements.
+    observe : sequence of str, or mapping of str to (lowest, highest)
+        Signals of an observation, in the same manner; NaN where a signal has no value yet.
+    reward : callable
+        From the rows of an action to its reward.
+    steps : int
+        Communication steps of an action.
+    terminated : callable, optional
+        From the rows of an action to whether the episode ends with it.
+    out : str or Path, optional
+        Log of the first episode; those behind it go to ``x-2.mcap``, ``x-3.mcap``, ...
+
+    Raises
+    ------
+    UsageError
+        If a signal is not there, bounds are none, or the scenario is no whole number of actions.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 (declared so by gymnasium)
+
+    def __init__(
+        self,
+        scenario: str | Path | Scenario,
+        *,
+        act: SignalBounds,
+        observe: SignalBounds,
+        reward: Reward,
+        steps: int = 1,
+        terminated: Callable[[StepRows], bool] | None = None,
+        out: str | Path | None = None,
+    ) -> None:
+        self._scenario = scenario if isinstance(scenario, Scenario) else load(scenario)
+        self._act = tuple(act)
+        self._observe = tuple(observe)
+        self._reward = reward
+        self._steps = steps
+        self._terminated = terminated
+        self._out = out
+        self._seeded = _seeded(self._scenario)
+        self._is_reset = False
+        self._session = self._scenario.start()
+        try:
+            self._check_steps()
+            self._low, self._high = self._bounds("act", act)
+            self.action_space = _box(self._low, self._high)
+            self.observation_space = _box(*self._bounds("observe", observe))
+            self._parts = self._input_parts()
+        except BaseException:
+            self._session.close()
+            raise
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Vector, dict[str, Any]]:
+        """Begin an episode; with a ``seed``, the one that this seed gives."""
+        super().reset(seed=seed)
+        if self._seeded or (self._out is not None and not self._session.logs):
+            self._session.close()
+            self._session = self._next_session()
+        else:
+            self._session.reset()
+        self._is_reset = True
+        return self._observation(), self._info()
+
+    def step(
+        self, action: NDArray[np.float64]
+    ) -> tuple[Vector, SupportsFloat, bool, bool, dict[str, Any]]:
+        """Take an action: override the inputs, and advance.
+
+        Returns
+        -------
+        observation, reward, terminated, truncated, info
+            ``info`` has the time that is reached, ``t_ns``.
+
+        Raises
+        ------
+        UsageError
+            If the action does not fit, or the episode has ended.
+        RunError
+            If the scenario cannot go on.
+        """
+        session = self._session
+        if not self._is_reset:
+            raise UsageError("step: there is no episode yet; needed reset() first")
+        values = self._checked(action)
+        for to, part in self._parts.items():
+            session[to] = values[part]
+        is_over = False
+        try:
+            rows = session.step(self._steps)
+        except Stopped as stop:
+            if stop.failed or session.rows is None:
+                raise
+            rows = session.rows
+            is_over = True
+        if self._terminated is not None:
+            is_over = is_over or bool(self._terminated(rows))
+        truncated = not session.steps_left and not is_over
+        return self._observation(), float(self._reward(rows)), is_over, truncated, self._info()
+
+    def close(self) -> None:
+        """Close the session; complete its log."""
+        self._session.close()
+
+    @property
+    def session(self) -> Session:
+        """The session of this episode."""
+        return self._session
+
+    def _next_session(self) -> Session:
+        seeds = self.np_random.integers(SEEDS, size=len(self._seeded)).tolist()
+        changes = dict(zip(self._seeded, seeds, strict=True))
+        return self._scenario.edit(set=changes).start(out=self._out, numbered=self._out is not None)
+
+    def _observation(self) -> Vector:
+        return np.concatenate([self._session[name] for name in self._observe])
+
+    def _info(self) -> dict[str, Any]:
+        return {"t_ns": self._session.t_ns}
+
+    def _checked(self, action: NDArray[np.float64]) -> Vector:
+        """Return an action that fits the action space."""
+        values = np.asarray(action, np.float64)
+        if values.shape != self._low.shape:
+            raise UsageError(
+                f"action: found shape {values.shape}; needed {self._low.shape}: "
+                f"{', '.join(self._act)}"
+            )
+        is_inside = (values >= self._low) & (values <= self._high)
+        if not is_inside.all():
+            first = int(is_inside.argmin())
+            low = float(self._low[first])
+            high = float(self._high[first])
+            raise UsageError(
+                f"action: found {float(values[first])} as element {first}; needed {low} to {high}"
+            )
+        return values
+
+    def _check_steps(self) -> None:
+        total = self._session.steps_left
+        if type(self._steps) is not int or self._steps < 1 or total % self._steps:
+            raise UsageError(
+                f"steps: found {self._steps!r}; needed a whole number of communication steps, of "
+                f"which the scenario, {total} steps, is a multiple"
+            )
+
+    def _input_parts(self) -> dict[str, slice]:
+        """Return which elements of an action belong to which input."""
+        parts = {}
+        start = 0
+        for name in self._act:
+            values = self._session[name]
+            self._session[name] = np.zeros(len(values))  # refuses what is no input
+            parts[name] = slice(start, start + len(values))
+            start += len(values)
+        return parts
+
+    def _bounds(self, key: str, signals: SignalBounds) -> tuple[Vector, Vector]:
+        """Return the lowest and highest values of signals, one after the other."""
+        if not signals or isinstance(signals, str):
+            raise UsageError(f"{key}: found {signals!r}; needed the names of signals, in a list")
+        low: list[float] = []
+        high: list[float] = []
+        for name in signals:
+            bounds = signals[name] if isinstance(signals, Mapping) else (-np.inf, np.inf)
+            lowest, highest = _checked_bounds(key, name, bounds)
+            size = len(self._session[name])
+            low += [lowest] * size
+            high += [highest] * size
+        return np.array(low), np.array(high)
+
+
+def _box(low: Vector, high: Vector) -> gymnasium.Space[NDArray[np.float64]]:
+    """Return a space of vectors between bounds."""
+    return cast("gymnasium.Space[NDArray[np.float64]]", Box(low, high, dtype=np.float64))
+
+
+def _checked_bounds(key: str, name: str, bounds: tuple[float, float]) -> tuple[float, float]:
+    try:
+        lowest, highest = map(float, bounds)
+    except (TypeError, ValueError) as error:
+        raise UsageError(
+            f"{key}: found {bounds!r} as the bounds of '{name}'; needed (lowest, highest)"
+        ) from error
+    if not lowest < highest:
+        raise UsageError(
+            f"{key}: found {lowest} to {highest} for '{name}'; needed the lowest value first"
+        )
+    return lowest, highest
+
+
+def _seeded(scenario: Scenario) -> list[str]:
+    """Return the keys of the seeds in the components' tables."""
+    keys = []
+    for name, table in scenario.tree["components"].items():
+        if table.get("seed") is not None:
+            keys.append(f"components.{name}.seed")
+    return keys

@@ -1,0 +1,188 @@
+"""Scenarios as environments of Gymnasium: its own check, seeds, episodes and their logs."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import cosim
+from cosim.core.contracts import Stopped
+from cosim.errors import GraphError, UnknownSignalError, UsageError
+from cosim.gym import Env
+from cosim.report.verification import verify
+from cosim.scenario.execution import replay
+from cosim.scenario.session import Session
+
+pytestmark = pytest.mark.usefixtures("without_verdicts")
+
+ACT = {"plant.u": (-1.0, 1.0)}
+OBSERVE = {"observer.x_a": (-10.0, 10.0), "plant.y": (-10.0, 10.0)}
+
+
+def reward(rows):
+    return -float(np.square(rows["plant.y"]).mean())
+
+
+def environment(name="academic", *, act=ACT, observe=OBSERVE, reward=reward, **options):
+    scenario = cosim.load(name).set({"scenario.stop": 0.2})
+    return Env(scenario, act=act, observe=observe, reward=reward, **options)
+
+
+@pytest.fixture
+def env():
+    with environment(steps=10) as made:
+        yield made
+
+
+def episode(env, seed=None):
+    """Return observations, rewards and ends of an episode under random actions."""
+    observation, info = env.reset(seed=seed)
+    env.action_space.seed(5)
+    rows = [observation]
+    rewards = []
+    ends = []
+    while not (ends and any(ends[-1])):
+        observation, value, terminated, truncated, info = env.step(env.action_space.sample())
+        rows.append(observation)
+        rewards.append(value)
+        ends.append((terminated, truncated))
+    return np.array(rows), rewards, ends, info
+
+
+@pytest.mark.parametrize("name", ["academic", "academic-noisy"])
+def test_an_environment_passes_the_check_of_gymnasium(name):
+    """With components that have seeds, and without."""
+    # steps of y are larger with noise: the filter of the observer amplifies it
+    bounds = {"plant.y": (-1e3, 1e3)}
+    with environment(name, observe=bounds, steps=10) as env:
+        check_env(env, skip_render_check=True)
+
+
+@pytest.mark.filterwarnings("ignore:.*Box (action|observation) space.*:UserWarning")
+def test_signals_in_a_list_have_no_bounds():
+    """It passes too, with warnings that there are none."""
+    with environment(act=["plant.u"], observe=["plant.y"], steps=10) as env:
+        check_env(env, skip_render_check=True)
+        assert env.action_space.low.tolist() == [-np.inf]
+
+
+def test_an_episode_is_a_session_with_overrides(env):
+    """The same values, step by step; it is truncated at the stop of the scenario."""
+    rows, rewards, ends, info = episode(env)
+    assert rows.shape == (21, 3)
+    assert ends == [(False, False)] * 19 + [(False, True)]
+    assert info == {"t_ns": 200_000_000}
+    env.action_space.seed(5)
+    with cosim.load("academic").set({"scenario.stop": 0.2}).start() as sim:
+        for k in range(20):
+            sim["plant.u"] = env.action_space.sample()
+            step = sim.step(10)
+            assert rows[k + 1].tolist() == [*sim["observer.x_a"], *sim["plant.y"]]
+            assert rewards[k] == reward(step)
+    with pytest.raises(UsageError, match="the simulation is at its stop"):
+        env.step(np.zeros(1))
+
+
+def test_a_seeded_reset_gives_the_same_episode_again():
+    """Another seed, or none, gives other noise; the first actions of all are the same."""
+    with environment("academic-noisy", observe=["observer.y"], steps=10) as env:
+        first, *_ = episode(env, seed=1)
+        unseeded, *_ = episode(env)
+        other, *_ = episode(env, seed=2)
+        again, *_ = episode(env, seed=1)
+    assert again.tobytes() == first.tobytes()
+    assert unseeded.tobytes() != first.tobytes()
+    assert other.tobytes() != first.tobytes()
+
+
+@pytest.mark.parametrize("name", ["academic", "academic-noisy"])
+def test_every_episode_has_a_log_of_its_own(name, tmp_path):
+    """Its seeds are in it: a replay verifies it."""
+    with environment(name, steps=10, out=tmp_path / "x.mcap") as env:
+        for seed in (1, None):
+            episode(env, seed=seed)
+    logs = [cosim.open_log(tmp_path / file) for file in ("x.mcap", "x-2.mcap")]
+    assert len(list(tmp_path.iterdir())) == 2
+    for log in logs:
+        assert log.steps == 200
+        verification = verify(log, replay(log))
+        assert verification.passed, verification.problems
+
+
+def test_an_episode_may_be_terminated_by_its_rows():
+    """It is then not truncated."""
+    with environment(steps=10, terminated=lambda rows: bool(rows.time_ns[-1] == 5e7)) as env:
+        _, _, ends, _ = episode(env)
+    assert ends == [(False, False)] * 4 + [(True, False)]
+
+
+def test_a_component_that_asks_for_the_end_terminates_the_episode(env, monkeypatch):
+    """The rows up to there count; a failure is raised."""
+    env.reset()
+    env.step(np.zeros(1))
+
+    def ends(failed):
+        def step(session, count):
+            raise Stopped(np.empty((0, 1)), "enough", failed=failed)
+
+        return step
+
+    monkeypatch.setattr(Session, "step", ends(False))
+    _, value, terminated, truncated, _ = env.step(np.zeros(1))
+    assert (terminated, truncated) == (True, False)
+    assert value < 0.0
+    monkeypatch.setattr(Session, "step", ends(True))
+    with pytest.raises(Stopped, match="enough"):
+        env.step(np.zeros(1))
+
+
+def test_an_action_that_does_not_fit_is_refused(env):
+    """It is not clipped."""
+    with pytest.raises(UsageError, match=r"step: there is no episode yet; needed reset\(\) first"):
+        env.step(np.zeros(1))
+    env.reset()
+    with pytest.raises(UsageError, match=r"action: found shape \(2,\); needed \(1,\): plant.u"):
+        env.step(np.zeros(2))
+    with pytest.raises(UsageError, match=r"found 1.5 as element 0; needed -1.0 to 1.0"):
+        env.step(np.array([1.5]))
+    with pytest.raises(UsageError, match=r"found nan as element 0"):
+        env.step(np.array([np.nan]))
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "text"),
+    [
+        ({"act": ["plant.w"]}, UnknownSignalError, "'plant' has no signal 'w'"),
+        ({"act": ["plant.y"]}, GraphError, "'plant.y' is an output of 'plant'; needed an input"),
+        ({"observe": ["plant.w"]}, UnknownSignalError, "'plant' has no signal 'w'"),
+        ({"act": []}, UsageError, r"act: found \[\]; needed the names of signals, in a list"),
+        ({"observe": "plant.y"}, UsageError, r"observe: found 'plant.y'; needed the names"),
+        ({"act": {"plant.u": 3.0}}, UsageError, r"found 3.0 as the bounds of 'plant.u'; needed"),
+        ({"act": {"plant.u": (1, 0)}}, UsageError, r"act: found 1.0 to 0.0 for 'plant.u'"),
+        ({"steps": 7}, UsageError, r"steps: found 7; needed .*the scenario, 200 steps, is a mult"),
+        ({"steps": 0}, UsageError, r"steps: found 0; needed a whole number"),
+        ({"steps": 1.0}, UsageError, r"steps: found 1.0; needed a whole number"),
+    ],
+)
+def test_what_does_not_fit_the_scenario_is_refused(options, error, text):
+    with pytest.raises(error, match=text):
+        environment(**options)
+
+
+def test_gymnasium_is_needed_for_this_module_only():
+    """Without it, the error says how to get it; cosim imports it only with the module."""
+    code = (
+        "import sys; sys.modules['gymnasium'] = None\n"
+        "import cosim\n"
+        "cosim.load\n"
+        "try:\n"
+        "    cosim.gym\n"
+        "except ImportError as error:\n"
+        "    print(error)\n"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert result.stdout.startswith("cosim.gym needs gymnasium, which is not installed: pip")
