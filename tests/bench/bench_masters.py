@@ -3,10 +3,11 @@
 Run with ``python tests/bench/bench_masters.py``; ``--help`` shows how to make it shorter. Every
 process runs one system for one number of steps; the time of a step is the slope between two
 numbers, so that start-up drops out. It is the processor time of all threads. Each contender is
-measured beside the C program, both in shuffled order: the ratio is the median of those of the
-pairs. The C program keeps the inputs u and the outputs y of every step in memory, as the others do
-unless the table says otherwise. The error is the largest distance of the outputs from the closed
-form in the first 20 s.
+measured beside a floor, both in shuffled order: the ratio is the median of those of the pairs. The
+floor of FMUs is a loop in C over their functions, that of other cases the same arithmetic without a
+master; the table names it. It keeps the inputs u and the outputs y of every step in memory, as the
+others do unless the table says otherwise. The error is the largest distance of the outputs from the
+closed form in the first 20 s.
 
 All run on one core: the threads of some masters would wait for each other, and waiting takes
 processor time, too.
@@ -15,6 +16,7 @@ processor time, too.
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import random
 import statistics
@@ -26,6 +28,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
+from rich.box import SIMPLE
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -54,11 +57,11 @@ class Pairing:
     contender: str
     steps: int = STEPS
     times: list[float] = field(default_factory=list)  # of a step [s]
-    floors: list[float] = field(default_factory=list)  # of the C program beside it [s]
+    floors: list[float] = field(default_factory=list)  # of the floor beside it [s]
     error: float = 0.0
-    same_bits: bool = False  # as the C program, at every sample
+    same_bits: bool = False  # as the floor, at every sample
     reason: str = ""  # why it was not measured
-    floor_reason: str = ""  # why the C program was not
+    floor_reason: str = ""  # why the floor was not
 
     def calibrate(self, most: int, seconds: float) -> None:
         """Choose the number of steps; find out whether the contender can run the case at all."""
@@ -75,7 +78,7 @@ class Pairing:
         self.steps = self.case.fixed_steps or min(most, chosen)
 
     def measure(self, steps: int) -> None:
-        """Measure the contender and the C program, which gets ``steps``, side by side."""
+        """Measure the contender and the floor, which gets ``steps``, side by side."""
         sides = {self.contender: self.steps, FLOOR: self.case.fixed_steps or steps}
         measured: dict[str, tuple[float, Result]] = {}
         for contender in random.sample(list(sides), len(sides)):
@@ -135,23 +138,22 @@ def cases() -> list[Case]:
 
 def table(pairings: Iterable[Pairing]) -> Table:
     """Return the result."""
-    shown = Table("case", "contender", "keeps", title="time of a communication step")
-    for heading in ("us a step", "C, us", "ratio to C", "error", "bits", "steps"):
+    shown = Table("case", "contender", "keeps", title="time of a communication step", box=SIMPLE)
+    for heading in ("us a step", "beside", "us a step", "ratio", "error", "bits", "steps"):
         shown.add_column(heading, justify="right")
     last = ""
     for pairing in pairings:
         if pairing.reason:
             continue
         name = pairing.case.name
-        if name != last:
-            shown.add_section()
         floors = pairing.floors
         cells = (
             f"{1e6 * statistics.median(pairing.times):.3f}",
+            pairing.case.floor_name,
             f"{1e6 * statistics.median(floors):.3f}" if floors else "-",
             f"{pairing.ratio:.2f}" if floors else "-",
-            f"{pairing.error:.1e}",
-            "as C" if pairing.same_bits else "",
+            "-" if math.isnan(pairing.error) else f"{pairing.error:.1e}",
+            "same" if pairing.same_bits else "",
             str(pairing.steps),
         )
         keeps = pairing.case.keeps(pairing.contender)
@@ -170,7 +172,7 @@ def not_measured(pairings: Iterable[Pairing]) -> Table:
         ):
             if reason:
                 cases_by_reason.setdefault((contender, reason), []).append(pairing.case.name)
-    shown = Table("contender", "reason", "cases", title="not measured")
+    shown = Table("contender", "reason", "cases", title="not measured", box=SIMPLE)
     for (contender, reason), names in cases_by_reason.items():
         shown.add_row(contender, escape(reason), ", ".join(names))
     return shown

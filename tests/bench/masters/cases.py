@@ -12,7 +12,7 @@ from tests.bench.masters.building import binary, build_fmus, build_loop
 from tests.bench.masters.environments import Command, Result, driver
 from tests.bench.masters.systems import STEP_NS, System
 
-FLOOR = "c"  # the contender that all are compared with
+FLOOR = "floor"  # stands for what all are compared with
 LONGEST_SAMPLED = 20_000  # steps: the errors of short and of long runs are to be comparable
 SAMPLE_DISTANCE = 250  # steps
 
@@ -52,7 +52,12 @@ class Case(Protocol):
 
     @property
     def contenders(self) -> tuple[str, ...]:
-        """Who runs it, without the C program."""
+        """Who runs it, without the floor."""
+        ...
+
+    @property
+    def floor_name(self) -> str:
+        """What all are compared with."""
         ...
 
     @property
@@ -65,7 +70,7 @@ class Case(Protocol):
         ...
 
     def command(self, contender: str, steps: int) -> Command:
-        """Return the process of a contender, or of the C program (``FLOOR``)."""
+        """Return the process of a contender, or of what all are compared with (``FLOOR``)."""
         ...
 
     def keeps(self, contender: str) -> str:
@@ -100,6 +105,7 @@ class FmuCase:
     method: str
     contenders: tuple[str, ...] = tuple(CONTENDERS)
     fixed_steps: int | None = None
+    floor_name: str = "C"
     _loop: Path = field(init=False, default=Path())
     _fmus: list[Path] = field(init=False, default_factory=list)
 
@@ -123,7 +129,7 @@ class FmuCase:
         if contender == FLOOR:
             return self._floor(steps)
         master = CONTENDERS[contender]
-        return driver(master.driver, master.requirements, self._task(steps))
+        return driver(master.driver, master.requirements, self.task(steps))
 
     def _floor(self, steps: int) -> Command:
         samples = ",".join(map(str, sampled_steps(steps)))
@@ -132,7 +138,8 @@ class FmuCase:
             arguments += [str(binary(fmu)), str(-1 if lag.source is None else lag.source)]
         return Command(tuple(arguments))
 
-    def _task(self, steps: int) -> dict[str, Any]:
+    def task(self, steps: int) -> dict[str, Any]:
+        """Return what a driver reads."""
         lags = []
         for i, (lag, fmu) in enumerate(zip(self.system.lags, self._fmus, strict=True)):
             lags.append({"name": f"lag{i}", "fmu": str(fmu), "source": lag.source})

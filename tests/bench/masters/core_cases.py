@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from cosim.scenario.exporting import export_component
 from tests.bench.masters.building import build_program
-from tests.bench.masters.cases import FLOOR, sampled_steps
+from tests.bench.masters.cases import CONTENDERS, FLOOR, FmuCase, sampled_steps
 from tests.bench.masters.core_systems import GAIN, OFFSET, WITHOUT_IDENTIFIER, loop_of_lags
 from tests.bench.masters.environments import Command, Result, driver
-from tests.bench.masters.systems import STEP_NS, Lag, System
+from tests.bench.masters.systems import STEP_NS, Lag, System, ring
 
 STEP = STEP_NS / 1e9  # s
 OURS = "drive_core.py"
@@ -30,12 +31,14 @@ class CoreCase(ABC):
         The signals that are compared with what they should be.
     fixed_steps : int or None
         Of the longer run; None: it is chosen.
+    floor_name : str
     """
 
     name: str
     watched: tuple[str, ...]
     contenders: tuple[str, ...] = ("cosim",)
     fixed_steps: int | None = None
+    floor_name: str = "C"
 
     @abstractmethod
     def build(self, folder: Path) -> None:
@@ -107,6 +110,7 @@ class ScenarioCase(CoreCase):
 
     name: str
     watched: tuple[str, ...] = ("delta.y", "observer.delta")
+    floor_name: str = "kernels"
     fixed_steps: int | None = 200_000
     settled: int = 6500  # steps that the observer takes; then it has the disturbance
     _library: Path = field(init=False, default=Path())
@@ -132,6 +136,7 @@ class PythonCase(CoreCase):
 
     name: str
     watched: tuple[str, ...] = ("python.y",)
+    floor_name: str = "body"
 
     def build(self, folder: Path) -> None:
         """Compile nothing."""
@@ -153,6 +158,74 @@ class PythonCase(CoreCase):
         return float(np.abs(outputs - exact).max())
 
 
+@dataclass
+class PlantCase(CoreCase):
+    """The plant of ``academic`` as an exported FMU, beside the component itself."""
+
+    fmi_version: str
+    method: str
+    floor_name: str = "component"
+    _fmu: Path = field(init=False, default=Path())
+
+    def __post_init__(self) -> None:
+        self.name = f"plant FMI {self.fmi_version} {self.method}"
+        self.watched = ("plant.x_a",)
+
+    def build(self, folder: Path) -> None:
+        """Export the plant."""
+        self._fmu = folder / f"plant{self.fmi_version}.fmu"
+        export_component("academic", "plant", self._fmu, fmi=self.fmi_version, force=True)
+
+    def command(self, contender: str, steps: int) -> Command:
+        """Return the process that runs the FMU."""
+        if contender == FLOOR:
+            return self.floor(steps)
+        task = {**self.task(steps), "fmu": str(self._fmu), "method": self.method}
+        return driver("drive_plant.py", (), task)
+
+    def floor(self, steps: int) -> Command:
+        """Return the process that runs the component."""
+        return driver("drive_plant.py", (), {**self.task(steps), "fmu": None})
+
+    def error(self, result: Result) -> float:
+        """Return NaN: the bits are compared with those of the component."""
+        return np.nan
+
+
+@dataclass
+class ByHandCase(CoreCase):
+    """Three FMUs of FMI 2 in a ring, step by step, beside the same by FMPy's classes."""
+
+    name: str = "step(1) ring-3 FMI 2 cs"
+    watched: tuple[str, ...] = ()
+    floor_name: str = "FMPy"
+    _fmus: FmuCase = field(init=False)
+
+    def build(self, folder: Path) -> None:
+        """Build the FMUs."""
+        self._fmus = FmuCase(ring(3), "2", "cs")
+        self._fmus.build(folder)
+
+    def command(self, contender: str, steps: int) -> Command:
+        """Return the process that steps a simulation."""
+        if contender == FLOOR:
+            return self.floor(steps)
+        return driver("drive_by_hand.py", (), self._fmus.task(steps))
+
+    def floor(self, steps: int) -> Command:
+        """Return the process that steps FMPy's classes."""
+        requirements = CONTENDERS["fmpy"].requirements
+        return driver("drive_fmpy_by_hand.py", requirements, self._fmus.task(steps))
+
+    def keeps(self, contender: str) -> str:
+        """Return what a contender keeps of every step."""
+        return "nothing"
+
+    def error(self, result: Result) -> float:
+        """Return NaN: both read the same output, and hold their inputs differently."""
+        return np.nan
+
+
 def core_cases() -> list[CoreCase]:
     """Return all cases without FMUs."""
     return [
@@ -165,4 +238,9 @@ def core_cases() -> list[CoreCase]:
         ScenarioCase(f"closed-loop{WITHOUT_IDENTIFIER}"),
         PythonCase("python-cascade"),
         PythonCase("python-loop"),
+        PlantCase("2", "cs"),
+        PlantCase("3", "cs"),
+        PlantCase("2", "rk4"),
+        PlantCase("3", "rk4"),
+        ByHandCase(),
     ]

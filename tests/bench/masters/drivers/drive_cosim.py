@@ -13,34 +13,36 @@ from cosim.fmi.component import load
 from cosim.fmi.options import FmuOptions
 
 
-def main() -> None:
-    """Run."""
-    task = protocol.task()
+def graph_of_fmus(task, resources):
+    """Build the graph of a task; the FMUs are closed with ``resources``."""
     lags = task["lags"]
-    steps = task["steps"]
     solver = None if task["method"] == "cs" else task["method"]
     options = FmuOptions(interface_type=task["interface_type"], solver=solver)
+    components = {}
     connections = {}
     for lag in lags:
+        fmu = resources.enter_context(load(lag["fmu"], options, instance_name=lag["name"]))
+        components[lag["name"]] = fmu.component
         if lag["source"] is not None:
             connections[f"{lag['name']}.u"] = f"{lags[lag['source']]['name']}.y"
-    with ExitStack() as stack:
-        components = {}
-        for lag in lags:
-            fmu = stack.enter_context(load(lag["fmu"], options, instance_name=lag["name"]))
-            components[lag["name"]] = fmu.component
-        graph = Graph(components, connections)
-        step = task["step_ns"] / 1e9
-        clock = Clock(stop=steps * task["step_ns"] / 1e9, step=step)
+    return Graph(components, connections)
+
+
+def main():
+    """Run."""
+    task = protocol.task()
+    clock = Clock(stop=task["steps"] * task["step_ns"] / 1e9, step=task["step_ns"] / 1e9)
+    with ExitStack() as resources:
+        graph = graph_of_fmus(task, resources)
         plan = graph.prepare(clock.step_ns)
         memory = Memory()
         began = time.process_time()
         run(graph, clock, memory, plan)
         seconds = time.process_time() - began
-    rows = [memory.rows(lag["name"])[:, -1] for lag in lags]
+    columns = [memory[f"{lag['name']}.y"] for lag in task["lags"]]
     samples = []
     for sample in task["samples"]:
-        samples.append((sample, [outputs[sample] for outputs in rows]))
+        samples.append((sample, [column[sample] for column in columns]))
     protocol.report(seconds, samples)
 
 
