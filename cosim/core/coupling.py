@@ -10,7 +10,7 @@ is known.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 from typing import Literal, Protocol, TypeAlias
@@ -38,12 +38,15 @@ class Cut(Exception):
         Communication steps that all of its components have completed.
     error : RunError
         What ended it, with component and time.
+    component : str
+        A component of the stage that it ended in.
     """
 
-    def __init__(self, steps: int, error: RunError) -> None:
+    def __init__(self, steps: int, error: RunError, component: str) -> None:
         super().__init__(str(error))
         self.steps = steps
         self.error = error
+        self.component = component
 
 
 class Advancing(Protocol):
@@ -138,7 +141,7 @@ class Cascade:
             if stop.steps:
                 signals[1 : stop.steps + 1, member.outputs] = stop.outputs
             check_finite(self.members, block.part(0, stop.steps), signals)
-            raise Cut(stop.steps, stop) from error
+            raise Cut(stop.steps, stop, member.name) from error
         check_finite(self.members, block, signals)
 
 
@@ -225,9 +228,10 @@ class Loop:
             if stop is not None or not math.isfinite(values.dot(values)):  # of all at once, in time
                 origin = _origin(results)
                 if origin is not None and not math.isfinite(signals[k + 1, origin.column]):
-                    raise Cut(k, origin.error(float(block.time[k + 1])))
+                    error = origin.error(float(block.time[k + 1]))
+                    raise Cut(k, error, self.members[0].name)
             if stop is not None:
-                raise Cut(k + stop.steps, stop)
+                raise Cut(k + stop.steps, stop, self.members[0].name)
 
     def _step(
         self,
@@ -290,11 +294,11 @@ def call(kind: OperationName, member: Member, time: Vector, h: float, u: Matrix)
         raise _stop_of(error, member, time) from error
 
 
-def check_finite(members: Iterable[Member], block: Block, signals: Matrix) -> None:
+def check_finite(members: Sequence[Member], block: Block, signals: Matrix) -> None:
     """Raise a cut before the first row of a block that is not finite."""
     bad = first_non_finite(members, signals[1 : block.steps + 1])
     if bad is not None:
-        raise Cut(bad.row, bad.error(float(block.time[bad.row + 1])))
+        raise Cut(bad.row, bad.error(float(block.time[bad.row + 1])), next(iter(members)).name)
 
 
 def _numbers(columns: slice) -> NDArray[np.intp]:

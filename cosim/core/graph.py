@@ -31,6 +31,7 @@ from cosim.units import Conversion
 
 Coupling = Literal["gauss-seidel", "jacobi"]
 InputInterpolation = Literal["linear", "zero-order"]
+THREADS = (1, 2)
 COUPLINGS: tuple[str, ...] = ("gauss-seidel", "jacobi")
 INTERPOLATIONS: tuple[str, ...] = ("linear", "zero-order")
 
@@ -52,6 +53,9 @@ class Graph:
     periods : mapping of component name to int
         Communication steps between the rows that a component's log channel keeps; 1 where not
         named.
+    threads : {1, 2}
+        How many may advance branches that do not depend on each other; two do where that is faster.
+        The bits are the same.
     native : bool
         Advance components by their compiled steps where they have one. The bits are the same
         without, which is how this is tested.
@@ -87,8 +91,12 @@ class Graph:
         coupling: Coupling = "gauss-seidel",
         input_interpolation: InputInterpolation = "linear",
         periods: Mapping[str, int] | None = None,
+        threads: int = 2,
         native: bool = True,
     ) -> None:
+        if type(threads) is not int or threads not in THREADS:
+            raise GraphError(f"threads: found {kind_of(threads)}; needed 1 or 2")
+        self.threads = threads
         self.native = native
         self.components = checked_components(components)
         _check_choice("coupling", coupling, COUPLINGS)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from contextlib import nullcontext
 from ctypes import Array, addressof
 from typing import TypeAlias
 
@@ -17,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
+from cosim.core.branches import Exclusion, with_branches
 from cosim.core.contracts import Block, Stopped
 from cosim.core.coupling import Advancing, Cut, OperationName, Stage, call
 from cosim.core.graph import Graph
@@ -55,13 +57,26 @@ def advancing_stages(graph: Graph) -> Sequence[Advancing]:
             together.append(stage)
             steps.update(steps_of_stage)
             continue
-        if together:
-            advancing.append(NativeStage(together, steps, graph.layout))
-            together = []
+        advancing += _compiled(together, steps, graph)
+        together = []
         advancing.append(stage)
-    if together:
-        advancing.append(NativeStage(together, steps, graph.layout))
-    return advancing
+    return advancing + _compiled(together, steps, graph)
+
+
+def _compiled(stages: Sequence[Stage], steps: NativeSteps, graph: Graph) -> list[Advancing]:
+    """Compile stages that follow each other; independent branches of them for two threads."""
+
+    def compiled(part: Sequence[Stage], calls: Exclusion) -> NativeStage:
+        return NativeStage(part, steps, graph.layout, calls)
+
+    def may_leave(stage: Stage) -> bool:
+        return all(member.name in steps for member in stage.members)
+
+    if not stages:
+        return []
+    if graph.threads == 1:
+        return [compiled(stages, nullcontext())]
+    return [with_branches(stages, may_leave, compiled)]
 
 
 def _native_steps(members: Iterable[Member]) -> NativeSteps:
@@ -82,9 +97,18 @@ class NativeStage:
     steps : mapping of component name to NativeStep
         The compiled steps that there are.
     layout : Layout
+    calls : context manager
+        Is entered where methods of components are called.
     """
 
-    def __init__(self, stages: Sequence[Stage], steps: NativeSteps, layout: Layout) -> None:
+    def __init__(
+        self,
+        stages: Sequence[Stage],
+        steps: NativeSteps,
+        layout: Layout,
+        calls: Exclusion,
+    ) -> None:
+        self._calls = calls
         self._members: list[Member] = []
         self._operations: list[tuple[OperationName, Member]] = []  # on one member or from it on
         self._stage_of: dict[str, Stage] = {}
@@ -136,28 +160,32 @@ class NativeStage:
         known = read_only(signals)
         end = block.steps
         stop: Stopped | None = None
+        stopped = ""
         left = library.cosim_stage_run(self._address, end, 0)
         while left:
             k = self._state.step
             kind, member = self._operations[left - 1]
             if kind == "check":
                 bad = self._non_finite(signals[k + 1], member)
-                raise Cut(k, bad.error(float(block.time[k + 1])))
+                raise Cut(k, bad.error(float(block.time[k + 1])), member.name)
             rows = slice(k, k + 2)
             try:
-                y = call(kind, member, block.time[rows], block.h, known[rows, member.inputs])
+                with self._calls:
+                    y = call(kind, member, block.time[rows], block.h, known[rows, member.inputs])
             except Stopped as error:
                 stop = error
                 if not stop.steps:
                     origin = self._origin(signals[k + 1])
                     time = float(block.time[k + 1])
-                    raise Cut(k, stop if origin is None else origin.error(time)) from error
+                    cause = stop if origin is None else origin.error(time)
+                    raise Cut(k, cause, member.name) from error
                 y = stop.outputs[0]
                 end = k + 1  # the others complete this step
+                stopped = member.name
             signals[k + 1, member.outputs] = y
             left = library.cosim_stage_run(self._address, end, 1)
         if stop is not None:
-            raise Cut(end, stop)
+            raise Cut(end, stop, stopped)
 
     def _non_finite(self, row: Vector, member: Member) -> NonFinite:
         """Return the value that a check found: where it arose, if that is known."""

@@ -183,7 +183,7 @@ def test_neighbors_are_compiled_as_one_and_loops_always():
         "e.u": "d.y",
         "f.u": "c.y",
     }
-    graph = Graph(components, connections)
+    graph = Graph(components, connections, threads=1)
     graph.prepare(10**6)
     graph.initialize(0.0, np.zeros(graph.layout.width))
     kinds = [isinstance(stage, NativeStage) for stage in advancing_stages(graph)]
