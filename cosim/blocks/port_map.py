@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.signals import Causality, Dependencies, Interface, Signal
-from cosim.native.wrapping import Element
+from cosim.native.wrapping import ElementSource
 from cosim.units import Conversion, conversion
 
 
@@ -187,12 +187,12 @@ class PortMap:
         copies = all(conversion.copies for conversion in (*self._inward, *self._outward))
         return same_inputs and same_outputs and copies
 
-    def input_elements(self) -> list[Element]:
+    def input_elements(self) -> list[ElementSource]:
         """Return for every input element of the component where it stands in those shown."""
         columns = self._shown_columns.tolist()
         return [_element(column, self._inward[column]) for column in columns]
 
-    def output_elements(self) -> list[Element]:
+    def output_elements(self) -> list[ElementSource]:
         """Return for every shown output element where it stands in those of the component."""
         pairs = zip(self._output_columns.tolist(), self._outward, strict=True)
         return [_element(column, conversion) for column, conversion in pairs]
@@ -250,10 +250,10 @@ def _convert(values: Matrix, conversions: Sequence[Conversion]) -> Matrix:
     return converted
 
 
-def _element(column: int, conversion: Conversion) -> Element:
+def _element(column: int, conversion: Conversion) -> ElementSource:
     first = (conversion.factor1, conversion.offset1)
     second = (conversion.offset2, conversion.factor2)
-    return Element(column, not conversion.copies, *first, *second)
+    return ElementSource(column, not conversion.copies, *first, *second)
 
 
 def _factors(conversions: Iterable[Conversion]) -> Vector:

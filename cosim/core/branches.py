@@ -30,7 +30,10 @@ Compile: TypeAlias = Callable[[Sequence[Stage], Exclusion], Advancing]
 
 
 def with_branches(
-    stages: Sequence[Stage], may_leave: Callable[[Stage], bool], compiled: Compile
+    stages: Sequence[Stage],
+    may_leave: Callable[[Stage], bool],
+    binaries: Callable[[Stage], frozenset[str]],
+    compiled: Compile,
 ) -> Advancing:
     """Compile stages that follow each other: as one, or with two branches side by side.
 
@@ -42,6 +45,8 @@ def with_branches(
     stages : sequence of Stage
     may_leave : callable
         Whether a stage may run in another thread.
+    binaries : callable
+        What the foreign code of a stage is known by: stages with the same stay in one thread.
     compiled : callable
         Compiles stages as one, and what is entered where it calls Python.
     """
@@ -52,13 +57,15 @@ def with_branches(
     sinks = everything - driven - sources
     nothing: set[int] = set()
     leaves = [may_leave(stage) for stage in stages]
+    together = _with_same([binaries(stage) for stage in stages])
     for before, behind in (
         (nothing, nothing),
         (sources, nothing),
         (nothing, sinks),
         (sources, sinks),
     ):
-        first, second = _divided(sorted(everything - before - behind), drivers, leaves)
+        middle = sorted(everything - before - behind)
+        first, second = _divided(middle, [*map(set.union, drivers, together)], leaves)
         if second:
             parts = [sorted(before), first, second, sorted(behind)]
             return Branches(stages, [[stages[i] for i in part] for part in parts], compiled)
@@ -200,14 +207,24 @@ def _drivers(stages: Sequence[Stage]) -> list[set[int]]:
     return drivers
 
 
+def _with_same(binaries: Sequence[frozenset[str]]) -> list[set[int]]:
+    """Return for each stage the number of one before it with the same foreign code."""
+    latest: dict[str, int] = {}
+    found: list[set[int]] = []
+    for number, own in enumerate(binaries):
+        found.append({latest[binary] for binary in own if binary in latest})
+        latest.update(dict.fromkeys(own, number))
+    return found
+
+
 def _divided(
-    middle: Sequence[int], drivers: Sequence[set[int]], may_leave: Sequence[bool]
+    middle: Sequence[int], neighbors: Sequence[set[int]], may_leave: Sequence[bool]
 ) -> tuple[list[int], list[int]]:
     """Return stages of two branches of about one size; the second one may run in another thread.
 
     It is empty where the stages hang together, or none may leave.
     """
-    groups = _connected(middle, drivers)
+    groups = _connected(middle, neighbors)
     groups.sort(key=len, reverse=True)
     first: list[int] = []
     second: list[int] = []
@@ -219,13 +236,13 @@ def _divided(
     return sorted(first), sorted(second) if first else []
 
 
-def _connected(nodes: Sequence[int], drivers: Sequence[set[int]]) -> list[list[int]]:
-    """Return the nodes that hang together, whatever the direction."""
+def _connected(nodes: Sequence[int], edges: Sequence[set[int]]) -> list[list[int]]:
+    """Return the nodes that hang together, whatever the direction of the edges."""
     neighbors: dict[int, set[int]] = {node: set() for node in nodes}
     for node in nodes:
-        for driver in drivers[node] & neighbors.keys():
-            neighbors[node].add(driver)
-            neighbors[driver].add(node)
+        for other in edges[node] & neighbors.keys():
+            neighbors[node].add(other)
+            neighbors[other].add(node)
     groups: list[list[int]] = []
     seen: set[int] = set()
     for node in nodes:

@@ -53,8 +53,9 @@ class Graph:
     periods : mapping of component name to int
         Communication steps between the rows that a component's log channel keeps; 1 where not
         named.
-    threads : {1, 2}
+    threads : {1, 2}, optional
         How many may advance branches that do not depend on each other; two do where that is faster.
+        2: also FMUs, but not two with one binary at once; left out: only cosim's own components.
         The bits are the same.
     native : bool
         Advance components by their compiled steps where they have one. The bits are the same
@@ -91,11 +92,11 @@ class Graph:
         coupling: Coupling = "gauss-seidel",
         input_interpolation: InputInterpolation = "linear",
         periods: Mapping[str, int] | None = None,
-        threads: int = 2,
+        threads: int | None = None,
         native: bool = True,
     ) -> None:
-        if type(threads) is not int or threads not in THREADS:
-            raise GraphError(f"threads: found {kind_of(threads)}; needed 1 or 2")
+        if threads is not None and (type(threads) is not int or threads not in THREADS):
+            raise GraphError(f"threads: found {kind_of(threads)}; needed 1 or 2, or None")
         self.threads = threads
         self.native = native
         self.components = checked_components(components)

@@ -70,13 +70,19 @@ def _compiled(stages: Sequence[Stage], steps: NativeSteps, graph: Graph) -> list
         return NativeStage(part, steps, graph.layout, calls)
 
     def may_leave(stage: Stage) -> bool:
-        return all(member.name in steps for member in stage.members)
+        own = [steps.get(member.name) for member in stage.members]
+        foreign_may = graph.threads is not None
+        return all(step is not None and (foreign_may or not step.guard) for step in own)
+
+    def binaries(stage: Stage) -> frozenset[str]:
+        guards = [steps[m.name].guard for m in stage.members if m.name in steps]
+        return frozenset[str]().union(*(guard.binaries for guard in guards if guard is not None))
 
     if not stages:
         return []
     if graph.threads == 1:
         return [compiled(stages, nullcontext())]
-    return [with_branches(stages, may_leave, compiled)]
+    return [with_branches(stages, may_leave, binaries, compiled)]
 
 
 def _native_steps(members: Iterable[Member]) -> NativeSteps:
@@ -129,7 +135,8 @@ class NativeStage:
         addresses = [addressof(array) for array in arrays]
         self._state = StageStruct(*addresses, len(operations), layout.width)
         self._address = addressof(self._state)
-        guards = [step.guard for step in steps.values() if step.guard is not None]
+        own_steps = [steps[member.name] for member in self._members if member.name in steps]
+        guards = [step.guard for step in own_steps if step.guard is not None]
         self._guard = guards[0].joined(guards[1:]) if guards else None
         self._measured = [member for member in self._members if member.is_measured]
 

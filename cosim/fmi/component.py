@@ -223,7 +223,7 @@ def load(
         archive,
         interface_type,
         instance=instance,
-        component=Guarded(component, description.name),
+        component=Guarded(component, description.name, archive.sha256),
         folder=temporary,
         solving=solving,
         notes=(*notes, *_notes_on_loading(description.name, changes)),

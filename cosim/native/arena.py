@@ -11,7 +11,7 @@ CACHE_LINE: Final = 64  # bytes
 ALIGNMENT: Final = 8  # of every array
 SIZE: Final = 1024  # bytes that are shared
 
-Scalar = TypeVar("Scalar", bound=np.generic)
+ScalarType = TypeVar("ScalarType", bound=np.generic)
 
 
 @final
@@ -28,7 +28,7 @@ class Arena:
         self._end = 0
         self._others: list[NDArray[Any]] = []  # that do not fit
 
-    def place(self, array: NDArray[Scalar]) -> NDArray[Scalar]:
+    def place(self, array: NDArray[ScalarType]) -> NDArray[ScalarType]:
         """Return a copy of an array in the arena; where that is full, one of its own."""
         begin = self._end
         end = begin + array.nbytes
@@ -37,6 +37,6 @@ class Arena:
             self._others.append(own)
             return own
         self._end = -(-end // ALIGNMENT) * ALIGNMENT
-        placed: NDArray[Scalar] = self._memory[begin:end].view(array.dtype).reshape(array.shape)
+        placed: NDArray[ScalarType] = self._memory[begin:end].view(array.dtype).reshape(array.shape)
         placed[...] = array
         return placed

@@ -43,6 +43,11 @@ _OUTPUTS: Final = ctypes.CFUNCTYPE(c_int32, c_void_p, c_double, c_void_p, c_void
 class Guard(Protocol):
     """Puts back what steps of foreign code change of the process that they run in."""
 
+    @property
+    def binaries(self) -> frozenset[str]:
+        """What the code is known by: no two threads may be in one at once."""
+        ...
+
     def begin(self) -> None:
         """Remember the process before a call of compiled code that does many steps."""
         ...

@@ -180,7 +180,7 @@ def decimated_step(step: NativeStep, memory: DecimatedMemory, *, steps: int) -> 
     return _wrapped("cosim_decimated", state, values, step.n_y, step)
 
 
-class Element(NamedTuple):
+class ElementSource(NamedTuple):
     """Where an element stands, and ``((v factor1 + offset1) - offset2) / factor2`` if converted."""
 
     column: int
@@ -192,7 +192,7 @@ class Element(NamedTuple):
 
 
 def ports_step(
-    step: NativeStep, inputs: Sequence[Element], outputs: Sequence[Element]
+    step: NativeStep, inputs: Sequence[ElementSource], outputs: Sequence[ElementSource]
 ) -> NativeStep:
     """Build a step with other ports: its inputs by those shown, the shown outputs by its own."""
     n_u = len(inputs)
@@ -206,7 +206,7 @@ def ports_step(
     return _wrapped("cosim_ports", state, no_memory, n_y, step, of_inputs, of_outputs, work)
 
 
-def _elements(elements: Sequence[Element]) -> Array[ElementStruct]:
+def _elements(elements: Sequence[ElementSource]) -> Array[ElementStruct]:
     structs = (ElementStruct * max(len(elements), 1))()
     for i, element in enumerate(elements):
         structs[i] = ElementStruct(*element)

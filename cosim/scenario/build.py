@@ -494,6 +494,7 @@ class Builder:
             coupling=settings.coupling,
             input_interpolation=settings.input_interpolation,
             periods=self._periods,
+            threads=settings.threads,
         )
 
 

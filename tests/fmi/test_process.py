@@ -137,7 +137,7 @@ def test_no_row_of_another_rounding_mode_is_kept_where_the_fmu_stops(rogue, what
 def test_another_rounding_mode_from_saving_a_state_is_undone(call):
     """Else it would be taken for what the next call found, and be kept."""
     libm = ctypes.CDLL("libm.so.6")
-    guarded = Guarded(Rounding(lambda: libm.fesetround(0x800)), "rounder")
+    guarded = Guarded(Rounding(lambda: libm.fesetround(0x800)), "rounder", "")
     with pytest.raises(RunError, match=r"rounder: changed the rounding mode"):
         getattr(guarded, call)(*([None] if call == "restore" else []))
     assert 1.0 + 2.0**-54 == 1.0
@@ -323,7 +323,7 @@ class Moving:
 def test_a_change_in_a_call_that_fails_is_undone_too(call):
     """The error is the component's, the change is reported beside it."""
     home = os.getcwd()
-    guarded = Guarded(Moving(), "mover")
+    guarded = Guarded(Moving(), "mover", "")
     arguments = {"advance": (np.zeros(2), 1.0, np.zeros((2, 0)))}.get(call, (0.0, np.zeros(0)))
     with pytest.raises(RunError, match="mine"):
         getattr(guarded, call)(*arguments)

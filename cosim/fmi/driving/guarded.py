@@ -47,6 +47,8 @@ class SharedGuard:
     ----------
     names : sequence of str
         Of the FMUs.
+    binaries : frozenset of str
+        What their binaries are known by.
     steps : sequence of GuardedStruct
         The compiled steps.
     diagnostics : Diagnostics
@@ -54,9 +56,14 @@ class SharedGuard:
     """
 
     def __init__(
-        self, names: Sequence[str], steps: Sequence[GuardedStruct], diagnostics: Diagnostics
+        self,
+        names: Sequence[str],
+        binaries: frozenset[str],
+        steps: Sequence[GuardedStruct],
+        diagnostics: Diagnostics,
     ) -> None:
         self._names = tuple(names)
+        self.binaries = binaries
         self._steps = tuple(steps)
         self._diagnostics = diagnostics
         self._process = Process()
@@ -80,12 +87,14 @@ class SharedGuard:
     def joined(self, others: Sequence[Guard]) -> Guard:
         """Return one for the FMUs of all."""
         names = list(self._names)
+        binaries = self.binaries
         steps = list(self._steps)
         for other in others:
             assert isinstance(other, SharedGuard)  # all foreign code is that of FMUs
             names += other._names
+            binaries |= other.binaries
             steps += other._steps
-        return SharedGuard(names, steps, self._diagnostics)
+        return SharedGuard(names, binaries, steps, self._diagnostics)
 
 
 @final
@@ -101,11 +110,14 @@ class Guarded:
     component : FmuComponent
     name : str
         Names the FMU in messages.
+    binary : str
+        What its binary is known by.
     """
 
-    def __init__(self, component: FmuComponent, name: str) -> None:
+    def __init__(self, component: FmuComponent, name: str, binary: str) -> None:
         self._component = component
         self._name = name
+        self._binary = binary
         self._process = Process()
         self._diagnostics = Diagnostics(name)
         self._compiled = GuardedStruct()  # what compiled steps found
@@ -142,7 +154,8 @@ class Guarded:
         if step is None:
             return None
         guarded, self._compiled = guarded_step(step)
-        guarded.guard = SharedGuard([self._name], [self._compiled], self._diagnostics)
+        binaries = frozenset([self._binary])
+        guarded.guard = SharedGuard([self._name], binaries, [self._compiled], self._diagnostics)
         return guarded
 
     def save(self) -> Any:
