@@ -14,8 +14,9 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.arrays import Mask, Matrix, Vector
+from cosim.arrays import Matrix, Vector
 from cosim.errors import UsageError, steps_text
+from cosim.native.sensor import DrawnSamples, Levels
 from cosim.native.step import LARGEST_MEMORY, WORDS_PER_NORMAL, normal
 
 MOST_BITS = 52  # doubles tell no more levels apart
@@ -98,7 +99,7 @@ def per_element(name: str, value: PerElement, size: int) -> Vector:
 
 
 class SamplingInstants:
-    """When samples are taken, and what the input is then.
+    """When samples are taken.
 
     Parameters
     ----------
@@ -128,41 +129,6 @@ class SamplingInstants:
                 f"delay: found {steps_text(parameters.delay)} of {size} values, needed "
                 f"at most {LARGEST_MEMORY} values"
             )
-        self._column = np.arange(size)
-
-    def values(
-        self, past: Matrix, u: Matrix, row: NDArray[np.int64], position: Matrix, held: Mask
-    ) -> Matrix:
-        """Return the input at sampling instants, shape (n, size).
-
-        Parameters
-        ----------
-        past : Matrix, shape (depth, size)
-            Inputs before the time reached.
-        u : Matrix, shape (rows, size)
-            Inputs from there on.
-        row : array of int, shape (n,)
-            Rows of ``u`` at which the samples are reported.
-        position : Matrix, shape (n, size)
-            Sampling instants in communication steps after those rows.
-        held : Mask, shape (size,)
-            Elements with a zero-order hold.
-        """
-        if not self.depth:
-            return u[row]
-        known = np.concatenate((past, u))
-        now = self.depth + row[:, np.newaxis]
-        # after now the line of the last step goes on
-        whole = np.minimum(np.floor(position), 0.0)
-        before = now + whole.astype(np.int64)
-        end = np.minimum(before + 1, now)
-        at_point = known[before, self._column]
-        elapsed = np.where(held, 0.0, position - whole)
-        with np.errstate(over="ignore", invalid="ignore"):  # the master names what is not finite
-            at_end = known[end, self._column]
-            at_begin = known[end - 1, self._column]
-            values: Matrix = at_point + elapsed * (at_end - at_begin)
-        return values
 
 
 def _check_timing(parameters: SensorParameters) -> None:
@@ -187,13 +153,18 @@ def _check_timing(parameters: SensorParameters) -> None:
 
 
 class MeasuringChain:
-    """From the input at the sampling instant to what is measured: bias, noise, limits, levels.
+    """From the input at the sampling instant to what is measured: bias, limits, levels.
 
     Parameters
     ----------
     parameters : SensorParameters
     size : int
         Number of elements.
+
+    Attributes
+    ----------
+    bias, lower, upper : Vector, shape (size,)
+    levels : Levels or None
 
     Raises
     ------
@@ -204,69 +175,37 @@ class MeasuringChain:
     def __init__(self, parameters: SensorParameters, size: int) -> None:
         lower = parameters.lower
         upper = parameters.upper
-        self._bias = per_element("bias", parameters.bias, size)
-        self._lower = np.full(size, -np.inf)
-        self._upper = np.full(size, np.inf)
+        self.bias = per_element("bias", parameters.bias, size)
+        self.lower = np.full(size, -np.inf)
+        self.upper = np.full(size, np.inf)
         if lower is not None:
-            self._lower = per_element("lower", lower, size)
+            self.lower = per_element("lower", lower, size)
         if upper is not None:
-            self._upper = per_element("upper", upper, size)
+            self.upper = per_element("upper", upper, size)
         self._check_limits()
-        self._levels = self._quantizer(parameters, size)
+        self.levels = self._quantizer(parameters, size)
 
     def _check_limits(self) -> None:
-        wrong = np.flatnonzero(self._lower >= self._upper)
+        wrong = np.flatnonzero(self.lower >= self.upper)
         if wrong.size:
-            lower = self._lower[wrong[0]]
-            upper = self._upper[wrong[0]]
+            lower = self.lower[wrong[0]]
+            upper = self.upper[wrong[0]]
             raise UsageError(f"found lower = {lower:g} and upper = {upper:g}, needed lower < upper")
 
-    def _quantizer(self, parameters: SensorParameters, size: int) -> _Quantizer | None:
+    def _quantizer(self, parameters: SensorParameters, size: int) -> Levels | None:
         if parameters.bits is None:
             if parameters.resolution is None:
                 return None
             resolution = per_element("resolution", parameters.resolution, size)
-            return _levels_of_resolution(resolution, self._lower, self._upper)
+            return _levels_of_resolution(resolution, self.lower, self.upper)
         if parameters.resolution is not None:
             raise UsageError("found resolution and bits, needed one of them")
         if parameters.lower is None or parameters.upper is None:
             raise UsageError("bits: needed lower and upper too, the range of the levels")
-        return _levels_of_bits(parameters.bits, self._lower, self._upper)
-
-    def values(self, values: Matrix, noise: Matrix) -> Matrix:
-        """Return what is measured, shape (n, size)."""
-        with np.errstate(over="ignore"):  # the master names what is not finite
-            noisy = values + self._bias + noise
-        limited = self._limited(noisy)
-        if self._levels is None:
-            return limited
-        # a level is rounded, as the product of its number and the resolution: not beyond a limit
-        return self._limited(self._levels.nearest(limited))
-
-    def _limited(self, values: Matrix) -> Matrix:
-        limited: Matrix = np.minimum(np.maximum(values, self._lower), self._upper)
-        return limited
+        return _levels_of_bits(parameters.bits, self.lower, self.upper)
 
 
-@dataclass(frozen=True, slots=True)
-class _Quantizer:
-    """Levels ``origin + i resolution``, i from first to last; each of shape (size,)."""
-
-    origin: Vector
-    resolution: Vector
-    first: Vector
-    last: Vector
-
-    def nearest(self, values: Matrix) -> Matrix:
-        """Return the nearest levels."""
-        with np.errstate(over="ignore"):
-            number = np.rint((values - self.origin) / self.resolution)
-            level = self.origin + np.clip(number, self.first, self.last) * self.resolution
-        # where doubles are farther apart than the levels, every value is a level
-        return np.where(np.abs(number) < WHOLE_NUMBERS, level, values)
-
-
-def _levels_of_bits(bits: int, lower: Vector, upper: Vector) -> _Quantizer:
+def _levels_of_bits(bits: int, lower: Vector, upper: Vector) -> Levels:
     if not 1 <= bits <= MOST_BITS:
         raise UsageError(f"bits: found {bits}, needed 1 to {MOST_BITS}")
     intervals = np.full(len(lower), 2.0**bits - 1.0)
@@ -278,10 +217,10 @@ def _levels_of_bits(bits: int, lower: Vector, upper: Vector) -> _Quantizer:
             f"bits: found {bits}, and there are not 2**{bits} doubles from lower to upper at equal "
             "distances; needed fewer bits, or other limits"
         )
-    return _Quantizer(lower, resolution, np.zeros(len(lower)), intervals)
+    return Levels(lower, resolution, np.zeros(len(lower)), intervals)
 
 
-def _levels_of_resolution(resolution: Vector, lower: Vector, upper: Vector) -> _Quantizer:
+def _levels_of_resolution(resolution: Vector, lower: Vector, upper: Vector) -> Levels:
     first = np.full(len(resolution), -np.inf)
     last = np.full(len(resolution), np.inf)
     for i, distance in enumerate(resolution.tolist()):
@@ -297,7 +236,7 @@ def _levels_of_resolution(resolution: Vector, lower: Vector, upper: Vector) -> _
                 f"resolution: found {distance:g}, with fewer than two whole multiples between the "
                 f"limits {limits}"
             )
-    return _Quantizer(np.zeros(len(resolution)), resolution, first, last)
+    return Levels(np.zeros(len(resolution)), resolution, first, last)
 
 
 def _ratio(limit: float, distance: float) -> Fraction:
@@ -312,36 +251,18 @@ def _number_of_level(number: int) -> float:
     return math.copysign(np.inf, number)
 
 
-@dataclass(frozen=True, slots=True)
-class SampleNumbers:
-    """The random numbers of n samples, each of shape (n, size).
-
-    ``position`` is the sampling instant minus t, in communication steps.
-    """
-
-    position: Matrix
-    noise: Matrix
-    lost: Mask
-
-    def rows(self, rows: slice) -> SampleNumbers:
-        """Return those of some samples."""
-        return SampleNumbers(self.position[rows], self.noise[rows], self.lost[rows])
-
-    def then(self, more: SampleNumbers) -> SampleNumbers:
-        """Return those of these samples and of more."""
-        position = np.concatenate((self.position, more.position))
-        noise = np.concatenate((self.noise, more.noise))
-        lost = np.concatenate((self.lost, more.lost))
-        return SampleNumbers(position, noise, lost)
-
-
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False, slots=True)
 class StreamState:
-    """The numbers that were drawn, which of them is the next, and the states of the generators."""
+    """The numbers of the first sample of those drawn, and the generators before the others."""
 
-    drawn: SampleNumbers
-    next: int
+    first: tuple[Vector, ...]
     generators: tuple[Any, ...]
+
+    def is_same(self, other: StreamState) -> bool:
+        """Whether the numbers that were drawn are those of another state."""
+        return self.generators == other.generators and all(
+            map(np.array_equal, self.first, other.first)
+        )
 
 
 class SampleStreams:
@@ -352,6 +273,11 @@ class SampleStreams:
     parameters : SensorParameters
     size : int
         Number of elements.
+
+    Attributes
+    ----------
+    drawn : DrawnSamples
+        The numbers that were drawn ahead.
 
     Raises
     ------
@@ -370,9 +296,11 @@ class SampleStreams:
                 f"dropout: found {self._dropout:g}, needed a probability of 0 or more, below 1"
             )
         self._parameters = parameters
-        self._size = size
         self._is_noisy = bool(self._deviation.any())
         self._seed = self._checked_seed()
+        shape = (1 + max(1, DRAWN_AHEAD // size), size)
+        self.drawn = DrawnSamples(np.zeros(shape), np.zeros(shape), np.zeros(shape))
+        self._arrays = (self.drawn.position, self.drawn.noise, self.drawn.lost)
         self.begin()
 
     def _checked_seed(self) -> int:
@@ -391,55 +319,54 @@ class SampleStreams:
         self._noise_words = self._generator(0)
         self._jitter_words = self._generator(1)
         self._dropout_words = self._generator(2)
-        self._drawn = self._draw(1)
-        self._drawn.lost[:] = False
-        self._next = 0
+        self._draw(slice(0, 1))
+        self.drawn.lost[0] = 0.0
+        self._draw_others()
 
     def _generator(self, spawn_key: int) -> np.random.PCG64:
         return np.random.PCG64(np.random.SeedSequence(self._seed, spawn_key=(spawn_key,)))
 
-    def next(self, count: int) -> SampleNumbers:
-        """Return the numbers of the next samples, again until they are skipped."""
-        end = self._next + count
-        missing = end - len(self._drawn.lost)
-        if missing > 0:
-            ahead = self._draw(max(missing, DRAWN_AHEAD // self._size))
-            self._drawn = self._drawn.rows(slice(self._next, None)).then(ahead)
-            self._next = 0
-        return self._drawn.rows(slice(self._next, self._next + count))
+    def draw_more(self) -> None:
+        """Keep the last sample as the first, and draw the others anew."""
+        for array in self._arrays:
+            array[0] = array[-1]
+        self._draw_others()
 
-    def skip(self, count: int) -> None:
-        """Go on to the numbers after the next ``count`` samples, which were returned."""
-        self._next += count
+    def _draw_others(self) -> None:
+        """Draw all samples but the first."""
+        states = tuple(generator.state for generator in self._generators)
+        first = tuple(array[0].copy() for array in self._arrays)
+        self._state = StreamState(first, states)
+        self._draw(slice(1, None))
 
-    def _draw(self, count: int) -> SampleNumbers:
-        shape = (count, self._size)
+    def _draw(self, rows: slice) -> None:
+        position, noise, lost = (array[rows] for array in self._arrays)
         parameters = self._parameters
-        position = np.full(shape, -parameters.delay)
-        noise = np.zeros(shape)
-        lost = np.zeros(shape, np.bool_)
+        shape = (len(position), position.shape[1])
+        position[:] = -parameters.delay
         if parameters.jitter:
             within = 2.0 * _uniform(self._jitter_words, shape) - 1.0
             # rounding keeps the order of numbers: none is before earliest or after latest
-            position = parameters.jitter * within + position
+            position[:] = parameters.jitter * within + position
         if self._is_noisy:
             words = self._noise_words.random_raw(WORDS_PER_NORMAL * noise.size)
-            noise = self._deviation * normal(words).reshape(shape)
+            noise[:] = self._deviation * normal(words).reshape(shape)
         if self._dropout:
-            lost = _uniform(self._dropout_words, shape) < self._dropout
-        return SampleNumbers(position, noise, lost)
+            lost[:] = _uniform(self._dropout_words, shape) < self._dropout
 
     def save(self) -> StreamState:
-        """Copy the state."""
-        states = tuple(generator.state for generator in self._generators)
-        return StreamState(self._drawn, self._next, states)
+        """Return the state of the numbers that were drawn."""
+        return self._state
 
     def restore(self, state: StreamState) -> None:
         """Go back to a saved state."""
-        self._drawn = state.drawn
-        self._next = state.next
+        if state.is_same(self._state):
+            return
+        for array, first in zip(self._arrays, state.first, strict=True):
+            array[0] = first
         for generator, saved in zip(self._generators, state.generators, strict=True):
             generator.state = saved
+        self._draw_others()
 
     @property
     def _generators(self) -> tuple[np.random.PCG64, ...]:

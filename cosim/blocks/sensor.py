@@ -36,7 +36,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cosim.arrays import NAN, Mask, Matrix, Vector
+from cosim.arrays import Mask, Matrix, Vector
 from cosim.blocks.field_data import SAMPLE_TIMES, samples_of
 from cosim.blocks.measurement import (
     MeasuringChain,
@@ -45,47 +45,27 @@ from cosim.blocks.measurement import (
     SensorParameters,
     StreamState,
 )
-from cosim.core.clock import NANOSECONDS
 from cosim.core.contracts import Design
 from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError, steps_text
+from cosim.native.sensor import SensorConstants, SensorStep
+from cosim.native.step import NativeStep
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False, slots=True)
 class SensorState:
     """All that changes in a sensor; no array of it is written to.
 
     Parameters
     ----------
-    past : Matrix
-        Inputs at the last communication points before the time reached.
-    y : Vector
-        What y was before the time reached.
-    valid : Mask
-        The same of ``valid``.
-    since : int
-        Communication steps since the last sample before the time reached; the period where one is
-        due now.
+    memory : Vector
+        Of the kernel: what it has kept of samples and inputs.
     streams : StreamState
+        The random numbers.
     """
 
-    past: Matrix
-    y: Vector
-    valid: Mask
-    since: int
+    memory: Vector
     streams: StreamState
-
-
-@dataclass(frozen=True, slots=True)
-class _Reported:
-    """What is reported, one row a communication point.
-
-    ``offset`` is the sampling instant minus t in communication steps; NaN: there is no new sample.
-    """
-
-    y: Matrix
-    valid: Mask
-    offset: Vector
 
 
 class Sensor:
@@ -124,17 +104,24 @@ class Sensor:
     ) -> None:
         if stamped:
             _check_stamps(parameters, size)
-        self._size = size
         self._samples = samples
-        self._stamped = stamped
-        self._step = 0.0
-        self._begin = 0.0
         self._period = parameters.period
         self._drops = parameters.dropout is not None
         self._instants = SamplingInstants(parameters, size)
-        self._chain = MeasuringChain(parameters, size)
+        chain = MeasuringChain(parameters, size)
         self._streams = SampleStreams(parameters, size)
-        self._held = np.zeros(size, np.bool_)
+        constants = SensorConstants(
+            depth=self._instants.depth,
+            period=self._period,
+            drops=self._drops,
+            samples=samples,
+            stamps=stamped,
+            bias=chain.bias,
+            lower=chain.lower,
+            upper=chain.upper,
+            levels=chain.levels,
+        )
+        self._kernel = SensorStep(constants, self._streams.drawn)
         self.interface = self._interface(size, unit)
 
     def _interface(self, size: int, unit: str | None) -> Interface:
@@ -160,102 +147,53 @@ class Sensor:
             delayed=() if now else ("u",),
             prepares=True,
             rollback=True,
+            native=True,
         )
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Note which inputs hold within a step; there is nothing to record."""
-        self._held = held.copy()
-        self._step = h
+        self._kernel.held[:] = held
+        self._kernel.set_step(h)
         return recorded
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Begin all random sequences, with ``u`` as the input before ``t``."""
         self._streams.begin()
-        self._begin = t
-        self._past = np.tile(u, (self._instants.depth, 1))
-        self._y = np.zeros(self._size)
-        self._valid = np.ones(self._size, np.bool_)
-        self._since = self._period
+        self._kernel.start(t, u)
         return self.outputs(t, u)
 
     def outputs(self, t: float, u: Vector) -> Vector:
         """Return what is reported at ``t``."""
-        reported = self._report(u[np.newaxis])
-        row: Vector = self._outputs(np.array([t]), reported, 1)[0]
-        return row
+        y = self._kernel.step.outputs_at(t, u)
+        assert y is not None
+        return y
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Report K samples."""
         steps = len(t) - 1
-        # row 0 again: its input may have been extrapolated when it was reported
-        reported = self._report(u)
-        self._keep_past(u[:steps])
-        self._y = reported.y[steps].copy()
-        self._valid = reported.valid[steps].copy()
-        until_end = self._since + steps
-        before_end = (until_end - 1) // self._period
-        self._streams.skip(before_end)
-        self._since = until_end - before_end * self._period
-        return self._outputs(t[1:], reported, 2)
+        rows = np.empty((steps, self.interface.n_y))
+        completed = 0
+        while completed < steps:
+            y = self._kernel.step.advance(t[completed:], h, u[completed:])
+            end = completed + len(y)
+            rows[completed:end] = y
+            completed = end
+            if self._kernel.step.status:
+                self._streams.draw_more()
+                self._kernel.next = 0
+        return rows
 
-    def _keep_past(self, u: Matrix) -> None:
-        depth = self._instants.depth
-        if depth:
-            known = np.concatenate((self._past, u))
-            self._past = known[-depth:].copy()
-
-    def _report(self, u: Matrix) -> _Reported:
-        """Return what is reported before the time reached, then at the rows of ``u``."""
-        row = np.arange(len(u))
-        if self._period > 1:
-            # from now to the first sample: none where a sample is due
-            first = self._period - self._since
-            row = row[first :: self._period]
-        samples = self._streams.next(len(row))
-        values = self._instants.values(self._past, u, row, samples.position, self._held)
-        measured = self._chain.values(values, samples.noise)
-        y = np.concatenate((self._y[np.newaxis], measured))
-        valid = np.concatenate((self._valid[np.newaxis], ~samples.lost))
-        if self._drops:
-            y = _kept(y, valid)
-        if self._period > 1:
-            until_row = self._since + np.arange(len(u))
-            latest = np.concatenate(([0], until_row // self._period))
-            offset = np.concatenate(([NAN], samples.position[:, 0]))[latest]
-            offset[np.append(True, until_row % self._period > 0)] = NAN
-            return _Reported(y[latest], valid[latest], offset)
-        offset = np.concatenate(([NAN], samples.position[:, 0]))
-        return _Reported(y, valid, offset)
-
-    def _outputs(self, t: Vector, reported: _Reported, first: int) -> Matrix:
-        """Return the outputs at ``t``, which are those of the rows from ``first`` on."""
-        y = reported.y[first:]
-        valid = reported.valid[first:]
-        columns = [y]
-        if self._drops:
-            columns.append(valid.astype(np.float64))
-        if self._samples:
-            offset = reported.offset[first:, np.newaxis]
-            instants = t[:, np.newaxis]
-            if self._stamped:
-                ns = np.rint((instants + offset * self._step) * NANOSECONDS)
-                instants = ns / NANOSECONDS
-            is_new = np.isfinite(offset) & (instants >= self._begin)
-            columns.append(np.where(is_new & valid, y, NAN))
-            columns.append(np.where(is_new, instants, NAN))
-        return np.concatenate(columns, axis=1)
+    def native(self) -> NativeStep:
+        """Return the compiled step: it takes the numbers that were drawn."""
+        return self._kernel.step
 
     def save(self) -> SensorState:
         """Copy the state."""
-        streams = self._streams.save()
-        return SensorState(self._past, self._y, self._valid, self._since, streams)
+        return SensorState(self._kernel.step.save(), self._streams.save())
 
     def restore(self, state: SensorState) -> None:
         """Go back to a saved state."""
-        self._past = state.past
-        self._y = state.y
-        self._valid = state.valid
-        self._since = state.since
+        self._kernel.step.restore(state.memory)
         self._streams.restore(state.streams)
 
 
@@ -271,12 +209,3 @@ def _check_stamps(parameters: SensorParameters, size: int) -> None:
             f"{steps_text(parameters.delay)}; needed a delay of at least the jitter, so that no "
             "sample is taken after it is reported"
         )
-
-
-def _kept(y: Matrix, valid: Mask) -> Matrix:
-    """Return ``y``, each value that is not valid replaced by the last valid one; row 0 is past."""
-    if valid.all():
-        return y
-    row = np.arange(len(y))[:, np.newaxis]
-    last_valid = np.maximum.accumulate(np.where(valid, row, 0), axis=0)
-    return np.take_along_axis(y, last_valid, axis=0)

@@ -27,6 +27,7 @@ SOURCES = (
     "static.c",
     "functions.c",
     "field_data.c",
+    "sensor.c",
     "refresh.c",
     "wrapping.c",
     "linear.c",

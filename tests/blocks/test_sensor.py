@@ -14,6 +14,7 @@ from cosim.blocks.measurement import DRAWN_AHEAD, SamplingInstants, SensorParame
 from cosim.blocks.sensor import Sensor
 from cosim.blocks.source import Noise
 from cosim.errors import UsageError
+from cosim.native.sensor import DrawnSamples, SensorConstants, SensorStep
 from tests.blocks.stepping import drive, times
 
 N = 100_000
@@ -225,12 +226,24 @@ def test_after_the_last_input_its_line_goes_on():
 def test_the_last_instant_is_a_step_after_the_last_input():
     """The line of the last step goes on to there; the first instant is the oldest past input."""
     instants = SamplingInstants(SensorParameters(delay=1.0, jitter=2.0, period=4), 1)
-    past = np.array([[3.0]] * instants.depth)
+    positions = np.array([[-3.0], [1.0], [0.0]])
+    drawn = DrawnSamples(positions, np.zeros((3, 1)), np.zeros((3, 1)))
+    constants = SensorConstants(
+        depth=instants.depth,
+        period=1,
+        drops=False,
+        samples=False,
+        stamps=False,
+        bias=np.zeros(1),
+        lower=np.array([-np.inf]),
+        upper=np.array([np.inf]),
+        levels=None,
+    )
+    kernel = SensorStep(constants, drawn)
+    kernel.start(0.0, np.array([3.0]))
     u = np.array([[5.0], [8.0]])
-    row = np.array([0, 1])
-    position = np.array([[-3.0], [1.0]])
-    found = instants.values(past, u, row, position, np.array([False]))
-    assert found[:, 0].tolist() == [3.0, 11.0]
+    assert kernel.step.outputs_at(0.0, u[0]) == 3.0
+    assert kernel.step.advance(np.array([0.0, 1.0]), 1.0, u) == 11.0
 
 
 def test_jitter_attenuates_a_sine_and_makes_noise_of_the_rest():
