@@ -53,6 +53,7 @@ ALLOWED = {
         "arguments",
         "errors",
         "files",
+        "lazy",
         "processes",
         "version",
         "scenario",

@@ -9,20 +9,15 @@ Imports of a command are in its function: ``cosim --help`` imports neither numpy
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from typing import Annotated
 
 import typer
 
-from cosim.cli.checking import check
 from cosim.cli.collecting import start_collecting
-from cosim.cli.comparing import compare, diff
-from cosim.cli.contents import info, list_, plot, show
-from cosim.cli.designing import design
-from cosim.cli.fmus import cache, export, linearize
-from cosim.cli.identifying import identify
-from cosim.cli.running import replay, run
 from cosim.errors import CosimError, shell_language
+from cosim.lazy import LazyMapping
 from cosim.report.printable import printable
 from cosim.terminal import (
     ended_by_signals,
@@ -33,10 +28,24 @@ from cosim.terminal import (
 from cosim.unanswered import ended_if_unanswered
 from cosim.version import __version__
 
-app = typer.Typer(
-    no_args_is_help=True,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
+COMMANDS = LazyMapping[Callable[..., None]](
+    "cosim.cli",
+    {  # in the order of the help
+        "run": "running.run",
+        "replay": "running.replay",
+        "diff": "comparing.diff",
+        "compare": "comparing.compare",
+        "identify": "identifying.identify",
+        "design": "designing.design",
+        "info": "contents.info",
+        "check": "checking.check",
+        "cache": "fmus.cache",
+        "plot": "contents.plot",
+        "list": "contents.list_",
+        "show": "contents.show",
+        "export": "fmus.export",
+        "linearize": "fmus.linearize",
+    },
 )
 
 
@@ -46,7 +55,6 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
 def cosim(
     context: typer.Context,
     version: Annotated[
@@ -64,31 +72,30 @@ def cosim(
         start_collecting()
 
 
-# In the order of the help.
-app.command()(run)
-app.command()(replay)
-app.command()(diff)
-app.command()(compare)
-app.command()(identify)
-app.command()(design)
-app.command()(info)
-app.command()(check)
-app.command()(cache)
-app.command()(plot)
-app.command(name="list")(list_)
-app.command()(show)
-app.command()(export)
-app.command()(linearize)
+def _command_line(names: Iterable[str]) -> typer.Typer:
+    """Return the command line with some of its commands."""
+    app = typer.Typer(
+        no_args_is_help=True,
+        rich_markup_mode=None,
+        pretty_exceptions_enable=False,
+    )
+    app.callback()(cosim)
+    for name in names:
+        app.command(name=name)(COMMANDS[name])
+    return app
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line; every deliberate error becomes one message and an exit code."""
+    given = sys.argv[1:] if arguments is None else arguments
+    # The help, completion and the message for a wrong name need all of them.
+    names = given[:1] if given and given[0] in COMMANDS else list(COMMANDS)
     open_standard_streams()
     outlive_terminal()
     stdout = keep_stdout()
     try:
         with ended_if_unanswered(), shell_language(), ended_by_signals():
-            app(args=arguments, prog_name="cosim")
+            _command_line(names)(args=arguments, prog_name="cosim")
     except CosimError as error:
         lines = printable(str(error)).splitlines() or [type(error).__name__]
         for note in getattr(error, "__notes__", ()):

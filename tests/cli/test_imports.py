@@ -46,3 +46,26 @@ def test_a_run_imports_no_library_that_it_does_not_use(tmp_path):
     assert packages <= {"cosim", *LIBRARIES, *THEIR_OWN}
     parts = {"numpy.f2py", "numpy.random", "numpy.testing", "mcap.writer"}
     assert not parts & set(modules)
+
+
+def test_a_run_imports_no_part_of_cosim_for_what_it_has_not(tmp_path):
+    """No other commands, kinds or methods, no swap, no replay's verification, no export."""
+    modules = imported("run", "academic", "--out", str(tmp_path / "a.mcap"))
+    others = (
+        "cosim.blocks.kalman_identifier",
+        "cosim.blocks.pid",
+        "cosim.blocks.renamed",
+        "cosim.cli.comparing",
+        "cosim.fmi.exporting",
+        "cosim.fmi.reading",
+        "cosim.report.verification",
+        "cosim.scenario.field_file",
+        "cosim.scenario.kinds.arithmetic",
+        "cosim.scenario.kinds.compensators",
+        "cosim.scenario.kinds.field_data",
+        "cosim.scenario.swap_comparison",
+        "cosim.theory.assessment.noise_color",
+        "cosim.theory.bounded",
+        "cosim.theory.compensation",
+    )
+    assert [name for name in modules if name.startswith(others)] == []

@@ -80,17 +80,13 @@ def test_nothing_is_said_where_nothing_changes(tmp_path, model, initial):
     assert changes(log) == {}
 
 
-def test_the_command_line_says_it_on_both_streams(tmp_path, capsys, monkeypatch):
+def test_the_command_line_says_it_on_both_streams(call, tmp_path):
     """A warning on stderr and a line in the table; also in a replay, and in JSON."""
-    from cosim.cli.app import app
-
-    monkeypatch.chdir(tmp_path)
     write(tmp_path / "x.toml", PLAIN, "x0 = [1.0, -1.0, 5.0]")
     for arguments in (["run", "x.toml", "--out", "x.mcap"], ["replay", "x.mcap"]):
-        app(arguments, standalone_mode=False)
-        out, err = capsys.readouterr()
+        _, out, err = call(*arguments)
         assert "warning: plant: x0 does not fulfill the algebraic equations" in err
         assert "plant.x[2]\t-1\t\tx0 has 5; consistent with u and delta" in out
-    app(["replay", "x.mcap", "--json"], standalone_mode=False)
-    (change,) = json.loads(capsys.readouterr().out)["changed_states"]
+    _, out, _ = call("replay", "x.mcap", "--json")
+    (change,) = json.loads(out)["changed_states"]
     assert change == {"component": "plant", "entry": "x[2]", "before": 5.0, "after": -1.0}
