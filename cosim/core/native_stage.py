@@ -9,9 +9,9 @@ so is every error, which is named here.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import nullcontext
-from ctypes import Array, addressof
+from ctypes import Array, addressof, c_double
 from typing import TypeAlias
 
 import numpy as np
@@ -142,33 +142,45 @@ class NativeStage:
 
     def advance(self, block: Block, signals: Matrix) -> None:
         """Fill rows 1 to K of its columns; see :class:`cosim.core.coupling.Advancing`."""
-        self.advance_at(block, signals, block.time.ctypes.data, signals.ctypes.data)
+        addresses = (block.time.ctypes.data, signals.ctypes.data)
+        self.advance_at(addresses, signals, block.h, lambda: block)
 
-    def advance_at(self, block: Block, signals: Matrix, times: int, rows: int) -> None:
-        """Do the same where the addresses of the times and the rows are known."""
+    def advance_at(
+        self,
+        addresses: tuple[int, int],
+        signals: Matrix,
+        h: float,
+        block_of: Callable[[], Block],
+    ) -> None:
+        """Do the same where the addresses of the times and the rows are known.
+
+        The block is made only if something is left to be done here.
+        """
         state = self._state
-        state.t = times
-        state.rows = rows
-        state.h = block.h
+        state.t, state.rows = addresses
+        state.h = h
         state.step = 0
         state.operation = 0
         if self._guard is not None:
             self._guard.begin()
         try:
-            self._run(block, signals)
+            left = library.cosim_stage_run(self._address, len(signals) - 1, 0)
+            if left:
+                self._go_on(left, block_of(), signals)
         finally:
             if self._guard is not None:
-                self._guard.end(float(block.time[0]))
+                self._guard.end(c_double.from_address(addresses[0]).value)
             for member in self._measured:
                 member.add_native_seconds()
 
-    def _run(self, block: Block, signals: Matrix) -> None:
-        """Advance in compiled code, and do what it leaves to be done."""
+    # What is not finite is named by the check; numpy's warnings would say it without a name.
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
+    def _go_on(self, left: int, block: Block, signals: Matrix) -> None:
+        """Do what compiled code leaves to be done, and go on in it."""
         known = read_only(signals)
         end = block.steps
         stop: Stopped | None = None
         stopped = ""
-        left = library.cosim_stage_run(self._address, end, 0)
         while left:
             k = self._state.step
             kind, member = self._operations[left - 1]

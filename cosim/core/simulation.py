@@ -44,6 +44,7 @@ from cosim.errors import GraphError, RunError, UsageError, listing, steps_text
 POINTS: Final = 4096  # communication points whose times are computed at once
 BLOCK_BYTES: Final = 2**24  # of the rows of one block where they are not kept
 DOUBLE: Final = 8  # bytes
+INTERRUPTED: Final = "it was interrupted inside a step"
 NOTHING_GIVEN: Final[GivenOutputs] = {}
 
 
@@ -120,7 +121,7 @@ class Simulation:
         self._plan = graph.prepare(clock.step_ns) if plan is None else plan
         self._recorder = recorder
         self._identity = identity
-        self._columns = SignalColumns(graph.layout)
+        self._columns = SignalColumns(graph.layout, clock.step_ns)
         self._members: dict[str, Member] = {}
         for stage in graph.stages:
             for member in stage.members:
@@ -128,6 +129,7 @@ class Simulation:
         self._inputs: dict[str | Port, _Input] = {}
         self._right_limits = RightLimits(graph)
         self._width = graph.layout.width
+        self._h = clock.step
         self._thread = get_ident()
         self._closed = False
         self._begin()
@@ -243,41 +245,52 @@ class Simulation:
             self.complete_jumps()
         signals = np.empty((count + 1, self._width))
         signals[0] = self._row
-        block = self._block(count)
-        self._ended = "it was interrupted inside a step"  # unless the end of this is reached
-        passing = self._pass_one if count == 1 and self._native else self._pass_through
-        reached, error = passing(block, signals)
+        self._ended = INTERRUPTED  # unless the end of this is reached
+        if count == 1 and self._native and self._recorder is None:
+            reached, error = self._pass_one(signals)
+        else:
+            reached, error = self._pass_through(self._block(count), signals)
         signals.flags.writeable = False  # who keeps the rows sees them as they are
-        self.rows = StepRows(self._columns, block, signals)
+        if reached < count:
+            signals = signals[: reached + 1]
+        self.rows = StepRows(self._columns, signals, self.t_ns)
         self.index += reached
-        self._stand_at(signals[reached])
+        self._row = self._left_row = signals[reached]
         if error is not None:
-            self.rows = StepRows(self._columns, block.part(0, reached), signals[: reached + 1])
             self._end_with(error)
             raise error
         self._ended = ""
         return self.rows
 
-    @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # as of the pacer
-    def _pass_one(self, block: Block, signals: Matrix) -> tuple[int, RunError | None]:
-        """Do the same for one step of stages in compiled code, where a pacer would cost more."""
-        first = block.index - self._points_begin
-        times = self._times_address + first * DOUBLE
+    def _pass_one(self, signals: Matrix) -> tuple[int, RunError | None]:
+        """Fill row 1 by stages in compiled code alone, where a pacer and a block would cost more.
+
+        Returns
+        -------
+        (int, RunError or None)
+            The row that is reached, and what stopped there.
+        """
+        first = self.index - self._points_begin
+        if first + 1 >= len(self._times):
+            self._block(1)  # computes the times
+            first = 0
         memory: Any = signals
         rows = addressof(c_char.from_buffer(memory))  # a tenth of what .ctypes costs
+        addresses = (self._times_address + first * DOUBLE, rows)
         reached = 1
         error: RunError | None = None
         for stage in self._native:
             try:
-                stage.advance_at(block, signals, times, rows)
+                stage.advance_at(addresses, signals, self._h, self._next_step)
             except Cut as cut:
                 reached = cut.steps
                 error = cut.error
                 if not reached:
                     break
-        if self._recorder is not None and reached:
-            self._recorder.write(block, signals)
         return reached, error
+
+    def _next_step(self) -> Block:
+        return self._block(1)
 
     def _pass_through(self, block: Block, signals: Matrix) -> tuple[int, RunError | None]:
         """Fill and record rows 1 to K; return the last one that is complete, and what stopped."""

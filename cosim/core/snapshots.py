@@ -8,9 +8,11 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, final
 
+import numpy as np
+
 from cosim.arrays import Matrix, Nanoseconds, Vector
 from cosim.core.clock import Clock
-from cosim.core.contracts import Block, Plan
+from cosim.core.contracts import Plan
 from cosim.core.graph import Graph
 from cosim.core.port import Port
 from cosim.core.recorded import find_signal
@@ -25,6 +27,8 @@ class SignalColumns:
     Parameters
     ----------
     layout : Layout
+    step_ns : int
+        Communication step [ns].
 
     Attributes
     ----------
@@ -32,7 +36,8 @@ class SignalColumns:
         All signals: ``component.signal``.
     """
 
-    def __init__(self, layout: Layout) -> None:
+    def __init__(self, layout: Layout, step_ns: int) -> None:
+        self.step_ns = step_ns
         self._channels = {channel.name: channel for channel in layout.channels}
         self._known: dict[str | Port, slice] = {}
         for channel in layout.channels:
@@ -68,17 +73,18 @@ class StepRows(Mapping[str, Matrix]):
     Parameters
     ----------
     columns : SignalColumns
-    block : Block
     signals : Matrix, shape (steps + 1, width)
         Row 0 is the start of the first step.
+    begin_ns : int
+        Time of that [ns].
     """
 
-    __slots__ = ("_block", "_columns", "_signals")
+    __slots__ = ("_begin_ns", "_columns", "_signals")
 
-    def __init__(self, columns: SignalColumns, block: Block, signals: Matrix) -> None:
+    def __init__(self, columns: SignalColumns, signals: Matrix, begin_ns: int) -> None:
         self._columns = columns
-        self._block = block
         self._signals = signals
+        self._begin_ns = begin_ns
 
     def __getitem__(self, signal: str) -> Matrix:
         """Return a signal, or elements of it, shape (steps, size).
@@ -102,12 +108,13 @@ class StepRows(Mapping[str, Matrix]):
     @property
     def steps(self) -> int:
         """Number of communication steps."""
-        return self._block.steps
+        return len(self._signals) - 1
 
     @property
     def time_ns(self) -> Nanoseconds:
         """The instants of the rows [ns], shape (steps,)."""
-        return self._block.time_ns[1:]
+        numbers = np.arange(1, len(self._signals), dtype=np.int64)
+        return self._begin_ns + numbers * self._columns.step_ns
 
 
 @dataclass(frozen=True, eq=False)
