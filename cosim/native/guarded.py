@@ -5,6 +5,7 @@ from __future__ import annotations
 from ctypes import Structure, c_double, c_int32, c_void_p
 
 from cosim.native.library import address
+from cosim.native.memory import place_struct
 from cosim.native.step import NativeStep
 
 
@@ -24,7 +25,10 @@ def guarded_step(step: NativeStep) -> tuple[NativeStep, GuardedStruct]:
 
     The step needs a guard, and ``process`` of the struct the memory of the guard's process.
     """
-    struct = GuardedStruct(None, step.function, step.outputs, step.address)
+    struct = place_struct(GuardedStruct)
+    struct.step = step.function
+    struct.outputs = step.outputs
+    struct.self = step.address
     guarded = NativeStep(
         address("cosim_guarded_step"),
         struct,

@@ -1,17 +1,23 @@
 """Co-simulation FMUs in compiled code: the bits, messages and ends of the methods in Python."""
 
 from functools import cache
+from pathlib import Path
 
+import numpy as np
 import pytest
 
 from cosim.blocks.source import Expression
 from cosim.core import Clock, Graph, run
 from cosim.core.connections import Connection
+from cosim.core.master import simulate
 from cosim.core.recorders import Memory
 from cosim.errors import RunError
 from cosim.fmi.component import load
+from cosim.fmi.driving.stepping import Stepper
 from cosim.fmi.options import FmuOptions
 from tests.fmi import lag
+from tests.fmi.compiled import compile_fmu
+from tests.fmi.test_process import STATELESS
 
 STEP = 0.01
 STOP = 0.6
@@ -121,3 +127,76 @@ def test_rows_messages_and_ends_are_those_of_the_methods(path, version, can, sta
     case = (path, version, can, start)
     expected = simulated(*case, native=False, wiring=wiring, block=1)
     assert simulated(*case, native=True, wiring=wiring, block=1) == expected
+
+
+@pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
+@pytest.mark.parametrize("block", [None, 7])
+@pytest.mark.parametrize(("version", "can", "start"), [USUAL[4], USUAL[10], RARE[3], RARE[9]])
+def test_bits_depend_on_no_block_size(path, version, can, start, block, coupling):
+    case = (path, version, can, start)
+    options = {"wiring": "ring", "coupling": coupling}
+    expected = simulated(*case, native=False, **options)
+    assert simulated(*case, native=True, block=block, **options) == expected
+
+
+@pytest.mark.parametrize("wiring", ["chain", "ring"])
+@pytest.mark.parametrize(
+    ("version", "can", "start"), [case for case in USUAL if "events" not in case[1]]
+)
+def test_usual_steps_are_compiled(path, version, can, start, wiring, monkeypatch):
+    """All of them, but for the first one of an FMU whose state is saved before each."""
+    taken = []
+    step = Stepper.step
+
+    def counted(self, *arguments):
+        taken.append(arguments)
+        return step(self, *arguments)
+
+    monkeypatch.setattr(Stepper, "step", counted)
+    simulated(path, version, can, start, native=True, wiring=wiring)
+    assert len(taken) == (COUNT if version == "2" and "state" in can else 0)
+
+
+def test_what_is_shared_is_put_back_once_for_many_steps(tmp_path):
+    """The report names all FMUs that ran in the same call; the numbers are right all the same."""
+    path = compile_fmu(
+        tmp_path / "mover.fmu", STATELESS, "rogue2.c", defines=("ROGUE=MOVES", "WHERE=STEP")
+    )
+    home = Path.cwd()
+    rows = {}
+    for native in (False, True):
+        with load(path) as a, load(path) as b:
+            components = {"u": Expression(["0.5"]), "a": a.component, "b": b.component}
+            graph = Graph(components, {"a.u": "u.y", "b.u": "a.y"}, native=native)
+            memory = Memory()
+            run(graph, Clock(0.05, 0.01), memory)
+            rows[native] = memory["b.y"].tobytes()
+            texts = [message.text for fmu in (a, b) for message in fmu.drain()]
+        assert Path.cwd() == home
+        assert any("changed the working directory; it is as before again" in text for text in texts)
+    assert rows[True] == rows[False]
+    name = a.description.name
+    expected = f"{name}: it, or one of {name}, changed the working directory; it is as before again"
+    assert texts == [expected]
+
+
+@pytest.mark.parametrize("native", [True, False])
+def test_a_simulation_goes_on_after_outputs_and_saved_states_in_between(path, native):
+    """Python methods and compiled steps share one state."""
+    fmus = [load(path("2", "state", "any step", "D")) for _ in range(2)]
+    rows = []
+    for fmu in fmus:
+        components = {"u": Expression(["sin(7*t)"]), "d": Expression(["0"]), "lag": fmu.component}
+        graph = Graph(components, {"lag.u": "u.y", "lag.d": "d.y"}, native=native)
+        blocks = []
+        for block, signals in simulate(graph, Clock(STOP, STEP, block=10)):
+            blocks.append(signals[1:].copy())
+            if fmu is fmus[0]:
+                component = fmu.component
+                saved = component.save()
+                component.outputs(float(block.time[-1]), np.array([0.3, 0.0]))
+                component.advance(np.array([block.time[-1], 9.0]), 1.0, np.ones((2, 2)))
+                component.restore(saved)
+        rows.append(np.concatenate(blocks).tobytes())
+        fmu.close()
+    assert rows[0] == rows[1]

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from cosim.errors import RunError
 from cosim.fmi.binary.binding import Calls
 from cosim.fmi.references import Group, ReferenceMap
-from cosim.native.arena import Arena
 from cosim.native.fmu import (
     FLOAT64,
     DirectionalStruct,
@@ -21,6 +20,7 @@ from cosim.native.fmu import (
     VariablesStruct,
     carrier,
 )
+from cosim.native.memory import place
 
 
 @final
@@ -39,7 +39,6 @@ class InstanceAddresses:
         self.fmu = calls.library.address
         self._calls = calls
         self._library = calls.library
-        self._memory = Arena()
         self._keep: list[object] = []
 
     def call(self, name: str) -> int:
@@ -92,7 +91,9 @@ class InstanceAddresses:
 
     def _copied(self, array: NDArray[Any]) -> int:
         """Copy an array behind those that a step reads beside it; return its address."""
-        return self._memory.place(np.ascontiguousarray(array)).ctypes.data
+        placed = place(np.ascontiguousarray(array))
+        self._keep.append(placed)
+        return placed.ctypes.data
 
     def directional(self, unknowns: ReferenceMap, knowns: ReferenceMap) -> DirectionalStruct:
         """Return the directional derivatives of variables, all of them Float64."""

@@ -21,6 +21,7 @@ from cosim.errors import FmuError, RunError
 from cosim.fmi.binary.messages import Message, Messages, last_as_suffix
 from cosim.native.fmu import CallStruct, FmuStruct
 from cosim.native.library import library as kernels
+from cosim.native.memory import place_struct
 
 # ctypes itself has no public way to unload a library.
 if sys.platform == "win32":
@@ -82,7 +83,9 @@ class Library:
         self.prefix = prefix
         self.name = name
         self.messages = messages
-        self._struct = FmuStruct(version=version, messages=messages.address)
+        self._struct = place_struct(FmuStruct)
+        self._struct.version = version
+        self._struct.messages = messages.address
         self.address = addressof(self._struct)
         self.instance = c_void_p.from_buffer(self._struct, FmuStruct.instance.offset)
         self.failed = False  # an error or worse: terminate is no longer allowed

@@ -9,6 +9,7 @@ from typing import Final, NamedTuple
 
 from cosim.core.contracts import MessageLevel
 from cosim.native.library import MessagesStruct, MessageStruct, library
+from cosim.native.memory import place_struct
 
 LEVELS: Final[tuple[MessageLevel, ...]] = (
     "info",  # ok
@@ -59,7 +60,9 @@ class Messages:
     def __init__(self) -> None:
         ring = (MessageStruct * MESSAGES)()
         # The address, not a cast of the ring: that would make a reference cycle of 100 kB.
-        self._struct = MessagesStruct(ring=addressof(ring), size=MESSAGES)
+        self._struct = place_struct(MessagesStruct)
+        self._struct.ring = addressof(ring)
+        self._struct.size = MESSAGES
         self._out = MessageStruct()
         self.clock = c_double.from_buffer(self._struct, MessagesStruct.now.offset)
         self.clock.value = math.nan

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from cosim.arrays import Vector
 from cosim.native.co_simulation import InnerStepStruct
 from cosim.native.library import library
+from cosim.native.memory import place_struct
 
 
 class StepHistory(NamedTuple):
@@ -58,7 +59,10 @@ class InnerStep:
         self._outputs = np.zeros(len(columns))
         self._inputs = np.zeros(n_u)
         self._outputs_before = np.zeros(len(columns))
-        self._struct = InnerStepStruct(columns.ctypes.data, len(columns), n_u)
+        self._struct = place_struct(InnerStepStruct)
+        self._struct.columns = columns.ctypes.data
+        self._struct.n = len(columns)
+        self._struct.n_u = n_u
         self._struct.outputs = self._outputs.ctypes.data
         self._struct.inputs = self._inputs.ctypes.data
         self._struct.outputs_before = self._outputs_before.ctypes.data

@@ -50,7 +50,6 @@ from cosim.fmi.driving.direct import DirectFeedthrough
 from cosim.fmi.driving.events import iterate_event
 from cosim.fmi.driving.inner_step import InnerStep, StepHistory
 from cosim.fmi.instance import Addresses, CoSimulationInstance, StepEnd
-from cosim.native.arena import Arena
 from cosim.native.co_simulation import (
     COMPLETED,
     FAILED,
@@ -61,6 +60,7 @@ from cosim.native.co_simulation import (
     CoSimulationStruct,
 )
 from cosim.native.library import address
+from cosim.native.memory import place, place_struct
 from cosim.native.step import NativeStep
 
 PARTS: Final = 1000  # of one communication step, by early returns and time events
@@ -174,14 +174,15 @@ class Stepper:
 
     def _share_state(self, n_u: int) -> None:
         """Put the state where compiled steps find it."""
-        place = Arena().place
         self.outputs = place(np.zeros(self._outputs.size))
         self.inputs = place(np.zeros(n_u))
         self._held = place(np.zeros(n_u, np.bool_))
         self._event_values = place(np.zeros(self._event_inputs.size))
         self._ramped = place(self._interpolated | (not self._some_not_interpolated))
         self._scratch = place(np.zeros(3 * n_u + self._outputs.size))
-        struct = CoSimulationStruct(n_u=n_u, n_y=self._outputs.size)
+        struct = place_struct(CoSimulationStruct)
+        struct.n_u = n_u
+        struct.n_y = self._outputs.size
         struct.n_event = self._event_inputs.size
         struct.held = self._held.ctypes.data
         struct.ramped = self._ramped.ctypes.data
