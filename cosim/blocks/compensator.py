@@ -32,7 +32,8 @@ from cosim.arrays import NAN, Mask, Matrix, Vector
 from cosim.core.contracts import Design, check_design
 from cosim.core.signals import Interface, Signal
 from cosim.errors import LogError, UsageError
-from cosim.native.step import affine, matrix_exponential
+from cosim.native.compensator import CompensatorConstants, CompensatorStep
+from cosim.native.step import NativeStep, affine, matrix_exponential
 from cosim.theory.compensation.activation import Activation
 from cosim.theory.compensation.design import (
     CertifiedCompensator,
@@ -132,7 +133,26 @@ class Compensator:
         self._counts = counts
         lower, upper = arrays["theta"]
         self._activation = Activation(lower, upper, self.options.largest_error)
+        self._kernel = CompensatorStep(self._constants(arrays["before"]))
         return arrays
+
+    def _constants(self, before: Matrix) -> CompensatorConstants:
+        gains = self._gains
+        parameters = len(gains.box.lower)
+        columns = self._columns
+        return CompensatorConstants(
+            before=before,
+            lower=self.options.lower,
+            upper=self.options.upper,
+            states=len(gains.model.b),
+            known=self._known,
+            regulated=self._regulated,
+            reference=columns["r"].start,
+            theta=columns["theta"].start if parameters else 0,
+            standard_error=columns["standard_error"].start if parameters else 0,
+            parameters=parameters,
+            follows=gains.decay_rate is not None,
+        )
 
     def certified(self, h: float, held: Mask) -> CertifiedCompensator:
         """Certify the loop with a communication step, and design the internal model for it.
@@ -219,75 +239,74 @@ class Compensator:
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Begin without the internal model, with u = 0 or the limit next to it."""
-        self._u = self._limited(np.zeros(len(self._gains.K)))
-        self._w = np.zeros(len(self._gains.model.b))
-        self._theta = np.full(len(self._counts), NAN)
-        self._is_active = False
+        kernel = self._kernel
+        kernel.u[:] = self._limited(np.zeros(len(self._gains.K)))
+        kernel.w[:] = 0.0
+        kernel.theta[:] = NAN
+        kernel.judged[:] = NAN
+        kernel.is_active = False
         return self.outputs(t, u)
 
     def outputs(self, t: float, u: Vector) -> Vector:
         """Return u and the internal model."""
-        active = [float(self._is_active)]
-        return np.concatenate([self._u, self._w, active, self._theta])
+        return self._kernel.step.memory.copy()
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Advance by K steps."""
-        rows = np.empty((len(t) - 1, self.interface.n_y))
-        for k in range(len(rows)):
-            self._step(u[k])
-            end = k + 1
-            rows[k] = self.outputs(float(t[end]), u[end])
+        steps = len(t) - 1
+        rows = np.empty((steps, self.interface.n_y))
+        completed = 0
+        while completed < steps:
+            y = self._kernel.step.advance(t[completed:], h, u[completed:])
+            end = completed + len(y)
+            rows[completed:end] = y
+            completed = end
+            if self._kernel.step.status:
+                self._judge(u[completed])
         return rows
 
-    def _step(self, row: Vector) -> None:
-        known = row[self._known]
-        if self._gains.decay_rate is not None:
-            self._follow(row, known)
-        before = (self._arrays["before"], known)
-        if not self._is_active:
-            self._u = self._limited(affine([before]))
-            return
-        internal = self._w - affine([(self._X, known)])
-        v = affine([before, (self._minus_K_w, internal)])
-        self._u = self._limited(v)
-        error = row[self._regulated] - row[self._columns["r"]]
-        driven = np.concatenate([self._w, error, self._u - v])
-        self._w = affine([(self._generator, driven)])
+    def native(self) -> NativeStep:
+        """Return the compiled step: it goes on until there is another estimate."""
+        return self._kernel.step
 
     def _limited(self, v: Vector) -> Vector:
         above = np.maximum(v, self.options.lower)
         return np.minimum(above, self.options.upper)
 
-    def _follow(self, row: Vector, known: Vector) -> None:
+    def _judge(self, row: Vector) -> None:
         """Switch the internal model on, or follow theta, where the estimate is good enough."""
-        theta = row[self._columns["theta"]] if self._theta.size else np.zeros(0)
-        if self._is_active and np.array_equal(theta, self._theta):
+        kernel = self._kernel
+        theta = row[self._columns["theta"]] if kernel.theta.size else np.zeros(0)
+        error = row[self._columns["standard_error"]] if kernel.theta.size else theta
+        kernel.judged[0] = theta
+        kernel.judged[1] = error
+        if kernel.is_active and np.array_equal(theta, kernel.theta):
             return
-        error = row[self._columns["standard_error"]] if self._theta.size else theta
         if not self._activation.allows(theta, error):
             return
-        self._theta = theta.copy()
+        kernel.theta[:] = theta
         self._take_gains()
-        if not self._is_active:
-            self._w = affine([(self._X, known)])
-        self._is_active = True
+        if not kernel.is_active:
+            kernel.w[:] = affine([(kernel.X, row[self._known])])
+        kernel.is_active = True
 
     def _take_gains(self) -> None:
         """Interpolate the gains, and discretize the internal model, at theta."""
+        kernel = self._kernel
         arrays = self._arrays
         lower, upper = arrays["theta"]
-        corners = corner_weights(self._theta, lower, upper, self._counts)
-        self._X = self._blended("X", corners)
-        self._minus_K_w = -self._blended("K_w", corners)
+        corners = corner_weights(kernel.theta, lower, upper, self._counts)
+        kernel.X[:] = self._blended("X", corners)
+        kernel.minus_K_w[:] = -self._blended("K_w", corners)
         S = arrays["S0"].copy()
-        for value, slope in zip(self._theta, arrays["S1"], strict=True):
+        for value, slope in zip(kernel.theta, arrays["S1"], strict=True):
             S += value * slope
         dynamics = np.hstack([S, arrays["b"], self._blended("H", corners)])
         n_w, n = dynamics.shape
         driving = np.zeros((n - n_w, n))
         Z = np.vstack([dynamics, driving])
         step = matrix_exponential(arrays["h"][0] * Z)
-        self._generator = np.ascontiguousarray(step[:n_w])
+        kernel.generator[:] = step[:n_w]
 
     def _blended(self, name: str, corners: Sequence[tuple[int, float]]) -> Matrix:
         table = self._arrays[name]
@@ -295,15 +314,18 @@ class Compensator:
 
     def save(self) -> tuple[Vector, Vector, Vector, bool]:
         """Copy the state."""
-        return self._u.copy(), self._w.copy(), self._theta.copy(), self._is_active
+        kernel = self._kernel
+        return kernel.u.copy(), kernel.w.copy(), kernel.theta.copy(), kernel.is_active
 
     def restore(self, state: tuple[Vector, Vector, Vector, bool]) -> None:
         """Go back to a saved state."""
-        u, w, theta, self._is_active = state
-        self._u = u.copy()
-        self._w = w.copy()
-        self._theta = theta.copy()
-        if self._is_active:
+        kernel = self._kernel
+        u, w, theta, kernel.is_active = state
+        kernel.u[:] = u
+        kernel.w[:] = w
+        kernel.theta[:] = theta
+        kernel.judged[:] = np.inf  # no estimate: the next one is judged
+        if kernel.is_active:
             self._take_gains()
 
 
@@ -348,4 +370,6 @@ def _interface(gains: CompensatorGains, options: CompensatorOptions) -> Interfac
         outputs.append(used)
     inputs.append(Signal("r", p, role="input", connection="optional"))
     names = tuple(signal.name for signal in inputs)
-    return Interface(tuple(inputs), tuple(outputs), delayed=names, prepares=True, rollback=True)
+    return Interface(
+        tuple(inputs), tuple(outputs), delayed=names, prepares=True, rollback=True, native=True
+    )
