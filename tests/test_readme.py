@@ -105,17 +105,40 @@ def test_python_runs(tmp_path, monkeypatch, capsys):
     exports = [command for command, _ in commands("README") if "closed-loop" in command]
     for command in exports:
         run_command(command, capsys)
-    first, _, relay = blocks("README", "python")
+    first, *_, relay = blocks("README", "python")
     for _ in range(2):  # as one does who reads and tries
         exec(compile(first, "README block 1", "exec"), {"__name__": "readme"})
         printed = capsys.readouterr().out.split()
         assert printed[0] == "10.0"
         assert 0.0 < float(printed[-1]) < 1e-2  # half the step, half the error of first order
-    exec(compile(relay, "README block 3", "exec"), {"__name__": "readme"})
+    exec(compile(relay, "README relay", "exec"), {"__name__": "readme"})
     lowest, highest = map(float, capsys.readouterr().out.split())
     # The relay switches one step of 0.1 s late, where the slope is at most 0.1 / s.
     assert 19.48 <= lowest <= 19.5
     assert 20.5 <= highest <= 20.52
+
+
+def test_a_session_prints_what_is_shown(tmp_path, monkeypatch, capsys):
+    """Its log is verified by a replay."""
+    monkeypatch.chdir(tmp_path)
+    (session,) = [block for block in blocks("README", "python") if ".start(" in block]
+    (shown,) = blocks("README", "text")
+    exec(compile(session, "README session", "exec"), {"__name__": "readme"})
+    assert capsys.readouterr().out == shown
+    code, _ = run_command("cosim replay logs/session.mcap --verify", capsys)
+    assert code == 0
+
+
+def test_an_environment_takes_15_lines(tmp_path, monkeypatch):
+    """Its episode ends at the stop of the scenario; imports apart."""
+    monkeypatch.chdir(tmp_path)
+    (shown,) = [block for block in blocks("README", "python") if "cosim.gym" in block]
+    names = {}
+    exec(compile(shown, "README environment", "exec"), names)
+    assert names["info"] == {"t_ns": 10**9}
+    assert names["truncated"]
+    lines = [line for line in shown.splitlines() if line and not line.startswith("import")]
+    assert len(lines) <= 15
 
 
 def test_the_python_of_an_identification_runs(tmp_path, monkeypatch, capsys):
@@ -164,7 +187,7 @@ def test_the_scenario_of_recorded_data_finds_theta(tmp_path, monkeypatch, capsys
 
 def test_a_component_of_ones_own_is_short():
     """Ten lines for one of a scenario, import and comment apart; less than 25 with a state."""
-    _, drag, relay = blocks("README", "python")
+    *_, drag, relay = blocks("README", "python")
     lines = [line for line in drag.splitlines() if line.strip() and '"""' not in line]
     assert len([line for line in lines if not line.startswith("from")]) == 10
     shown = relay.split("class Relay", 1)[1].split("components =")[0]

@@ -200,6 +200,25 @@ def test_a_regular_end_is_raised_too():
     assert simulation.rows.time_ns.tolist() == [10**8, 2 * 10**8]
 
 
+def test_an_interrupt_inside_a_step_ends_the_simulation():
+    """Some components are ahead of others then; a reset begins again."""
+    graph = Graph({"x": Scripted([0.0] * 9, inputs=1)}, {"x.u0": "x.y"})
+    graph.components["x"].advance = interrupted
+    simulation = Simulation(graph, clock())
+    with pytest.raises(KeyboardInterrupt):
+        simulation.step(3)
+    with pytest.raises(UsageError, match=r"ended at t = 0.0 s: it was interrupted inside a step"):
+        simulation.step()
+    with pytest.raises(UsageError, match=r"override: the simulation ended at t = 0.0 s"):
+        simulation["x.u0"] = 1.0
+    simulation.reset()
+    assert simulation.steps_left == 40
+
+
+def interrupted(t, h, u):
+    raise KeyboardInterrupt
+
+
 # --- overrides ---
 
 
