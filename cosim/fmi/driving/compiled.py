@@ -19,7 +19,7 @@ from cosim.native.library import address, int32, pointer
 from cosim.native.model_exchange import EVENT, FAILED_CALL, FAILED_INPUTS, ModelExchangeStruct
 from cosim.native.step import NativeStep
 
-ROOM: Final = 2048  # events that are kept until they are taken over
+ROOM: Final = 8192  # events that are kept until they are taken over
 UPDATES: Final = {1: "EventUpdate", 2: "NewDiscreteStates", 3: "UpdateDiscreteStates"}
 """The function that iterates an event, by version."""
 
@@ -176,7 +176,7 @@ class CompiledIntegrator:
         struct = self._struct
         if not struct.moved:
             return
-        records = self._events[: struct.n_events].tolist()
+        records = self._events[: struct.n_events].copy()
         self._integrator.events.extend(records, struct.in_step, struct.latest)
         struct.n_events = 0
 

@@ -7,10 +7,11 @@ A state event is where an event indicator changes its domain, z > 0 or z <= 0 (F
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from typing import Final, Literal, NamedTuple, TypeAlias, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cosim.arrays import Vector
 from cosim.errors import RunError
@@ -20,6 +21,7 @@ from cosim.native.model_exchange import INPUT_EVENT, NOT_LISTED, STATE_EVENT, ST
 
 EventKind: TypeAlias = Literal["state event", "time event", "step event", "input event"]
 EventRecord: TypeAlias = tuple[float, int, int]  # time [s], bit of the kind, events not listed
+EventRecords: TypeAlias = "list[EventRecord] | NDArray[np.void]"  # an array from compiled steps
 
 ITERATIONS: Final = 100  # of the discrete states in one event
 EVENTS: Final = 1000  # in one communication step
@@ -156,7 +158,7 @@ def endless_iteration(name: str, t: float) -> RunError:
 class EventListState(NamedTuple):
     """A copy of an ``EventList``."""
 
-    records: tuple[EventRecord, ...]
+    records: tuple[EventRecords, ...]
     in_step: int
     latest: float
 
@@ -176,7 +178,7 @@ class EventList:
     """
 
     def __init__(self) -> None:
-        self._records: list[EventRecord] = []
+        self._records: list[EventRecords] = []
         self.in_step = 0
         self.latest = 0.0
 
@@ -184,7 +186,7 @@ class EventList:
         """Begin to count anew; tell of the step before what was not listed."""
         omitted = self.in_step - KEPT
         if omitted > 0:
-            self._records.append((self.latest, NOT_LISTED, omitted))
+            self._records.append([(self.latest, NOT_LISTED, omitted)])
         self.in_step = 0
 
     def add(self, kind: EventKind, t: float) -> None:
@@ -192,18 +194,21 @@ class EventList:
         self.in_step += 1
         self.latest = t
         if self.in_step <= KEPT:
-            self._records.append((t, BITS[kind], 0))
+            self._records.append([(t, BITS[kind], 0)])
 
-    def extend(self, records: Iterable[EventRecord], in_step: int, latest: float) -> None:
+    def extend(self, records: NDArray[np.void], in_step: int, latest: float) -> None:
         """Add what compiled steps listed; ``in_step`` and ``latest`` are as they are behind it."""
-        self._records += records
+        if len(records):
+            self._records.append(records)
         self.in_step = in_step
         self.latest = latest
 
     def drain(self) -> list[Message]:
         """Return the events since the last call, at the end of a step."""
         self.begin_step()
-        messages = [_message(record) for record in self._records]
+        messages: list[Message] = []
+        for records in self._records:
+            messages += map(_message, records if isinstance(records, list) else records.tolist())
         self._records = []
         return messages
 
