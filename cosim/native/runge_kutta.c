@@ -217,9 +217,29 @@ static int32_t evaluate(cosim_runge_kutta *s, double t, const double *x, double 
     return s->f(s->model, t, x, dx);
 }
 
-/* out = sum_j weights_j k_j, j < count. */
+/* Below so many states a loop over them costs more to begin than it takes. */
+enum { FEW = 8 };
+
+/* sum_j weights_j k_j of state i, j < count. */
+static inline double weighed(const cosim_runge_kutta *s, int32_t count, const double *weights,
+                             int32_t i)
+{
+    const double *k = slope(s, 0) + i;
+    double sum = 0.0;
+    for (int32_t j = 0; j < count; ++j, k += s->n)
+        if (weights[j] != 0.0)
+            sum += weights[j] * *k;
+    return sum;
+}
+
+/* out = sum_j weights_j k_j, j < count; of few states or many, the sums run in the same order. */
 static void weigh(const cosim_runge_kutta *s, int32_t count, const double *weights, double *out)
 {
+    if (s->n < FEW) {
+        for (int32_t i = 0; i < s->n; ++i)
+            out[i] = weighed(s, count, weights, i);
+        return;
+    }
     for (int32_t i = 0; i < s->n; ++i)
         out[i] = 0.0;
     for (int32_t j = 0; j < count; ++j) {
@@ -233,8 +253,13 @@ static void weigh(const cosim_runge_kutta *s, int32_t count, const double *weigh
 /* The argument of slope i in a step of length h, which for the last stage is its end. */
 static void combine(const cosim_runge_kutta *s, int32_t i, double h, double *out)
 {
-    const double *x = vector(s, X_BEGIN);
-    weigh(s, i, s->method->a + i * (i - 1) / 2, out);
+    const double *x = vector(s, X_BEGIN), *weights = s->method->a + i * (i - 1) / 2;
+    if (s->n < FEW) {
+        for (int32_t j = 0; j < s->n; ++j)
+            out[j] = x[j] + h * weighed(s, i, weights, j);
+        return;
+    }
+    weigh(s, i, weights, out);
     for (int32_t j = 0; j < s->n; ++j)
         out[j] = x[j] + h * out[j];
 }
