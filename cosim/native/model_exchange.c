@@ -382,14 +382,20 @@ static bool jumps(const Model *s, const double *u)
     return false;
 }
 
+/* One by one: there are few of them, and the compiler makes it one instruction each. */
 static bool are_the_inputs(const Model *s, const double *u)
 {
-    return memcmp(u, s->inputs, (size_t)s->n_u * sizeof *u) == 0;
+    for (int32_t i = 0; i < s->n_u; ++i)
+        if (memcmp(u + i, s->inputs + i, sizeof *u) != 0)
+            return false;
+    return true;
 }
 
 static void keep_inputs(Model *s, const double *u)
 {
-    memcpy(s->inputs, u, (size_t)s->n_u * sizeof *u);
+    for (int32_t i = 0; i < s->n_u; ++i)
+        if (memcmp(u + i, s->inputs + i, sizeof *u) != 0)
+            s->inputs[i] = u[i];
 }
 
 /* Leave event mode, and read what changed. */
@@ -475,10 +481,27 @@ static int32_t add_time_event(Model *s)
     return set_point(s, s->t, s->x);
 }
 
+/* Whether a domain has changed at *t, the end of a step of the solver; then *t is where it did. */
+static int32_t look_for_event(Model *s, double *t, double stop)
+{
+    double *x = s->scratch, *z = x + s->n_x, *work = z + s->n_z;
+    int32_t status = get_indicators(s, z);
+    if (status == COSIM_OK && domains_differ(s, s->indicators, z)) {
+        status = locate(s, s->t, s->indicators, t, z, work);
+        if (status == COSIM_OK)
+            status = set_solution(s, t, stop, x);
+        if (status == COSIM_OK)
+            memcpy(s->x, x, (size_t)s->n_x * sizeof *x);
+        s->due |= COSIM_STATE_EVENT;
+    }
+    memcpy(s->indicators, z, (size_t)s->n_z * sizeof *z);
+    return status;
+}
+
 /* Take a step of the solver, to the first state event in it at most. */
 static int32_t solver_step(Model *s, double stop)
 {
-    double *x = s->scratch, *z = x + s->n_x, *work = z + s->n_z, t = stop;
+    double t = stop;
     int32_t status = COSIM_OK;
     if (s->solver) {
         status = cosim_runge_kutta_step(s->solver, stop, &t);
@@ -487,23 +510,14 @@ static int32_t solver_step(Model *s, double stop)
         if (status != COSIM_OK)
             return LEFT;
     }
-    status = set_solution(s, &t, stop, x);
+    if (stop - t <= closeness(stop))
+        t = stop;
+    status = set_point(s, t, s->x); /* the solver's own, at the end of its step */
     if (status == COSIM_OK && s->n_z)
-        status = get_indicators(s, z);
-    if (status == COSIM_OK && s->n_z && domains_differ(s, s->indicators, z)) {
-        double event_time = t;
-        status = locate(s, s->t, s->indicators, &event_time, z, work);
-        if (status == COSIM_OK)
-            status = set_solution(s, &event_time, stop, x);
-        t = event_time;
-        s->due |= COSIM_STATE_EVENT;
-    }
-    if (status != COSIM_OK)
-        return status;
-    memcpy(s->indicators, z, (size_t)s->n_z * sizeof *z);
-    memcpy(s->x, x, (size_t)s->n_x * sizeof *x);
-    s->t = t;
-    return COSIM_OK;
+        status = look_for_event(s, &t, stop);
+    if (status == COSIM_OK)
+        s->t = t;
+    return status;
 }
 
 /* Integrate to the next event, or to t1 at most. */
@@ -619,14 +633,17 @@ static bool is_allowed(const Model *s)
 
 static void begin_inputs(Model *s, double t0, double t1, const double *u0, const double *u1)
 {
-    const size_t size = (size_t)s->n_u * sizeof *u0;
     s->t0 = t0;
     s->t1 = t1;
-    memcpy(s->u0, u0, size);
-    memcpy(s->u1, u1, size);
+    s->u0 = u0;
+    s->u1 = u1;
+    if (!s->n_in_events)
+        return;
     /* inputs that change in events only keep their value to the end of the step */
+    memcpy(s->end_inputs, u1, (size_t)s->n_u * sizeof *u1);
     for (int32_t i = 0; i < s->n_in_events; ++i)
-        s->u1[s->in_events[i]] = u0[s->in_events[i]];
+        s->end_inputs[s->in_events[i]] = u0[s->in_events[i]];
+    s->u1 = s->end_inputs;
 }
 
 int32_t cosim_model_exchange_step(void *self, double t0, double t1, double h, const double *u0,

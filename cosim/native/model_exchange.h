@@ -57,8 +57,9 @@ typedef struct {
     int32_t nominals_changed; /* they are to be read, and the solver is to start with them */
     double t, next_event;
     double inputs_time; /* the time whose inputs of this step the FMU has; NaN: it has others */
-    double *x, *inputs, *indicators; /* (n_x), (n_u) as the FMU has them, (n_z) */
-    const double *nominals;          /* (n_x) */
+    double *x;                   /* (n_x) that of the solver, but where an event is due */
+    double *inputs, *indicators; /* (n_u) as the FMU has them, (n_z) */
+    const double *nominals;      /* (n_x) */
 
     /* of a step that was declined */
     int32_t reached, failure;
@@ -72,8 +73,9 @@ typedef struct {
 
     /* the inputs of the step, by linear interpolation */
     double t0, t1;
-    double *u0, *u1, *u; /* (n_u) the last one scratch */
-    double *scratch;     /* 2 n_x + n_u + 4 n_z */
+    const double *u0, *u1; /* (n_u) */
+    double *end_inputs;    /* (n_u) u1, where some inputs change in events only */
+    double *u, *scratch;   /* (n_u), (2 n_x + n_u + 4 n_z) */
 } cosim_model_exchange;
 
 int32_t cosim_model_exchange_step(void *self, double t0, double t1, double h, const double *u0,

@@ -54,5 +54,5 @@ class ModelExchangeStruct(Structure):
         *((name, c_int32) for name in ("n_events", "room", "in_step")),
         ("latest", c_double),
         *((name, c_double) for name in ("t0", "t1")),
-        *((name, c_void_p) for name in ("u0", "u1", "u", "scratch")),
+        *((name, c_void_p) for name in ("u0", "u1", "end_inputs", "u", "scratch")),
     )

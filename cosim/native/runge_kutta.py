@@ -8,6 +8,7 @@ from ctypes import CFUNCTYPE, byref, c_double, c_int32, c_void_p
 from typing import Final, TypeAlias, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cosim.arrays import Vector
 from cosim.errors import RunError
@@ -23,6 +24,8 @@ STEP_TOO_SMALL: Final = 2  # COSIM_STEP_TOO_SMALL
 FAILED: Final = -1  # of a right-hand side that raised
 NUMBER: Final = 8  # bytes
 TIME: Final = 1  # where the time reached stands in the memory
+NUMBERS: Final = 5  # that stand before vectors of n
+STATE: Final = 2  # which of those is the state reached
 
 _RIGHT_HAND_SIDE: Final = CFUNCTYPE(c_int32, c_void_p, c_double, c_void_p, c_void_p)
 
@@ -72,6 +75,12 @@ class RungeKutta:
     def evaluations(self) -> int:
         """The number of evaluations of f so far."""
         return self._completed
+
+    @property
+    def x(self) -> NDArray[np.float64]:
+        """The state reached, shape (n,), to read and to write."""
+        first = NUMBERS + STATE * self._n
+        return self._memory[first : first + self._n]
 
     def start(self, t: float, x: Vector, nominals: Vector) -> None:
         """Begin at ``t`` [s] with ``x``."""

@@ -47,17 +47,16 @@ class CompiledIntegrator:
         n_x = description.n_states
         n_z = description.event_indicators
         n_u = description.references("input").size
-        self._x = np.zeros(n_x)
         self._inputs = np.zeros(n_u)
         self._indicators = np.zeros(n_z)
         self._nominals = np.ones(n_x)
         self._in_events = int32(integrator.event_inputs)
-        self._step_inputs = np.zeros((3, n_u))
+        self._step_inputs = np.zeros((2, n_u))
         self._scratch = np.zeros(2 * n_x + n_u + 4 * n_z)
         self._events = np.zeros(ROOM, EVENT)
         struct = ModelExchangeStruct(addresses.fmu, room=ROOM)
         self._struct = struct
-        self._solver = integrator.compiled_solver(
+        self._solver, self._x = integrator.compiled_solver(
             address("cosim_model_exchange_derivatives"), ctypes.addressof(struct)
         )
         struct.n_x = n_x
@@ -83,7 +82,7 @@ class CompiledIntegrator:
         struct.nominals = pointer(self._nominals)
         struct.in_events = pointer(self._in_events)
         struct.events = pointer(self._events)
-        struct.u0, struct.u1, struct.u = (pointer(row) for row in self._step_inputs)
+        struct.end_inputs, struct.u = (pointer(row) for row in self._step_inputs)
         struct.scratch = pointer(self._scratch)
         if self._solver is not None:
             struct.solver = ctypes.addressof(self._solver)

@@ -192,9 +192,13 @@ class Integrator:
         """Whether it can be compiled: with an explicit Runge-Kutta method, or without states."""
         return self._runge_kutta is not None or (self._n_x == 0 and self._form is None)
 
-    def compiled_solver(self, f: int, model: int) -> RungeKuttaStruct | None:
-        """Return the solver for a compiled right-hand side; None: there are no states."""
-        return None if self._runge_kutta is None else self._runge_kutta.compiled(f, model)
+    def compiled_solver(self, f: int, model: int) -> tuple[RungeKuttaStruct | None, Vector]:
+        """Return the solver for a compiled right-hand side, and the memory of its state.
+
+        Without states there is no solver.
+        """
+        solver = self._runge_kutta
+        return (None, np.empty(0)) if solver is None else (solver.compiled(f, model), solver.x)
 
     def begin(self) -> None:
         """Handle the event that the initialization ends with; from here on time may advance.
