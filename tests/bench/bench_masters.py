@@ -65,6 +65,9 @@ class Pairing:
 
     def calibrate(self, most: int, seconds: float) -> None:
         """Choose the number of steps; find out whether the contender can run the case at all."""
+        if self.case.fixed_steps:
+            self.steps = self.case.fixed_steps
+            return
         try:
             times = []
             for steps in CALIBRATION:
@@ -74,8 +77,7 @@ class Pairing:
             return
         short, long = times
         step = max(long - short, 0.1 * long) / (CALIBRATION[1] - CALIBRATION[0])
-        chosen = max(FEWEST, int(seconds / max(step, 1e-9)))
-        self.steps = self.case.fixed_steps or min(most, chosen)
+        self.steps = min(most, max(FEWEST, int(seconds / max(step, 1e-9))))
 
     def measure(self, steps: int) -> None:
         """Measure the contender and the floor, which gets ``steps``, side by side."""

@@ -18,6 +18,7 @@ from tests.bench.masters.systems import STEP_NS, Lag, System, ring
 
 STEP = STEP_NS / 1e9  # s
 OURS = "drive_core.py"
+LAG_STEPS = 5_000_000  # of all lags of a loop together, whose rows are 80 MB then
 
 
 class CoreCase(ABC):
@@ -83,6 +84,7 @@ class LagsCase(CoreCase):
     def __post_init__(self) -> None:
         self.name = f"lags-{self.count}"
         self.watched = tuple(f"lag{i}.y" for i in range(self.count))
+        self.fixed_steps = LAG_STEPS // self.count
 
     def build(self, folder: Path) -> None:
         """Compile the program."""
@@ -193,6 +195,44 @@ class PlantCase(CoreCase):
 
 
 @dataclass
+class EnsembleCase(CoreCase):
+    """Members of ``academic``, without its identifier, each of 40 000 steps.
+
+    What counts as a step is a member. Of the rows the last one is kept, and sums over all. Beside
+    it stand the kernels alone (``kernels.c``), initialized before the time is measured.
+    """
+
+    name: str = "members of academic"
+    watched: tuple[str, ...] = ("observer.delta",)
+    fixed_steps: int | None = 50
+    floor_name: str = "kernels"
+    _library: Path = field(init=False, default=Path())
+
+    def build(self, folder: Path) -> None:
+        """Compile the loop."""
+        self._library = build_program(folder, "kernels.c", shared=True)
+
+    def command(self, contender: str, steps: int) -> Command:
+        """Return the process of a contender."""
+        if contender == FLOOR:
+            return self.floor(steps)
+        return driver("drive_ensemble.py", (), {**self.task(steps), "library": None})
+
+    def floor(self, steps: int) -> Command:
+        """Return the loop over members."""
+        task = {**self.task(steps), "library": str(self._library)}
+        return driver("drive_ensemble.py", (), task)
+
+    def keeps(self, contender: str) -> str:
+        """Return what a contender keeps."""
+        return "sums"
+
+    def error(self, result: Result) -> float:
+        """Return NaN: the bits are compared."""
+        return np.nan
+
+
+@dataclass
 class ByHandCase(CoreCase):
     """Three FMUs of FMI 2 in a ring, step by step, beside the same by FMPy's classes."""
 
@@ -232,6 +272,7 @@ def core_cases() -> list[CoreCase]:
         LagsCase(10),
         LagsCase(100),
         LagsCase(1000),
+        LagsCase(3000),
         ScenarioCase("academic"),
         ScenarioCase(f"academic{WITHOUT_IDENTIFIER}"),
         ScenarioCase("closed-loop"),
@@ -243,4 +284,5 @@ def core_cases() -> list[CoreCase]:
         PlantCase("2", "rk4"),
         PlantCase("3", "rk4"),
         ByHandCase(),
+        EnsembleCase(),
     ]

@@ -41,10 +41,16 @@ def lags(count: int) -> Graph:
     return Graph(components, connections)
 
 
-def scenario(name: str, stop: float, resources: ExitStack) -> Graph:
+def scenario(name: str, stop: float, resources: ExitStack, **changes: list[float]) -> Graph:
     """Build a shipped scenario; some of its components keep as many samples as it lasts, [s]."""
-    longer = load(name).set({"scenario.stop": stop})
-    return Builder(longer, resources, block=None).experiment().graph
+    changed = load(name).set({"scenario.stop": stop, **changes})
+    return Builder(changed, resources, block=None).experiment().graph
+
+
+def academic_member(number: int, stop: float, resources: ExitStack) -> Graph:
+    """Build ``academic`` without its identifier from another initial state for each number."""
+    changes = {"plant.x_a0": [1.0 + 0.01 * number, -1.0]}
+    return without_identifier(scenario("academic", stop, resources, **changes))
 
 
 def without_identifier(graph: Graph) -> Graph:

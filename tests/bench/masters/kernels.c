@@ -3,6 +3,7 @@
 #include "cosim.h"
 
 #include <stddef.h>
+#include <string.h>
 
 typedef int32_t (*outputs_function)(void *self, double t, const double *u, double *y);
 
@@ -39,6 +40,32 @@ int64_t kernels_run(int64_t steps, const double *t, double h, double *rows, int6
         }
         for (const wire *w = last_wires; w < last_wires + n_last_wires; ++w)
             row[w->to] = row[w->from];
+    }
+    return steps;
+}
+
+/* The same, of whose rows only the last one is kept, as row 0 of `rows` (block + 1, width), and sums
+ * over all: how many values there are, their sum, and the sum of their squares. */
+int64_t kernels_sum(int64_t steps, int64_t block, const double *t, double h, double *rows,
+                    int64_t width, const kernel *kernels, int64_t n_kernels, const wire *wires,
+                    const wire *last_wires, int64_t n_last_wires, double *counts, double *sums,
+                    double *squares)
+{
+    for (int64_t k = 0; k < steps; k += block) {
+        const int64_t count = steps - k < block ? steps - k : block;
+        const int64_t done = kernels_run(count, t + k, h, rows, width, kernels, n_kernels, wires,
+                                         last_wires, n_last_wires);
+        if (done < count)
+            return k + done;
+        for (int64_t i = 1; i <= count; ++i)
+            for (int64_t j = 0; j < width; ++j) {
+                const double value = rows[i * width + j];
+                const int has_value = value == value;
+                counts[j] += has_value;
+                sums[j] += has_value ? value : 0.0;
+                squares[j] += has_value ? value * value : 0.0;
+            }
+        memcpy(rows, rows + count * width, (size_t)width * sizeof *rows);
     }
     return steps;
 }

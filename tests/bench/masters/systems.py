@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import expm
+from scipy.sparse import csc_array, lil_array
+from scipy.sparse.linalg import expm_multiply
 
 from cosim.arrays import Matrix
 
@@ -35,20 +36,18 @@ class System:
         Shape (number of them, n).
         """
         n = len(self.lags)
-        augmented = np.zeros((n + 1, n + 1))
+        augmented = lil_array((n + 1, n + 1))  # by a state that is 1
         for i, lag in enumerate(self.lags):
             augmented[i, i] = -1.0
             augmented[i, n] = lag.bias
             if lag.source is not None:
                 augmented[i, lag.source] = lag.gain
-        exponentials: dict[int, Matrix] = {}  # by number of steps
+        rates = csc_array(augmented)
         state = np.zeros(n + 1)
         state[n] = 1.0
         rows = []
         for distance in np.diff(steps, prepend=0).tolist():
-            if distance not in exponentials:
-                exponentials[distance] = expm(augmented * (distance * STEP_NS / 1e9))
-            state = exponentials[distance] @ state
+            state = expm_multiply(rates * (distance * STEP_NS / 1e9), state)
             rows.append(state[:n])
         return np.array(rows)
 

@@ -46,6 +46,7 @@ class Pass:
         self._kernels = []
         self._wires = []
         self._last_wires = []
+        self._steps = []  # C has their addresses
 
     def add(self, stage):
         """Add the kernels of a stage, and its wires."""
@@ -61,6 +62,7 @@ class Pass:
                 if late:
                     self._last_wires.append((to, source))
             step = member.native()
+            self._steps.append(step)
             refresh = step.outputs if kind == "refresh" else 0
             columns = (member.inputs.start, member.outputs.start)
             count = len(self._wires) - first
@@ -76,8 +78,23 @@ class Pass:
 
     def run(self, t, h, rows):
         """Fill all rows but the first."""
-        done = self._library.kernels_run(
-            ctypes.c_int64(len(t) - 1),
+        steps = len(t) - 1
+        done = self._library.kernels_run(ctypes.c_int64(steps), *self._arguments(t, h, rows))
+        check(done, steps)
+
+    def sum(self, t, h, rows, totals):
+        """Fill row 0 with the last one; add up all rows behind the first in ``totals``."""
+        steps = len(t) - 1
+        done = self._library.kernels_sum(
+            ctypes.c_int64(steps),
+            ctypes.c_int64(len(rows) - 1),
+            *self._arguments(t, h, rows),
+            *(ctypes.c_void_p(total.ctypes.data) for total in totals),
+        )
+        check(done, steps)
+
+    def _arguments(self, t, h, rows):
+        return (
             ctypes.c_void_p(t.ctypes.data),
             ctypes.c_double(h),
             ctypes.c_void_p(rows.ctypes.data),
@@ -88,8 +105,6 @@ class Pass:
             ctypes.c_void_p(self._last_array.ctypes.data),
             ctypes.c_int64(len(self._last_wires)),
         )
-        if done < len(t) - 1:
-            protocol.refuse(f"a kernel declined in step {done + 1}")
 
 
 class Whole:
@@ -106,6 +121,20 @@ class Whole:
         member = self._member
         member.gather(rows, slice(1, None))
         rows[1:, member.outputs] = member.advance(t, h, rows[:, member.inputs])
+
+
+def check(done, steps):
+    """Refuse a run in which a kernel left a step to its component."""
+    if done < steps:
+        protocol.refuse(f"a kernel declined in step {done + 1}")
+
+
+def load_library(task):
+    """Load the loop."""
+    library = ctypes.CDLL(task["library"])
+    library.kernels_run.restype = ctypes.c_int64
+    library.kernels_sum.restype = ctypes.c_int64
+    return library
 
 
 def columns_of(member):
@@ -136,8 +165,7 @@ def main():
     task = protocol.task()
     steps = task["steps"]
     h = task["step_ns"] / 1e9
-    library = ctypes.CDLL(task["library"])
-    library.kernels_run.restype = ctypes.c_int64
+    library = load_library(task)
     with ExitStack() as resources:
         graph = graph_of(task["system"], steps * task["step_ns"] / 1e9, resources)
         graph.prepare(task["step_ns"])
