@@ -7,15 +7,17 @@ in the row of the communication point that ends the step of its instant.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Final, Protocol
+from typing import Any, Final, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import NAN, Mask, Matrix, Vector
 from cosim.blocks.field_data import SAMPLE_TIMES
-from cosim.core.contracts import Component, Design, Rollback, Stopped, prepare
+from cosim.core.contracts import Component, Design, Native, Rollback, Stopped, prepare
 from cosim.core.signals import Interface, Signal
+from cosim.native.late_samples import HeldRows, LateColumns, late_samples_step
+from cosim.native.step import NativeStep
 
 # of instants as far apart as communication points, with a jitter of at most half their distance
 MOST_IN_A_STEP: Final = 3
@@ -64,10 +66,9 @@ class LateSamples:
         self._samples = columns[SAMPLES]
         self._times = columns[SAMPLE_TIMES]
         inputs = tuple(_single_sample(signal) for signal in component.interface.inputs)
-        self.interface: Interface = replace(
-            component.interface, inputs=inputs, prepares=True, native=False
-        )
+        self.interface: Interface = replace(component.interface, inputs=inputs, prepares=True)
         self._own = self.interface.input_columns()
+        self._held = HeldRows(steps, component.interface.n_u, component.interface.n_y)
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Prepare the component, to whose inputs samples add more of their own."""
@@ -80,24 +81,25 @@ class LateSamples:
     def initialize(self, t: float, u: Vector) -> Vector:
         """Forget all rows."""
         row = self._without_samples(u[np.newaxis])
-        self._passed = float(np.nextafter(t, -np.inf))
-        self._t = np.zeros(0)
-        self._u = row[:0]
-        self._y = self._component.initialize(t, row[0]).copy()
-        return self._y.copy()
+        self._held.passed = float(np.nextafter(t, -np.inf))
+        self._held.hold(np.zeros(0), row[:0])
+        self._held.y[:] = self._component.initialize(t, row[0])
+        return self._held.y.copy()
 
     def outputs(self, t: float, u: Vector) -> Vector:
         """Return the last outputs."""
-        return self._y.copy()
+        return self._held.y.copy()
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Take K rows, and pass on those that have all their samples."""
         count = len(t) - 1
-        times = np.concatenate([self._t, t[:count]])
-        rows = np.concatenate([self._u, self._without_samples(u[:count])])
+        held = self._held
+        held_t, held_u = held.rows()
+        times = np.concatenate([held_t, t[:count]])
+        rows = np.concatenate([held_u, self._without_samples(u[:count])])
         late = self._place(times, rows, u[:count])
         if late is not None:
-            y = np.empty((0, len(self._y)))
+            y = np.empty((0, self.interface.n_y))
             if late:
                 y = self.advance(t[: late + 1], h, u[: late + 1])
             raise Stopped(
@@ -106,10 +108,10 @@ class LateSamples:
                 "communication steps before; needed those of the sensor's delay and jitter",
             )
         whole = max(len(times) - self._steps, 0)
-        y = np.tile(self._y, (count, 1))
+        y = np.tile(held.y, (count, 1))
         if whole:
             complete = slice(whole + 1)
-            self._passed = float(times[whole - 1])
+            held.passed = float(times[whole - 1])
             first = count - whole
             try:
                 y[first:] = self._component.advance(times[complete], h, rows[complete])
@@ -117,10 +119,33 @@ class LateSamples:
                 completed = first + stop.steps
                 y[first:completed] = stop.outputs
                 raise Stopped(y[:completed], str(stop), failed=stop.failed) from stop
-            self._y = y[-1].copy()
-        self._t = times[whole:].copy()
-        self._u = rows[whole:].copy()
+            held.y[:] = y[-1]
+        held.hold(times[whole:], rows[whole:])
         return y
+
+    def native(self) -> NativeStep | None:
+        """Return the compiled step, if the component has one."""
+        step = cast(Native, self._component).native()
+        if step is None:
+            return None
+        source: list[int] = []
+        for signal in self._component.interface.inputs:
+            if signal.name in (SAMPLES, SAMPLE_TIMES):
+                source += [-1] * signal.size
+            else:
+                shown = self._own[signal.name]
+                source += range(shown.start, shown.stop)
+        shown_samples = self._own[SAMPLES]
+        columns = LateColumns(
+            shown_samples=shown_samples.start,
+            shown_times=self._own[SAMPLE_TIMES].start,
+            samples=self._samples.start,
+            times=self._times.start,
+            values=shown_samples.stop - shown_samples.start,
+            most=MOST_IN_A_STEP,
+            source=source,
+        )
+        return late_samples_step(step, columns, self._held, steps=self._steps)
 
     def _place(self, times: Vector, rows: Matrix, u: Matrix) -> int | None:
         """Write samples into the rows that end their steps.
@@ -133,7 +158,7 @@ class LateSamples:
         for i in np.flatnonzero(np.isfinite(instants)):
             place = int(np.searchsorted(times, instants[i], side="left"))
             last = before + i - self._steps - 1  # row that was passed on before this sample came
-            passed = times[last] if last >= 0 else self._passed
+            passed = times[last] if last >= 0 else self._held.passed
             is_in_time = passed < instants[i] <= times[before + i]
             if not is_in_time or not self._write(rows[place], instants[i], samples[i]):
                 return int(i)
@@ -162,15 +187,15 @@ class LateSamples:
 
     def save(self) -> LateState:
         """Copy the state."""
-        return LateState(self._component.save(), self._passed, self._t, self._u, self._y)
+        held = self._held
+        return LateState(self._component.save(), held.passed, *held.rows(), held.y.copy())
 
     def restore(self, state: LateState) -> None:
         """Go back to a saved state."""
         self._component.restore(state.component)
-        self._passed = state.passed
-        self._t = state.t
-        self._u = state.u
-        self._y = state.y
+        self._held.passed = state.passed
+        self._held.hold(state.t, state.u)
+        self._held.y[:] = state.y
 
 
 def _single_sample(signal: Signal) -> Signal:

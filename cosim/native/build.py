@@ -28,6 +28,7 @@ SOURCES = (
     "functions.c",
     "field_data.c",
     "sensor.c",
+    "late_samples.c",
     "compensator.c",
     "refresh.c",
     "wrapping.c",

@@ -1,8 +1,12 @@
 """Where a compiled step declines, the component does what it does without it."""
 
+import importlib
+import pkgutil
+
 import numpy as np
 import pytest
 
+import cosim.blocks
 from cosim.blocks.arithmetic import gain
 from cosim.blocks.look_up import LookUpTable
 from cosim.blocks.product import Product
@@ -106,3 +110,33 @@ def test_noise_goes_on_where_all_that_was_drawn_is_used_up(steps):
     whole = np.vstack([first, one.advance(np.zeros(9001), H, np.zeros((9001, 0)))])
     assert rows[0] == rows[1]
     assert rows[0][0] == whole.tobytes()
+
+
+# components that advance in Python, and why
+IN_PYTHON = {
+    "Static": "its function is one in Python",
+    "RelinearizedObserver": "at every step its model is linearized, and the observer designed, "
+    "by code in Python or by an FMU; the step itself is a small part of that",
+}
+
+
+def component_classes():
+    """Yield the component classes of the package by name."""
+    for module in pkgutil.iter_modules(cosim.blocks.__path__):
+        home = importlib.import_module(f"cosim.blocks.{module.name}")
+        for name, thing in vars(home).items():
+            is_own = isinstance(thing, type) and thing.__module__ == home.__name__
+            if is_own and callable(getattr(thing, "advance", None)) and not is_protocol(thing):
+                yield name, thing
+
+
+def is_protocol(thing):
+    return getattr(thing, "_is_protocol", False)
+
+
+def test_every_component_class_has_a_compiled_step():
+    """But for those in the list, which has the reasons."""
+    classes = dict(component_classes())
+    assert len(classes) > 20
+    without = {name for name, thing in classes.items() if not hasattr(thing, "native")}
+    assert without == IN_PYTHON.keys()

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from cosim.blocks.dynamics import Delay
 from cosim.blocks.late_samples import MOST_IN_A_STEP, LateSamples
 from cosim.core.contracts import Stopped
 from cosim.core.signals import Interface, Signal
@@ -46,6 +47,17 @@ class Rows:
         self._last = state
 
 
+class CompiledRows(Delay):
+    """Returns the rows that it takes, by a compiled step."""
+
+    def __init__(self):
+        super().__init__(1, initial=0.0, size=3 * MOST_IN_A_STEP + 1)
+        row = Signal("row", 3 * MOST_IN_A_STEP + 1, optional=True)
+        inputs = Rows().interface.inputs
+        names = tuple(signal.name for signal in inputs)
+        self.interface = Interface(inputs, (row,), delayed=names, rollback=True, native=True)
+
+
 def inputs(count, delay, jitter=0.0, seed=3):
     """Return rows of two samples, their instant and u, one a step; none of before the start."""
     t = np.arange(count + 1) * H
@@ -85,6 +97,7 @@ def test_the_contract_is_kept():
     """One call of many steps equals many calls of one step; a state goes back."""
     _, u = inputs(40, 2.2, 0.5)
     check_component(lambda: LateSamples(Rows(), steps=STEPS), inputs=u, h=H)
+    check_component(lambda: LateSamples(CompiledRows(), steps=STEPS), inputs=u, h=H)
 
 
 def test_a_sample_that_is_older_stops_the_run():
@@ -96,3 +109,9 @@ def test_a_sample_that_is_older_stops_the_run():
     with pytest.raises(Stopped, match=r"a sample at 10.0 s .* more than 3 communication") as stop:
         component.advance(t, H, u)
     assert len(stop.value.outputs) == 20
+    compiled = LateSamples(CompiledRows(), steps=STEPS)
+    compiled.initialize(0.0, u[0])
+    step = compiled.native()
+    assert len(step.advance(t, H, u)) == 20
+    with pytest.raises(Stopped, match=r"a sample at 10.0 s .* more than 3 communication"):
+        compiled.advance(t[20:], H, u[20:])
