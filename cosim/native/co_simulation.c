@@ -5,6 +5,9 @@
 
 #define CLOSE 1e-9 /* of a communication step: times that are the same */
 
+/* What is not usual is no part of other functions: those fill few lines of the cache then. */
+#define RARE __attribute__((noinline))
+
 typedef cosim_co_simulation Component;
 typedef int (*get_state_function)(void *instance, void **state);
 
@@ -74,7 +77,7 @@ static int32_t leave(Component *c, int32_t note)
 }
 
 /* y <- y + D (u - inputs) */
-static int32_t add_feedthrough(Component *c, const double *u, double *y)
+RARE static int32_t add_feedthrough(Component *c, const double *u, double *y)
 {
     const cosim_fmu_directional *feedthrough = &c->feedthrough;
     double *seed = c->scratch, *changes = c->scratch + c->n_u;
@@ -95,27 +98,27 @@ static int32_t add_feedthrough(Component *c, const double *u, double *y)
 }
 
 /* y <- outputs + D (u - inputs) */
-static int32_t corrected_outputs(Component *c, const double *u, double *y)
+static inline int32_t corrected_outputs(Component *c, const double *u, double *y)
 {
     for (int32_t i = 0; i < c->n_y; ++i)
         y[i] = c->outputs[i];
     return c->feedthrough.n_unknowns ? add_feedthrough(c, u, y) : COSIM_OK;
 }
 
-static int32_t save_state(const Component *c)
+RARE static int32_t save_state(const Component *c)
 {
     const int status = ((get_state_function)c->get_state->function)(c->fmu->instance, c->fmu_state);
     return cosim_fmu_judge(c->fmu, c->get_state, status);
 }
 
 /* Leave what a failed call, or a value that does not fit its type, ended before do_step. */
-static int32_t leave_before_step(Component *c, int32_t status)
+RARE static int32_t leave_before_step(Component *c, int32_t status)
 {
     return leave(c, status == COSIM_CALL_FAILED ? COSIM_FAILED : COSIM_NOTHING);
 }
 
 /* Set inputs to their values at the beginning of a step, with their slopes, and call do_step. */
-static int32_t do_step_on_ramps(Component *c, double t0, double h, const double *u0,
+RARE static int32_t do_step_on_ramps(Component *c, double t0, double h, const double *u0,
                                 const double *u1)
 {
     double *end = c->scratch, *change = end + c->n_u, *inputs = change + c->n_u;
@@ -148,8 +151,9 @@ static int32_t do_step_with_means(Component *c, double t0, double h, const doubl
                                   const double *u1)
 {
     double *inputs = c->inputs;
+    const volatile uint8_t *held = c->held; /* volatile: vectorizing does not pay for a few */
     for (int32_t i = 0; i < c->n_u; ++i) {
-        const double change = c->held[i] ? 0.0 : u1[i] - u0[i];
+        const double change = held[i] ? 0.0 : u1[i] - u0[i];
         inputs[i] = u0[i] + 0.5 * change;
     }
     const int32_t status = cosim_fmu_set(c->fmu, &c->step_inputs, inputs);
