@@ -27,8 +27,8 @@ ROUNDS = 9
 TARGET = 1.3
 ROOT = Path(__file__).parents[2]
 
-# Prints the third-party modules that a command ends up with, in the order of their import; the
-# first line has those of a process that does nothing.
+# Prints the third-party modules that a command ends up with, in the order of their import, besides
+# those that are there before it begins.
 MODULES = """
 import sys
 before = list(sys.modules)
@@ -94,7 +94,8 @@ def third_party_modules(arguments: list[str], variables: dict[str, str]) -> list
         capture_output=True,
         text=True,
     )
-    return done.stderr.splitlines()[-1].split()
+    names = done.stderr.splitlines()[-1].split()
+    return [name for name in names if not name.startswith("_sysconfigdata")]  # of Python itself
 
 
 def print_modules(modules: Iterable[str]) -> None:
