@@ -200,3 +200,100 @@ def test_a_simulation_goes_on_after_outputs_and_saved_states_in_between(path, na
         rows.append(np.concatenate(blocks).tobytes())
         fmu.close()
     assert rows[0] == rows[1]
+
+
+CALLS = (
+    "SET_REAL",
+    "SET_INTEGER",
+    "SET_SLOPES",
+    "DO_STEP",
+    "GET_REAL",
+    "GET_BOOLEAN",
+    "SAVE",
+    "DERIVE",
+)
+STATUSES = ("fmi2Warning", "fmi2Discard", "fmi2Error", "fmi2Fatal")
+
+
+def typed_xml(*, interpolates):
+    """Describe ``c/typed2.c``; our own tool, so that nothing is tried when it is loaded."""
+    slopes = str(interpolates).lower()
+    variables = ""
+    for number, (name, kind) in enumerate(
+        {"u": "Real", "x": "Real", "y": "Real", "n": "Integer", "m": "Integer"}.items()
+    ):
+        variables += _scalar(number, name, kind)
+    variables += _scalar(5, "b", "Boolean") + _scalar(6, "c", "Boolean")
+    outputs = '<Unknown index="2" dependencies=""/><Unknown index="3" dependencies="1"/>'
+    outputs += '<Unknown index="5" dependencies=""/><Unknown index="7" dependencies=""/>'
+    return f"""<?xml version="1.0" encoding="UTF-8"?>
+<fmiModelDescription fmiVersion="2.0" modelName="typed" guid="typed" generationTool="cosim">
+<CoSimulation modelIdentifier="model" canGetAndSetFMUstate="true" canInterpolateInputs="{slopes}"
+ canHandleVariableCommunicationStepSize="true" providesDirectionalDerivative="true"/>
+<ModelVariables>{variables}</ModelVariables>
+<ModelStructure><Outputs>{outputs}</Outputs></ModelStructure></fmiModelDescription>"""
+
+
+def _scalar(number, name, kind):
+    is_input = name in "unb"
+    variability = "continuous" if kind == "Real" else "discrete"
+    roles = f'causality="{"input" if is_input else "output"}" variability="{variability}"'
+    start = "" if name == "y" else ' start="0"'
+    if not is_input:
+        roles += f' initial="{"calculated" if name == "y" else "exact"}"'
+    attributes = f'name="{name}" valueReference="{number}" {roles}'
+    return f"<ScalarVariable {attributes}><{kind}{start}/></ScalarVariable>"
+
+
+def typed_run(path, *, native):
+    """Return rows, error and messages of a run of ``c/typed2.c``."""
+    components = {
+        "u": Expression(["cos(5*t)"]),
+        "n": Expression(["step(t - 0.1) - 2*step(t - 0.2)"], variability="discrete"),
+        "b": Expression(["step(t - 0.15)"], variability="discrete"),
+    }
+    memory = Memory()
+    error = ""
+    with load(path) as fmu:
+        components["plant"] = fmu.component
+        wires = {f"plant.{name}": f"{name}.y" for name in "unb"}
+        graph = Graph(components, wires, native=native)
+        try:
+            run(graph, Clock(0.3, 0.01, block=1), memory)
+        except RunError as raised:
+            error = str(raised)
+        messages = fmu.drain()
+        fmu.close()
+    rows = {name: memory[name].tobytes() for name in memory.signals()}
+    return rows, error, messages
+
+
+def typed(folder, call, status):
+    defines = (f"CALL={call}", f"STATUS={status}", "AT=0.05")
+    xml = typed_xml(interpolates=call != "DERIVE")  # outputs are not corrected otherwise
+    return compile_fmu(folder / f"{call}{status}.fmu", xml, "typed2.c", defines=defines)
+
+
+@pytest.mark.parametrize("status", STATUSES)
+@pytest.mark.parametrize("call", CALLS)
+def test_a_call_that_warns_or_fails_in_compiled_code_is_reported_alike(tmp_path, call, status):
+    """In every call of a step: the same rows, the same error, the same messages and times."""
+    path = typed(tmp_path, call, status)
+    rows, error, messages = typed_run(path, native=False)
+    assert typed_run(path, native=True) == (rows, error, messages)
+    assert (error == "") == (status == "fmi2Warning")
+    assert messages != []
+
+
+def test_integers_and_booleans_are_carried_as_by_the_methods(tmp_path):
+    path = typed(tmp_path, "NEVER", "fmi2OK")
+    rows, error, _ = typed_run(path, native=True)
+    assert error == ""
+    assert typed_run(path, native=False)[0] == rows
+    counted = np.frombuffer(rows["plant.m"])
+    n = np.frombuffer(rows["plant.n"])
+    b = np.frombuffer(rows["plant.b"])
+    c = np.frombuffer(rows["plant.c"])
+    # Held inputs have their value from the start of the step.
+    assert counted[1:].tolist() == (n[:-1] + np.arange(1, len(n))).tolist()
+    assert c[1:].tolist() == (1.0 - b[:-1]).tolist()
