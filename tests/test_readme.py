@@ -98,6 +98,12 @@ def test_the_pair_takes_15_lines():
     assert len([line for line in shown[0].splitlines() if line.strip()]) <= 15
 
 
+def block_with(text):
+    """Return the one Python block of the README in which a text stands."""
+    (found,) = [block for block in blocks("README", "python") if text in block]
+    return found
+
+
 def test_python_runs(tmp_path, monkeypatch, capsys):
     """Every Python block runs as it stands, after the commands above the first."""
     monkeypatch.chdir(tmp_path)
@@ -105,7 +111,8 @@ def test_python_runs(tmp_path, monkeypatch, capsys):
     exports = [command for command, _ in commands("README") if "closed-loop" in command]
     for command in exports:
         run_command(command, capsys)
-    first, *_, relay = blocks("README", "python")
+    first, *_ = blocks("README", "python")
+    relay = block_with("class Relay")
     for _ in range(2):  # as one does who reads and tries
         exec(compile(first, "README block 1", "exec"), {"__name__": "readme"})
         printed = capsys.readouterr().out.split()
@@ -121,18 +128,27 @@ def test_python_runs(tmp_path, monkeypatch, capsys):
 def test_a_session_prints_what_is_shown(tmp_path, monkeypatch, capsys):
     """Its log is verified by a replay."""
     monkeypatch.chdir(tmp_path)
-    (session,) = [block for block in blocks("README", "python") if ".start(" in block]
-    (shown,) = blocks("README", "text")
+    session = block_with(".start(")
+    shown = blocks("README", "text")[0]
     exec(compile(session, "README session", "exec"), {"__name__": "readme"})
     assert capsys.readouterr().out == shown
     code, _ = run_command("cosim replay logs/session.mcap --verify", capsys)
     assert code == 0
 
 
+def test_members_print_what_is_shown(capsys):
+    """The rms of a lag behind a sine: 1/sqrt(2 (1 + (rate T)^2)), but for the transient."""
+    exec(compile(block_with("run_members"), "README members", "exec"), {"__name__": "readme"})
+    printed = capsys.readouterr().out
+    assert printed == blocks("README", "text")[-1]
+    for value, T in zip(printed.strip("[]\n").split(), (0.1, 0.5, 2.5), strict=True):
+        assert float(value) == pytest.approx((2.0 * (1.0 + (2.0 * T) ** 2)) ** -0.5, rel=0.05)
+
+
 def test_an_environment_takes_15_lines(tmp_path, monkeypatch):
     """Its episode ends at the stop of the scenario; imports apart."""
     monkeypatch.chdir(tmp_path)
-    (shown,) = [block for block in blocks("README", "python") if "cosim.gym" in block]
+    shown = block_with("cosim.gym")
     names = {}
     exec(compile(shown, "README environment", "exec"), names)
     assert names["info"] == {"t_ns": 10**9}
@@ -187,7 +203,8 @@ def test_the_scenario_of_recorded_data_finds_theta(tmp_path, monkeypatch, capsys
 
 def test_a_component_of_ones_own_is_short():
     """Ten lines for one of a scenario, import and comment apart; less than 25 with a state."""
-    *_, drag, relay = blocks("README", "python")
+    drag = block_with("class Drag")
+    relay = block_with("class Relay")
     lines = [line for line in drag.splitlines() if line.strip() and '"""' not in line]
     assert len([line for line in lines if not line.startswith("from")]) == 10
     shown = relay.split("class Relay", 1)[1].split("components =")[0]
