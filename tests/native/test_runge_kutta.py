@@ -331,3 +331,20 @@ def test_within_a_fixed_step_is_a_shorter_step(method):
     shorter.step(0.04)
     assert np.array_equal(solver.at(0.04), shorter.at(0.04))
     assert np.array_equal(solver.at(0.1), solver.at(0.1))
+
+
+@pytest.mark.parametrize("method", FIXED_STEP)
+def test_states_that_know_nothing_of_each_other_have_the_bits_that_each_has_alone(method):
+    """However many there are: few and many are summed by different loops, in the same order."""
+    rates = np.random.default_rng(5).standard_normal(20)
+    start = np.random.default_rng(6).standard_normal(20)
+    times = [0.1, 0.25, 0.3]
+
+    def alone(i):
+        solver = started(method, lambda t, x: math.sin(t) - rates[i] * x * x, 0.0, [start[i]])
+        return reach(solver, 0.0, times)[0]
+
+    expected = np.array([alone(i) for i in range(20)])
+    for n in (2, 7, 8, 20):
+        solver = started(method, lambda t, x: math.sin(t) - rates[: len(x)] * x * x, 0.0, start[:n])
+        assert reach(solver, 0.0, times).tobytes() == expected[:n].tobytes()

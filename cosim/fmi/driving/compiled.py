@@ -65,10 +65,13 @@ class CompiledIntegrator:
         struct.n_in_events = len(self._in_events)
         self._point_to_memory()
         self._point_to_calls()
-        self.step = NativeStep(
+
+    def native(self) -> NativeStep:
+        """Return the step, which is allowed after ``hand_over``."""
+        return NativeStep(
             address("cosim_model_exchange_step"),
-            struct,
-            n_y=description.references("output").size,
+            self._struct,
+            n_y=self._instance.description.references("output").size,
             memory=self._scratch,
             keep=(self,),
             outputs=address("cosim_model_exchange_outputs"),

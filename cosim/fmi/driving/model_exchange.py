@@ -221,7 +221,7 @@ class ModelExchange:
             step = self._exact.native()
         elif self._addresses is not None:
             self._compiled = CompiledIntegrator(self._integrator, self._instance, self._addresses)
-            step = self._compiled.step
+            step = self._compiled.native()
         self._hand_over()
         return step
 
