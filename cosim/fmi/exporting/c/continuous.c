@@ -11,13 +11,18 @@ void model_initialize(double *memory, const double *x0, double t, const double *
         memory[k] = x0[k] + memory[k];
 }
 
-void model_outputs(double *memory, double t, const double *u, double *y, double *dx)
+void model_outputs(double *memory, double t, const double *u, double *y)
+{
+    (void)t;
+    cosim_multiply(model_p, model_n, model_C, memory, y);
+    cosim_multiply_add(model_p, model_m, model_D, u, y);
+}
+
+void model_derivatives(const double *memory, double t, const double *u, double *dx)
 {
     (void)t;
     cosim_multiply(model_n, model_n, model_A, memory, dx);
     cosim_multiply_add(model_n, model_m, model_B, u, dx);
-    cosim_multiply(model_p, model_n, model_C, memory, y);
-    cosim_multiply_add(model_p, model_m, model_D, u, y);
 }
 
 /* work: h of the discretization, Ad (n, n), B0 (n, m), B1 (n, m), scratch. */

@@ -21,15 +21,19 @@ void model_initialize(double *memory, const double *x0, double t, const double *
     kernel_initialize(s.kernel, t, u, s.sample_y);
 }
 
-void model_outputs(double *memory, double t, const double *u, double *y, double *dx)
+void model_outputs(double *memory, double t, const double *u, double *y)
 {
-    (void)dx;
     const parts s = split(memory);
     if (*s.steps == 0.0)
         kernel_outputs(s.kernel, t, u, s.sample_y, y);
     else
         for (int32_t k = 0; k < model_p; ++k)
             y[k] = s.sample_y[k];
+}
+
+void model_derivatives(const double *memory, double t, const double *u, double *dx)
+{
+    (void)memory, (void)t, (void)u, (void)dx; /* there are none */
 }
 
 /* The step of the kernel: with a zero-order hold one from the last sample to the next, else this

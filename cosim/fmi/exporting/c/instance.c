@@ -23,6 +23,11 @@ static void copy_doubles(double *to, const double *from, size_t count)
 
 /* --- instances --- */
 
+/* What is not that of the memory and the inputs any more. */
+enum { STATES = 1, OUTPUTS = 2, DERIVATIVES = 4 };
+
+static void forget(instance *i) { i->stale = STATES | OUTPUTS | DERIVATIVES; }
+
 static double *take(double **rest, size_t count)
 {
     double *taken = *rest;
@@ -73,7 +78,7 @@ void instance_reset(instance *i)
     *i->stamp = model_stamp;
     *i->mode = INSTANTIATED;
     copy_doubles(i->x0, model_X0, n());
-    i->stale = 1;
+    forget(i);
 }
 
 int instance_is_in(const instance *i, int modes) { return ((int)*i->mode & modes) != 0; }
@@ -85,26 +90,52 @@ static int32_t algebraic_of(size_t output)
     return model_residual_form ? model_residual_form->of_output[output] : -1;
 }
 
-/* Outputs, derivatives, the residual and, before the run, the initial states. */
-static void update(instance *i)
+/* Before the run the initial states follow the inputs. */
+static void update_states(instance *i)
 {
-    if (!i->stale)
-        return;
-    if (instance_is_in(i, INSTANTIATED | INITIALIZATION)) {
+    if (i->stale & STATES && instance_is_in(i, INSTANTIATED | INITIALIZATION)) {
         model_initialize(i->memory, i->x0, *i->time, i->u);
         *i->z_is_set = 0.0;
     }
+    i->stale &= ~STATES;
+}
+
+/* Outputs and the residual. */
+static void update_outputs(instance *i)
+{
+    update_states(i);
+    if (!(i->stale & OUTPUTS))
+        return;
     if (*i->z_is_set != 0.0) {
         model_residual_form->outputs(i->memory, i->z, i->u, i->dx, i->y);
+        i->stale &= ~DERIVATIVES;
     } else {
-        model_outputs(i->memory, *i->time, i->u, i->y, i->dx);
-        for (size_t k = 0; k < p(); ++k)
-            if (algebraic_of(k) >= 0)
-                i->z[algebraic_of(k)] = i->y[k];
+        model_outputs(i->memory, *i->time, i->u, i->y);
+        if (model_residual_form)
+            for (size_t k = 0; k < p(); ++k)
+                if (algebraic_of(k) >= 0)
+                    i->z[algebraic_of(k)] = i->y[k];
     }
     if (model_residual_form)
         model_residual_form->residual(i->memory, i->z, i->u, i->r);
-    i->stale = 0;
+    i->stale &= ~OUTPUTS;
+}
+
+/* Without outputs, which a solver does not read; algebraic variables are outputs. */
+static void update_derivatives(instance *i)
+{
+    update_states(i);
+    if (model_residual_form)
+        update_outputs(i);
+    if (i->stale & DERIVATIVES)
+        model_derivatives(i->memory, *i->time, i->u, i->dx);
+    i->stale &= ~DERIVATIVES;
+}
+
+static void update(instance *i)
+{
+    update_outputs(i);
+    update_derivatives(i);
 }
 
 /* --- variables --- */
@@ -113,8 +144,10 @@ typedef enum { INPUT, OUTPUT, DERIVATIVE, STATE, TIME, RESIDUAL, UNKNOWN } class
 
 static class_of classify(uint32_t reference, size_t *index)
 {
-    const size_t counts[] = {m(), p(), n(), n(), 1, n_z()};
     *index = reference;
+    if (*index < m())
+        return INPUT;
+    const size_t counts[] = {m(), p(), n(), n(), 1, n_z()};
     for (int class = INPUT; class < UNKNOWN; ++class) {
         if (*index < counts[class])
             return (class_of)class;
@@ -126,8 +159,7 @@ static class_of classify(uint32_t reference, size_t *index)
 /* Number of elements of a variable; 0: there is none of this reference. */
 static size_t size_of(uint32_t reference)
 {
-    size_t index;
-    return classify(reference, &index) == UNKNOWN ? 0 : (size_t)model_size[reference];
+    return reference < m() + p() + 2 * n() + 1 + n_z() ? (size_t)model_size[reference] : 0;
 }
 
 /* The state behind an element, or -1. */
@@ -151,16 +183,17 @@ static const char *check_sizes(const uint32_t references[], size_t count, size_t
     return total == n_values ? NULL : "the number of values is not that of the variables' elements";
 }
 
-static double value_of(const instance *i, uint32_t element)
+/* The elements of a variable stand one behind the other. */
+static const double *values_of(instance *i, uint32_t reference)
 {
     size_t index;
-    switch (classify(element, &index)) {
-    case INPUT: return i->u[index];
-    case OUTPUT: return i->y[index];
-    case DERIVATIVE: return i->dx[index];
-    case STATE: return i->memory[index];
-    case RESIDUAL: return i->r[index];
-    default: return *i->time;
+    switch (classify(reference, &index)) {
+    case INPUT: return i->u + index;
+    case OUTPUT: update_outputs(i); return i->y + index;
+    case DERIVATIVE: update_derivatives(i); return i->dx + index;
+    case STATE: return i->memory + index;
+    case RESIDUAL: update_outputs(i); return i->r + index;
+    default: return i->time;
     }
 }
 
@@ -171,17 +204,19 @@ const char *instance_get(instance *i, const uint32_t references[], size_t count,
         instance_is_in(i, ANY) ? check_sizes(references, count, n_values) : NOT_ALLOWED;
     if (error)
         return error;
-    update(i);
-    for (size_t k = 0; k < count; ++k)
-        for (uint32_t e = 0; e < size_of(references[k]); ++e)
-            *values++ = value_of(i, references[k] + e);
+    update_states(i);
+    for (size_t k = 0; k < count; ++k) {
+        const double *from = values_of(i, references[k]);
+        for (uint32_t e = 0; e < (uint32_t)model_size[references[k]]; ++e)
+            *values++ = from[e];
+    }
     return NULL;
 }
 
 static int is_algebraic(uint32_t element)
 {
     size_t index;
-    return classify(element, &index) == OUTPUT && algebraic_of(index) >= 0;
+    return model_residual_form && classify(element, &index) == OUTPUT && algebraic_of(index) >= 0;
 }
 
 /* Where the value of an element that may be set now is kept, or NULL. */
@@ -216,7 +251,7 @@ const char *instance_set(instance *i, const uint32_t references[], size_t count,
             if (is_algebraic(references[k] + e))
                 *i->z_is_set = 1.0;
         }
-    i->stale = 1;
+    forget(i);
     return NULL;
 }
 
@@ -227,28 +262,35 @@ const char *instance_set_states(instance *i, const double x[], size_t count)
     if (count != n())
         return WRONG_STATES;
     copy_doubles(i->memory, x, count);
-    i->stale = 1;
+    forget(i);
     return NULL;
 }
 
-static const char *read_doubles(instance *i, const double *from, double *to, size_t count)
+static const char *check_reading(const instance *i, size_t count)
 {
     if (!instance_is_in(i, READABLE))
         return NOT_ALLOWED;
-    if (count != n())
-        return WRONG_STATES;
-    update(i);
-    copy_doubles(to, from, count);
-    return NULL;
+    return count == n() ? NULL : WRONG_STATES;
 }
 
 const char *instance_get_states(instance *i, double x[], size_t count)
 {
-    return read_doubles(i, i->memory, x, count);
+    const char *error = check_reading(i, count);
+    if (error)
+        return error;
+    update_states(i);
+    copy_doubles(x, i->memory, count);
+    return NULL;
 }
+
 const char *instance_get_derivatives(instance *i, double dx[], size_t count)
 {
-    return read_doubles(i, i->dx, dx, count);
+    const char *error = check_reading(i, count);
+    if (error)
+        return error;
+    update_derivatives(i);
+    copy_doubles(dx, i->dx, count);
+    return NULL;
 }
 
 const char *instance_get_nominals(const instance *i, double nominals[], size_t count)
@@ -275,7 +317,7 @@ static double instant(double t)
 void instance_set_time(instance *i, double t)
 {
     *i->time = instant(t);
-    i->stale = 1;
+    forget(i);
 }
 
 void instance_initialize(instance *i) { update(i); }
@@ -313,7 +355,7 @@ const char *instance_end_step(instance *i, double t, double h)
     }
     *i->time = t1;
     *i->z_is_set = 0.0;
-    i->stale = 1;
+    forget(i);
     return NULL;
 }
 
@@ -431,7 +473,7 @@ const char *instance_restore(instance *i, const void *copy)
     if (!copy || !instance_is_in(i, ANY))
         return copy ? NOT_ALLOWED : "there is no state";
     memcpy(i->values, copy, instance_copy_size(i));
-    i->stale = 1;
+    forget(i);
     return NULL;
 }
 

@@ -27,7 +27,7 @@ enum {
 #define ANY (INSTANTIATED | READABLE)
 
 typedef struct {
-    int stale;   /* outputs and derivatives are not those of the memory and the inputs */
+    int stale;   /* what is not that of the memory and the inputs */
     size_t size; /* of everything that changes: values[0 .. size-1] */
     double *values, *stamp, *mode, *time, *x0, *u, *memory;
     double *slope;      /* (m) du/dt in the next step; FMI 2 */

@@ -37,8 +37,9 @@ typedef enum { MODEL_BY_INPUT, MODEL_BY_STATE, MODEL_BY_ALGEBRAIC } model_known;
 
 /* Initialize at t with the inputs u; x0: start values of the states. */
 void model_initialize(double *memory, const double *x0, double t, const double *u);
-/* Outputs y and derivatives dx at t, the time reached, for the inputs u. */
-void model_outputs(double *memory, double t, const double *u, double *y, double *dx);
+/* Outputs y, and derivatives dx, at t, the time reached, for the inputs u. */
+void model_outputs(double *memory, double t, const double *u, double *y);
+void model_derivatives(const double *memory, double t, const double *u, double *dx);
 /* Advance from t0 to t1, h seconds apart, with inputs u0 at t0 and u1 at t1; outputs y at t1. NULL,
  * or an error message. */
 const char *model_advance(double *memory, double *work, double t0, double t1, double h,
