@@ -44,6 +44,10 @@ def check_component(
 ) -> None:
     """Check that a component keeps the contract.
 
+    Where its interface declares ``native``, the compiled step keeps the laws too: it has the bits
+    of ``advance``, also in turn with it and after ``restore``, and steps that it declines are taken
+    by ``advance``.
+
     Parameters
     ----------
     make : callable

@@ -220,10 +220,6 @@ _SIGNATURES: dict[str, Signature] = {
     "cosim_multiply_add": (None, (_INT, _INT, _POINTER, _POINTER, _POINTER)),
     "cosim_invert": (_INT, (_INT, _POINTER, _POINTER)),
     "cosim_exponential": (None, (_INT, _POINTER, _POINTER, _POINTER)),
-    "cosim_response": (
-        None,
-        (_INT, _POINTER, _POINTER, _POINTER, c_int64, _POINTER, _POINTER, _POINTER),
-    ),
     "cosim_first_order_holds": (
         None,
         (

@@ -248,26 +248,6 @@ def matrix_exponential(M: Matrix) -> Matrix:
     return E
 
 
-def response(G: Matrix, c: Vector, beta: Vector, t: Vector) -> Vector:
-    """Compute c' exp(G t) beta at instants ``t (N,)`` [s], in a fixed order, shape ``(N,)``.
-
-    Parameters
-    ----------
-    G : Matrix, shape (n, n)
-        [1/s]
-    c, beta : Vector, shape (n,)
-    t : Vector, shape (N,)
-        [s]
-    """
-    arrays = [_contiguous(G), _contiguous(c), _contiguous(beta)]
-    instants = _contiguous(t)
-    y = np.empty_like(instants)
-    work = np.empty(4 * len(beta) ** 2)
-    ends = map(pointer, (instants, y, work))
-    library.cosim_response(len(beta), *map(pointer, arrays), len(instants), *ends)
-    return y
-
-
 def invert(M: Matrix) -> Matrix:
     """Compute the inverse of M, shape ``(n, n)``, in a fixed order.
 
