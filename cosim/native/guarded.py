@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ctypes import Structure, c_double, c_int32, c_void_p
+from ctypes import Structure, c_double, c_int32, c_uint32, c_void_p
 
 from cosim.native.library import address
 from cosim.native.memory import place_struct
@@ -17,6 +17,7 @@ class GuardedStruct(Structure):
         ("changes", c_int32),
         ("time", c_double),
         ("distrusted", c_int32),
+        ("calls", c_uint32),
     )
 
 

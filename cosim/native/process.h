@@ -27,7 +27,8 @@ void cosim_process_save(void *state, int32_t shared);
 /* Put back what differs from a state; return what did. */
 int32_t cosim_process_restore(const void *state, int32_t shared);
 
-/* A step after which the floating-point unit is put back, which is the thread's own. */
+/* A step after which the floating-point unit is put back, which is the thread's own: after every one
+ * where numbers are computed in another way, and after every 32nd, whatever changed. */
 typedef struct {
     const void *process; /* the state before the first of many steps */
     cosim_step step;
@@ -38,6 +39,7 @@ typedef struct {
     double time;
     /* a step or outputs that ended well with another rounding mode: not to be relied on */
     int32_t distrusted;
+    uint32_t calls; /* steps and outputs so far */
 } cosim_guarded;
 /* A cosim_step and a cosim_outputs: COSIM_NO_VALUE after a change of the rounding mode. */
 int32_t cosim_guarded_step(void *self, double t0, double t1, double h, const double *u0,

@@ -40,8 +40,8 @@ class FmuComponent(Component, Preparable, Rollback[Any], Protocol):
 class SharedGuard:
     """Puts back what compiled steps of one or several FMUs change of the process.
 
-    The floating-point unit they put back themselves, after every step; the rest is what all threads
-    share, and is looked at after many steps.
+    How numbers are computed they put back themselves, after every step; the rest, above all what
+    all threads share, is looked at after many steps.
 
     Parameters
     ----------
