@@ -10,6 +10,7 @@ from cosim.arrays import Matrix, Vector
 from cosim.blocks.dynamics import lag
 from cosim.blocks.source import sine
 from cosim.core.connections import Connection
+from cosim.core.contracts import Component
 from cosim.core.graph import Graph
 from cosim.core.linear import Linear
 from cosim.core.signals import Interface, Signal
@@ -96,13 +97,14 @@ class PythonLag:
 
 def python_cascade() -> Graph:
     """Build a lag in Python behind a source."""
-    components = {"source": sine(rate=1.0), "python": PythonLag()}
+    components: dict[str, Component] = {"source": sine(rate=1.0), "python": PythonLag()}
     return Graph(components, {"python.u": "source.y"})
 
 
 def python_loop() -> Graph:
     """Build a lag in Python in a loop with another."""
-    components = {"python": PythonLag(), "lag": Linear(lag(time_constant=1.0, initial=0.0))}
+    native = Linear(lag(time_constant=1.0, initial=0.0))
+    components: dict[str, Component] = {"python": PythonLag(), "lag": native}
     back = Connection("lag.y", gain=GAIN, offset=OFFSET)
     return Graph(components, {"python.u": back, "lag.u": Connection("python.y")})
 
