@@ -8,7 +8,7 @@ from typing import NamedTuple, cast
 import numpy as np
 
 from cosim.arrays import Matrix, Vector
-from cosim.core.contracts import Component, Native
+from cosim.core.contracts import Component, Native, Stopped
 from cosim.core.signals import Interface, Signal
 from cosim.native.functions import modulated_step
 from cosim.native.step import NativeStep
@@ -63,9 +63,20 @@ class ModulatedSource:
         return y
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
-        """Return y at ``t[1:]``."""
-        values = self._source.advance(t, h, np.zeros((len(t), 0)))
-        return self._multiplied(values, u[1:])
+        """Return y at ``t[1:]``.
+
+        Raises
+        ------
+        Stopped
+            Where the source stops.
+        """
+        alpha = u[1:]
+        try:
+            values = self._source.advance(t, h, np.zeros((len(t), 0)))
+        except Stopped as stop:
+            completed = self._multiplied(stop.outputs, alpha[: stop.steps])
+            raise Stopped(completed, str(stop), failed=stop.failed) from stop
+        return self._multiplied(values, alpha)
 
     def save(self) -> None:
         """Copy nothing: there is no state."""

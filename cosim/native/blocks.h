@@ -229,7 +229,7 @@ typedef struct {
     int32_t elements, most;
     cosim_line *lines; /* (elements) */
     int64_t count;     /* of all instants */
-    /* (elements + 1, count): samples, NaN where there is none, and in the last row their instants */
+    /* (elements + 1, count): samples, NaN where there is none; in the last row their instants */
     const double *columns;
     double end;     /* the last instant at which all is measured */
     double *before; /* the communication point before the last */
@@ -275,10 +275,10 @@ typedef struct {
     const int32_t *known_columns, *regulated_columns;
     const double *before;                      /* (n_u, known) */
     const double *lower, *upper;               /* (n_u) */
-    const double *X, *minus_K_w, *generator;   /* (n_w, known), (n_u, n_w), (n_w, all that drives) */
+    const double *X, *minus_K_w, *generator;   /* (n_w, known), (n_u, n_w), (n_w, driving) */
     const double *judged;                      /* (2, parameters) theta and its standard errors */
     double *memory;                            /* u, w, whether it is active, theta in use */
-    double *work; /* known, n_w, n_u, n_w + regulated + n_u */
+    double *work; /* known + n_w + n_u + driving, which is n_w + regulated + n_u */
 } cosim_compensator;
 int32_t cosim_compensator_step(void *self, double t0, double t1, double h, const double *u0,
                                const double *u1, double *y);

@@ -9,14 +9,20 @@ import pytest
 import cosim.blocks
 from cosim.blocks.arithmetic import gain
 from cosim.blocks.look_up import LookUpTable
+from cosim.blocks.modulated_source import ModulatedSource, Modulation
 from cosim.blocks.product import Product
+from cosim.blocks.renamed import Renamed
+from cosim.blocks.renaming import Renaming, map_ports
 from cosim.blocks.replay import Replay
+from cosim.blocks.sampled import Decimated, Sampled
 from cosim.blocks.source import Expression, Noise, Table, ramp
 from cosim.core.clock import Clock
 from cosim.core.contracts import Stopped
 from cosim.core.graph import Graph
 from cosim.core.master import run
+from cosim.core.port import Port
 from cosim.core.recorders import Memory
+from cosim.core.signals import Signal
 from cosim.errors import RunError
 from tests.blocks.test_contract import H, identifier
 
@@ -25,6 +31,16 @@ def recorded(stop):
     memory = Memory()
     run(Graph({"u": ramp(slope=1.0)}, {}), Clock(stop, H), memory)
     return memory
+
+
+def renamed_product():
+    """Return u1/u2 with its inputs in the other order, under other names."""
+    component = Product("*/")
+    renamings = [
+        Renaming(Port("part", "divisor"), (Port("part", "u2"),)),
+        Renaming(Port("part", "factor"), (Port("part", "u1"),)),
+    ]
+    return Renamed(component, map_ports(component.interface, renamings))
 
 
 # a component, what drives its inputs, and why it stops
@@ -42,6 +58,30 @@ STOPS = {
     "table": (
         lambda: Table(np.array([0.0, 0.015]), np.array([[1.0], [2.0]])),
         {},
+        r"table: covers 0.0 s to 0.015 s, was asked for 0.016 s",
+    ),
+    "sampled product": (
+        lambda: Sampled(Product("*/"), 5),
+        {"u1": "t", "u2": "t - 15*0.001"},
+        r"u2 is 0, and y is divided",
+    ),
+    "decimated product": (
+        lambda: Decimated(Product("*/"), 4),
+        {"u1": "t", "u2": "t - 15*0.001"},
+        r"u2 is 0, and y is divided",
+    ),
+    "renamed product": (
+        renamed_product,
+        {"divisor": "t - 15*0.001", "factor": "t"},
+        r"u2 is 0, and y is divided",
+    ),
+    "modulated table": (
+        lambda: ModulatedSource(
+            Table(np.array([0.0, 0.015]), np.array([[1.0, 2.0], [2.0, 1.0]])),
+            [Modulation(0, 0)],
+            (Signal("alpha"),),
+        ),
+        {"alpha": "1 + t"},
         r"table: covers 0.0 s to 0.015 s, was asked for 0.016 s",
     ),
     "replay": (
