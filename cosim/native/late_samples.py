@@ -130,4 +130,5 @@ def late_samples_step(
         memory=held.values,
         keep=(step, source),
         outputs=address("cosim_late_samples_outputs"),
+        guard=step.guard,
     )

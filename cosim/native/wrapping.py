@@ -36,7 +36,7 @@ def kept_step(step: NativeStep, last: Vector) -> NativeStep:
     Whatever else changes is in the memory of ``step``.
     """
     state = KeptStruct(inner_struct(step), step.n_y, pointer(last))
-    return _wrapped("cosim_kept", state, last, step.n_y, step)
+    return _wrapped("cosim_kept", state, last, step.n_y, [step])
 
 
 class SampledStruct(Structure):
@@ -141,7 +141,7 @@ def sampled_step(step: NativeStep, memory: SampledMemory, *, steps: int, h: floa
     n_u = len(memory.u_begin)
     values = memory.values
     state = SampledStruct(inner_struct(step), steps, n_u, step.n_y, h, pointer(values))
-    return _wrapped("cosim_sampled", state, values, step.n_y, step)
+    return _wrapped("cosim_sampled", state, values, step.n_y, [step])
 
 
 class DecimatedMemory:
@@ -177,7 +177,7 @@ def decimated_step(step: NativeStep, memory: DecimatedMemory, *, steps: int) -> 
     """Build a step that passes on the outputs of every one in ``steps``, and holds them between."""
     values = memory.values
     state = DecimatedStruct(inner_struct(step), steps, step.n_y, pointer(values))
-    return _wrapped("cosim_decimated", state, values, step.n_y, step)
+    return _wrapped("cosim_decimated", state, values, step.n_y, [step])
 
 
 class ElementSource(NamedTuple):
@@ -203,7 +203,7 @@ def ports_step(
     elements = (addressof(of_inputs), addressof(of_outputs))
     state = PortsStruct(inner_struct(step), n_u, n_y, *elements, pointer(work))
     no_memory = np.zeros(0)
-    return _wrapped("cosim_ports", state, no_memory, n_y, step, of_inputs, of_outputs, work)
+    return _wrapped("cosim_ports", state, no_memory, n_y, [step], of_inputs, of_outputs, work)
 
 
 def _elements(elements: Sequence[ElementSource]) -> Array[ElementStruct]:
@@ -228,20 +228,34 @@ def parts_step(parts: Sequence[tuple[NativeStep, Sequence[int]]]) -> NativeStep:
         u = np.zeros(2 * len(columns))
         arrays = (pointer(of_inputs), pointer(u))
         structs[i] = PartStruct(inner_struct(step), len(columns), step.n_y, *arrays)
-        keep += [step, of_inputs, u]
-    n_y = sum(step.n_y for step, _ in parts)
+        keep += [of_inputs, u]
+    steps = [step for step, _ in parts]
+    n_y = sum(step.n_y for step in steps)
     state = PartsStruct(len(parts), addressof(structs))
     no_memory = np.zeros(0)
-    return _wrapped("cosim_parts", state, no_memory, n_y, *keep)
+    return _wrapped("cosim_parts", state, no_memory, n_y, steps, *keep)
 
 
-def _wrapped(name: str, state: Structure, memory: Vector, n_y: int, *keep: object) -> NativeStep:
-    """Build the step ``name_step`` with the outputs ``name_outputs``."""
+def _wrapped(
+    name: str,
+    state: Structure,
+    memory: Vector,
+    n_y: int,
+    steps: Sequence[NativeStep],
+    *keep: object,
+) -> NativeStep:
+    """Build the step ``name_step`` with the outputs ``name_outputs``, of some steps inside it.
+
+    Foreign code among these needs its guard here too: without it, it has nothing to remember the
+    process in.
+    """
+    guards = [step.guard for step in steps if step.guard is not None]
     return NativeStep(
         address(f"{name}_step"),
         state,
         n_y=n_y,
         memory=memory,
-        keep=keep,
+        keep=(*steps, *keep),
         outputs=address(f"{name}_outputs"),
+        guard=guards[0].joined(guards[1:]) if guards else None,
     )
