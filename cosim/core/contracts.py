@@ -450,6 +450,10 @@ class Recording(Protocol):
         """What was recorded of the end of the run."""
         ...
 
+    def events(self) -> list[SignalEvent]:
+        """Return the jumps of signals by overrides, in the order of time."""
+        ...
+
 
 class CompleteRecording(Recording, Protocol):
     """A recording with the scenario of its run, which can be built again from it."""
@@ -470,8 +474,4 @@ class CompleteRecording(Recording, Protocol):
 
     def load(self, *components: str) -> None:
         """Read several components at once, where they are not in memory yet."""
-        ...
-
-    def events(self) -> list[SignalEvent]:
-        """Return the jumps of signals by overrides, in the order of time."""
         ...

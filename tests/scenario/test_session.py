@@ -286,6 +286,20 @@ def test_a_reset_begins_the_next_log(tmp_path):
         assert log["plant.y"].tobytes() == logs[0]["plant.y"][: log.steps + 1].tobytes()
 
 
+def test_a_recorded_plant_that_jumps_is_warned_of(tmp_path):
+    """In another scenario its rows are all there is of it."""
+
+    def warnings(log):
+        swapped = cosim.run(scenario(**{"scenario.stop": 0.02}), swap={"plant": log.path})
+        return [message.text for message in swapped.messages() if message.level == "warning"]
+
+    jumping = overridden("academic", tmp_path / "jumping.mcap")
+    text = "jumps at 3 instants, the first at t = 0.007 s, where inputs were overridden"
+    assert sum(text in warning for warning in warnings(jumping)) == 1
+    calm = overridden("academic", tmp_path / "calm.mcap", overrides=("observer.u",))
+    assert not any("jumps at" in warning for warning in warnings(calm))
+
+
 # --- states ---
 
 

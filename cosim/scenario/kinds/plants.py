@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal
 
@@ -13,7 +13,7 @@ from cosim.blocks.plant import descriptor_form, descriptor_model
 from cosim.blocks.replay import Replay
 from cosim.blocks.sampled import Sampled
 from cosim.core.clock import NANOSECONDS
-from cosim.core.contracts import Component
+from cosim.core.contracts import Component, SignalEvent
 from cosim.core.linear import DescriptorModel, LinearModel
 from cosim.errors import UsageError, nearest
 from cosim.fmi.driving.solvers import SOLVERS, STEPPING
@@ -284,7 +284,31 @@ class RecordingKind(PlantKind):
         lags = component_record(recording, self.component).lags
         if lags:
             context.add_metadata(name, {"lags": lags})
+        outputs = {f"{self.component}.{signal.name}" for signal in replay.interface.outputs}
+        self._warn_of_jumps(name, outputs, recording.events(), context)
         return replay
+
+    def _warn_of_jumps(
+        self,
+        name: str,
+        outputs: Collection[str],
+        events: Iterable[SignalEvent],
+        context: BuildContext,
+    ) -> None:
+        """Warn where recorded outputs jump: a row has one value, here that before the jump."""
+        times = []
+        for event in events:
+            if event.signal in outputs:
+                times.append(event.time_ns)
+        if times:
+            count = len(set(times))
+            instants = "1 instant" if count == 1 else f"{count} instants"
+            context.warn(
+                name,
+                f"{self.component!r} of {self.log} jumps at {instants}, the first at t = "
+                f"{min(times) / NANOSECONDS} s, where inputs were overridden: what it drives gets "
+                "a ramp of a step instead; a replay of that log itself has the jumps",
+            )
 
     def lag(self, name: str, output: str, context: BuildContext) -> float:
         record = component_record(context.recording(self.log), self.component)
