@@ -142,18 +142,29 @@ static void update(instance *i)
 
 typedef enum { INPUT, OUTPUT, DERIVATIVE, STATE, TIME, RESIDUAL, UNKNOWN } class_of;
 
+/* Whether a reference is among the next ones, else that in those behind them. */
+static int is_below(size_t count, size_t *index)
+{
+    if (*index < count)
+        return 1;
+    *index -= count;
+    return 0;
+}
+
 static class_of classify(uint32_t reference, size_t *index)
 {
     *index = reference;
-    if (*index < m())
+    if (is_below(m(), index))
         return INPUT;
-    const size_t counts[] = {m(), p(), n(), n(), 1, n_z()};
-    for (int class = INPUT; class < UNKNOWN; ++class) {
-        if (*index < counts[class])
-            return (class_of)class;
-        *index -= counts[class];
-    }
-    return UNKNOWN;
+    if (is_below(p(), index))
+        return OUTPUT;
+    if (is_below(n(), index))
+        return DERIVATIVE;
+    if (is_below(n(), index))
+        return STATE;
+    if (is_below(1, index))
+        return TIME;
+    return is_below(n_z(), index) ? RESIDUAL : UNKNOWN;
 }
 
 /* Number of elements of a variable; 0: there is none of this reference. */
@@ -241,16 +252,26 @@ const char *instance_set(instance *i, const uint32_t references[], size_t count,
     const char *error = allowed ? check_sizes(references, count, n_values) : NOT_ALLOWED;
     if (error)
         return error;
-    for (size_t k = 0; k < count; ++k)
+    for (size_t k = 0; k < count; ++k) {
+        if (references[k] < m()) /* inputs can be set in all of these modes */
+            continue;
         for (uint32_t e = 0; e < size_of(references[k]); ++e)
             if (!storage_of(i, references[k] + e))
                 return "this variable cannot be set in this mode";
-    for (size_t k = 0; k < count; ++k)
-        for (uint32_t e = 0; e < size_of(references[k]); ++e) {
-            *storage_of(i, references[k] + e) = *values++;
-            if (is_algebraic(references[k] + e))
+    }
+    for (size_t k = 0; k < count; ++k) {
+        const uint32_t size = (uint32_t)model_size[references[k]];
+        for (uint32_t e = 0; e < size; ++e) {
+            const uint32_t element = references[k] + e;
+            if (element < m()) {
+                i->u[element] = *values++;
+                continue;
+            }
+            *storage_of(i, element) = *values++;
+            if (is_algebraic(element))
                 *i->z_is_set = 1.0;
         }
+    }
     forget(i);
     return NULL;
 }
