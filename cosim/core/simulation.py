@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from ctypes import addressof, c_char
 from functools import cached_property
+from math import isfinite
 from threading import get_ident
 from typing import Any, Final, final
 
@@ -61,7 +62,7 @@ class _Input:
         Whether something follows at once when it jumps.
     """
 
-    __slots__ = ("columns", "end", "follows", "member", "name", "numbers", "whole")
+    __slots__ = ("columns", "end", "follows", "is_plain", "member", "name", "numbers", "whole")
 
     def __init__(self, to: Port, end: ConnectionEnd, member: Member, *, follows: bool) -> None:
         self.name = str(to)
@@ -70,6 +71,7 @@ class _Input:
         self.member = member
         self.follows = follows
         self.columns = end.columns
+        self.is_plain = end.size == 1 and end.signal.type == "real"
         self.numbers = range(end.columns.start, end.columns.stop)
 
 
@@ -354,7 +356,8 @@ class Simulation:
         UsageError
             If it is not.
         """
-        self.check_thread()
+        if get_ident() != self._thread:
+            self.check_thread()
         if self._closed:
             raise UsageError("this simulation is closed; needed another one: start it again")
         if self._graph.initializations != self._initialization:
@@ -436,7 +439,10 @@ class Simulation:
             If the simulation has ended, or is that of another thread.
         """
         overridden = self._input(to)
-        values = checked_values(to, value, overridden.end)
+        if overridden.is_plain and type(value) is float and isfinite(value):
+            values = [value]  # as most are; any other is checked in full
+        else:
+            values = checked_values(to, value, overridden.end)
         self._check_ready("override")
         self._start_jump(overridden, "override")
         overrides = overridden.member.overrides
