@@ -211,8 +211,9 @@ class Clock:
         size = min(self.block or FIRST_BLOCK, limit)
         while index < self.steps:
             size = min(size, self.steps - index)
-            numbers = np.arange(index, index + size + 1, dtype=np.int64)
-            ns = self.start_ns + numbers * self.step_ns
+            first_ns = self.start_ns + index * self.step_ns
+            end_ns = first_ns + (size + 1) * self.step_ns
+            ns = np.arange(first_ns, end_ns, self.step_ns, dtype=np.int64)
             time = seconds(ns)
             for array in (ns, time):
                 array.setflags(write=False)  # components see them

@@ -55,6 +55,10 @@ def end_of_run(error: BaseException | None) -> EndOfRun:
             return EndOfRun("failed", str(error) or type(error).__name__)
 
 
+def _numbers(steps: range) -> NDArray[np.int64]:
+    return np.arange(steps.start, steps.stop)
+
+
 class _GrowingRows:
     """The rows of a run, written where they stay; memory is taken as it is needed.
 
@@ -154,7 +158,7 @@ class Memory(RecordedSignals):
         self._results: dict[str, Any] = {}
         self._rows = _GrowingRows()
         self._times: list[Nanoseconds] = []
-        self._steps: list[NDArray[np.int64]] = []
+        self._steps: list[range] = []  # numbers of the steps
         self._end = EndOfRun()
 
     def __enter__(self) -> Self:
@@ -185,8 +189,10 @@ class Memory(RecordedSignals):
             return
         self.__dict__.pop("_table", None)  # it was read while the run went on
         self._rows.append(signals, first)
-        self._times.append(block.time_ns[first:].copy())
-        self._steps.append(np.arange(block.index + first, block.index + block.steps + 1))
+        times = block.time_ns[first:]
+        # those of a clock are never written to
+        self._times.append(times.copy() if block.time_ns.flags.writeable else times)
+        self._steps.append(range(block.index + first, block.index + block.steps + 1))
 
     def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
         """Keep a message."""
@@ -275,7 +281,7 @@ class Memory(RecordedSignals):
         no_numbers = np.empty(0, np.int64)
         rows = read_only(self._rows.all())
         times = np.concatenate([no_numbers, *self._times])
-        steps = np.concatenate([no_numbers, *self._steps])
+        steps = np.concatenate([no_numbers, *map(_numbers, self._steps)])
         return rows, times, steps
 
     def _is_kept(self, channel: Channel) -> NDArray[np.bool_]:
@@ -330,7 +336,7 @@ class Memory(RecordedSignals):
     @property
     def steps(self) -> int:
         """Number of the last recorded communication step."""
-        return int(self._steps[-1][-1]) if self._steps else 0
+        return self._steps[-1][-1] if self._steps else 0
 
 
 class BlockMemory:
