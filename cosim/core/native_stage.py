@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import nullcontext
 from ctypes import Array, addressof, c_double
-from typing import TypeAlias
+from typing import Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,17 +24,25 @@ from cosim.core.coupling import Advancing, Cut, OperationName, Stage, call
 from cosim.core.graph import Graph
 from cosim.core.member import Member, NonFinite, Wire, first_non_finite, read_only
 from cosim.core.signals import Layout
+from cosim.errors import NonFiniteError
 from cosim.native.library import library, pointer
 from cosim.native.stage import (
+    DONE,
+    HERE,
     KINDS,
+    OVER,
     CopyStruct,
     MemberStruct,
     OperationStruct,
+    SegmentStruct,
     StageStruct,
     SumStruct,
     TermStruct,
 )
 from cosim.native.step import NativeStep
+
+TILE_STEPS: Final = 64  # of a segment before the next one, at most
+TILE_BYTES: Final = 2**15  # of the rows of so many steps, which stay in the cache
 
 NativeSteps: TypeAlias = dict[str, NativeStep]  # by component
 
@@ -123,6 +131,7 @@ class NativeStage:
             self._operations += [(kind, members[0]) for kind, members in stage.program]
             self._stage_of.update((member.name, stage) for member in stage.members)
         operations = _operations(stages)
+        segments = _segments(stages)
         optional = _optional(layout)
         wiring = _Wiring()
         members = (MemberStruct * len(self._members))()
@@ -130,10 +139,11 @@ class NativeStage:
             _fill(struct, member, steps.get(member.name))
             struct.optional = pointer(optional) + member.columns.start
             wiring.add(struct, member)
-        arrays = (members, operations, *wiring.arrays())
+        arrays = (members, operations, *wiring.arrays(), segments)
         self._keep = (arrays, optional, steps)
         addresses = [addressof(array) for array in arrays]
-        self._state = StageStruct(*addresses, len(operations), layout.width)
+        tile = max(1, min(TILE_STEPS, TILE_BYTES // (8 * layout.width + 8)))
+        self._state = StageStruct(*addresses, len(segments), layout.width, tile)
         self._address = addressof(self._state)
         own_steps = [steps[member.name] for member in self._members if member.name in steps]
         guards = [step.guard for step in own_steps if step.guard is not None]
@@ -159,12 +169,14 @@ class NativeStage:
         state = self._state
         state.t, state.rows = addresses
         state.h = h
+        state.completed = 0
+        state.segment = 0
         state.step = 0
         state.operation = 0
         if self._guard is not None:
             self._guard.begin()
         try:
-            left = library.cosim_stage_run(self._address, len(signals) - 1, 0)
+            left = library.cosim_stage_run(self._address, len(signals) - 1, HERE)
             if left:
                 self._go_on(left, block_of(), signals)
         finally:
@@ -179,32 +191,46 @@ class NativeStage:
         """Do what compiled code leaves to be done, and go on in it."""
         known = read_only(signals)
         end = block.steps
-        stop: Stopped | None = None
-        stopped = ""
+        first: Cut | None = None
         while left:
             k = self._state.step
             kind, member = self._operations[left - 1]
-            if kind == "check":
-                bad = self._non_finite(signals[k + 1], member)
-                raise Cut(k, bad.error(float(block.time[k + 1])), member.name)
             rows = slice(k, k + 2)
             try:
+                if kind == "check":
+                    raise self._non_finite(signals[k + 1], member).error(float(block.time[k + 1]))
                 with self._calls:
                     y = call(kind, member, block.time[rows], block.h, known[rows, member.inputs])
-            except Stopped as error:
-                stop = error
-                if not stop.steps:
-                    origin = self._origin(signals[k + 1])
-                    time = float(block.time[k + 1])
-                    cause = stop if origin is None else origin.error(time)
-                    raise Cut(k, cause, member.name) from error
-                y = stop.outputs[0]
-                end = k + 1  # the others complete this step
-                stopped = member.name
-            signals[k + 1, member.outputs] = y
-            left = library.cosim_stage_run(self._address, end, 1)
-        if stop is not None:
-            raise Cut(end, stop, stopped)
+                signals[k + 1, member.outputs] = y
+                left = library.cosim_stage_run(self._address, end, DONE)
+            except (NonFiniteError, Stopped) as error:
+                cut = self._cut(error, k, member, block=block, signals=signals)
+                if first is None or cut.steps < first.steps:
+                    first = cut
+                end = cut.steps  # the others come as far
+                left = library.cosim_stage_run(self._address, end, DONE if end > k else OVER)
+        if first is not None:
+            raise first
+
+    def _cut(
+        self,
+        error: NonFiniteError | Stopped,
+        k: int,
+        member: Member,
+        *,
+        block: Block,
+        signals: Matrix,
+    ) -> Cut:
+        """Return where an error of step ``k`` ends the run; keep the row that a stop may bring."""
+        if isinstance(error, NonFiniteError):
+            return Cut(k, error, member.name)
+        if error.steps:
+            signals[k + 1, member.outputs] = error.outputs[0]
+            return Cut(k + 1, error, member.name)
+        origin = self._origin(signals[k + 1])
+        if origin is None:
+            return Cut(k, error, member.name)
+        return Cut(k, origin.error(float(block.time[k + 1])), member.name)
 
     def _non_finite(self, row: Vector, member: Member) -> NonFinite:
         """Return the value that a check found: where it arose, if that is known."""
@@ -260,6 +286,17 @@ def _operations(stages: Sequence[Stage]) -> Array[OperationStruct]:
             operations.append(OperationStruct(KINDS[kind], numbers[members[0].name], len(members)))
         first += len(stage.members)
     return (OperationStruct * len(operations))(*operations)
+
+
+def _segments(stages: Sequence[Stage]) -> Array[SegmentStruct]:
+    """Return where the program of each stage stands among the operations."""
+    segments = []
+    first = 0
+    for stage in stages:
+        count = len(stage.program)
+        segments.append(SegmentStruct(first, count))
+        first += count
+    return (SegmentStruct * len(segments))(*segments)
 
 
 class _Wiring:

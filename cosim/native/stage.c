@@ -119,23 +119,48 @@ static int32_t perform(cosim_stage *s, int32_t kind, const cosim_member *m, doub
     }
 }
 
-int64_t cosim_stage_run(cosim_stage *s, int64_t end, int32_t done)
+/* Do the operations of a step of the segment; or return the number of the one that is left. */
+static int64_t do_step(cosim_stage *s, const cosim_segment *segment)
 {
-    s->operation += done;
-    for (; s->step < end; ++s->step) {
-        double *before = s->rows + s->step * s->width, *row = before + s->width;
-        if (s->operation == 0) {
-            s->suspicious = 0;
-            s->origin = -1;
-        }
-        for (; s->operation < s->n_operations; ++s->operation) {
-            const cosim_operation *operation = s->operations + s->operation;
-            const cosim_member *members = s->members + operation->first;
-            for (int32_t i = 0; i < operation->count; ++i)
-                if (perform(s, operation->kind, members + i, before, row) != COSIM_OK)
-                    return s->operation + 1;
-        }
-        s->operation = 0;
+    double *before = s->rows + s->step * s->width, *row = before + s->width;
+    if (s->operation == 0) {
+        s->suspicious = 0;
+        s->origin = -1;
+    }
+    for (; s->operation < segment->count; ++s->operation) {
+        const cosim_operation *operation = s->operations + segment->first + s->operation;
+        const cosim_member *members = s->members + operation->first;
+        for (int32_t i = 0; i < operation->count; ++i)
+            if (perform(s, operation->kind, members + i, before, row) != COSIM_OK)
+                return segment->first + s->operation + 1;
+    }
+    s->operation = 0;
+    return 0;
+}
+
+static void next_segment(cosim_stage *s)
+{
+    ++s->segment;
+    s->step = s->completed;
+    s->operation = 0;
+}
+
+int64_t cosim_stage_run(cosim_stage *s, int64_t end, int32_t answer)
+{
+    if (answer == COSIM_DONE)
+        ++s->operation;
+    else if (answer == COSIM_OVER)
+        next_segment(s);
+    while (s->completed < end) {
+        const int64_t last = s->completed + s->tile < end ? s->completed + s->tile : end;
+        for (; s->segment < s->n_segments; next_segment(s))
+            for (; s->step < last; ++s->step) {
+                const int64_t left = do_step(s, s->segments + s->segment);
+                if (left)
+                    return left;
+            }
+        s->completed = s->step = last;
+        s->segment = 0;
     }
     return 0;
 }

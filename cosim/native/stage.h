@@ -2,7 +2,8 @@
  *
  * The signals of a graph stand in rows, one a communication point; each component has its columns,
  * its inputs and behind them its outputs. A stage is a list of operations that fills the next row,
- * done once for every step. It has two ends: the last row wanted, and an operation that is not done
+ * done once for every step; those of one segment for some steps before the next one does them, which
+ * keeps code and rows in the caches. It has two ends: the last row wanted, and an operation that is not done
  * here. Then the cursor shows that operation; whoever called does it, and calls again. So components without a native step take part, and what is rare in a native step (an
  * event, an error) is left to code that is written to be read. */
 #ifndef COSIM_STAGE_H
@@ -58,29 +59,43 @@ typedef struct {
     int32_t kind, first, count;
 } cosim_operation;
 
+/* Operations that follow each other: one component outside every loop, or a loop. None of them reads
+ * what a later segment writes at the same step or before it. */
+typedef struct {
+    int32_t first, count;
+} cosim_segment;
+
 typedef struct {
     const cosim_member *members;
     const cosim_operation *operations;
     const cosim_copy *copies;
     const cosim_sum *sums;
     const cosim_term *terms;
-    int64_t n_operations;
+    const cosim_segment *segments;
+    int64_t n_segments;
     int64_t width; /* columns of a row */
+    int64_t tile;  /* steps that a segment does before the next one does them */
     /* the block */
     const double *t; /* (steps + 1) [s] */
     double *rows;    /* (steps + 1, width), row 0 filled */
     double h;        /* [s] */
-    /* the cursor: steps completed, and the operation that is next */
-    int64_t step, operation;
-    /* of this step: whether an output that was looked at, or a sum, was not finite; column of the
+    /* the cursor: steps that all segments have completed, the segment, the steps that it has
+     * completed, and its operation that is next */
+    int64_t completed, segment, step, operation;
+    /* of this step of the segment: whether an output that was looked at, or a sum, was not finite; column of the
      * first such output, -1: none; and its value then */
     int64_t suspicious, origin;
     double origin_value;
 } cosim_stage;
 
-/* Do the operations from the cursor on, or behind it where that one is `done`, until `end` steps are
- * completed: 0; or one is left to the caller: its number, counted from 1. */
-int64_t cosim_stage_run(cosim_stage *self, int64_t end, int32_t done);
+/* What the caller has done about the operation that was left to it. */
+#define COSIM_HERE 0 /* nothing: the cursor shows what is next */
+#define COSIM_DONE 1 /* the operation is done */
+#define COSIM_OVER 2 /* its segment goes no further; the others do, up to `end` */
+
+/* Do the operations from the cursor on, until `end` steps are completed: 0; or one is left to the
+ * caller: its number among all operations, counted from 1. */
+int64_t cosim_stage_run(cosim_stage *self, int64_t end, int32_t answer);
 
 /* Add up rows (n_rows, width) one after the other: of each column how many have a value, their sum
  * and the sum of their squares. */

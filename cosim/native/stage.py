@@ -10,6 +10,9 @@ from cosim.native.library import declare, library, pointer
 
 KINDS: Final = {"keep": 0, "gather": 1, "advance": 2, "refresh": 3, "trace": 4, "check": 5}
 """COSIM_KEEP and so on."""
+HERE: Final = 0  # COSIM_HERE and so on
+DONE: Final = 1
+OVER: Final = 2
 
 
 class CopyStruct(Structure):
@@ -51,6 +54,12 @@ class OperationStruct(Structure):
     _fields_ = tuple((name, c_int32) for name in ("kind", "first", "count"))
 
 
+class SegmentStruct(Structure):
+    """cosim_segment."""
+
+    _fields_ = tuple((name, c_int32) for name in ("first", "count"))
+
+
 class HeldStruct(Structure):
     """cosim_held."""
 
@@ -66,10 +75,12 @@ class StageStruct(Structure):
 
     _fields_ = (
         *((name, c_void_p) for name in ("members", "operations", "copies", "sums", "terms")),
-        *((name, c_int64) for name in ("n_operations", "width")),
+        ("segments", c_void_p),
+        *((name, c_int64) for name in ("n_segments", "width", "tile")),
         *((name, c_void_p) for name in ("t", "rows")),
         ("h", c_double),
-        *((name, c_int64) for name in ("step", "operation", "suspicious", "origin")),
+        *((name, c_int64) for name in ("completed", "segment", "step", "operation")),
+        *((name, c_int64) for name in ("suspicious", "origin")),
         ("origin_value", c_double),
     )
 

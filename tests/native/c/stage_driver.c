@@ -16,6 +16,7 @@ typedef struct {
     cosim_delay delay;
     cosim_member members[MEMBERS];
     cosim_operation operations[4 * MEMBERS + 3];
+    cosim_segment segment;
     cosim_copy copies[MEMBERS];
     cosim_sum sum;
     cosim_term terms[2];
@@ -62,20 +63,22 @@ static void build(system_of_lags *s)
     }
     s->operations[n++] = (cosim_operation){COSIM_REFRESH, 0, 1};
     s->operations[n++] = (cosim_operation){COSIM_CHECK, 0, MEMBERS};
+    s->segment = (cosim_segment){0, n};
     s->stage = (cosim_stage){.members = s->members, .operations = s->operations,
                              .copies = s->copies, .sums = &s->sum, .terms = s->terms,
-                             .n_operations = n, .width = WIDTH, .t = s->t, .rows = s->rows,
+                             .segments = &s->segment, .n_segments = 1,
+                             .width = WIDTH, .tile = 16, .t = s->t, .rows = s->rows,
                              .h = 1e-3};
 }
 
 static void *run(void *argument)
 {
     system_of_lags *s = argument;
-    int32_t done = 0;
-    while (cosim_stage_run(&s->stage, STEPS, done)) {
+    int32_t answer = COSIM_HERE;
+    while (cosim_stage_run(&s->stage, STEPS, answer)) {
         double *row = s->rows + (s->stage.step + 1) * WIDTH;
         row[WIDTH - 1] = 0.5 * row[WIDTH - 2];
-        done = 1;
+        answer = COSIM_DONE;
     }
     return NULL;
 }
