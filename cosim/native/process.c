@@ -113,8 +113,8 @@ static int32_t compare_units(Unit a, Unit b) { return a.sse == b.sse ? 0 : COSIM
  * reading the unit's control word waits for all arithmetic before it. */
 static bool computes_as_usual(void)
 {
-    static const volatile double one = 1.0, half_a_bit = 0x1p-55;
-    static const volatile double least = 0x1p-1022, more = 0x1.4p-1022;
+    const volatile double one = 1.0, half_a_bit = 0x1p-55;
+    const volatile double least = 0x1p-1022, more = 0x1.4p-1022;
     return (one + half_a_bit) - (one - half_a_bit) == 0.0 && least + (more - least) > least;
 }
 

@@ -47,7 +47,7 @@ def symbols(path, kinds):
 
 
 # rounded one way by IEEE 754, or exact; the maximum of zeros of both signs is asked for nowhere
-EXACT = {"sqrt", "fabs", "copysign", "fmax", "fmin"}
+EXACT = {"sqrt", "fabs", "copysign", "fmax", "fmin", "frexp", "ldexp"}
 MATHEMATICS = {*dir(math), "fma", "fmax", "fmin", "rint", "lrint", "nearbyint", "round", "sincos"}
 
 
