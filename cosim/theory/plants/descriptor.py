@@ -162,6 +162,11 @@ class DescriptorSystem:
         D = np.hstack([self.Du, self.Dd])
         return scales_of(self.E, self.A, B, self.C, D)
 
+    @cached_property
+    def _elimination(self) -> ReducedSystem:
+        """What :func:`reduce` returns; asked for by several components of one model."""
+        return _eliminated(self)
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class UserCoordinates:
@@ -313,6 +318,10 @@ def reduce(system: DescriptorSystem) -> ReducedSystem:
         If the pencil `s E - A` is singular, or has an index above 1 (Assumption 2), or there are
         no dynamic states; or if E or A22 is so near to a lower rank that rounding decides.
     """
+    return system._elimination
+
+
+def _eliminated(system: DescriptorSystem) -> ReducedSystem:
     scales = system.scales
     E = scales.scaled_E(system.E)
     A = scales.scaled_E(system.A)
