@@ -14,13 +14,20 @@ from tests.scenario.user_modules import write
 
 
 @pytest.fixture(autouse=True)
-def the_process_is_as_before():
-    """Nothing of a folder is left in the lists that the whole process has."""
+def the_process_is_as_before(tmp_path):
+    """Nothing of a folder is left in the lists that the whole process has.
+
+    What a test itself imported from its folder is taken out.
+    """
     path = list(sys.path)
     finders = list(sys.meta_path)
     yield
     assert sys.path == path
     assert sys.meta_path == finders
+    for name, module in list(sys.modules.items()):
+        file = getattr(module, "__file__", None)
+        if file is not None and file.startswith(str(tmp_path)):
+            del sys.modules[name]
 
 
 def sha256(path):
