@@ -20,6 +20,7 @@ import numpy as np
 from cosim.arrays import Matrix
 from cosim.core.contracts import Block
 from cosim.core.coupling import Advancing, Cut, Stage
+from cosim.core.member import driving_groups
 
 LONG_ENOUGH: Final = 3e-4  # s of wall time of a call from which on handing over is little of it
 TRIALS: Final = 6  # calls of each way that are timed
@@ -50,7 +51,9 @@ def with_branches(
     compiled : callable
         Compiles stages as one, and what is entered where it calls Python.
     """
-    drivers = _drivers(stages)
+    drivers = driving_groups([stage.members for stage in stages])
+    for number, driving in enumerate(drivers):
+        driving.discard(number)
     everything = set(range(len(stages)))
     driven: set[int] = set().union(*drivers)
     sources = {i for i in everything if not drivers[i]}
@@ -188,23 +191,6 @@ class Branches:
                 if not earlier.steps:
                     return Cut(k, earlier.error, first)
         return cut
-
-
-def _drivers(stages: Sequence[Stage]) -> list[set[int]]:
-    """Return the numbers of the other stages that drive each of them."""
-    writer: dict[int, int] = {}
-    for number, stage in enumerate(stages):
-        for member in stage.members:
-            for column in range(member.outputs.start, member.outputs.stop):
-                writer[column] = number
-    drivers = []
-    for number, stage in enumerate(stages):
-        driving: set[int] = set()
-        for member in stage.members:
-            for wire in member.wires:
-                driving.update(writer.get(column, number) for column in wire.source_columns)
-        drivers.append(driving - {number})
-    return drivers
 
 
 def _with_same(binaries: Sequence[frozenset[str]]) -> list[set[int]]:

@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import chain
 from typing import Literal, Protocol, TypeAlias
 
 import numpy as np
@@ -20,7 +19,7 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
 from cosim.core.contracts import Block, Stopped
-from cosim.core.member import Member, NonFinite, first_non_finite, read_only
+from cosim.core.member import Member, NonFinite, driving_groups, first_non_finite, read_only
 from cosim.core.order import OperationKind
 from cosim.errors import RunError
 
@@ -198,14 +197,10 @@ class Loop:
 
     def _sources(self) -> dict[str, set[str]]:
         """Return the components of the loop that drive each of them."""
-        writer = {}
-        for member in self.members:
-            for column in range(member.outputs.start, member.outputs.stop):
-                writer[column] = member.name
+        drivers = driving_groups([(member,) for member in self.members])
         sources: dict[str, set[str]] = {}
-        for member in self.members:
-            columns = chain.from_iterable(wire.source_columns for wire in member.wires)
-            sources[member.name] = {writer[column] for column in columns if column in writer}
+        for member, driving in zip(self.members, drivers, strict=True):
+            sources[member.name] = {self.members[number].name for number in driving}
         return sources
 
     def advance(self, block: Block, signals: Matrix) -> None:
@@ -298,7 +293,7 @@ def check_finite(members: Sequence[Member], block: Block, signals: Matrix) -> No
     """Raise a cut before the first row of a block that is not finite."""
     bad = first_non_finite(members, signals[1 : block.steps + 1])
     if bad is not None:
-        raise Cut(bad.row, bad.error(float(block.time[bad.row + 1])), next(iter(members)).name)
+        raise Cut(bad.row, bad.error(float(block.time[bad.row + 1])), members[0].name)
 
 
 def _numbers(columns: slice) -> NDArray[np.intp]:

@@ -398,6 +398,23 @@ class Member:
         return read_only(array.copy())
 
 
+def driving_groups(groups: Sequence[Sequence[Member]]) -> list[set[int]]:
+    """Return for each group of components the numbers of the groups that drive it."""
+    writer: dict[int, int] = {}
+    for number, members in enumerate(groups):
+        for member in members:
+            for column in range(member.outputs.start, member.outputs.stop):
+                writer[column] = number
+    drivers = []
+    for members in groups:
+        driving: set[int] = set()
+        for member in members:
+            for wire in member.wires:
+                driving.update(writer[column] for column in wire.source_columns if column in writer)
+        drivers.append(driving)
+    return drivers
+
+
 def first_non_finite(members: Iterable[Member], rows: Matrix) -> NonFinite | None:
     """Return the first value of some components that is not finite, by row.
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from cosim.arrays import Matrix, Vector
 from cosim.core.branches import Exclusion, with_branches
 from cosim.core.contracts import Block, Stopped
-from cosim.core.coupling import Advancing, Cut, OperationName, Stage, call
+from cosim.core.coupling import Advancing, Cut, OperationName, Stage, StageProgram, call
 from cosim.core.graph import Graph
 from cosim.core.member import Member, NonFinite, Wire, first_non_finite, read_only
 from cosim.core.signals import Layout
@@ -126,12 +126,13 @@ class NativeStage:
         self._members: list[Member] = []
         self._operations: list[tuple[OperationName, Member]] = []  # on one member or from it on
         self._stage_of: dict[str, Stage] = {}
-        for stage in stages:
+        programs = [stage.program for stage in stages]
+        for stage, program in zip(stages, programs, strict=True):
             self._members += stage.members
-            self._operations += [(kind, members[0]) for kind, members in stage.program]
+            self._operations += [(kind, members[0]) for kind, members in program]
             self._stage_of.update((member.name, stage) for member in stage.members)
-        operations = _operations(stages)
-        segments = _segments(stages)
+        operations = _operations(programs, self._members)
+        segments = _segments(programs)
         optional = _optional(layout)
         wiring = _Wiring()
         members = (MemberStruct * len(self._members))()
@@ -276,26 +277,25 @@ def _fill(struct: MemberStruct, member: Member, step: NativeStep | None) -> None
     struct.overrides = member.overrides.values_address
 
 
-def _operations(stages: Sequence[Stage]) -> Array[OperationStruct]:
+def _operations(
+    programs: Sequence[StageProgram], members: Sequence[Member]
+) -> Array[OperationStruct]:
     """Return the programs of stages, one behind the other."""
+    numbers = {member.name: number for number, member in enumerate(members)}
     operations = []
-    first = 0
-    for stage in stages:
-        numbers = {member.name: first + i for i, member in enumerate(stage.members)}
-        for kind, members in stage.program:
-            operations.append(OperationStruct(KINDS[kind], numbers[members[0].name], len(members)))
-        first += len(stage.members)
+    for program in programs:
+        for kind, of in program:
+            operations.append(OperationStruct(KINDS[kind], numbers[of[0].name], len(of)))
     return (OperationStruct * len(operations))(*operations)
 
 
-def _segments(stages: Sequence[Stage]) -> Array[SegmentStruct]:
+def _segments(programs: Sequence[StageProgram]) -> Array[SegmentStruct]:
     """Return where the program of each stage stands among the operations."""
     segments = []
     first = 0
-    for stage in stages:
-        count = len(stage.program)
-        segments.append(SegmentStruct(first, count))
-        first += count
+    for program in programs:
+        segments.append(SegmentStruct(first, len(program)))
+        first += len(program)
     return (SegmentStruct * len(segments))(*segments)
 
 
