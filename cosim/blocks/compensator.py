@@ -253,17 +253,7 @@ class Compensator:
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Advance by K steps."""
-        steps = len(t) - 1
-        rows = np.empty((steps, self.interface.n_y))
-        completed = 0
-        while completed < steps:
-            y = self._kernel.step.advance(t[completed:], h, u[completed:])
-            end = completed + len(y)
-            rows[completed:end] = y
-            completed = end
-            if self._kernel.step.status:
-                self._judge(u[completed])
-        return rows
+        return self._kernel.step.advance_through(t, h, u, lambda k: self._judge(u[k]))
 
     def native(self) -> NativeStep:
         """Return the compiled step: it goes on until there is another estimate."""

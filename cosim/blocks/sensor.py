@@ -34,8 +34,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.blocks.field_data import SAMPLE_TIMES, samples_of
 from cosim.blocks.measurement import (
@@ -170,18 +168,12 @@ class Sensor:
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Report K samples."""
-        steps = len(t) - 1
-        rows = np.empty((steps, self.interface.n_y))
-        completed = 0
-        while completed < steps:
-            y = self._kernel.step.advance(t[completed:], h, u[completed:])
-            end = completed + len(y)
-            rows[completed:end] = y
-            completed = end
-            if self._kernel.step.status:
-                self._streams.draw_more()
-                self._kernel.next = 0
-        return rows
+        return self._kernel.step.advance_through(t, h, u, self._draw_more)
+
+    def _draw_more(self, k: int) -> None:
+        """Draw the random numbers of the next steps."""
+        self._streams.draw_more()
+        self._kernel.next = 0
 
     def native(self) -> NativeStep:
         """Return the compiled step: it takes the numbers that were drawn."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from ctypes import byref, c_double, c_int32, c_void_p
 from dataclasses import dataclass
@@ -142,6 +142,31 @@ class NativeStep:
             completed: int = library.cosim_cascade(*step, *points, *inputs, *outputs, byref(status))
         self.status = status.value
         return y[:completed]
+
+    def advance_through(
+        self, t: Vector, h: float, u: Matrix, resume: Callable[[int], None]
+    ) -> Matrix:
+        """Advance over K communication steps, also behind those that the function declines.
+
+        Parameters are those of :meth:`advance`; ``resume`` is called with the number of a step that
+        was declined, and makes it possible.
+
+        Returns
+        -------
+        Matrix
+            Outputs at ``t[1:]``, shape ``(K, n_y)``.
+        """
+        steps = len(t) - 1
+        rows = np.empty((steps, self.n_y))
+        completed = 0
+        while completed < steps:
+            y = self.advance(t[completed:], h, u[completed:])
+            end = completed + len(y)
+            rows[completed:end] = y
+            completed = end
+            if self.status:
+                resume(completed)
+        return rows
 
     def outputs_at(self, t: float, u: Vector) -> Vector | None:
         """Return the outputs at ``t`` [s], the time reached, for inputs ``u``.

@@ -37,7 +37,8 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from cosim.arrays import Vector
-from cosim.fmi.binary.binding import NO_INPUT_DERIVATIVES, InstanceSpecification
+from cosim.fmi.binary.binding import InstanceSpecification
+from cosim.fmi.binary.input_derivatives import RealInputDerivatives
 from cosim.fmi.binary.library import DISCARD, WARNING, Call, Library, pointer
 from cosim.fmi.binary.structures import Fmi1CallbackFunctions, Fmi1EventInfo
 from cosim.fmi.instance import DiscreteStates, StepEnd
@@ -141,12 +142,8 @@ class Fmi1:
         self._initialize_slave = call("InitializeSlave", c_double, c_int8, c_double)
         self._step = self.library.status_call("DoStep", c_double, c_double, c_int8)
         self._real_status = self.library.status_call("GetRealStatus", c_int, c_void_p)
-        self._orders = np.ones(0, np.int32)
-        if self._specification.capabilities.interpolates_inputs:
-            slopes = (c_void_p, c_size_t, c_void_p, c_void_p)
-            self._set_slopes = call("SetRealInputDerivatives", *slopes)
-        else:
-            self._set_slopes = self.library.unavailable(NO_INPUT_DERIVATIVES)
+        interpolates = self._specification.capabilities.interpolates_inputs
+        self._input_derivatives = RealInputDerivatives(self.library, available=interpolates)
 
     def instantiate(self) -> None:
         """Create the instance, and forget all that was set."""
@@ -314,21 +311,11 @@ class Fmi1:
 
     def set_input_derivatives(self, group: Group, slopes: Vector) -> None:
         """Set du/dt for the next step."""
-        if len(self._orders) != group.count:
-            self._orders = np.ones(group.count, np.int32)
-        self._set_slopes(group.address, group.count, pointer(self._orders), pointer(slopes))
+        self._input_derivatives.set(group, slopes)
 
     def slopes_struct(self, group: Group, columns: NDArray[np.intp]) -> SlopesStruct:
         """Return the slopes of inputs for compiled code."""
-        self._orders = np.ones(group.count, np.int32)
-        self._slopes = np.zeros(group.count)
-        struct = SlopesStruct(self.library.call_address("SetRealInputDerivatives"), group.address)
-        struct.count = group.count
-        struct.size = len(columns)
-        struct.orders = self._orders.ctypes.data
-        struct.columns = columns.ctypes.data
-        struct.values = self._slopes.ctypes.data
-        return struct
+        return self._input_derivatives.struct(group, columns)
 
     def step_struct(self) -> StepStruct:
         """Return do_step for compiled code."""

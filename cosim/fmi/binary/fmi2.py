@@ -23,10 +23,10 @@ from numpy.typing import DTypeLike, NDArray
 from cosim.arrays import Vector
 from cosim.fmi.binary.binding import (
     NO_DIRECTIONAL_DERIVATIVES,
-    NO_INPUT_DERIVATIVES,
     NO_STATE,
     InstanceSpecification,
 )
+from cosim.fmi.binary.input_derivatives import RealInputDerivatives
 from cosim.fmi.binary.library import DISCARD, WARNING, Call, Library, pointer
 from cosim.fmi.binary.structures import Fmi2CallbackFunctions, Fmi2EventInfo
 from cosim.fmi.description import Capabilities
@@ -133,12 +133,8 @@ class Fmi2:
         self._step = self.library.status_call("DoStep", c_double, c_double, c_int)
         self._boolean_status = self.library.status_call("GetBooleanStatus", c_int, c_void_p)
         self._real_status = self.library.status_call("GetRealStatus", c_int, c_void_p)
-        self._orders = np.ones(0, np.int32)
-        if capabilities.interpolates_inputs:
-            vectors = (c_void_p, c_void_p)
-            self._set_slopes = self.library.call("SetRealInputDerivatives", *_REFERENCES, *vectors)
-        else:
-            self._set_slopes = self.library.unavailable(NO_INPUT_DERIVATIVES)
+        interpolates = capabilities.interpolates_inputs
+        self._input_derivatives = RealInputDerivatives(self.library, available=interpolates)
 
     def instantiate(self) -> None:
         """Create the instance."""
@@ -220,21 +216,11 @@ class Fmi2:
 
     def set_input_derivatives(self, group: Group, slopes: Vector) -> None:
         """Set du/dt for the next step."""
-        if len(self._orders) != group.count:
-            self._orders = np.ones(group.count, np.int32)
-        self._set_slopes(group.address, group.count, pointer(self._orders), pointer(slopes))
+        self._input_derivatives.set(group, slopes)
 
     def slopes_struct(self, group: Group, columns: NDArray[np.intp]) -> SlopesStruct:
         """Return the slopes of inputs for compiled code."""
-        self._orders = np.ones(group.count, np.int32)
-        self._slopes = np.zeros(group.count)
-        struct = SlopesStruct(self.library.call_address("SetRealInputDerivatives"), group.address)
-        struct.count = group.count
-        struct.size = len(columns)
-        struct.orders = self._orders.ctypes.data
-        struct.columns = columns.ctypes.data
-        struct.values = self._slopes.ctypes.data
-        return struct
+        return self._input_derivatives.struct(group, columns)
 
     def step_struct(self) -> StepStruct:
         """Return do_step for compiled code."""
