@@ -273,7 +273,7 @@ class Simulation:
             The row that is reached, and what stopped there.
         """
         first = self.index - self._points_begin
-        if first + 1 >= len(self._times):
+        if not 0 <= first < len(self._times) - 1:
             self._block(1)  # computes the times
             first = 0
         memory: Any = signals

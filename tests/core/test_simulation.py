@@ -8,7 +8,7 @@ import pytest
 
 from cosim.blocks.arithmetic import gain, sum_of
 from cosim.blocks.dynamics import Delay
-from cosim.blocks.source import Noise, Table, sine
+from cosim.blocks.source import Noise, Table, ramp, sine
 from cosim.core.clock import Clock
 from cosim.core.connections import Connection
 from cosim.core.contracts import SignalEvent, Stopped
@@ -17,7 +17,7 @@ from cosim.core.master import run
 from cosim.core.recorders import Memory
 from cosim.core.repeating import repeat
 from cosim.core.signals import Interface, Signal
-from cosim.core.simulation import Simulation
+from cosim.core.simulation import POINTS, Simulation
 from cosim.errors import (
     ClockError,
     GraphError,
@@ -517,6 +517,17 @@ def test_a_saved_state_gives_the_same_steps_again(is_pickled):
         assert simulation.t_ns == 4 * 10**8
         assert simulation.overrides == {"plant.u": 0.7}
         assert taken(simulation, 6) == first
+
+
+def test_single_steps_go_on_from_a_state_of_long_ago():
+    """From before the points whose times are computed at once: y = t."""
+    simulation = Simulation(Graph({"s": ramp(slope=1.0)}, {}), clock(2 * POINTS))
+    saved = simulation.state
+    simulation.step(POINTS + 1)
+    simulation.step()
+    simulation.state = saved
+    for k in range(1, 4):
+        assert simulation.step()["s.y"] == [[k / 10]]
 
 
 def test_a_pickled_state_goes_on_in_another_simulation():
