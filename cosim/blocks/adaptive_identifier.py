@@ -11,7 +11,7 @@ from cosim.blocks.identifier import regression_interface
 from cosim.core.contracts import Design
 from cosim.core.signals import Interface
 from cosim.errors import UsageError
-from cosim.native.adaptive import AdaptiveLaw, AdaptiveStep
+from cosim.native.estimation.adaptive import AdaptiveLaw, AdaptiveStep
 from cosim.theory.estimators.adaptive import adaptive_constants
 from cosim.theory.estimators.least_squares import Recovery
 

@@ -8,7 +8,7 @@ from cosim.arrays import Matrix
 from cosim.blocks.static import CompiledStatic
 from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
-from cosim.native.functions import gain_step, limit_step, sum_step, switch_step
+from cosim.native.blocks.functions import gain_step, limit_step, sum_step, switch_step
 
 
 def _with_feedthrough(inputs: Sequence[Signal], size: int, unit: str | None) -> Interface:

@@ -17,6 +17,7 @@ from cosim.core.contracts import Design, check_design
 from cosim.core.linear import LinearModel
 from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
+from cosim.native.blocks.window import WindowConstants, WindowStep, window_memory
 from cosim.native.step import (
     LARGEST_MEMORY,
     DiscretizedDynamics,
@@ -25,7 +26,6 @@ from cosim.native.step import (
     first_order_hold,
     linear_step,
 )
-from cosim.native.window import WindowConstants, WindowStep, window_memory
 
 
 @dataclass(frozen=True, slots=True)

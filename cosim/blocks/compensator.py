@@ -32,7 +32,7 @@ from cosim.arrays import NAN, Mask, Matrix, Vector
 from cosim.core.contracts import Design, check_design
 from cosim.core.signals import Interface, Signal
 from cosim.errors import LogError, UsageError
-from cosim.native.compensator import CompensatorConstants, CompensatorStep
+from cosim.native.blocks.compensator import CompensatorConstants, CompensatorStep
 from cosim.native.step import NativeStep, affine, matrix_exponential
 from cosim.theory.compensation.activation import Activation
 from cosim.theory.compensation.design import (

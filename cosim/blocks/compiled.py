@@ -29,7 +29,7 @@ from cosim.core.contracts import Design, Stopped
 from cosim.core.signals import Interface
 from cosim.errors import RunError, UsageError
 from cosim.native.library import address, pointer
-from cosim.native.stage import HeldStruct
+from cosim.native.stages.stage import HeldStruct
 from cosim.native.step import NativeStep
 
 

@@ -10,8 +10,8 @@ import numpy as np
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Design, State, Stopped, check_design
 from cosim.core.signals import Interface, Signal
+from cosim.native.blocks.wrapping import kept_step
 from cosim.native.step import FULL, NO_VALUE, OUTSIDE, NativeStep
-from cosim.native.wrapping import kept_step
 
 _NO_VALUE: Final = "an input has no value at {time} s, where it counts; start after the delays"
 _PROBLEMS: Final = MappingProxyType(

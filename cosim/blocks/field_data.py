@@ -20,7 +20,7 @@ from cosim.arrays import NAN, Matrix, Vector
 from cosim.core.contracts import Stopped
 from cosim.core.signals import Interface, Signal
 from cosim.errors import GraphError, UsageError, nearest
-from cosim.native.field_data import field_data_step
+from cosim.native.blocks.field_data import field_data_step
 from cosim.native.step import NativeStep
 
 SAMPLE_TIMES: Final = "sample_times"

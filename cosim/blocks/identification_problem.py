@@ -18,10 +18,10 @@ from cosim.blocks.estimator import estimate, optional_input
 from cosim.blocks.regressor import alpha_signals
 from cosim.core.contracts import Design
 from cosim.core.signals import Interface, Signal
-from cosim.native.alphas import Alpha, PastAlphas
-from cosim.native.identifier import IdentifierConstants
-from cosim.native.output_error import KnownInput, OutputErrorConstants
-from cosim.native.rayleigh import RayleighConstants
+from cosim.native.estimation.alphas import Alpha, PastAlphas
+from cosim.native.estimation.identifier import IdentifierConstants
+from cosim.native.estimation.output_error import KnownInput, OutputErrorConstants
+from cosim.native.estimation.rayleigh import RayleighConstants
 from cosim.native.step import RegressorConstants
 from cosim.theory.disturbances.families import SearchBox
 from cosim.theory.disturbed_plant import DisturbedPlant, NoiseModel, discretize, white_noise

@@ -15,7 +15,7 @@ from cosim.blocks.identification_problem import (
 from cosim.core.contracts import Design
 from cosim.core.signals import Interface
 from cosim.errors import UsageError
-from cosim.native.kalman import (
+from cosim.native.estimation.kalman import (
     AugmentedKalmanConstants,
     AugmentedKalmanStep,
     ExtendedKalmanConstants,

@@ -16,7 +16,7 @@ from cosim.arrays import NAN, Mask, Matrix, Vector
 from cosim.blocks.field_data import SAMPLE_TIMES
 from cosim.core.contracts import Component, Design, Native, Rollback, Stopped, prepare
 from cosim.core.signals import Interface, Signal
-from cosim.native.late_samples import HeldRows, LateColumns, late_samples_step
+from cosim.native.blocks.late_samples import HeldRows, LateColumns, late_samples_step
 from cosim.native.step import NativeStep
 
 # of instants as far apart as communication points, with a jitter of at most half their distance

@@ -6,7 +6,7 @@ from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Design
 from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
-from cosim.native.control import LARGEST_NUMBER, integrator_step
+from cosim.native.blocks.control import LARGEST_NUMBER, integrator_step
 from cosim.native.step import NativeStep
 
 

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 from cosim.arrays import Matrix, Vector
 from cosim.core.signals import Interface, Signal
-from cosim.native.expression import Program
-from cosim.native.functions import LinearResponse, linear_source_step
+from cosim.native.blocks.functions import LinearResponse, linear_source_step
+from cosim.native.numerics.expression import Program
 from cosim.native.step import NativeStep
 
 

@@ -17,7 +17,7 @@ from cosim.arrays import Matrix, Vector, frozen
 from cosim.blocks.static import CompiledStatic
 from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
-from cosim.native.functions import Extrapolation, look_up_step
+from cosim.native.blocks.functions import Extrapolation, look_up_step
 
 
 class LookUpTable(CompiledStatic):

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
 from cosim.errors import UsageError, steps_text
-from cosim.native.sensor import DrawnSamples, Levels
+from cosim.native.blocks.sensor import DrawnSamples, Levels
 from cosim.native.step import LARGEST_MEMORY, WORDS_PER_NORMAL, normal
 
 MOST_BITS = 52  # doubles tell no more levels apart

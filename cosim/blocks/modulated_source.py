@@ -10,7 +10,7 @@ import numpy as np
 from cosim.arrays import Matrix, Vector
 from cosim.core.contracts import Component, Native, Stopped
 from cosim.core.signals import Interface, Signal
-from cosim.native.functions import modulated_step
+from cosim.native.blocks.functions import modulated_step
 from cosim.native.step import NativeStep
 
 

@@ -16,11 +16,11 @@ from cosim.blocks.identification_problem import (
 from cosim.core.contracts import Design
 from cosim.core.signals import Interface
 from cosim.errors import AssumptionError
-from cosim.native.between import BetweenConstants
-from cosim.native.identifier import IdentifierConstants, IdentifierStep
-from cosim.native.output_error import OutputErrorConstants
-from cosim.native.predictor import ModePredictorConstants
-from cosim.native.start_grid import StartGridConstants
+from cosim.native.estimation.between import BetweenConstants
+from cosim.native.estimation.identifier import IdentifierConstants, IdentifierStep
+from cosim.native.estimation.output_error import OutputErrorConstants
+from cosim.native.estimation.predictor import ModePredictorConstants
+from cosim.native.estimation.start_grid import StartGridConstants
 from cosim.theory.disturbed_plant import needs_predictor
 from cosim.theory.estimators.start_grid import (
     COLUMNS,

@@ -27,7 +27,7 @@ from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Design
 from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
-from cosim.native.control import LARGEST_NUMBER, PidConstants, PidStep
+from cosim.native.blocks.control import LARGEST_NUMBER, PidConstants, PidStep
 from cosim.native.step import NativeStep
 
 

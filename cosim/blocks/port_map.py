@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.signals import Causality, Dependencies, Interface, Signal
-from cosim.native.wrapping import ElementSource
+from cosim.native.blocks.wrapping import ElementSource
 from cosim.units import Conversion, conversion
 
 

@@ -8,7 +8,7 @@ from cosim.arrays import Vector
 from cosim.blocks.static import CompiledStatic
 from cosim.core.signals import Interface, Signal, element_names
 from cosim.errors import UsageError
-from cosim.native.functions import product_step
+from cosim.native.blocks.functions import product_step
 
 
 class Product(CompiledStatic):

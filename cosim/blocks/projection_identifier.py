@@ -14,7 +14,7 @@ from cosim.blocks.identification_problem import (
 )
 from cosim.core.contracts import Design
 from cosim.core.signals import Interface
-from cosim.native.identifier import IdentifierStep
+from cosim.native.estimation.identifier import IdentifierStep
 
 
 @dataclass(frozen=True, eq=False)

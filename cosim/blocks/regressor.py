@@ -10,9 +10,9 @@ import numpy as np
 from cosim.arrays import Matrix, Vector
 from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
-from cosim.native.alphas import Alpha, AlphaSignal, PastAlphas, signals_among
+from cosim.native.blocks.wrapping import parts_step
+from cosim.native.estimation.alphas import Alpha, AlphaSignal, PastAlphas, signals_among
 from cosim.native.step import LARGEST_MEMORY, NativeStep, RegressorConstants, RegressorStep
-from cosim.native.wrapping import parts_step
 from cosim.theory.disturbances.regression import Term
 
 

@@ -8,8 +8,8 @@ from typing import cast, final
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.blocks.port_map import PortMap
 from cosim.core.contracts import Component, Design, Native, Rollback, Stopped, prepare
+from cosim.native.blocks.wrapping import ports_step
 from cosim.native.step import NativeStep
-from cosim.native.wrapping import ports_step
 
 
 @final

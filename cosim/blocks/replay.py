@@ -11,7 +11,7 @@ from cosim.core.contracts import Design, Recording, Stopped
 from cosim.core.recorded import find_channel
 from cosim.core.signals import Interface, Signal
 from cosim.errors import GraphError, LogError
-from cosim.native.functions import recorded_step
+from cosim.native.blocks.functions import recorded_step
 from cosim.native.step import NativeStep
 
 

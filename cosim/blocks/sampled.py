@@ -12,8 +12,13 @@ from cosim.core.clock import NANOSECONDS
 from cosim.core.contracts import Component, Design, Native, Rollback, Stopped, prepare
 from cosim.core.signals import Interface
 from cosim.errors import ClockError, RunError
+from cosim.native.blocks.wrapping import (
+    DecimatedMemory,
+    SampledMemory,
+    decimated_step,
+    sampled_step,
+)
 from cosim.native.step import NativeStep
-from cosim.native.wrapping import DecimatedMemory, SampledMemory, decimated_step, sampled_step
 
 
 class SampledState(NamedTuple):

@@ -46,7 +46,7 @@ from cosim.blocks.measurement import (
 from cosim.core.contracts import Design
 from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError, steps_text
-from cosim.native.sensor import SensorConstants, SensorStep
+from cosim.native.blocks.sensor import SensorConstants, SensorStep
 from cosim.native.step import NativeStep
 
 

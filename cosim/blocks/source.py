@@ -12,15 +12,17 @@ from cosim.arrays import Matrix, Vector, frozen
 from cosim.core.contracts import Stopped
 from cosim.core.signals import Interface, Signal, SignalType, Variability
 from cosim.errors import UsageError
-from cosim.native.expression import compile_expression
-from cosim.native.functions import drawn_step, table_step
+from cosim.native.blocks.functions import drawn_step, table_step
+from cosim.native.numerics.expression import compile_expression
 from cosim.native.step import WORDS_PER_NORMAL, NativeStep, evaluate, expression_step, normal
 
 _DRAWN_AHEAD: Final = 4096  # numbers that are drawn at once: a call for each value is slow
 
 
 class Expression:
-    """``y_i(t)`` given as expressions in t; see :mod:`cosim.native.expression` for the language.
+    """``y_i(t)`` given as expressions in t.
+
+    :mod:`cosim.native.numerics.expression` describes the language.
 
     Parameters
     ----------

@@ -23,7 +23,7 @@ from cosim.core.coupling import Advancing, Cut
 from cosim.core.graph import Graph
 from cosim.core.native_stage import advancing_stages
 from cosim.errors import CosimError, RunError, UsageError
-from cosim.native.stage import accumulate
+from cosim.native.stages.stage import accumulate
 
 ROWS_BYTES: Final = 2**18  # of the rows of a block, which stay in the cache until they are added up
 

@@ -26,7 +26,7 @@ from cosim.core.member import Member, NonFinite, Wire, first_non_finite, read_on
 from cosim.core.signals import Layout
 from cosim.errors import NonFiniteError
 from cosim.native.library import library, pointer
-from cosim.native.stage import (
+from cosim.native.stages.stage import (
     DONE,
     HERE,
     KINDS,

@@ -18,7 +18,7 @@ from cosim.errors import RunError
 from cosim.fmi.description import Description
 from cosim.fmi.references import ReferenceMap
 from cosim.fmi.variable import Variable
-from cosim.native.fmu import DirectionalStruct, SlopesStruct, StepStruct, VariablesStruct
+from cosim.native.fmi.fmu import DirectionalStruct, SlopesStruct, StepStruct, VariablesStruct
 
 TERMINATED: Final = "the FMU requests the end of the run"
 

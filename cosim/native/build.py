@@ -19,48 +19,50 @@ from typing import Any
 
 HERE = Path(__file__).resolve().parent
 SOURCES = (
-    "adaptive.c",
-    "alphas.c",
-    "augmented_kalman.c",
-    "loops.c",
-    "stage.c",
-    "static.c",
-    "functions.c",
-    "field_data.c",
-    "sensor.c",
-    "late_samples.c",
-    "compensator.c",
-    "refresh.c",
-    "wrapping.c",
-    "linear.c",
-    "window.c",
-    "control.c",
-    "elementary.c",
-    "runge_kutta.c",
-    "expression.c",
-    "estimate.c",
-    "householder.c",
-    "between.c",
-    "weights.c",
-    "identifier.c",
-    "kalman.c",
-    "extended_kalman.c",
-    "output_error.c",
-    "predictor.c",
-    "rayleigh.c",
-    "start_grid.c",
-    "noise.c",
-    "fmi.c",
-    "fmu.c",
-    "inner_step.c",
-    "co_simulation.c",
-    "process.c",
-    "exact.c",
-    "model_exchange.c",
+    "stages/loops.c",
+    "stages/stage.c",
+    "numerics/linear.c",
+    "numerics/elementary.c",
+    "numerics/expression.c",
+    "numerics/runge_kutta.c",
+    "numerics/householder.c",
+    "numerics/noise.c",
+    "blocks/static.c",
+    "blocks/functions.c",
+    "blocks/window.c",
+    "blocks/control.c",
+    "blocks/field_data.c",
+    "blocks/sensor.c",
+    "blocks/late_samples.c",
+    "blocks/compensator.c",
+    "blocks/wrapping.c",
+    "blocks/refresh.c",
+    "estimation/alphas.c",
+    "estimation/estimate.c",
+    "estimation/adaptive.c",
+    "estimation/kalman.c",
+    "estimation/extended_kalman.c",
+    "estimation/augmented_kalman.c",
+    "estimation/between.c",
+    "estimation/weights.c",
+    "estimation/predictor.c",
+    "estimation/rayleigh.c",
+    "estimation/start_grid.c",
+    "estimation/output_error.c",
+    "estimation/identifier.c",
+    "fmi/fmi.c",
+    "fmi/fmu.c",
+    "fmi/process.c",
+    "fmi/inner_step.c",
+    "fmi/co_simulation.c",
+    "fmi/exact.c",
+    "fmi/model_exchange.c",
 )
+# files include headers by name alone: in an exported FMU all of them are in one folder
+INCLUDES = tuple(f"-I{HERE / folder}" for folder in (".", "stages", "numerics", "blocks", "fmi"))
 FLAGS = ("-std=c11", "-O2", "-ffp-contract=off", "-fPIC", "-shared")
 # of the package's own library, which is compiled once: a fifth less time, and the same bits
-OPTIONS = ("-O3",)
+OPTIONS = ("-O3", *INCLUDES)
 LIBRARY = f"_cosim{'.dll' if sys.platform == 'win32' else '.so'}"
 _ZIG_SYSTEMS = {"linux": "linux-gnu", "darwin": "macos", "win32": "windows-gnu"}
 _ZIG_MACHINES = {"AMD64": "x86_64", "arm64": "aarch64"}
@@ -89,10 +91,16 @@ def cross_compiler(target: str) -> list[str]:
     return [sys.executable, "-m", "ziglang", "cc", "-target", target]
 
 
-def headers(sources: Iterable[str]) -> tuple[str, ...]:
-    """Return the headers that these of ``SOURCES`` include."""
-    tables = ("tables.h",) if "elementary.c" in sources else ()
-    return ("cosim.h", *tables)
+def source(name: str) -> Path:
+    """Return the path of one of ``SOURCES`` by its name without the folder."""
+    by_name = {Path(path).name: HERE / path for path in SOURCES}
+    return by_name[name]
+
+
+def headers(names: Iterable[str]) -> list[Path]:
+    """Return the paths of the headers that sources of these names include."""
+    tables = [HERE / "numerics" / "tables.h"] if "elementary.c" in names else []
+    return [HERE / "cosim.h", *tables]
 
 
 def compile_library(

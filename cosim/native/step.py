@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Vector
-from cosim.native.alphas import PastAlphas, program_array, program_struct
-from cosim.native.expression import Program
+from cosim.native.estimation.alphas import PastAlphas, program_array, program_struct
 from cosim.native.library import (
     DelayStruct,
     ExpressionStruct,
@@ -27,6 +26,7 @@ from cosim.native.library import (
     library,
     pointer,
 )
+from cosim.native.numerics.expression import Program
 
 NO_VALUE = 1  # COSIM_NO_VALUE
 FULL = 5  # COSIM_FULL

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector, frozen
 from cosim.errors import AssumptionError
-from cosim.native.output_error import (
+from cosim.native.estimation.output_error import (
     Generators,
     KnownInput,
     OutputErrorConstants,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
-from cosim.native.output_error import Generators
+from cosim.native.estimation.output_error import Generators
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.estimators.output_error import OutputErrorFit
 from cosim.theory.forced_response import simulate

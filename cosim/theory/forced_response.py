@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Vector
-from cosim.native.output_error import (
+from cosim.native.estimation.output_error import (
     Generators,
     KnownInput,
     OutputErrorModel,

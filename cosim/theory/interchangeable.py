@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from cosim.arrays import Vector
-from cosim.native.output_error import Generators
+from cosim.native.estimation.output_error import Generators
 from cosim.theory.disturbed_plant import DisturbedPlant
 
 

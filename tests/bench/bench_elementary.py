@@ -91,8 +91,8 @@ def times() -> dict[str, tuple[float, float]]:
         main.write_text(text, encoding="utf-8")
         program = Path(folder) / "main"
         options = [flag for flag in build.FLAGS if flag != "-shared"]
-        sources = [main, build.HERE / "elementary.c"]
-        command = [*build.compiler(), *options, f"-I{build.HERE}", *map(str, sources)]
+        sources = [main, build.source("elementary.c")]
+        command = [*build.compiler(), *options, *build.INCLUDES, *map(str, sources)]
         subprocess.run([*command, "-o", str(program), "-lm"], check=True)
         output = subprocess.run([program], check=True, capture_output=True, text=True).stdout
     rows = [line.split() for line in output.splitlines()]

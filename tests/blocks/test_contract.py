@@ -33,8 +33,8 @@ from cosim.core.linear import Linear
 from cosim.core.master import run
 from cosim.core.recorders import Memory
 from cosim.core.signals import Interface, Signal
-from cosim.native.expression import compile_expression
-from cosim.native.functions import LinearResponse
+from cosim.native.blocks.functions import LinearResponse
+from cosim.native.numerics.expression import compile_expression
 from cosim.native.step import delay_step
 from cosim.testing import check_component, check_rollback
 from cosim.theory.disturbances.families import Exponential, group_by_alpha

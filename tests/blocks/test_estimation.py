@@ -9,7 +9,7 @@ from cosim.blocks.identifier import LeastSquaresIdentifier
 from cosim.blocks.regressor import Regressor
 from cosim.core.contracts import Stopped
 from cosim.errors import UsageError
-from cosim.native.expression import compile_expression
+from cosim.native.numerics.expression import compile_expression
 from cosim.testing import check_component
 from cosim.theory.disturbances.families import Exponential, Sine, coefficients, group_by_alpha
 from cosim.theory.disturbances.regression import eta, expand, mu

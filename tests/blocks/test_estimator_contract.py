@@ -15,7 +15,7 @@ from cosim.blocks.output_error_identifier import OutputErrorIdentifier
 from cosim.blocks.projection_identifier import ProjectionIdentifier, RayleighIdentifier
 from cosim.blocks.regressor import Regressor
 from cosim.core.signals import Interface, Signal
-from cosim.native.expression import compile_expression
+from cosim.native.numerics.expression import compile_expression
 from cosim.testing import check_estimator
 from cosim.theory.disturbances.families import group_by_alpha
 from cosim.theory.disturbances.regression import expand

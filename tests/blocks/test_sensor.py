@@ -14,7 +14,7 @@ from cosim.blocks.measurement import DRAWN_AHEAD, SamplingInstants, SensorParame
 from cosim.blocks.sensor import Sensor
 from cosim.blocks.source import Noise
 from cosim.errors import UsageError
-from cosim.native.sensor import DrawnSamples, SensorConstants, SensorStep
+from cosim.native.blocks.sensor import DrawnSamples, SensorConstants, SensorStep
 from tests.blocks.stepping import drive, times
 
 N = 100_000

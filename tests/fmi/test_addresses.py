@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cosim.errors import RunError
-from cosim.native.fmu import CALL_FAILED, DECLINED
+from cosim.native.fmi.fmu import CALL_FAILED, DECLINED
 from cosim.native.library import library
 from tests.fmi import lag
 from tests.fmi.probes import NUMBERS, opened

@@ -24,8 +24,8 @@ from cosim.fmi.generated import GeneratedInstance
 from cosim.fmi.options import FmuOptions
 from cosim.fmi.reading.model_description import read
 from cosim.native import build
-from cosim.native.alphas import AlphaSignal, PastAlphas
-from cosim.native.expression import compile_expression
+from cosim.native.estimation.alphas import AlphaSignal, PastAlphas
+from cosim.native.numerics.expression import compile_expression
 from cosim.native.step import (
     LeastSquaresConstants,
     RecoveryConstants,

@@ -15,7 +15,7 @@ from cosim.errors import RunError
 from cosim.fmi.component import ModelExchange, load
 from cosim.fmi.generated import GeneratedInstance
 from cosim.fmi.options import FmuOptions
-from cosim.native.runge_kutta import EMBEDDED, EXPLICIT
+from cosim.native.numerics.runge_kutta import EMBEDDED, EXPLICIT
 from tests.core.parts import integrator, times
 from tests.fmi import eventful
 from tests.fmi.compiled import compile_fmu

@@ -10,7 +10,7 @@ import sys
 import pytest
 
 from cosim.native import build
-from cosim.native.expression import FUNCTIONS, OPERATIONS, compile_expression
+from cosim.native.numerics.expression import FUNCTIONS, OPERATIONS, compile_expression
 
 SOURCES = [build.HERE / name for name in build.SOURCES]
 needs_cc = pytest.mark.skipif(shutil.which("cc") is None, reason="no cc")
@@ -29,6 +29,7 @@ def test_the_kernels_compile_without_a_warning(tmp_path):
             "-Wconversion",
             "-Wshadow",
             "-Werror",
+            *build.INCLUDES,
             "-c",
             source,
         ]
@@ -57,7 +58,8 @@ def test_the_kernels_call_no_function_whose_bits_depend_on_the_c_library(tmp_pat
     """Only square roots come from there; and only the list of message buffers is ever written."""
     for source in SOURCES:
         compiled = tmp_path / f"{source.stem}.o"
-        subprocess.run(["cc", *build.FLAGS[:-1], "-c", source, "-o", compiled], check=True)
+        flags = (*build.FLAGS[:-1], *build.INCLUDES)
+        subprocess.run(["cc", *flags, "-c", source, "-o", compiled], check=True)
         needed = symbols(compiled, "U")
         assert needed & (MATHEMATICS) <= EXACT, source.name
         if source.name != "fmi.c":
@@ -120,14 +122,14 @@ def test_compilers_and_their_options_do_not_change_a_bit_of_the_elementary_funct
     """Arguments of every size; also where the compiler may use every instruction it finds."""
     (tmp_path / "main.c").write_text(HASH, encoding="utf-8")
     flags = [flag for flag in build.FLAGS if flag not in ("-O2", "-shared")]
-    sources = [tmp_path / "main.c", build.HERE / "elementary.c"]
+    sources = [tmp_path / "main.c", build.source("elementary.c")]
     hashes = {}
     commands = {"cc": ["cc", "-O2"]} | {name: COMPILERS[name] for name in others}
     for name, command in commands.items():
         if name == "zig" and not runs_here(command):
             pytest.skip("zig is not there, or makes no program for this machine")
         program = tmp_path / "program"
-        options = [*flags, f"-I{build.HERE}"]
+        options = [*flags, *build.INCLUDES]
         subprocess.run([*command, *options, *sources, "-o", program, "-lm"], check=True)
         result = subprocess.run([program], capture_output=True, text=True, check=True)
         hashes[name] = result.stdout
@@ -168,11 +170,11 @@ def test_options_do_not_change_a_bit_of_the_rotations(tmp_path):
     """Columns may be taken side by side, but the rows of each are summed in their order."""
     (tmp_path / "main.c").write_text(ROTATIONS, encoding="utf-8")
     flags = [flag for flag in build.FLAGS if flag not in ("-O2", "-shared")]
-    sources = [tmp_path / "main.c", build.HERE / "householder.c"]
+    sources = [tmp_path / "main.c", build.source("householder.c")]
     hashes = set()
     for options in (["-O2"], build.OPTIONS, ["-O3", "-march=native"]):
         program = tmp_path / "program"
-        command = ["cc", *options, *flags, f"-I{build.HERE}", *sources, "-o", program, "-lm"]
+        command = ["cc", *options, *flags, *build.INCLUDES, *sources, "-o", program, "-lm"]
         subprocess.run(command, check=True)
         result = subprocess.run([program], capture_output=True, text=True, check=True)
         hashes.add(result.stdout)
@@ -186,7 +188,7 @@ def runs_here(command):
 
 def test_the_operations_are_numbered_as_in_c():
     """Python and C agree on the order, by name."""
-    text = (build.HERE / "expression.c").read_text(encoding="utf-8")
+    text = build.source("expression.c").read_text(encoding="utf-8")
     names = text[text.index("enum {") + 6 : text.index("};")].replace("\n", " ").split(",")
     in_c = [
         name.strip().lower().replace("minimum", "min").replace("maximum", "max") for name in names
@@ -322,7 +324,7 @@ def test_the_kernels_run_clean_under_the_sanitizers(tmp_path):
     )
     # of warnings errors: a struct that has changed is written here by the order of its members
     strict = ["-Wall", "-Werror", "-fno-sanitize-recover=all"]
-    options = ["-std=c11", "-g", "-O1", sanitizers, *strict, f"-I{build.HERE}"]
+    options = ["-std=c11", "-g", "-O1", sanitizers, *strict, *build.INCLUDES]
     compiled = subprocess.run(
         ["cc", *options, tmp_path / "main.c", *SOURCES, "-o", tmp_path / "main", "-lm"],
         capture_output=True,

@@ -21,10 +21,10 @@ from cosim.blocks.output_error_identifier import OutputErrorIdentifier
 from cosim.blocks.regressor import Regressor
 from cosim.core.contracts import Stopped
 from cosim.errors import AssumptionError, UsageError
-from cosim.native import output_error
-from cosim.native.expression import compile_expression
-from cosim.native.rayleigh import MOST_ROWS, MOST_TERMS
-from cosim.native.start_grid import MOST_STARTS, StartGridModel
+from cosim.native.estimation import output_error
+from cosim.native.estimation.rayleigh import MOST_ROWS, MOST_TERMS
+from cosim.native.estimation.start_grid import MOST_STARTS, StartGridModel
+from cosim.native.numerics.expression import compile_expression
 from cosim.theory.disturbances.families import (
     Exponential,
     Sine,

@@ -314,4 +314,4 @@ def test_the_tables_are_what_their_script_writes():
     result = subprocess.run(
         [sys.executable, TABLES], capture_output=True, text=True, encoding="utf-8", check=True
     )
-    assert result.stdout == (build.HERE / "tables.h").read_text(encoding="utf-8")
+    assert result.stdout == (build.HERE / "numerics" / "tables.h").read_text(encoding="utf-8")

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cosim.errors import UsageError, quoted
-from cosim.native.expression import FUNCTIONS, compile_expression
+from cosim.native.numerics.expression import FUNCTIONS, compile_expression
 from cosim.native.step import evaluate, evaluate_at
 
 

@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cosim.errors import UsageError
-from cosim.native.expression import compile_expression
-from cosim.native.jumps import jumps
+from cosim.native.numerics.expression import compile_expression
+from cosim.native.numerics.jumps import jumps
 from cosim.native.step import evaluate
 
 

@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import DOP853, RK23, RK45, solve_ivp
 
 from cosim.errors import RunError
-from cosim.native.runge_kutta import EMBEDDED, EXPLICIT, FIXED_STEP, RungeKutta
+from cosim.native.numerics.runge_kutta import EMBEDDED, EXPLICIT, FIXED_STEP, RungeKutta
 
 SCIPY = {"RK23": RK23, "RK45": RK45, "DOP853": DOP853}
 ORDERS = {"euler": 1, "rk4": 4, "RK23": 3, "RK45": 5, "DOP853": 8}

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from cosim.native.build import HERE
+from cosim.native import build
 
 DRIVER = Path(__file__).parent / "c" / "stage_driver.c"
 SOURCES = ("stage.c", "linear.c")
@@ -25,8 +25,8 @@ pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compile
 def compiled(folder, *options):
     """Return the driver, compiled with some options; skip where the compiler lacks them."""
     target = folder / "driver"
-    sources = [str(HERE / name) for name in SOURCES]
-    command = ["cc", "-std=gnu11", "-g", "-O1", "-ffp-contract=off", "-pthread", f"-I{HERE}"]
+    sources = [str(build.source(name)) for name in SOURCES]
+    command = ["cc", "-std=gnu11", "-g", "-O1", "-ffp-contract=off", "-pthread", *build.INCLUDES]
     command += [*options, str(DRIVER), *sources, "-o", str(target), "-lm"]
     result = subprocess.run(command, capture_output=True, text=True, check=False)
     if result.returncode and "cannot find" in result.stderr:

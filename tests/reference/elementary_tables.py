@@ -1,7 +1,7 @@
-"""Write ``cosim/native/tables.h``, the constants of ``elementary.c``, in 500-digit arithmetic.
+"""Write ``tables.h``, the constants of ``elementary.c``, in 500-digit arithmetic.
 
-``python tests/reference/elementary_tables.py > cosim/native/tables.h``; needs mpmath. A test
-compares the file with what this writes.
+``python tests/reference/elementary_tables.py > cosim/native/numerics/tables.h``; needs mpmath. A
+test compares the file with what this writes.
 """
 
 from collections.abc import Iterable

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import cosim
-from cosim.native.expression import FUNCTIONS
+from cosim.native.numerics.expression import FUNCTIONS
 from cosim.report.tables.catalog import print_catalog, print_kind
 from cosim.scenario.schema import ModelTable, Settings
 

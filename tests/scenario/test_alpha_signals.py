@@ -21,8 +21,8 @@ from cosim.core.signals import Signal
 from cosim.errors import ScenarioError, UsageError
 from cosim.fmi.component import load
 from cosim.fmi.options import FmuOptions
-from cosim.native.alphas import AlphaSignal
-from cosim.native.expression import compile_expression
+from cosim.native.estimation.alphas import AlphaSignal
+from cosim.native.numerics.expression import compile_expression
 from cosim.native.step import evaluate_at
 from cosim.scenario.build import Builder
 from cosim.scenario.document import find

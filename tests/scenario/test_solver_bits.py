@@ -10,7 +10,7 @@ import pytest
 
 import cosim
 from cosim.log.diff import diff
-from cosim.native.runge_kutta import EXPLICIT
+from cosim.native.numerics.runge_kutta import EXPLICIT
 from cosim.report.inspection import describe_log
 from cosim.report.tables.run import print_verification
 from cosim.report.verification import Verification

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cosim.errors import RunError
 from cosim.fmi.binary.binding import Calls
 from cosim.fmi.references import Group, ReferenceMap
-from cosim.native.fmu import (
+from cosim.native.fmi.fmu import (
     FLOAT64,
     DirectionalStruct,
     GroupStruct,

@@ -17,7 +17,7 @@ from cosim.fmi.description import Capabilities, Description, InterfaceType
 from cosim.fmi.instance import DiscreteStates, StepEnd
 from cosim.fmi.references import Group
 from cosim.fmi.variable import Variable, VariableType
-from cosim.native.fmu import SlopesStruct, StepStruct
+from cosim.native.fmi.fmu import SlopesStruct, StepStruct
 
 NO_STATE: Final = "the FMU cannot save its state (canGetAndSetFMUstate is false)"
 NO_INPUT_DERIVATIVES: Final = "the FMU does not interpolate inputs (canInterpolateInputs is false)"

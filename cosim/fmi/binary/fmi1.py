@@ -44,7 +44,7 @@ from cosim.fmi.binary.structures import Fmi1CallbackFunctions, Fmi1EventInfo
 from cosim.fmi.instance import DiscreteStates, StepEnd
 from cosim.fmi.references import Group
 from cosim.fmi.variable import Variable, VariableType
-from cosim.native.fmu import SlopesStruct, StepStruct
+from cosim.native.fmi.fmu import SlopesStruct, StepStruct
 from cosim.native.library import address
 
 LAST_SUCCESSFUL_TIME: Final = 2  # of fmiStatusKind

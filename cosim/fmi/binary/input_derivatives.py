@@ -12,7 +12,7 @@ from cosim.arrays import Vector
 from cosim.fmi.binary.binding import NO_INPUT_DERIVATIVES
 from cosim.fmi.binary.library import Library, pointer
 from cosim.fmi.references import Group
-from cosim.native.fmu import SlopesStruct
+from cosim.native.fmi.fmu import SlopesStruct
 
 FUNCTION: Final = "SetRealInputDerivatives"
 

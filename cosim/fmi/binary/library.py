@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from cosim.errors import FmuError, RunError
 from cosim.fmi.binary.messages import Message, Messages, last_as_suffix
-from cosim.native.fmu import CallStruct, FmuStruct
+from cosim.native.fmi.fmu import CallStruct, FmuStruct
 from cosim.native.library import library as kernels
 from cosim.native.memory import place_struct
 

@@ -1,4 +1,4 @@
-"""What an FMU logs, between the kernels' callback that takes it (``native/fmi.c``) and the log."""
+"""What an FMU logs, between the callback in ``native/fmi/fmi.c`` that takes it and the log."""
 
 from __future__ import annotations
 

@@ -15,8 +15,8 @@ import numpy as np
 from cosim.fmi.driving.events import BITS, KINDS
 from cosim.fmi.driving.integrator import Integrator, IntegratorState, Interruption
 from cosim.fmi.instance import Addresses, ModelExchangeInstance
+from cosim.native.fmi.model_exchange import EVENT, FAILED_CALL, FAILED_INPUTS, ModelExchangeStruct
 from cosim.native.library import address, int32, pointer
-from cosim.native.model_exchange import EVENT, FAILED_CALL, FAILED_INPUTS, ModelExchangeStruct
 from cosim.native.step import NativeStep
 
 ROOM: Final = 8192  # events that are kept until they are taken over

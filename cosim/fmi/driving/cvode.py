@@ -14,7 +14,7 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.errors import FmuError, RunError
-from cosim.native.runge_kutta import RightHandSide
+from cosim.native.numerics.runge_kutta import RightHandSide
 
 ONE_STEP: Final = 2  # CV_ONE_STEP
 FAILED: Final = -1  # return value of a right-hand side that cannot go on

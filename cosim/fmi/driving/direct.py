@@ -11,7 +11,7 @@ from cosim.arrays import Vector
 from cosim.fmi.description import Description
 from cosim.fmi.instance import Addresses, CoSimulationInstance
 from cosim.fmi.references import ReferenceMap
-from cosim.native.co_simulation import CoSimulationStruct
+from cosim.native.fmi.co_simulation import CoSimulationStruct
 
 
 @final

@@ -17,7 +17,13 @@ from cosim.arrays import Vector
 from cosim.errors import RunError
 from cosim.fmi.binary.messages import Message
 from cosim.fmi.instance import CoSimulationInstance, DiscreteStates, ModelExchangeInstance
-from cosim.native.model_exchange import INPUT_EVENT, NOT_LISTED, STATE_EVENT, STEP_EVENT, TIME_EVENT
+from cosim.native.fmi.model_exchange import (
+    INPUT_EVENT,
+    NOT_LISTED,
+    STATE_EVENT,
+    STEP_EVENT,
+    TIME_EVENT,
+)
 
 EventKind: TypeAlias = Literal["state event", "time event", "step event", "input event"]
 EventRecord: TypeAlias = tuple[float, int, int]  # time [s], bit of the kind, events not listed

@@ -16,7 +16,7 @@ from cosim.core.contracts import Design
 from cosim.core.linear import Linear, LinearModel
 from cosim.fmi.driving.integrator import Integrator
 from cosim.fmi.instance import ModelExchangeInstance
-from cosim.native.exact import ExactStruct
+from cosim.native.fmi.exact import ExactStruct
 from cosim.native.library import address, int32, pointer
 from cosim.native.step import NativeStep
 

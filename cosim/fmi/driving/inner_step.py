@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Vector
-from cosim.native.co_simulation import InnerStepStruct
+from cosim.native.fmi.co_simulation import InnerStepStruct
 from cosim.native.library import library
 from cosim.native.memory import place_struct
 

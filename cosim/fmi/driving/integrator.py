@@ -55,9 +55,9 @@ from cosim.fmi.driving.events import (
 from cosim.fmi.driving.residual import RADAU, RadauIIA, ResidualForm
 from cosim.fmi.driving.solvers import TOLERANT, Adaptive, Solver, Stateless
 from cosim.fmi.instance import ModelExchangeInstance
+from cosim.native.fmi.model_exchange import AT_END, ENDLESS_UPDATE, EVENT_IS_OVER, FAILED_SOLVER
 from cosim.native.library import RungeKuttaStruct
-from cosim.native.model_exchange import AT_END, ENDLESS_UPDATE, EVENT_IS_OVER, FAILED_SOLVER
-from cosim.native.runge_kutta import EXPLICIT, RightHandSide, RungeKutta
+from cosim.native.numerics.runge_kutta import EXPLICIT, RightHandSide, RungeKutta
 
 NONE: Final = np.empty(0)
 
@@ -93,7 +93,7 @@ class Interruption(NamedTuple):
     Attributes
     ----------
     reached : int
-        How far it came: ``AT_BEGIN`` and so on, of :mod:`cosim.native.model_exchange`.
+        How far it came: ``AT_BEGIN`` and so on, of :mod:`cosim.native.fmi.model_exchange`.
     failure : int
         What ends the run: ``FAILED_CALL`` and so on; 0: nothing does.
     events : int

@@ -30,7 +30,7 @@ from cosim.fmi.driving.residual import FORMS, RADAU, DaeForm
 from cosim.fmi.driving.saved import SavedState, save
 from cosim.fmi.driving.solvers import LIBRARIES, SOLVERS, STEPPING, TOLERANT
 from cosim.fmi.instance import TERMINATED, ModelExchangeInstance
-from cosim.native.model_exchange import AT_BEGIN
+from cosim.native.fmi.model_exchange import AT_BEGIN
 from cosim.native.step import NativeStep
 
 RTOL: Final = 1e-9

@@ -8,7 +8,7 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.errors import RunError
-from cosim.native.runge_kutta import EMBEDDED, EXPLICIT, RightHandSide
+from cosim.native.numerics.runge_kutta import EMBEDDED, EXPLICIT, RightHandSide
 
 ADAPTIVE: Final = ("Radau", "BDF", "LSODA")  # scipy.integrate
 IMPLICIT: Final = (*ADAPTIVE, "CVode")

@@ -50,7 +50,7 @@ from cosim.fmi.driving.direct import DirectFeedthrough
 from cosim.fmi.driving.events import iterate_event
 from cosim.fmi.driving.inner_step import InnerStep, StepHistory
 from cosim.fmi.instance import Addresses, CoSimulationInstance, StepEnd
-from cosim.native.co_simulation import (
+from cosim.native.fmi.co_simulation import (
     COMPLETED,
     FAILED,
     NOTHING,

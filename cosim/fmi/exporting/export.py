@@ -9,7 +9,7 @@ The parts of the C source, each in ``c/``::
     residual.c                    the equations of the algebraic variables that were eliminated from
                                   a linear model (FMI 3.0)
     model.c                       written here: the numbers
-    cosim/native/*.c              the steps: the same arithmetic in the package and in the FMU
+    cosim/native/*/*.c            the steps: the same arithmetic in the package and in the FMU
 
 A linear model is for model exchange and for co-simulation; a discrete one for co-simulation only.
 """
@@ -331,7 +331,7 @@ def _sources(specification: ExportSpecification, version: Version) -> dict[str, 
     headers = ("instance.h", "model.h", *specification.headers)
     paths = [HERE / name for name in (*ours, *headers)]
     natives = specification.natives
-    paths += [build.HERE / name for name in (*natives, *build.headers(natives))]
+    paths += [*map(build.source, natives), *build.headers(natives)]
     paths += [standard / name for name in version.headers]
     return {path.name: path.read_bytes() for path in paths}
 

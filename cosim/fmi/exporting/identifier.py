@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from cosim.errors import UsageError, steps_text
 from cosim.fmi.exporting.kernels import ESTIMATION, Kernel, doubles, integers, past_alphas
-from cosim.native.identifier import IdentifierConstants, IdentifierStep
-from cosim.native.output_error import OutputErrorModel, known_input_struct
-from cosim.native.rayleigh import RayleighModel
-from cosim.native.start_grid import StartGridModel
+from cosim.native.estimation.identifier import IdentifierConstants, IdentifierStep
+from cosim.native.estimation.output_error import OutputErrorModel, known_input_struct
+from cosim.native.estimation.rayleigh import RayleighModel
+from cosim.native.estimation.start_grid import StartGridModel
 from cosim.native.step import RegressorConstants
 
 # an array, or the name of what stands in the text before

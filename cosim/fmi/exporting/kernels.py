@@ -14,16 +14,16 @@ import numpy as np
 
 from cosim.arrays import Matrix, Vector
 from cosim.core.signals import Interface
-from cosim.native.alphas import PastAlphas, elements_of
-from cosim.native.control import PidConstants
-from cosim.native.expression import Program
+from cosim.native.blocks.control import PidConstants
+from cosim.native.blocks.window import WindowConstants
+from cosim.native.estimation.alphas import PastAlphas, elements_of
+from cosim.native.numerics.expression import Program
 from cosim.native.step import (
     DiscretizedDynamics,
     LeastSquaresConstants,
     RecoveryConstants,
     RegressorConstants,
 )
-from cosim.native.window import WindowConstants
 
 # files of cosim/native that kernels need: those of controllers, those of the method
 CONTROL: Final = ("control.c", "linear.c")

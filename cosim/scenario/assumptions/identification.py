@@ -10,7 +10,7 @@ import numpy as np
 from cosim.arrays import Matrix, Vector
 from cosim.core.clock import Clock
 from cosim.errors import AssumptionError
-from cosim.native.householder import triangle
+from cosim.native.numerics.householder import triangle
 from cosim.scenario.assumptions.attempts import Evidence, attempted
 from cosim.scenario.build import Builder
 from cosim.scenario.context import DependsOnInvalid

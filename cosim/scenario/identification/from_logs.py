@@ -24,7 +24,7 @@ from cosim.core.ports import Ports
 from cosim.core.recorded import RecordedSignals
 from cosim.errors import UsageError, nearest, quoted
 from cosim.log import open_log
-from cosim.native.alphas import signals_among
+from cosim.native.estimation.alphas import signals_among
 from cosim.scenario.build import Experiment
 from cosim.scenario.identification.feedback import inputs_in_feedback
 from cosim.scenario.identification.irregular import interval_of

@@ -18,8 +18,8 @@ from cosim.arrays import Matrix, Vector
 from cosim.core.connections import Connection
 from cosim.core.port import Port
 from cosim.errors import CosimError, UsageError
-from cosim.native.alphas import Alpha, AlphaSignal
-from cosim.native.expression import Program, compile_expression
+from cosim.native.estimation.alphas import Alpha, AlphaSignal
+from cosim.native.numerics.expression import Program, compile_expression
 from cosim.native.step import evaluate_at
 from cosim.scenario.kinds.base import BuildContext, ImpliedConnection, KnownSignal
 from cosim.scenario.kinds.finite_values import check_finite, check_finite_values

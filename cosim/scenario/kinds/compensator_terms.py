@@ -10,7 +10,7 @@ import numpy as np
 
 from cosim.core.port import ElementIndex, Port
 from cosim.errors import UsageError
-from cosim.native.alphas import Alpha, AlphaSignal
+from cosim.native.estimation.alphas import Alpha, AlphaSignal
 from cosim.native.step import evaluate_at
 from cosim.scenario.kinds.alphas import unchecked
 from cosim.scenario.kinds.base import BuildContext

@@ -15,7 +15,7 @@ from cosim.core.linear import LinearModel
 from cosim.fmi.exporting import kernels
 from cosim.fmi.exporting.kernels import DiscreteModel
 from cosim.fmi.exporting.specifications import Exportable
-from cosim.native.control import LARGEST_NUMBER
+from cosim.native.blocks.control import LARGEST_NUMBER
 from cosim.scenario.kinds.base import (
     BuildContext,
     ExportableKind,

@@ -11,7 +11,7 @@ import numpy as np
 from cosim.arrays import Vector
 from cosim.core.clock import Clock, seconds
 from cosim.errors import UsageError
-from cosim.native.expression import compile_expression
+from cosim.native.numerics.expression import compile_expression
 from cosim.native.step import evaluate_at
 
 # that are looked at; what comes later stops the run where it is reached

@@ -25,7 +25,7 @@ from cosim.core.connections import Connection, components_driving
 from cosim.core.contracts import Component
 from cosim.core.port import Port
 from cosim.errors import AssumptionError, UsageError
-from cosim.native.rayleigh import MOST_TERMS
+from cosim.native.estimation.rayleigh import MOST_TERMS
 from cosim.scenario.identification.model import IdentifiedPlant, bounds_of
 from cosim.scenario.kinds.alphas import alpha_connections
 from cosim.scenario.kinds.base import (

@@ -9,7 +9,7 @@ from cosim.core.connections import Connection
 from cosim.core.port import Port
 from cosim.core.signals import Interface
 from cosim.errors import UsageError
-from cosim.native.alphas import signals_among
+from cosim.native.estimation.alphas import signals_among
 from cosim.scenario.kinds.base import BuildContext, ImpliedConnection, Kind
 from cosim.scenario.kinds.observers import DesignedObserver, UnknownInputObserverKind
 from cosim.scenario.kinds.reconstruction import AnyReconstruction

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from cosim.core.clock import LARGEST_NS, Clock
 from cosim.errors import AssumptionError, UsageError
-from cosim.native.alphas import signals_among
+from cosim.native.estimation.alphas import signals_among
 from cosim.scenario.kinds.base import BuildContext
 from cosim.scenario.kinds.identification_source import IdentifierSource
 from cosim.scenario.schema import Number, TomlTable

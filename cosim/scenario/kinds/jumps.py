@@ -15,8 +15,8 @@ import numpy as np
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.clock import NANOSECONDS, Clock
 from cosim.errors import UsageError
-from cosim.native.expression import compile_expression
-from cosim.native.jumps import Jump, jumps
+from cosim.native.numerics.expression import compile_expression
+from cosim.native.numerics.jumps import Jump, jumps
 from cosim.native.step import evaluate
 
 _UNSEEN: Final = 0.01  # of a column's range

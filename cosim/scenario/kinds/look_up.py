@@ -12,7 +12,7 @@ from cosim.arrays import Matrix, Vector
 from cosim.blocks.look_up import LookUpTable
 from cosim.core.contracts import Component
 from cosim.errors import UsageError
-from cosim.native.functions import Extrapolation
+from cosim.native.blocks.functions import Extrapolation
 from cosim.scenario.csv_file import read_csv
 from cosim.scenario.kinds.base import BuildContext, Kind
 from cosim.scenario.schema import NumberRow, NumberRows, matrix

@@ -18,8 +18,8 @@ from cosim.core.connections import Connection
 from cosim.core.contracts import Component
 from cosim.core.port import Port
 from cosim.errors import UsageError
-from cosim.native.alphas import Alpha, AlphaSignal, PastAlphas, signals_among
-from cosim.native.rayleigh import MOST_TERMS
+from cosim.native.estimation.alphas import Alpha, AlphaSignal, PastAlphas, signals_among
+from cosim.native.estimation.rayleigh import MOST_TERMS
 from cosim.native.step import RegressorConstants
 from cosim.scenario.kinds.alphas import (
     ALPHA,

@@ -17,9 +17,9 @@ from cosim.core.contracts import Component
 from cosim.core.port import Port
 from cosim.core.signals import SignalType, Variability
 from cosim.errors import UsageError
-from cosim.native.alphas import Alpha, AlphaSignal
-from cosim.native.expression import FUNCTIONS, compile_expression
-from cosim.native.functions import LinearResponse
+from cosim.native.blocks.functions import LinearResponse
+from cosim.native.estimation.alphas import Alpha, AlphaSignal
+from cosim.native.numerics.expression import FUNCTIONS, compile_expression
 from cosim.scenario.kinds.alphas import ALPHA, alpha_connections, alphas_of, naming
 from cosim.scenario.kinds.base import BuildContext, ImpliedConnection, Kind
 from cosim.scenario.kinds.jumps import (

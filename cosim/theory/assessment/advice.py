@@ -17,7 +17,7 @@ import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.errors import AssumptionError
-from cosim.native.output_error import ParameterState, ResponseRecord
+from cosim.native.estimation.output_error import ParameterState, ResponseRecord
 from cosim.theory.assessment.consistency import MARGIN
 from cosim.theory.assessment.record_information import information_of
 from cosim.theory.assessment.verdicts import LARGEST_PROFILE, Assessment, Verdict, growth_of_squares

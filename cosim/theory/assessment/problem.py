@@ -12,7 +12,7 @@ import numpy as np
 
 from cosim.arrays import Matrix, Vector
 from cosim.errors import AssumptionError, StartError, quoted
-from cosim.native.output_error import Generators
+from cosim.native.estimation.output_error import Generators
 from cosim.theory.covariance import is_covariance
 from cosim.theory.disturbances.families import Family, even_parameters, generators
 from cosim.theory.disturbed_plant import (

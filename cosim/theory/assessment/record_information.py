@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from cosim.arrays import Matrix, Vector
-from cosim.native.output_error import ResponseRecord
+from cosim.native.estimation.output_error import ResponseRecord
 from cosim.theory.estimators.output_error import OutputErrorFit
 from cosim.theory.fitted_response import slopes_of
 

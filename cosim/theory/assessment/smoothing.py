@@ -14,7 +14,7 @@ import numpy as np
 
 from cosim.arrays import Matrix, Vector
 from cosim.errors import AssumptionError
-from cosim.native.output_error import Generators
+from cosim.native.estimation.output_error import Generators
 from cosim.theory.assessment.accuracy import step_error
 from cosim.theory.assessment.consistency import MARGIN
 from cosim.theory.assessment.fitted_model import FittedModel

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector
-from cosim.native.output_error import ParameterState
+from cosim.native.estimation.output_error import ParameterState
 from cosim.theory.assessment.assessing import assess
 from cosim.theory.assessment.consistency import (
     FALSE_ALARM,

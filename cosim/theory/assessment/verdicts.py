@@ -29,7 +29,7 @@ from typing import Any, Final
 import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector
-from cosim.native.output_error import ParameterState
+from cosim.native.estimation.output_error import ParameterState
 from cosim.theory.assessment.accuracy import LARGEST_STEP_ERROR, enough_shorter
 from cosim.theory.assessment.consistency import (
     MARGIN,

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from cosim.arrays import NAN, Mask, Matrix, Vector
 from cosim.errors import AssumptionError
-from cosim.native.output_error import ResponseRecord
+from cosim.native.estimation.output_error import ResponseRecord
 from cosim.theory.bounded.feasible_program import (
     RecordedOutputs,
     Watch,

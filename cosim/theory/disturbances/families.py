@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from cosim.arrays import NAN, Matrix, Vector
 from cosim.errors import AssumptionError, nearest
-from cosim.native.output_error import Generators
+from cosim.native.estimation.output_error import Generators
 
 
 class Family(Protocol):

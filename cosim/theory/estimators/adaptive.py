@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cosim.arrays import Matrix, Vector
-from cosim.native.adaptive import AdaptiveConstants, AdaptiveLaw, AdaptiveStep
+from cosim.native.estimation.adaptive import AdaptiveConstants, AdaptiveLaw, AdaptiveStep
 from cosim.theory.estimators.least_squares import Recovery, recovery_constants
 from cosim.theory.sampling import equal_step
 

@@ -22,8 +22,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from cosim.arrays import Matrix, Vector
-from cosim.native.expression import compile_expression
-from cosim.native.kalman import ExtendedKalmanConstants, ExtendedKalmanStep
+from cosim.native.estimation.kalman import ExtendedKalmanConstants, ExtendedKalmanStep
+from cosim.native.numerics.expression import compile_expression
 from cosim.theory.disturbances.families import Family, SearchBox, generators, search_box
 from cosim.theory.disturbed_plant import DisturbedPlant, discretize, white_noise
 from cosim.theory.estimators.defaults import EXTENDED_DEVIATION, KALMAN_SIZE

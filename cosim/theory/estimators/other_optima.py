@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
-from cosim.native.output_error import Generators
+from cosim.native.estimation.output_error import Generators
 from cosim.theory.disturbances.families import Family, SearchBox, generators
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel
 from cosim.theory.estimators.output_error import (

@@ -3,9 +3,9 @@
 What is minimized is the sum of squares of ``y - y(theta, beta, x(0), offset)``, whitened, over the
 whole record. y is linear in all but theta: the linear unknowns are eliminated by orthogonal
 rotations, theta is estimated by Gauss-Newton on what remains
-(:mod:`cosim.native.output_error`). The initial state is an unknown, so there is no transient to
-wait for. With white Gaussian noise this is maximum likelihood, and its covariance is the
-Cramer-Rao bound for the same unknowns
+(:mod:`cosim.native.estimation.output_error`). The initial state is an unknown, so there is no
+transient to wait for. With white Gaussian noise this is maximum likelihood, and its covariance is
+the Cramer-Rao bound for the same unknowns
 (L. Ljung, System Identification, 2nd ed., 1999, section 7.4).
 """
 
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
 from cosim.errors import AssumptionError, StartError
-from cosim.native.output_error import (
+from cosim.native.estimation.output_error import (
     NO_INFORMATION,
     GaussNewtonResult,
     Generators,

@@ -20,9 +20,9 @@ import numpy as np
 
 from cosim.arrays import Matrix, Vector
 from cosim.errors import AssumptionError
-from cosim.native.householder import triangle
-from cosim.native.output_error import NO_INFORMATION
-from cosim.native.rayleigh import RayleighConstants, RayleighModel
+from cosim.native.estimation.output_error import NO_INFORMATION
+from cosim.native.estimation.rayleigh import RayleighConstants, RayleighModel
+from cosim.native.numerics.householder import triangle
 from cosim.theory.disturbances.families import (
     AlphaGroup,
     Family,

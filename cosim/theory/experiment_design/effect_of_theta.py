@@ -11,8 +11,8 @@ from typing import Final
 import numpy as np
 
 from cosim.arrays import Matrix, Vector
-from cosim.native.householder import triangle
-from cosim.native.output_error import Generators
+from cosim.native.estimation.output_error import Generators
+from cosim.native.numerics.householder import triangle
 from cosim.theory.assessment.record_information import RecordInformation
 from cosim.theory.disturbances.families import Family, generators
 from cosim.theory.experiment_design.minors import basis_and_derivative, basis_rows

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
-from cosim.native.output_error import Generator, Generators
+from cosim.native.estimation.output_error import Generator, Generators
 from cosim.theory.disturbances.families import AlphaGroup
 from cosim.theory.disturbances.regression import Term
 from cosim.theory.fitted_response import transitions

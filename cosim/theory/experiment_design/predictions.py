@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
 from cosim.errors import AssumptionError
-from cosim.native.rayleigh import RayleighModel
+from cosim.native.estimation.rayleigh import RayleighModel
 from cosim.theory.disturbances.families import AlphaGroup, Family, generators, group_by_alpha
 from cosim.theory.disturbances.regression import Term, check_delays, count_terms, expand
 from cosim.theory.estimators.least_squares import RANK, plan, recover

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
-from cosim.native.householder import triangle
+from cosim.native.numerics.householder import triangle
 from cosim.theory.experiment_design.reconstruction_noise import ReconstructionNoise, fft_length
 
 _COARSE_ROWS: Final = 256  # that the quadratic part is summed by

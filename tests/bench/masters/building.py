@@ -102,9 +102,9 @@ def build_program(
         With the words of the compiler.
     """
     program = folder / (name or Path(source).stem)
-    sources = [HERE / source, *(build.HERE / kernel for kernel in kernels)]
+    sources = [HERE / source, *map(build.source, kernels)]
     flags = ["-std=c11", "-ffp-contract=off", *build.OPTIONS, "-D_POSIX_C_SOURCE=200809L"]
-    flags += [f"-I{HEADERS}", f"-I{build.HERE}", *(f"-D{define}" for define in defines)]
+    flags += [f"-I{HEADERS}", *(f"-D{define}" for define in defines)]
     if shared:
         flags += ["-shared", "-fPIC"]
     command = [*build.compiler(), *flags, *map(str, sources), "-o", str(program), "-ldl", "-lm"]

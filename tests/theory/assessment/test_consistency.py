@@ -127,7 +127,7 @@ def test_a_long_step_is_said_with_its_error_and_the_step_that_would_do():
 
 def test_a_fit_that_has_not_converged_is_no_statement_about_the_data(monkeypatch):
     """It has no estimate; that nothing depends on theta is not said."""
-    monkeypatch.setattr("cosim.native.output_error.MOST_ITERATIONS", 1)
+    monkeypatch.setattr("cosim.native.estimation.output_error.MOST_ITERATIONS", 1)
     u = np.sin(GRID)
     data = record(GRID, u, states(GRID, u)[:, np.newaxis], sigma=1e-3)
     parameter = assess_near(OutputErrorProblem([data], lag(), FAMILY), np.array([-0.5])).parameters[

@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from cosim.errors import AssumptionError
-from cosim.native.output_error import ParameterState
+from cosim.native.estimation.output_error import ParameterState
 from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.covariance import is_covariance
 from cosim.theory.disturbances.families import Exponential, Sine, generators

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cosim.native.output_error import ParameterState
+from cosim.native.estimation.output_error import ParameterState
 from cosim.theory.disturbances.families import Exponential, Sine
 from cosim.theory.estimators.projection import project, reconstruction_model
 from tests.theory.academic import THETA, alpha, delta

@@ -9,8 +9,8 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.signal import lsim
 
-from cosim.native.output_error import ResponseRecord
-from cosim.native.start_grid import StartGridModel
+from cosim.native.estimation.output_error import ResponseRecord
+from cosim.native.estimation.start_grid import StartGridModel
 from cosim.theory.disturbances.families import Exponential, Sine, generators
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, sample_plant, white_noise
 from cosim.theory.estimators.start_grid import (

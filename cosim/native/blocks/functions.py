@@ -11,11 +11,11 @@ from typing import Final, Literal, TypeAlias
 import numpy as np
 
 from cosim.arrays import Matrix, Vector
-from cosim.native.alphas import program_array, program_struct
-from cosim.native.expression import Program
+from cosim.native.blocks.wrapping import InnerStruct, inner_struct
+from cosim.native.estimation.alphas import program_array, program_struct
 from cosim.native.library import ProgramStruct, address, int32, pointer
+from cosim.native.numerics.expression import Program
 from cosim.native.step import DOUBLE, NativeStep
-from cosim.native.wrapping import InnerStruct, inner_struct
 
 Extrapolation: TypeAlias = Literal["error", "hold", "linear"]
 

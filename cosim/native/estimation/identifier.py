@@ -13,18 +13,18 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.errors import UsageError
-from cosim.native.alphas import PastAlphas
-from cosim.native.between import BetweenConstants
-from cosim.native.library import address, declare, library, pointer
-from cosim.native.output_error import (
+from cosim.native.estimation.alphas import PastAlphas
+from cosim.native.estimation.between import BetweenConstants
+from cosim.native.estimation.output_error import (
     KnownInput,
     OutputErrorConstants,
     OutputErrorModel,
     known_input_struct,
 )
-from cosim.native.predictor import ModePredictorConstants
-from cosim.native.rayleigh import RayleighConstants, RayleighModel
-from cosim.native.start_grid import StartGridConstants, StartGridModel
+from cosim.native.estimation.predictor import ModePredictorConstants
+from cosim.native.estimation.rayleigh import RayleighConstants, RayleighModel
+from cosim.native.estimation.start_grid import StartGridConstants, StartGridModel
+from cosim.native.library import address, declare, library, pointer
 from cosim.native.step import NativeStep, RegressorConstants, regressor_struct
 
 

@@ -11,8 +11,8 @@ from typing import Final, NamedTuple, TypeAlias
 import numpy as np
 
 from cosim.errors import UsageError
-from cosim.native.expression import Program
 from cosim.native.library import AlphasStruct, PastAlphasStruct, ProgramStruct, int32, pointer
+from cosim.native.numerics.expression import Program
 
 _ROUNDING: Final = 1e-9  # of an age in communication steps that is a whole number
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
 from cosim.errors import UsageError
+from cosim.native.estimation.output_error import OutputErrorConstants, OutputErrorModel
 from cosim.native.library import declare, int32, library, pointer
-from cosim.native.output_error import OutputErrorConstants, OutputErrorModel
 
 MOST_STARTS: Final = 16  # COSIM_MOST_STARTS
 

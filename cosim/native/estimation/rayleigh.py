@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
 from cosim.errors import AssumptionError
+from cosim.native.estimation.output_error import MOST_PARAMETERS, Generators
 from cosim.native.library import declare, int32, library, pointer
-from cosim.native.output_error import MOST_PARAMETERS, Generators
 
 MOST_TERMS: Final = 128  # COSIM_MOST_TERMS
 MOST_ROWS: Final = 48  # COSIM_MOST_ROWS

@@ -5,7 +5,7 @@ from __future__ import annotations
 from ctypes import Structure, c_double, c_int32, c_int64, c_void_p
 from typing import Final
 
-from cosim.native.fmu import DirectionalStruct, SlopesStruct, StepStruct, VariablesStruct
+from cosim.native.fmi.fmu import DirectionalStruct, SlopesStruct, StepStruct, VariablesStruct
 from cosim.native.library import declare
 
 NOTHING: Final = 0  # COSIM_NOTHING and so on: what a step did that was left to the methods

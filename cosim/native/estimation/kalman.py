@@ -11,15 +11,15 @@ import numpy as np
 
 from cosim.arrays import Matrix, Vector
 from cosim.errors import UsageError
-from cosim.native.alphas import Alpha, alphas_struct
-from cosim.native.identifier import IdentifierConstants, IdentifierStep
-from cosim.native.library import address, declare, library, pointer
-from cosim.native.output_error import (
+from cosim.native.estimation.alphas import Alpha, alphas_struct
+from cosim.native.estimation.identifier import IdentifierConstants, IdentifierStep
+from cosim.native.estimation.output_error import (
     KnownInput,
     OutputErrorConstants,
     OutputErrorModel,
     known_input_struct,
 )
+from cosim.native.library import address, declare, library, pointer
 from cosim.native.step import LARGEST_MEMORY, NativeStep
 
 

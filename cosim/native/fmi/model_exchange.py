@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from cosim.native.fmu import VariablesStruct
+from cosim.native.fmi.fmu import VariablesStruct
 
 STATE_EVENT: Final = 1  # COSIM_STATE_EVENT
 STEP_EVENT: Final = 2

@@ -10,7 +10,7 @@ import ast
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from cosim.native.expression import compile_expression, parse
+from cosim.native.numerics.expression import compile_expression, parse
 from cosim.native.step import evaluate
 
 Line: TypeAlias = tuple[float, float]  # slope and intercept

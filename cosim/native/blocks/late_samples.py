@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from cosim.arrays import Matrix, Vector
+from cosim.native.blocks.wrapping import InnerStruct, inner_struct
 from cosim.native.library import address, int32, pointer
 from cosim.native.step import NativeStep
-from cosim.native.wrapping import InnerStruct, inner_struct
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

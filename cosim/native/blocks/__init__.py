@@ -1,0 +1,1 @@
+"""The steps of the components of :mod:`cosim.blocks`, without those of estimators."""

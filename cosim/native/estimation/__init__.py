@@ -1,0 +1,1 @@
+"""Estimators: regression, Kalman filters, output error."""

@@ -1,0 +1,1 @@
+"""Loaded FMUs, called by address: their steps, and what they call back."""

@@ -1,0 +1,1 @@
+"""Linear algebra, elementary functions, expressions in t, Runge-Kutta methods."""

@@ -1,0 +1,1 @@
+"""Components that advance together in one call."""
