@@ -38,3 +38,10 @@ def as_columns(values: NDArray[np.float64]) -> Matrix:
     Its shape is ``(N, size)``, also where the size is 1 and ``values`` has the shape ``(N,)``.
     """
     return values[:, np.newaxis] if values.ndim == 1 else values
+
+
+def read_only(array: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a view of an array that cannot be written to."""
+    view = array.view()
+    view.flags.writeable = False
+    return view

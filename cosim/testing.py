@@ -15,11 +15,11 @@ from typing import Final, Protocol, cast
 
 import numpy as np
 
-from cosim.arrays import NAN, Mask, Matrix, Vector
+from cosim.arrays import NAN, Mask, Matrix, Vector, read_only
 from cosim.blocks.regressor import Regressor
+from cosim.core.calls import result_problem
 from cosim.core.clock import nanoseconds, seconds
 from cosim.core.contracts import Component, Design, Native, Rollback, State, prepare
-from cosim.core.member import read_only, result_problem
 from cosim.native.numerics.expression import compile_expression
 from cosim.native.step import NativeStep, evaluate_at, first_order_hold
 from cosim.theory.disturbances.families import Exponential, Family, group_by_alpha

@@ -17,9 +17,9 @@ from typing import Literal, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.arrays import Matrix, Vector
+from cosim.arrays import Matrix, Vector, read_only
 from cosim.core.contracts import Block, Stopped
-from cosim.core.member import Member, NonFinite, driving_groups, first_non_finite, read_only
+from cosim.core.member import Member, NonFinite, driving_groups, first_non_finite
 from cosim.core.order import OperationKind
 from cosim.errors import RunError
 
@@ -134,7 +134,7 @@ class Cascade:
         member.gather(signals, slice(1, None))
         u = read_only(signals)[:, member.inputs]
         try:
-            signals[1:, member.outputs] = member.advance(block.time, block.h, u)
+            signals[1:, member.outputs] = member.component.advance(block.time, block.h, u)
         except RunError as error:
             stop = _stop_of(error, member, block.time)
             if stop.steps:
@@ -282,9 +282,9 @@ def call(kind: OperationName, member: Member, time: Vector, h: float, u: Matrix)
     """
     try:
         if kind == "advance":
-            y: Vector = member.advance(time, h, u)[0]
+            y: Vector = member.component.advance(time, h, u)[0]
             return y
-        return member.outputs_at(float(time[1]), u[1])
+        return member.component.outputs(float(time[1]), u[1])
     except RunError as error:
         raise _stop_of(error, member, time) from error
 

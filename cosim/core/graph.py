@@ -20,12 +20,13 @@ from cosim.core.contracts import Component, Design, Plan
 from cosim.core.coupling import Cascade, Loop, Stage
 from cosim.core.cycles import groups_in_order
 from cosim.core.initial_values import InitialValues
-from cosim.core.member import Member, Wire, constant_wires, first_non_finite, wires_of
+from cosim.core.member import Member, first_non_finite
 from cosim.core.order import order_loop
 from cosim.core.port import Port
 from cosim.core.ports import Ports, layout_of, undriven_parts
 from cosim.core.signals import Channel, Signal, Variability
 from cosim.core.variability import Variabilities
+from cosim.core.wires import Wire, constant_wires, wires_of
 from cosim.errors import GraphError, nearest
 from cosim.units import Conversion
 
@@ -169,7 +170,7 @@ class Graph:
         h = step_ns / 1e9
         designs: dict[str, Design] = {}
         for name, member in self._members.items():
-            designs[name] = member.prepare(h, self.held[name], taken.get(name, {}))
+            designs[name] = member.component.prepare(h, self.held[name], taken.get(name, {}))
         schedule = tuple(stage.description for stage in self.stages)
         return Plan(self.layout, step_ns, designs, self.held, schedule)
 
@@ -195,11 +196,12 @@ class Graph:
                 )
             if component is not self.components[name]:
                 others[name] = component
-                self._members[name].check_exchange(component)
+                self._members[name].component.check_exchange(component)
         for name, component in others.items():
             self.components[name] = component
-            self._members[name].exchange(component)
-            self._members[name].prepare(step_ns / 1e9, self.held[name], {})
+            guarded = self._members[name].component
+            guarded.exchange(component)
+            guarded.prepare(step_ns / 1e9, self.held[name], {})
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # the check below names them
     def initialize(self, t: float, row: Vector) -> None:
@@ -239,7 +241,7 @@ class Graph:
         """
         seconds: dict[str, float] = {}
         for member in self._members.values():
-            member.measure(seconds)
+            member.component.measure(seconds)
         return seconds
 
     @property

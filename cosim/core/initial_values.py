@@ -43,9 +43,10 @@ from cosim.arrays import Mask, Vector
 from cosim.core.cycles import find_cycle, groups_in_order, strongly_connected
 from cosim.core.feedthrough import PortDependencies, Sources
 from cosim.core.fixed_point import Candidate, SingularError, iterate, measure, newton, newton_step
-from cosim.core.member import Member, NonFinite, Wire
+from cosim.core.member import Member, NonFinite
 from cosim.core.port import Port
 from cosim.core.signals import Channel, Interface, Layout, Signal
+from cosim.core.wires import Wire
 from cosim.errors import GraphError
 
 SWEEPS: Final = 100  # of a loop with discrete signals, beyond one for each port
@@ -256,7 +257,7 @@ class _InitialRow:
         """Return the outputs that a component starts with, initialized with the bits ``inputs``."""
         self._started[name] = inputs
         u = np.frombuffer(inputs)
-        y = self._plan.members[name].initial_outputs(self._t, u)
+        y = self._plan.members[name].component.initial_outputs(self._t, u)
         self._note_origin(name, u, y)
         return y
 
@@ -286,7 +287,7 @@ class _InitialRow:
         bits = u.tobytes()
         initialized_with, y = self._initialized.get(name, (None, NO_OUTPUTS))
         if bits != initialized_with:
-            y = member.initialize(self._t, u)
+            y = member.component.initialize(self._t, u)
             self._note_origin(name, u, y)
             if name in self._starting_differently:
                 y = self._start(name, bits)

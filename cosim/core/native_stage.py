@@ -17,13 +17,14 @@ from typing import Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.arrays import Matrix, Vector
+from cosim.arrays import Matrix, Vector, read_only
 from cosim.core.branches import Exclusion, with_branches
 from cosim.core.contracts import Block, Stopped
 from cosim.core.coupling import Advancing, Cut, OperationName, Stage, StageProgram, call
 from cosim.core.graph import Graph
-from cosim.core.member import Member, NonFinite, Wire, first_non_finite, read_only
+from cosim.core.member import Member, NonFinite, first_non_finite
 from cosim.core.signals import Layout
+from cosim.core.wires import Wire
 from cosim.errors import NonFiniteError
 from cosim.native.library import library, pointer
 from cosim.native.stages.stage import (
@@ -96,7 +97,7 @@ def _compiled(stages: Sequence[Stage], steps: NativeSteps, graph: Graph) -> list
 def _native_steps(members: Iterable[Member]) -> NativeSteps:
     steps = {}
     for member in members:
-        step = member.native()
+        step = member.component.native()
         if step is not None:
             steps[member.name] = step
     return steps
@@ -149,7 +150,7 @@ class NativeStage:
         own_steps = [steps[member.name] for member in self._members if member.name in steps]
         guards = [step.guard for step in own_steps if step.guard is not None]
         self._guard = guards[0].joined(guards[1:]) if guards else None
-        self._measured = [member for member in self._members if member.is_measured]
+        self._measured = [m.component for m in self._members if m.component.is_measured]
 
     def advance(self, block: Block, signals: Matrix) -> None:
         """Fill rows 1 to K of its columns; see :class:`cosim.core.coupling.Advancing`."""
@@ -183,8 +184,8 @@ class NativeStage:
         finally:
             if self._guard is not None:
                 self._guard.end(c_double.from_address(addresses[0]).value)
-            for member in self._measured:
-                member.add_native_seconds()
+            for component in self._measured:
+                component.add_native_seconds()
 
     # What is not finite is named by the check; numpy's warnings would say it without a name.
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
@@ -272,7 +273,7 @@ def _fill(struct: MemberStruct, member: Member, step: NativeStep | None) -> None
     struct.n_u = member.n_u
     struct.y = member.outputs.start
     struct.n_y = member.outputs.stop - member.outputs.start
-    struct.seconds = member.native_seconds_address
+    struct.seconds = member.component.native_seconds_address
     struct.overridden = member.overrides.columns_address
     struct.overrides = member.overrides.values_address
 

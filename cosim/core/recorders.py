@@ -14,7 +14,7 @@ from typing import Any, Final, Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.arrays import Mask, Matrix, Nanoseconds, Vector
+from cosim.arrays import Mask, Matrix, Nanoseconds, Vector, read_only
 from cosim.core.arguments import check_type
 from cosim.core.contracts import (
     Block,
@@ -25,7 +25,6 @@ from cosim.core.contracts import (
     SignalEvent,
     Stopped,
 )
-from cosim.core.member import read_only
 from cosim.core.recorded import RecordedSignals, RunMessage, find_channel
 from cosim.core.signals import Channel
 from cosim.errors import Interrupted, LogError, UsageError, nearest

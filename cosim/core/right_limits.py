@@ -14,11 +14,11 @@ from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 
-from cosim.arrays import Vector
+from cosim.arrays import Vector, read_only
 from cosim.core.contracts import Stopped
 from cosim.core.cycles import groups_in_order
 from cosim.core.graph import Graph
-from cosim.core.member import Member, first_non_finite, read_only
+from cosim.core.member import Member, first_non_finite
 from cosim.core.port import Port
 from cosim.errors import RunError
 
@@ -191,7 +191,7 @@ def _perform(update: _Update, t: float, row: Vector, given: GivenOutputs) -> Non
             row[columns] = values
         return
     try:
-        y = member.outputs_at(t, read_only(row)[member.inputs])
+        y = member.component.outputs(t, read_only(row)[member.inputs])
     except RunError as error:
         raise Stopped(np.empty((0, 0)), str(error)).at(member.name, t) from error
     first = member.outputs.start

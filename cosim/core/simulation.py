@@ -577,7 +577,7 @@ class Simulation:
         components = {}
         for name, member in self._members.items():
             overrides.update(member.overrides.values())
-            components[name] = member.save()
+            components[name] = member.component.save()
         row = self._row.copy()
         row.flags.writeable = False
         return SimulationState(self.graph_hash, self.index, row, overrides, components, self)
@@ -609,7 +609,7 @@ class Simulation:
             state.check_portable()
         self._ended = "its state could not be set"
         for name, member in self._members.items():
-            member.restore(state.components[name])
+            member.component.restore(state.components[name])
             member.overrides.clear()
             for column, value in state.overrides.items():
                 if member.inputs.start <= column < member.inputs.stop:

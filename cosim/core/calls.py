@@ -1,0 +1,322 @@
+"""How components are called: guarded, and measured where that is asked for.
+
+Components are the users' own, so nothing is trusted here: what they are handed cannot be written
+to, what they return is checked, and what they raise is named.
+"""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from time import perf_counter
+from typing import Any, Final, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.arrays import Mask, Matrix, Vector, read_only
+from cosim.core.contracts import Component, Design, Native, Preparable, Rollback, Stopped, prepare
+from cosim.core.signals import Channel
+from cosim.errors import AssumptionError, CosimError, GraphError, LogError, RunError
+from cosim.native.step import NativeStep
+
+FLOAT: Final = np.dtype(np.float64)
+
+
+class GuardedComponent:
+    """A component of which every call is guarded.
+
+    Every array that it is handed is a view that cannot be written to, or a copy.
+
+    Parameters
+    ----------
+    channel : Channel
+        Its name, and what it declared.
+    component : Component
+    """
+
+    def __init__(self, channel: Channel, component: Component) -> None:
+        self.name = channel.name
+        self._interface = channel.interface
+        self._component = component
+        self._n_y = channel.interface.n_y
+        self._seconds: dict[str, float] | None = None
+        self._native_seconds = np.zeros(1)
+
+    def check_exchange(self, component: Component) -> None:
+        """Check that a component can take the place of this one.
+
+        Raises
+        ------
+        GraphError
+            If its interface is another one.
+        """
+        if component.interface != self._interface:
+            raise GraphError(
+                f"component {self.name!r}: another one has another interface; needed the same "
+                "signals and declarations, so that wires and order stay"
+            )
+
+    def exchange(self, component: Component) -> None:
+        """Go on with another component, which has the same interface."""
+        self._component = component
+
+    def measure(self, seconds: dict[str, float]) -> None:
+        """Add the wall time of every call from now on to ``seconds``, under its name."""
+        self._component = Timed(self._component, self.name, seconds)
+        self._seconds = seconds
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether the wall time of its calls is measured."""
+        return self._seconds is not None
+
+    @property
+    def native_seconds_address(self) -> int | None:
+        """Where compiled code adds the wall time of its calls [s]; None: it is not measured."""
+        return self._native_seconds.ctypes.data if self.is_measured else None
+
+    def add_native_seconds(self) -> None:
+        """Add the wall time of compiled calls since the last time that this was done."""
+        if self._seconds is not None:
+            self._seconds[self.name] += float(self._native_seconds[0])
+            self._native_seconds[0] = 0.0
+
+    def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
+        """Prepare the component, if its interface declares it; return a copy of its design.
+
+        Raises
+        ------
+        LogError
+            If the recorded design does not fit it.
+        AssumptionError
+            If it cannot be designed.
+        RunError
+            If it raises what is no error of cosim, or its design is not finite float64 arrays.
+        """
+        if not self._interface.prepares:
+            return {}
+        taken = {key: read_only(array) for key, array in recorded.items()}
+        try:
+            design = cast(Preparable, self._component).prepare(h, held, taken)
+            arrays = dict(design)
+        except LogError as error:  # of the recorded design, which has no name there
+            raise LogError(f"{self.name!r}: {error}") from error
+        except AssumptionError as error:  # of the method, which has no name there either
+            evidence = f"{self.name!r}: {error.evidence}"
+            raise AssumptionError(evidence, error.verdict, error.cure) from error
+        except CosimError:
+            raise
+        except Exception as error:
+            raise RunError(f"{self.name!r}: {_raised('prepare', error)}") from error
+        return {key: self._design_array(key, array) for key, array in arrays.items()}
+
+    def initialize(self, t: float, u: Vector) -> Vector:
+        """Initialize the component with inputs ``u``, a copy of its own; return a copy of y.
+
+        Raises
+        ------
+        RunError
+            If it raises what is no error of cosim, or returns what its interface does not promise.
+        """
+        try:
+            y = self._component.initialize(t, read_only(u))
+        except CosimError:
+            raise
+        except Exception as error:
+            text = f"{self.name!r} stopped at t = {t} s: {_raised('initialize', error)}"
+            raise RunError(text) from error
+        problem = result_problem(y, (self._n_y,))
+        if problem:
+            raise RunError(f"{self.name!r} stopped at t = {t} s: initialize {problem}")
+        return y.copy()
+
+    def initial_outputs(self, t: float, u: Vector) -> Vector:
+        """Return a copy of the outputs that the component starts with, initialized with ``u``.
+
+        Raises
+        ------
+        RunError
+            As from :meth:`outputs`, with its name and the time.
+        """
+        try:
+            return self.outputs(t, u).copy()
+        except RunError as error:
+            raise RunError(f"{self.name!r} stopped at t = {t} s: {error}") from error
+
+    def outputs(self, t: float, u: Vector) -> Vector:
+        """Return the outputs at ``t``.
+
+        Raises
+        ------
+        RunError
+            As from :meth:`advance`.
+        """
+        try:
+            y = self._component.outputs(t, u)
+        except RunError:
+            raise
+        except Exception as error:
+            raise RunError(_raised("outputs", error)) from error
+        problem = result_problem(y, (self._n_y,))
+        if problem:
+            raise RunError(f"outputs {problem}")
+        return y
+
+    def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
+        """Advance the component.
+
+        Raises
+        ------
+        RunError
+            Whatever it raises, or if it returns what its interface does not promise. The stage adds
+            the component and the time.
+        """
+        steps = len(t) - 1
+        try:
+            y = self._component.advance(t, h, u)
+        except Stopped as stop:
+            self._check_stop(stop, steps)
+            raise
+        except RunError:
+            raise
+        except Exception as error:
+            raise RunError(_raised("advance", error)) from error
+        problem = result_problem(y, (steps, self._n_y))
+        if problem:
+            raise RunError(f"advance {problem}")
+        return y
+
+    def save(self) -> Any:
+        """Copy the state of the component, whose interface declares ``rollback``.
+
+        Raises
+        ------
+        RunError
+            If it raises what is no error of cosim.
+        """
+        try:
+            return cast(Rollback[Any], self._component).save()
+        except CosimError:
+            raise
+        except Exception as error:
+            raise RunError(f"{self.name!r}: {_raised('save', error)}") from error
+
+    def restore(self, state: Any) -> None:
+        """Go back to a saved state of the component.
+
+        Raises
+        ------
+        RunError
+            If it raises what is no error of cosim.
+        """
+        try:
+            cast(Rollback[Any], self._component).restore(state)
+        except CosimError:
+            raise
+        except Exception as error:
+            raise RunError(f"{self.name!r}: {_raised('restore', error)}") from error
+
+    def native(self) -> NativeStep | None:
+        """Return the compiled step of the component, if it has one."""
+        if not self._interface.native:
+            return None
+        return cast(Native, self._component).native()
+
+    def _check_stop(self, stop: Stopped, steps: int) -> None:
+        """Check the rows that a component completed before it stopped; none are of any width."""
+        rows = stop.outputs
+        if type(rows) is np.ndarray and rows.ndim == 2 and not len(rows):
+            return
+        completed = min(np.shape(rows)[0], steps) if np.ndim(rows) else 0
+        problem = result_problem(rows, (completed, self._n_y))
+        if problem:
+            raise RunError(f"advance stopped, {str(stop)!r}, and {problem}") from stop
+
+    def _design_array(self, key: str, array: Any) -> NDArray[np.float64]:
+        if type(array) is not np.ndarray or array.dtype != FLOAT or not np.isfinite(array).all():
+            raise RunError(
+                f"{self.name!r}: prepare returned {_description(array)} as {key!r}; "
+                "needed a float64 array of finite numbers"
+            )
+        return read_only(array.copy())
+
+
+class Timed:
+    """Passes every call on and adds its wall time to ``seconds[name]``."""
+
+    def __init__(self, component: Component, name: str, seconds: dict[str, float]) -> None:
+        self.interface = component.interface
+        self._component = component
+        self._name = name
+        self._seconds = seconds
+        seconds[name] = 0.0
+
+    @contextmanager
+    def _measured(self) -> Iterator[None]:
+        """Add the wall time of the block, if nothing is raised in it."""
+        began = perf_counter()
+        yield
+        self._seconds[self._name] += perf_counter() - began
+
+    def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
+        """Pass on."""
+        with self._measured():
+            return prepare(self._component, h, held, recorded)
+
+    def initialize(self, t: float, u: Vector) -> Vector:
+        """Pass on."""
+        with self._measured():
+            return self._component.initialize(t, u)
+
+    def native(self) -> NativeStep | None:
+        """Pass on."""
+        return cast(Native, self._component).native()
+
+    def outputs(self, t: float, u: Vector) -> Vector:
+        """Pass on."""
+        with self._measured():
+            return self._component.outputs(t, u)
+
+    def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
+        """Pass on."""
+        with self._measured():
+            return self._component.advance(t, h, u)
+
+    def save(self) -> Any:
+        """Pass on."""
+        return cast(Rollback[Any], self._component).save()
+
+    def restore(self, state: Any) -> None:
+        """Pass on."""
+        cast(Rollback[Any], self._component).restore(state)
+
+
+def _raised(method: str, error: Exception) -> str:
+    """Return in words what a method of a component raised, and where."""
+    text = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+    if isinstance(error, CosimError):
+        return f"{method}: {error}"
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    text = f"{method} raised {text} ({last.filename}, line {last.lineno})"
+    if isinstance(error, ValueError) and "read-only" in str(error):
+        text += "; what a component is handed cannot be written to: copy it"
+    return text
+
+
+def result_problem(y: Any, needed: tuple[int, ...]) -> str:
+    """Return what is wrong with the outputs of a component; empty: nothing."""
+    if type(y) is np.ndarray and y.dtype == FLOAT and y.shape == needed:
+        return ""
+    return f"returned {_description(y)}; its interface needs a float64 array of shape {needed}"
+
+
+def _description(value: Any) -> str:
+    """Return the type of a value in words, and what counts of an array."""
+    if type(value) is not np.ndarray:
+        return f"{type(value).__module__}.{type(value).__qualname__}".removeprefix("builtins.")
+    text = f"an array of {value.dtype}, shape {value.shape}"
+    if value.dtype == FLOAT and not np.isfinite(value).all():
+        text = f"{text}, with NaN or infinity"
+    return text
