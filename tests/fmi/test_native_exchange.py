@@ -391,6 +391,18 @@ def test_the_end_that_an_fmu_requests_comes_with_the_row_of_its_step(version):
     assert ends == [expected] * 4
 
 
+@pytest.mark.parametrize("native", [False, True])
+@pytest.mark.parametrize("version", [2, 3])
+def test_an_fmu_that_requests_the_end_when_it_is_initialized_stops_the_run_there(version, native):
+    """There are no compiled steps of it: its states were never read."""
+    options = FmuOptions(solver="rk4", start={"p": -1.0})
+    with load(eventful.build("ENDS", version), options) as fmu:
+        memory = Memory()
+        run(Graph({"fmu": fmu.component}, {}, native=native), Clock(0.05, H), memory)
+    assert memory.steps == 0
+    assert memory.reason == "'fmu' stopped at t = 0.0 s: the FMU requests the end of the run"
+
+
 @pytest.mark.parametrize("solver", ["rk4", "DOP853"])
 def test_fmi_1_in_compiled_steps(solver, tmp_path):
     """FMI 1.0 has no modes of events and no FMU state."""
