@@ -461,6 +461,19 @@ def test_events_are_repeated_in_the_order_of_time():
         repeat(driven_lag(), clock(), Memory(), events=between)
 
 
+def test_a_recorded_row_keeps_the_left_limits_of_a_jump():
+    """Also in the memory of the recorder, where the next step starts from the right ones."""
+    memory = Memory()
+    events = [SignalEvent(3 * 10**8, "override", "first.u", (2.0,))]
+    repeat(chain(), clock(), memory, events=events)
+    undisturbed = recorded(chain())
+    for name in memory:
+        assert memory[name][:4].tobytes() == undisturbed[name][:4].tobytes(), name
+    assert memory["x.u"][4:].tolist() == [12.0] * 37
+    x = memory["x.y"]
+    assert x[4] == pytest.approx(12.0 + (x[3] - 12.0) * np.exp(-STEP), abs=12.0 * 8 * 2**-53)
+
+
 @pytest.mark.parametrize("is_recorded", [True, False])
 def test_what_followed_in_a_recorded_component_is_taken_from_its_events(is_recorded):
     """Of others it is evaluated."""

@@ -1,0 +1,204 @@
+"""Inputs that are overridden by hand, and the jumps at the communication point that is reached.
+
+An override takes effect at that point. Of the point there are two rows: the left limits, which were
+recorded, and the right limits, from which the next step starts. What follows an input at once is
+evaluated where somebody reads it, at the latest before the next step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import isfinite
+from typing import final
+
+import numpy as np
+
+from cosim.arrays import Vector
+from cosim.core.contracts import EventCause, SignalEvent
+from cosim.core.graph import Graph
+from cosim.core.member import Member
+from cosim.core.overrides import OverrideValue, checked_values
+from cosim.core.port import Port
+from cosim.core.ports import ConnectionEnd
+from cosim.core.right_limits import END, NOTHING_GIVEN, GivenOutputs, RightLimits
+from cosim.errors import GraphError, listing
+
+
+class OverridableInput:
+    """An input that can be overridden, or elements of it.
+
+    Parameters
+    ----------
+    to : Port
+        As it was named.
+    end : ConnectionEnd
+    member : Member
+    follows : bool
+        Whether something follows at once when it jumps.
+    """
+
+    __slots__ = ("columns", "end", "follows", "is_plain", "member", "name", "numbers", "whole")
+
+    def __init__(self, to: Port, end: ConnectionEnd, member: Member, *, follows: bool) -> None:
+        self.name = str(to)
+        self.end = end
+        self.whole = end.port
+        self.member = member
+        self.follows = follows
+        self.columns = end.columns
+        self.is_plain = end.size == 1 and end.signal.type == "real"
+        self.numbers = range(end.columns.start, end.columns.stop)
+
+    def checked(self, value: OverrideValue) -> list[float]:
+        """Return the elements of a value to override it with.
+
+        Raises
+        ------
+        GraphError
+            If the value does not fit it.
+        """
+        if self.is_plain and type(value) is float and isfinite(value):
+            return [value]  # as most are; any other is checked in full
+        return checked_values(self.name, value, self.end)
+
+
+@final
+class Jumps:
+    """The jumps of inputs at the communication point that is reached, and what follows them.
+
+    Parameters
+    ----------
+    graph : Graph
+
+    Attributes
+    ----------
+    row : Vector, shape (width,)
+        The right limits; what follows inputs, as of the last evaluation.
+    waiting : set of Port
+        Inputs that have jumped since then.
+    changes : dict of OverridableInput to EventCause
+        Inputs whose jumps are to be recorded, the last change last.
+    """
+
+    def __init__(self, graph: Graph) -> None:
+        self.waiting: set[Port] = set()
+        self.changes: dict[OverridableInput, EventCause] = {}
+        self._graph = graph
+        self._inputs: dict[str | Port, OverridableInput] = {}
+        self._right_limits = RightLimits(graph)
+        self.stand_at(np.zeros(graph.layout.width))
+
+    def stand_at(self, row: Vector) -> None:
+        """Take a row as that of the point that is reached, without jumps so far."""
+        self.row = row
+        self._left_row = row
+        self.waiting.clear()
+        self.changes.clear()
+
+    @property
+    def are_there(self) -> bool:
+        """Whether inputs have jumped at this point: the right limits have a row of their own."""
+        return self.row is not self._left_row
+
+    def input(self, to: str) -> OverridableInput:
+        """Return an input, or elements of it.
+
+        Raises
+        ------
+        GraphError
+            If there is no such input.
+        """
+        try:
+            return self._inputs[to]
+        except (KeyError, TypeError):  # not asked for before, or no input at all
+            port = to if isinstance(to, Port) else Port.parse(to)
+        end = self._graph.ports.input(port)
+        member = self._graph.members[port.component]
+        follows = self._right_limits.reach_more(end.port)
+        self._inputs[to] = OverridableInput(port, end, member, follows=follows)
+        return self._inputs[to]
+
+    def override(self, overridden: OverridableInput, values: Sequence[float]) -> None:
+        """Override an input with values that were checked."""
+        self._start(overridden, "override")
+        overrides = overridden.member.overrides
+        for column, element in zip(overridden.numbers, values, strict=True):
+            overrides[column] = element
+            self.row[column] = element
+
+    def release(self, released: OverridableInput) -> None:
+        """Release an override: the connection of the input drives it again.
+
+        Raises
+        ------
+        GraphError
+            If it is not overridden.
+        """
+        overrides = released.member.overrides
+        if not all(column in overrides for column in released.numbers):
+            names = listing(list(self.overrides)) or "nothing is"
+            raise GraphError(
+                f"release: '{released.name}' is not overridden, as a whole; overridden: {names}"
+            )
+        self._start(released, "release")
+        for column in released.numbers:
+            del overrides[column]
+        released.member.gather(self.row[np.newaxis], END)
+
+    @property
+    def overrides(self) -> dict[str, float]:
+        """The elements of inputs that are overridden, and their values."""
+        values: dict[str, float] = {}
+        for member in self._graph.members.values():
+            for column, value in member.overrides.values().items():
+                values[member.label(column - member.columns.start)] = value
+        return values
+
+    def _start(self, changed: OverridableInput, cause: EventCause) -> None:
+        """Note that an input jumps; the row before the jump is kept."""
+        if self.row is self._left_row:
+            self.row = self._left_row.copy()
+        self.changes.pop(changed, None)  # the last change of an input comes last
+        self.changes[changed] = cause
+        if changed.follows:
+            self.waiting.add(changed.whole)
+
+    def evaluate(self, t: float, given: GivenOutputs = NOTHING_GIVEN) -> None:
+        """Evaluate at ``t`` [s] what follows the inputs that have jumped.
+
+        Parameters
+        ----------
+        t : float
+        given : mapping of component name to columns with their values
+            Right limits that are known, of components that are not evaluated.
+
+        Raises
+        ------
+        NonFiniteError, Stopped
+            If it cannot be evaluated.
+        RunError
+            If values keep changing.
+        """
+        jumped = frozenset(self.waiting)
+        self.waiting.clear()
+        self._right_limits.evaluate(t, self.row, jumped, given)
+
+    def events(self, t_ns: int) -> list[SignalEvent]:
+        """Return the jumps at ``t_ns`` [ns]: overrides and releases, then what followed."""
+        events = []
+        own: set[Port] = set()
+        for changed, cause in self.changes.items():
+            own.add(changed.whole)
+            values = tuple(self.row[changed.columns].tolist())
+            events.append(SignalEvent(t_ns, cause, changed.name, values))
+        for channel in self._graph.layout.channels:
+            if self.row[channel.columns].tobytes() == self._left_row[channel.columns].tobytes():
+                continue
+            for name, columns in channel.signal_columns.items():
+                before = self._left_row[columns]
+                values_now = self.row[columns]
+                is_own = Port(channel.name, name) in own
+                if not is_own and before.tobytes() != values_now.tobytes():
+                    values = tuple(values_now.tolist())
+                    events.append(SignalEvent(t_ns, "follow", f"{channel.name}.{name}", values))
+        return events
