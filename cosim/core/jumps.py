@@ -33,13 +33,27 @@ class OverridableInput:
         As it was named.
     end : ConnectionEnd
     member : Member
+    of_whole : slice
+        The columns of the whole input.
     follows : bool
         Whether something follows at once when it jumps.
     """
 
-    __slots__ = ("columns", "end", "follows", "is_plain", "member", "name", "numbers", "whole")
+    __slots__ = (
+        "columns",
+        "end",
+        "follows",
+        "is_plain",
+        "member",
+        "name",
+        "numbers",
+        "of_whole",
+        "whole",
+    )
 
-    def __init__(self, to: Port, end: ConnectionEnd, member: Member, *, follows: bool) -> None:
+    def __init__(
+        self, to: Port, end: ConnectionEnd, member: Member, *, of_whole: slice, follows: bool
+    ) -> None:
         self.name = str(to)
         self.end = end
         self.whole = end.port
@@ -48,6 +62,7 @@ class OverridableInput:
         self.columns = end.columns
         self.is_plain = end.size == 1 and end.signal.type == "real"
         self.numbers = range(end.columns.start, end.columns.stop)
+        self.of_whole = range(of_whole.start, of_whole.stop)
 
     def checked(self, value: OverrideValue) -> list[float]:
         """Return the elements of a value to override it with.
@@ -83,6 +98,7 @@ class Jumps:
     def __init__(self, graph: Graph) -> None:
         self.waiting: set[Port] = set()
         self.changes: dict[OverridableInput, EventCause] = {}
+        self._overridden_before: dict[Port, frozenset[int]] = {}  # columns, where inputs jumped
         self._graph = graph
         self._inputs: dict[str | Port, OverridableInput] = {}
         self._right_limits = RightLimits(graph)
@@ -93,7 +109,12 @@ class Jumps:
         self.row = row
         self._left_row = row
         self.waiting.clear()
+        self.clear_changes()
+
+    def clear_changes(self) -> None:
+        """Forget the jumps that were recorded."""
         self.changes.clear()
+        self._overridden_before.clear()
 
     @property
     def are_there(self) -> bool:
@@ -115,7 +136,8 @@ class Jumps:
         end = self._graph.ports.input(port)
         member = self._graph.members[port.component]
         follows = self._right_limits.reach_more(end.port)
-        self._inputs[to] = OverridableInput(port, end, member, follows=follows)
+        of_whole = self._graph.ports.input(end.port).columns
+        self._inputs[to] = OverridableInput(port, end, member, of_whole=of_whole, follows=follows)
         return self._inputs[to]
 
     def override(self, overridden: OverridableInput, values: Sequence[float]) -> None:
@@ -158,6 +180,8 @@ class Jumps:
         """Note that an input jumps; the row before the jump is kept."""
         if self.row is self._left_row:
             self.row = self._left_row.copy()
+        if changed.whole not in self._overridden_before:
+            self._overridden_before[changed.whole] = _overridden(changed)
         self.changes.pop(changed, None)  # the last change of an input comes last
         self.changes[changed] = cause
         if changed.follows:
@@ -185,12 +209,8 @@ class Jumps:
 
     def events(self, t_ns: int) -> list[SignalEvent]:
         """Return the jumps at ``t_ns`` [ns]: overrides and releases, then what followed."""
-        events = []
-        own: set[Port] = set()
-        for changed, cause in self.changes.items():
-            own.add(changed.whole)
-            values = tuple(self.row[changed.columns].tolist())
-            events.append(SignalEvent(t_ns, cause, changed.name, values))
+        events = self._own_events(t_ns)
+        own = {self.input(event.signal).whole for event in events}
         for channel in self._graph.layout.channels:
             if self.row[channel.columns].tobytes() == self._left_row[channel.columns].tobytes():
                 continue
@@ -202,3 +222,54 @@ class Jumps:
                     values = tuple(values_now.tolist())
                     events.append(SignalEvent(t_ns, "follow", f"{channel.name}.{name}", values))
         return events
+
+    def _own_events(self, t_ns: int) -> list[SignalEvent]:
+        """Return overrides and releases that lead from those before to those now.
+
+        They are not always those that were asked for: who releases at the same point what he has
+        overridden there has changed nothing.
+        """
+        by_input: dict[Port, list[tuple[OverridableInput, EventCause]]] = {}
+        for changed, cause in self.changes.items():
+            by_input.setdefault(changed.whole, []).append((changed, cause))
+        events: list[SignalEvent] = []
+        for whole, changes in by_input.items():
+            changed, cause = changes[0]
+            before = self._overridden_before[whole]
+            if len(changes) > 1 or (cause == "release" and not before.issuperset(changed.numbers)):
+                events += self._net_events(t_ns, changed, before)
+            else:
+                events.append(self._event(t_ns, cause, changed))
+        return events
+
+    def _net_events(
+        self, t_ns: int, changed: OverridableInput, before: frozenset[int]
+    ) -> list[SignalEvent]:
+        """Return the events of an input by its elements, or as a whole where they are alike."""
+        now = _overridden(changed)
+        same = {c for c in now & before if self._keeps(c)}
+        causes: dict[int, EventCause] = dict.fromkeys(sorted(before - now), "release")
+        causes.update(dict.fromkeys(sorted(now - same), "override"))
+        whole = self.input(str(changed.whole))
+        if len(causes) == len(whole.numbers) and len(set(causes.values())) == 1:
+            return [self._event(t_ns, causes[whole.numbers[0]], whole)]
+        first = changed.member.columns.start
+        events = []
+        for column, cause in causes.items():
+            element = self.input(changed.member.label(column - first))
+            events.append(self._event(t_ns, cause, element))
+        return events
+
+    def _keeps(self, column: int) -> bool:
+        """Return whether a value has the bits that it had before."""
+        return bool(self.row[column].tobytes() == self._left_row[column].tobytes())
+
+    def _event(self, t_ns: int, cause: EventCause, changed: OverridableInput) -> SignalEvent:
+        values = tuple(self.row[changed.columns].tolist())
+        return SignalEvent(t_ns, cause, changed.name, values)
+
+
+def _overridden(changed: OverridableInput) -> frozenset[int]:
+    """Return the columns of the whole input that are overridden."""
+    overrides = changed.member.overrides
+    return frozenset(column for column in changed.of_whole if column in overrides)

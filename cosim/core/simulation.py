@@ -448,7 +448,7 @@ class Simulation:
         if self._is_recorded:
             for event in self._jumps.events(self.t_ns):
                 self._recorder.event(event)
-        self._jumps.changes.clear()
+        self._jumps.clear_changes()
 
     # --- states ---
 
