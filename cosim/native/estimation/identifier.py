@@ -23,9 +23,10 @@ from cosim.native.estimation.output_error import (
 )
 from cosim.native.estimation.predictor import ModePredictorConstants
 from cosim.native.estimation.rayleigh import RayleighConstants, RayleighModel
+from cosim.native.estimation.regression import RegressorConstants, regressor_struct
 from cosim.native.estimation.start_grid import StartGridConstants, StartGridModel
 from cosim.native.library import address, declare, library, pointer
-from cosim.native.step import NativeStep, RegressorConstants, regressor_struct
+from cosim.native.step import NativeStep
 
 
 class IdentifierStruct(ctypes.Structure):
