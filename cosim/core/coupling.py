@@ -23,7 +23,7 @@ from cosim.core.member import Member, NonFinite, driving_groups, first_non_finit
 from cosim.core.order import OperationKind
 from cosim.errors import RunError
 
-OperationName: TypeAlias = Literal["keep", "gather", "advance", "refresh", "trace", "check"]
+OperationName: TypeAlias = Literal["keep", "gather", "advance", "refresh", "check"]
 ProgramOperation: TypeAlias = tuple[OperationName, tuple[Member, ...]]
 StageProgram: TypeAlias = tuple[ProgramOperation, ...]
 
@@ -123,9 +123,8 @@ class Cascade:
 
     @property
     def program(self) -> StageProgram:
-        """Gather the inputs, advance, look at the row."""
-        names: tuple[OperationName, ...] = ("gather", "advance", "trace", "check")
-        return tuple((name, self.members) for name in names)
+        """Advance, look at the row."""
+        return ("advance", self.members), ("check", self.members)
 
     def advance(self, block: Block, signals: Matrix) -> None:
         """Advance the whole block in one call."""
@@ -187,7 +186,7 @@ class Loop:
             if member.name in read_early:
                 program.append(("keep", (member,)))
         for kind, member in self.operations:
-            program += [("gather", (member,)), (kind, (member,)), ("trace", (member,))]
+            program.append((kind, (member,)))
         for member in self.members:
             last = gathered[member.name]
             if any(written[source] >= last for source in sources[member.name]):

@@ -9,7 +9,7 @@ so is every error, which is named here.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from ctypes import Array, addressof, c_double
 from typing import Final, TypeAlias
@@ -42,8 +42,8 @@ from cosim.native.stages.stage import (
 )
 from cosim.native.step import NativeStep
 
-TILE_STEPS: Final = 64  # of a segment before the next one, at most
-TILE_BYTES: Final = 2**15  # of the rows of so many steps, which stay in the cache
+TILE_STEPS: Final = 256  # of a segment before the next one, at most
+TILE_BYTES: Final = 2**17  # of the rows of so many steps, which stay in the cache
 
 NativeSteps: TypeAlias = dict[str, NativeStep]  # by component
 
@@ -132,20 +132,22 @@ class NativeStage:
             self._members += stage.members
             self._operations += [(kind, members[0]) for kind, members in program]
             self._stage_of.update((member.name, stage) for member in stage.members)
-        operations = _operations(programs, self._members)
-        segments = _segments(programs)
-        optional = _optional(layout)
-        wiring = _Wiring()
         members = (MemberStruct * len(self._members))()
+        optional = _optional(layout)
+        wires = []
         for struct, member in zip(members, self._members, strict=True):
             _fill(struct, member, steps.get(member.name))
             struct.optional = pointer(optional) + member.columns.start
-            wiring.add(struct, member)
-        arrays = (members, operations, *wiring.arrays(), segments)
-        self._keep = (arrays, optional, steps)
-        addresses = [addressof(array) for array in arrays]
+            wires.append(_add_wires(struct, member))
+        addresses = {}
+        for struct, member in zip(members, self._members, strict=True):
+            addresses[member.name] = addressof(struct)
+        operations = _operations(programs, addresses)
+        segments = _segments(stages, programs, operations)
+        self._keep = (members, optional, wires, operations, steps)
         tile = max(1, min(TILE_STEPS, TILE_BYTES // (8 * layout.width + 8)))
-        self._state = StageStruct(*addresses, len(segments), layout.width, tile)
+        self._segments = segments
+        self._state = StageStruct(addressof(segments), len(segments), layout.width, tile)
         self._address = addressof(self._state)
         own_steps = [steps[member.name] for member in self._members if member.name in steps]
         guards = [step.guard for step in own_steps if step.guard is not None]
@@ -279,74 +281,67 @@ def _fill(struct: MemberStruct, member: Member, step: NativeStep | None) -> None
 
 
 def _operations(
-    programs: Sequence[StageProgram], members: Sequence[Member]
+    programs: Sequence[StageProgram], addresses: Mapping[str, int]
 ) -> Array[OperationStruct]:
-    """Return the programs of stages, one behind the other."""
-    numbers = {member.name: number for number, member in enumerate(members)}
+    """Return the programs of stages, one behind the other; ``addresses``: of the members."""
     operations = []
     for program in programs:
         for kind, of in program:
-            operations.append(OperationStruct(KINDS[kind], numbers[of[0].name], len(of)))
+            operations.append(OperationStruct(addresses[of[0].name], KINDS[kind], len(of)))
     return (OperationStruct * len(operations))(*operations)
 
 
-def _segments(programs: Sequence[StageProgram]) -> Array[SegmentStruct]:
+def _segments(
+    stages: Sequence[Stage], programs: Sequence[StageProgram], operations: Array[OperationStruct]
+) -> Array[SegmentStruct]:
     """Return where the program of each stage stands among the operations."""
     segments = []
     first = 0
-    for program in programs:
-        segments.append(SegmentStruct(first, len(program)))
+    for stage, program in zip(stages, programs, strict=True):
+        address = addressof(operations[first])
+        segments.append(SegmentStruct(address, len(program), first, int(not stage.is_loop)))
         first += len(program)
     return (SegmentStruct * len(segments))(*segments)
 
 
-class _Wiring:
-    """The wires of members, as arrays of structs."""
-
-    def __init__(self) -> None:
-        self._copies: list[CopyStruct] = []
-        self._sums: list[SumStruct] = []
-        self._terms: list[TermStruct] = []
-
-    def add(self, struct: MemberStruct, member: Member) -> None:
-        """Add the wires of a member, and write to its struct where they are."""
-        struct.first_copy = len(self._copies)
-        struct.first_sum = len(self._sums)
-        for wire in member.wires:
-            sources = wire.source_columns
-            if wire.gain is not None:
-                self._add_sums(wire, wire.gain, sources)
-            elif wire.conversion.copies:
-                self._copies.append(CopyStruct(wire.to.start, sources[0], len(sources)))
-            else:
-                self._add_plain_sums(wire, sources)
-        struct.copies = len(self._copies) - struct.first_copy
-        struct.sums = len(self._sums) - struct.first_sum
-
-    def _add_sums(self, wire: Wire, gain: Matrix, sources: list[int]) -> None:
-        for to, gains in zip(range(wire.to.start, wire.to.stop), gain, strict=True):
-            first = len(self._terms)
-            for source, factor in zip(sources, gains, strict=True):
-                if factor != 0.0:
-                    self._terms.append(TermStruct(source, factor))
-            count = len(self._terms) - first
-            self._sums.append(_sum(to, wire, first=first, terms=count, plain=0))
-
-    def _add_plain_sums(self, wire: Wire, sources: list[int]) -> None:
-        for to, source in zip(range(wire.to.start, wire.to.stop), sources, strict=True):
-            self._sums.append(_sum(to, wire, first=len(self._terms), terms=1, plain=1))
-            self._terms.append(TermStruct(source, 1.0))
-
-    def arrays(self) -> tuple[Array[CopyStruct], Array[SumStruct], Array[TermStruct]]:
-        """Return all wires."""
-        copies = (CopyStruct * max(1, len(self._copies)))(*self._copies)
-        sums = (SumStruct * max(1, len(self._sums)))(*self._sums)
-        terms = (TermStruct * max(1, len(self._terms)))(*self._terms)
-        return copies, sums, terms
+def _add_wires(struct: MemberStruct, member: Member) -> object:
+    """Write the wires of a member to its struct; return their memory."""
+    copies = []
+    sums = []
+    terms: list[Array[TermStruct]] = []
+    for wire in member.wires:
+        sources = wire.source_columns
+        if wire.gain is None and wire.conversion.copies:
+            copies.append(CopyStruct(wire.to.start, sources[0], len(sources)))
+            continue
+        for row, to in enumerate(range(wire.to.start, wire.to.stop)):
+            own_terms = _terms(wire, row)
+            sums.append(_sum(to, wire, own_terms))
+            terms.append(own_terms)
+    copy_array = (CopyStruct * len(copies))(*copies)
+    sum_array = (SumStruct * len(sums))(*sums)
+    struct.n_copies = len(copies)
+    struct.n_sums = len(sums)
+    struct.copies = addressof(copy_array)
+    struct.sums = addressof(sum_array)
+    return copy_array, sum_array, terms
 
 
-def _sum(to: int, wire: Wire, *, first: int, terms: int, plain: int) -> SumStruct:
+def _terms(wire: Wire, row: int) -> Array[TermStruct]:
+    """Return what is added up for one element of an input."""
+    sources = wire.source_columns
+    if wire.gain is None:
+        return (TermStruct * 1)(TermStruct(sources[row], 1.0))
+    terms = []
+    for source, factor in zip(sources, wire.gain[row], strict=True):
+        if factor != 0.0:
+            terms.append(TermStruct(source, factor))
+    return (TermStruct * len(terms))(*terms)
+
+
+def _sum(to: int, wire: Wire, terms: Array[TermStruct]) -> SumStruct:
     conversion = wire.conversion
     factors = (conversion.factor1, conversion.offset1, conversion.offset2, conversion.factor2)
     converts = int(not conversion.copies)
-    return SumStruct(to, first, terms, plain, converts, wire.offset, *factors)
+    plain = int(wire.gain is None)
+    return SumStruct(addressof(terms), to, len(terms), plain, converts, wire.offset, *factors)

@@ -4,6 +4,8 @@
 #include <string.h>
 #include <time.h>
 
+#define RARE __attribute__((noinline))
+
 static double convert(const cosim_sum *sum, double value)
 {
     if (!sum->converts)
@@ -11,40 +13,74 @@ static double convert(const cosim_sum *sum, double value)
     return (value * sum->factor1 + sum->offset1 - sum->offset2) / sum->factor2;
 }
 
+static bool is_finite(double value)
+{
+    return value - value == 0.0;
+}
+
+static double value_of(const cosim_sum *sum, const double *row)
+{
+    const cosim_term *terms = sum->terms;
+    if (sum->plain)
+        return convert(sum, row[terms->from]);
+    double value = sum->offset;
+    for (int32_t j = 0; j < sum->n_terms; ++j)
+        value += terms[j].gain * row[terms[j].from];
+    return convert(sum, value);
+}
+
+static inline void copy(double *to, const double *from, int32_t count)
+{
+    if (count == 1)
+        *to = *from;
+    else
+        memcpy(to, from, (size_t)count * sizeof *to);
+}
+
 static void add_up(cosim_stage *s, const cosim_sum *sum, double *row)
 {
-    const cosim_term *terms = s->terms + sum->first;
-    double value = sum->offset;
-    if (sum->plain)
-        value = row[terms->from];
-    else
-        for (int32_t j = 0; j < sum->terms; ++j)
-            value += terms[j].gain * row[terms[j].from];
-    value = convert(sum, value);
-    s->suspicious |= value - value != 0.0;
+    const double value = value_of(sum, row);
+    s->suspicious |= !is_finite(value);
     row[sum->to] = value;
 }
 
-static void gather(cosim_stage *s, const cosim_member *m, double *row)
+/* Fill inputs that are no copies. */
+RARE static void gather_others(cosim_stage *s, const cosim_member *m, double *row)
 {
-    for (int32_t i = 0; i < m->copies; ++i) {
-        const cosim_copy *copy = s->copies + m->first_copy + i;
-        for (int32_t j = 0; j < copy->count; ++j)
-            row[copy->to + j] = row[copy->from + j];
-    }
-    for (int32_t i = 0; i < m->sums; ++i)
-        add_up(s, s->sums + m->first_sum + i, row);
+    for (int32_t i = 0; i < m->n_sums; ++i)
+        add_up(s, m->sums + i, row);
     for (int32_t i = 0; i < *m->overridden; ++i)
         row[m->overridden[1 + i]] = m->overrides[i];
+}
+
+/* Fill the inputs from their sources. */
+static inline void gather(cosim_stage *s, const cosim_member *m, double *row)
+{
+    const cosim_copy *c = m->copies, *end = c + m->n_copies;
+    for (; c < end; ++c)
+        copy(row + c->to, row + c->from, c->count);
+    if (m->n_sums | *m->overridden)
+        gather_others(s, m, row);
+}
+
+/* The same for many rows, each input on its own. */
+static void gather_rows(cosim_stage *s, const cosim_member *m, double *rows, int64_t n_rows)
+{
+    const int64_t width = s->width, end = n_rows * width;
+    for (int32_t i = 0; i < m->n_copies; ++i) {
+        const cosim_copy c = m->copies[i];
+        for (int64_t k = 0; k < end; k += width)
+            copy(rows + k + c.to, rows + k + c.from, c.count);
+    }
+    if (m->n_sums | *m->overridden)
+        for (int64_t k = 0; k < end; k += width)
+            gather_others(s, m, rows + k);
 }
 
 /* Whether a value is infinite, or NaN that does not mean "no value yet". */
 static bool is_bad(double value, bool optional)
 {
-    const double difference = value - value; /* 0, but for what is not finite */
-    if (difference == 0.0)
-        return false;
-    return !optional || value == value;
+    return !is_finite(value) && (!optional || value == value);
 }
 
 /* The first of some columns of a member that is bad, counted from its first input; else -1. */
@@ -56,7 +92,15 @@ static int32_t first_bad(const cosim_member *m, const double *row, int32_t begin
     return -1;
 }
 
-static void trace(cosim_stage *s, const cosim_member *m, const double *row)
+static bool has_bad(const cosim_member *members, int32_t count, const double *row)
+{
+    for (int32_t i = 0; i < count; ++i)
+        if (first_bad(members + i, row, 0, members[i].n_u + members[i].n_y) >= 0)
+            return true;
+    return false;
+}
+
+RARE static void remember_origin(cosim_stage *s, const cosim_member *m, const double *row)
 {
     if (s->origin >= 0)
         return;
@@ -68,6 +112,17 @@ static void trace(cosim_stage *s, const cosim_member *m, const double *row)
     s->origin_value = row[s->origin];
 }
 
+/* Look at outputs that were written. */
+static inline void trace(cosim_stage *s, const cosim_member *m, const double *row)
+{
+    const double *y = row + m->y;
+    for (int32_t j = 0; j < m->n_y; ++j)
+        if (!is_finite(y[j])) {
+            remember_origin(s, m, row);
+            return;
+        }
+}
+
 static double seconds(void)
 {
     struct timespec now;
@@ -75,66 +130,126 @@ static double seconds(void)
     return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
 }
 
-static int32_t call(const cosim_stage *s, const cosim_member *m, int32_t kind, double *before,
-                    double *row)
+/* A step of a segment. */
+typedef struct {
+    const double *t;     /* (2) [s] */
+    double *before, *row; /* of the signals at its start and at its end */
+} Step;
+
+static inline int32_t call(const cosim_stage *s, const cosim_member *m, int32_t kind,
+                           const Step *step)
 {
-    const double *t = s->t + s->step;
+    const double *u = step->row + m->u;
+    double *y = step->row + m->y;
     if (kind == COSIM_REFRESH)
-        return m->outputs ? m->outputs(m->self, t[1], row + m->u, row + m->y) : COSIM_NO_VALUE;
+        return m->outputs ? m->outputs(m->self, step->t[1], u, y) : COSIM_NO_VALUE;
     if (!m->advance)
         return COSIM_NO_VALUE;
-    return m->advance(m->self, t[0], t[1], s->h, before + m->u, row + m->u, row + m->y);
+    return m->advance(m->self, step->t[0], step->t[1], s->h, step->before + m->u, u, y);
 }
 
-static int32_t timed_call(const cosim_stage *s, const cosim_member *m, int32_t kind, double *before,
-                          double *row)
+RARE static int32_t timed_call(const cosim_stage *s, const cosim_member *m, int32_t kind,
+                               const Step *step)
 {
-    if (!m->seconds)
-        return call(s, m, kind, before, row);
     const double began = seconds();
-    const int32_t status = call(s, m, kind, before, row);
+    const int32_t status = call(s, m, kind, step);
     *m->seconds += seconds() - began;
     return status;
 }
 
-static int32_t perform(cosim_stage *s, int32_t kind, const cosim_member *m, double *before,
-                       double *row)
+/* Advance or refresh a member. */
+static inline int32_t evaluate(cosim_stage *s, const cosim_member *m, int32_t kind,
+                               const Step *step)
 {
-    switch (kind) {
+    gather(s, m, step->row);
+    const int32_t status = m->seconds ? timed_call(s, m, kind, step) : call(s, m, kind, step);
+    if (status == COSIM_OK)
+        trace(s, m, step->row);
+    return status;
+}
+
+RARE static int32_t refresh(cosim_stage *s, const cosim_member *m, const Step *step)
+{
+    return evaluate(s, m, COSIM_REFRESH, step);
+}
+
+RARE static int32_t check(const cosim_operation *operation, const double *row)
+{
+    return has_bad(operation->members, operation->count, row) ? COSIM_NO_VALUE : COSIM_OK;
+}
+
+static inline int32_t perform(cosim_stage *s, const cosim_operation *operation, const Step *step)
+{
+    const cosim_member *m = operation->members;
+    switch (operation->kind) {
+    case COSIM_ADVANCE:
+        return evaluate(s, m, COSIM_ADVANCE, step);
     case COSIM_KEEP:
-        memcpy(row + m->y, before + m->y, (size_t)m->n_y * sizeof *row);
+        copy(step->row + m->y, step->before + m->y, m->n_y);
         return COSIM_OK;
     case COSIM_GATHER:
-        gather(s, m, row);
+        gather(s, m, step->row);
         return COSIM_OK;
-    case COSIM_TRACE:
-        trace(s, m, row);
-        return COSIM_OK;
-    case COSIM_CHECK: /* inputs are sums, or copies of outputs with the same need of a value */
-        if (!s->suspicious)
-            return COSIM_OK;
-        return first_bad(m, row, 0, m->n_u + m->n_y) < 0 ? COSIM_OK : COSIM_NO_VALUE;
-    default:
-        return timed_call(s, m, kind, before, row);
+    case COSIM_REFRESH:
+        return refresh(s, m, step);
+    default: /* inputs are sums, or copies of outputs with the same need of a value */
+        return s->suspicious ? check(operation, step->row) : COSIM_OK;
     }
 }
 
-/* Do the operations of a step of the segment; or return the number of the one that is left. */
-static int64_t do_step(cosim_stage *s, const cosim_segment *segment)
+/* Begin to do the operations of a step. */
+static inline void begin_step(cosim_stage *s)
 {
-    double *before = s->rows + s->step * s->width, *row = before + s->width;
-    if (s->operation == 0) {
-        s->suspicious = 0;
-        s->origin = -1;
+    s->suspicious = 0;
+    s->origin = -1;
+}
+
+/* Do the steps of the segment up to `end`, from the cursor on; or return the number of the operation
+ * that is left. */
+static int64_t run_segment(cosim_stage *s, int64_t end)
+{
+    const cosim_segment *segment = s->segments + s->segment;
+    for (; s->step < end; ++s->step) {
+        double *before = s->rows + s->step * s->width;
+        const Step step = {s->t + s->step, before, before + s->width};
+        if (s->operation == 0)
+            begin_step(s);
+        for (int64_t i = s->operation; i < segment->count; ++i)
+            if (perform(s, segment->operations + i, &step) != COSIM_OK) {
+                s->operation = i;
+                return segment->first + i + 1;
+            }
+        s->operation = 0;
     }
-    for (; s->operation < segment->count; ++s->operation) {
-        const cosim_operation *operation = s->operations + segment->first + s->operation;
-        const cosim_member *members = s->members + operation->first;
-        for (int32_t i = 0; i < operation->count; ++i)
-            if (perform(s, operation->kind, members + i, before, row) != COSIM_OK)
-                return segment->first + s->operation + 1;
+    return 0;
+}
+
+/* The same for one component outside every loop, whose inputs are all known before. */
+static int64_t run_cascade(cosim_stage *s, int64_t end)
+{
+    const cosim_segment *segment = s->segments + s->segment;
+    const cosim_member *m = segment->operations->members;
+    double *row = s->rows + s->step * s->width;
+    if (s->operation || m->seconds || !m->advance)
+        return run_segment(s, end);
+    begin_step(s);
+    gather_rows(s, m, row + s->width, end - s->step);
+    if (s->suspicious)
+        return run_segment(s, end);
+    for (int64_t k = s->step; k < end; ++k) {
+        const double *t = s->t + k, *u = row + m->u;
+        row += s->width;
+        const int32_t status = m->advance(m->self, t[0], t[1], s->h, u, row + m->u, row + m->y);
+        s->step = k;
+        if (status != COSIM_OK)
+            return segment->first + 1;
+        for (int32_t j = 0; j < m->n_y; ++j)
+            if (!is_finite(row[m->y + j])) {
+                remember_origin(s, m, row);
+                s->operation = 1;
+                return run_segment(s, end);
+            }
     }
-    s->operation = 0;
     return 0;
 }
 
@@ -145,20 +260,28 @@ static void next_segment(cosim_stage *s)
     s->operation = 0;
 }
 
+/* Go past the operation that the caller has done. */
+static void pass(cosim_stage *s)
+{
+    const cosim_segment *segment = s->segments + s->segment;
+    trace(s, segment->operations[s->operation].members, s->rows + (s->step + 1) * s->width);
+    ++s->operation;
+}
+
 int64_t cosim_stage_run(cosim_stage *s, int64_t end, int32_t answer)
 {
     if (answer == COSIM_DONE)
-        ++s->operation;
+        pass(s);
     else if (answer == COSIM_OVER)
         next_segment(s);
     while (s->completed < end) {
         const int64_t last = s->completed + s->tile < end ? s->completed + s->tile : end;
-        for (; s->segment < s->n_segments; next_segment(s))
-            for (; s->step < last; ++s->step) {
-                const int64_t left = do_step(s, s->segments + s->segment);
-                if (left)
-                    return left;
-            }
+        for (; s->segment < s->n_segments; next_segment(s)) {
+            const int64_t left = s->segments[s->segment].cascade ? run_cascade(s, last)
+                                                                 : run_segment(s, last);
+            if (left)
+                return left;
+        }
         s->completed = s->step = last;
         s->segment = 0;
     }

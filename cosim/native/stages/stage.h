@@ -27,7 +27,8 @@ typedef struct {
 /* One column: ((v factor1 + offset1) - offset2) / factor2 where it `converts`, of
  * v = offset + sum_j gain_j value_j, or of the value of its only term where it has `plain` set. */
 typedef struct {
-    int32_t to, first, terms, plain, converts;
+    const cosim_term *terms;
+    int32_t to, n_terms, plain, converts;
     double offset;
     double factor1, offset1, offset2, factor2;
 } cosim_sum;
@@ -37,9 +38,10 @@ typedef struct {
     cosim_step advance;    /* NULL: left to the caller */
     cosim_outputs outputs; /* NULL: left to the caller */
     void *self;
-    int32_t u, n_u, y, n_y;     /* first column and number of its inputs, and of its outputs */
-    int32_t first_copy, copies; /* what feeds its inputs */
-    int32_t first_sum, sums;
+    int32_t u, n_u, y, n_y;  /* first column and number of its inputs, and of its outputs */
+    int32_t n_copies, n_sums; /* what feeds its inputs */
+    const cosim_copy *copies;
+    const cosim_sum *sums;
     const uint8_t *optional; /* (n_u + n_y) where NaN means "no value yet" */
     double *seconds;         /* wall time of its calls is added to it; NULL: it is not measured */
     /* inputs that have values of their own: how many, then their columns; and these values */
@@ -47,30 +49,27 @@ typedef struct {
     const double *overrides;
 } cosim_member;
 
-/* What an operation does to members `first` to `first + count - 1`: */
+/* What an operation does to a member, the last one to `count` of them: */
 #define COSIM_KEEP 0    /* outputs of the new row <- those of the row before */
 #define COSIM_GATHER 1  /* inputs of the new row <- their sources in it */
-#define COSIM_ADVANCE 2 /* outputs <- advance */
-#define COSIM_REFRESH 3 /* outputs <- outputs for the inputs that are there now */
-#define COSIM_TRACE 4   /* look at the outputs, and remember the first one that is not finite */
-#define COSIM_CHECK 5   /* left to the caller where a value of the new row is not finite */
+#define COSIM_ADVANCE 2 /* gather; outputs <- advance */
+#define COSIM_REFRESH 3 /* gather; outputs <- outputs for the inputs that are there now */
+#define COSIM_CHECK 4   /* left to the caller where a value of the new row is not finite */
 
 typedef struct {
-    int32_t kind, first, count;
+    const cosim_member *members;
+    int32_t kind, count;
 } cosim_operation;
 
 /* Operations that follow each other: one component outside every loop, or a loop. None of them reads
  * what a later segment writes at the same step or before it. */
 typedef struct {
-    int32_t first, count;
+    const cosim_operation *operations;
+    int64_t count, first; /* of them, and the number of the first one */
+    int64_t cascade;      /* one component outside every loop: advance and check */
 } cosim_segment;
 
 typedef struct {
-    const cosim_member *members;
-    const cosim_operation *operations;
-    const cosim_copy *copies;
-    const cosim_sum *sums;
-    const cosim_term *terms;
     const cosim_segment *segments;
     int64_t n_segments;
     int64_t width; /* columns of a row */
@@ -82,8 +81,8 @@ typedef struct {
     /* the cursor: steps that all segments have completed, the segment, the steps that it has
      * completed, and its operation that is next */
     int64_t completed, segment, step, operation;
-    /* of this step of the segment: whether an output that was looked at, or a sum, was not finite; column of the
-     * first such output, -1: none; and its value then */
+    /* of this step of the segment: whether an output that was advanced or refreshed, or a sum, was
+     * not finite; column of the first such output, -1: none; and its value then */
     int64_t suspicious, origin;
     double origin_value;
 } cosim_stage;

@@ -8,7 +8,7 @@ from typing import Final
 from cosim.arrays import Matrix, Vector
 from cosim.native.library import declare, library, pointer
 
-KINDS: Final = {"keep": 0, "gather": 1, "advance": 2, "refresh": 3, "trace": 4, "check": 5}
+KINDS: Final = {"keep": 0, "gather": 1, "advance": 2, "refresh": 3, "check": 4}
 """COSIM_KEEP and so on."""
 HERE: Final = 0  # COSIM_HERE and so on
 DONE: Final = 1
@@ -31,7 +31,8 @@ class SumStruct(Structure):
     """cosim_sum."""
 
     _fields_ = (
-        *((name, c_int32) for name in ("to", "first", "terms", "plain", "converts")),
+        ("terms", c_void_p),
+        *((name, c_int32) for name in ("to", "n_terms", "plain", "converts")),
         ("offset", c_double),
         *((name, c_double) for name in ("factor1", "offset1", "offset2", "factor2")),
     )
@@ -42,8 +43,8 @@ class MemberStruct(Structure):
 
     _fields_ = (
         *((name, c_void_p) for name in ("advance", "outputs", "self")),
-        *((name, c_int32) for name in ("u", "n_u", "y", "n_y")),
-        *((name, c_int32) for name in ("first_copy", "copies", "first_sum", "sums")),
+        *((name, c_int32) for name in ("u", "n_u", "y", "n_y", "n_copies", "n_sums")),
+        *((name, c_void_p) for name in ("copies", "sums")),
         *((name, c_void_p) for name in ("optional", "seconds", "overridden", "overrides")),
     )
 
@@ -51,13 +52,13 @@ class MemberStruct(Structure):
 class OperationStruct(Structure):
     """cosim_operation."""
 
-    _fields_ = tuple((name, c_int32) for name in ("kind", "first", "count"))
+    _fields_ = (("members", c_void_p), ("kind", c_int32), ("count", c_int32))
 
 
 class SegmentStruct(Structure):
     """cosim_segment."""
 
-    _fields_ = tuple((name, c_int32) for name in ("first", "count"))
+    _fields_ = (("operations", c_void_p), *((name, c_int64) for name in ("count", "first", "cascade")))
 
 
 class HeldStruct(Structure):
@@ -74,7 +75,6 @@ class StageStruct(Structure):
     """cosim_stage."""
 
     _fields_ = (
-        *((name, c_void_p) for name in ("members", "operations", "copies", "sums", "terms")),
         ("segments", c_void_p),
         *((name, c_int64) for name in ("n_segments", "width", "tile")),
         *((name, c_void_p) for name in ("t", "rows")),

@@ -56,11 +56,8 @@ static void build(system_of_lags *s)
     s->terms[1] = (cosim_term){2 * LAGS + 1, -0.25};
     int n = 0;
     s->operations[n++] = (cosim_operation){COSIM_KEEP, 0, MEMBERS};
-    for (int i = 0; i < MEMBERS; ++i) {
-        s->operations[n++] = (cosim_operation){COSIM_GATHER, i, 1};
+    for (int i = 0; i < MEMBERS; ++i)
         s->operations[n++] = (cosim_operation){COSIM_ADVANCE, i, 1};
-        s->operations[n++] = (cosim_operation){COSIM_TRACE, i, 1};
-    }
     s->operations[n++] = (cosim_operation){COSIM_REFRESH, 0, 1};
     s->operations[n++] = (cosim_operation){COSIM_CHECK, 0, MEMBERS};
     s->segment = (cosim_segment){0, n};
