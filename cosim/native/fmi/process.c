@@ -111,11 +111,12 @@ static int32_t compare_units(Unit a, Unit b) { return a.sse == b.sse ? 0 : COSIM
 
 /* Whether numbers are rounded to the nearest, and subnormal ones are computed: by arithmetic, as
  * reading the unit's control word waits for all arithmetic before it. */
-static bool computes_as_usual(void)
+static inline bool computes_as_usual(void)
 {
-    const volatile double one = 1.0, half_a_bit = 0x1p-55;
-    const volatile double least = 0x1p-1022, more = 0x1.4p-1022;
-    return (one + half_a_bit) - (one - half_a_bit) == 0.0 && least + (more - least) > least;
+    static const double NUMBERS[] = {1.0, 0x1p-55, 0x1p-1022, 0x1.4p-1022};
+    const volatile double *read = NUMBERS; /* volatile: computed at every call */
+    const double one = read[0], quarter_bit = read[1], least = read[2], more = read[3];
+    return one + quarter_bit == one - quarter_bit && least + (more - least) > least;
 }
 
 /* --- what all threads share --- */
