@@ -35,8 +35,7 @@ if TYPE_CHECKING:
     from cosim.core.recorders import EndOfRun, Memory, Nothing, Watched, end_of_run
     from cosim.core.signals import Channel, Interface, Layout, Signal
     from cosim.core.simulation import Simulation
-    from cosim.core.states import SimulationState
-    from cosim.core.step_rows import StepRows
+    from cosim.core.snapshots import SimulationState, StepRows
 
 _HOMES = {
     "Block": "cosim.core.contracts",
@@ -73,8 +72,8 @@ _HOMES = {
     "SignalEvent": "cosim.core.contracts",
     "simulate": "cosim.core.master",
     "Simulation": "cosim.core.simulation",
-    "SimulationState": "cosim.core.states",
-    "StepRows": "cosim.core.step_rows",
+    "SimulationState": "cosim.core.snapshots",
+    "StepRows": "cosim.core.snapshots",
     "Stopped": "cosim.core.contracts",
     "Watched": "cosim.core.recorders",
 }

@@ -61,7 +61,6 @@ class Pacer:
     def begin(self, block: Block) -> None:
         """Begin a block."""
         self.end = block.steps
-        self.error = None
         for stage in self._stages:
             stage.reached = 0
 

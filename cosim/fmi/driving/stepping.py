@@ -210,6 +210,13 @@ class Stepper:
             struct.get_state = addresses.call("GetFMUState")
         if feedthrough is not None:
             feedthrough.native(addresses, struct)
+        struct.plain = (
+            struct.step_inputs.is_direct
+            and struct.outputs_read.is_direct
+            and not struct.n_event
+            and not struct.get_state
+            and not struct.feedthrough.n_unknowns
+        )
         self._addresses = addresses
         self._keep_fmu_state(self._fmu_state)
         return NativeStep(

@@ -117,6 +117,13 @@ RARE static int32_t leave_before_step(Component *c, int32_t status)
     return leave(c, status == COSIM_CALL_FAILED ? COSIM_FAILED : COSIM_NOTHING);
 }
 
+/* Call do_step; COSIM_DECLINED as well where an event is due at its end. */
+static int32_t do_step(Component *c, double t, double h)
+{
+    const int32_t status = cosim_fmu_do_step(c->fmu, c->fmu->version, &c->do_step, t, h);
+    return status == COSIM_OK && is_event_due(c, t, h) ? COSIM_DECLINED : status;
+}
+
 /* Set inputs to their values at the beginning of a step, with their slopes, and call do_step. */
 RARE static int32_t do_step_on_ramps(Component *c, double t0, double h, const double *u0,
                                 const double *u1)
@@ -133,7 +140,7 @@ RARE static int32_t do_step_on_ramps(Component *c, double t0, double h, const do
         return leave_before_step(c, status);
     if (cosim_fmu_set_slopes(c->fmu, &c->slopes, change, h) != COSIM_OK)
         return leave(c, COSIM_SLOPES_FAILED);
-    if (cosim_fmu_do_step(c->fmu, &c->do_step, t0, h) != COSIM_OK || is_event_due(c, t0, h))
+    if (do_step(c, t0, h) != COSIM_OK)
         return leave(c, COSIM_STEPPED);
     const double until = cosim_fmu_interpolated_until(c->fmu, &c->do_step);
     double s = 1.0;
@@ -146,9 +153,8 @@ RARE static int32_t do_step_on_ramps(Component *c, double t0, double h, const do
     return COSIM_OK;
 }
 
-/* Set inputs to the mean of both ends of a step, and call do_step. */
-static int32_t do_step_with_means(Component *c, double t0, double h, const double *u0,
-                                  const double *u1)
+/* The mean of both ends of a step. */
+static inline void mean_inputs(const Component *c, const double *u0, const double *u1)
 {
     double *inputs = c->inputs;
     const volatile uint8_t *held = c->held; /* volatile: vectorizing does not pay for a few */
@@ -156,20 +162,25 @@ static int32_t do_step_with_means(Component *c, double t0, double h, const doubl
         const double change = held[i] ? 0.0 : u1[i] - u0[i];
         inputs[i] = u0[i] + 0.5 * change;
     }
+}
+
+/* Set inputs to the mean of both ends of a step, and call do_step. */
+static int32_t do_step_with_means(Component *c, double t0, double h, const double *u0,
+                                  const double *u1)
+{
+    mean_inputs(c, u0, u1);
+    const double *inputs = c->inputs;
     const int32_t status = cosim_fmu_set(c->fmu, &c->step_inputs, inputs);
     if (status != COSIM_OK)
         return leave_before_step(c, status);
-    if (cosim_fmu_do_step(c->fmu, &c->do_step, t0, h) != COSIM_OK || is_event_due(c, t0, h))
+    if (do_step(c, t0, h) != COSIM_OK)
         return leave(c, COSIM_STEPPED);
     return COSIM_OK;
 }
 
-int32_t cosim_co_simulation_step(void *self, double t0, double t1, double h, const double *u0,
-                                 const double *u1, double *y)
+RARE static int32_t step(Component *c, double t0, double h, const double *u0, const double *u1,
+                         double *y)
 {
-    (void)t1;
-    Component *c = self;
-    c->note = COSIM_NOTHING;
     if (!can_step(c) || has_input_event(c, u0) || has_time_event(c, t0, h))
         return COSIM_DECLINED;
     if (c->get_state) {
@@ -193,6 +204,48 @@ int32_t cosim_co_simulation_step(void *self, double t0, double t1, double h, con
         return leave(c, COSIM_COMPLETED);
     status = corrected_outputs(c, u1, y);
     return status == COSIM_OK ? COSIM_OK : leave(c, COSIM_FAILED);
+}
+
+/* Whether a step needs no more than inputs that are set to their mean, do_step and outputs. */
+static inline bool is_plain(const Component *c)
+{
+    const int32_t other = c->interpolates | c->ended | c->inner_step->watches;
+    return (c->plain & c->initialized & !other) && cosim_fmu_is_open(c->fmu) &&
+           !(c->next_event < INFINITY);
+}
+
+/* The same step where it is plain. */
+static inline int32_t plain_step(Component *c, int32_t version, double t0, double h,
+                                 const double *u0, const double *u1, double *y)
+{
+    cosim_fmu *fmu = c->fmu;
+    mean_inputs(c, u0, u1);
+    if (cosim_fmu_set_direct(fmu, version, &c->step_inputs, c->inputs) != COSIM_OK)
+        return leave(c, COSIM_FAILED);
+    if (cosim_fmu_do_step(fmu, version, &c->do_step, t0, h) != COSIM_OK)
+        return leave(c, COSIM_STEPPED);
+    if (cosim_fmu_get_direct(fmu, version, &c->outputs_read, y) != COSIM_OK)
+        return leave(c, COSIM_FAILED);
+    c->stepped = 1;
+    c->inner_steps = 0;
+    const volatile double *read = y; /* volatile: as of inputs */
+    for (int32_t i = 0; i < c->n_y; ++i)
+        c->outputs[i] = read[i];
+    return COSIM_OK;
+}
+
+int32_t cosim_co_simulation_step(void *self, double t0, double t1, double h, const double *u0,
+                                 const double *u1, double *y)
+{
+    (void)t1;
+    Component *c = self;
+    c->note = COSIM_NOTHING;
+    if (!is_plain(c))
+        return step(c, t0, h, u0, u1, y);
+    if (c->fmu->version == 3)
+        return plain_step(c, 3, t0, h, u0, u1, y);
+    return c->fmu->version == 2 ? plain_step(c, 2, t0, h, u0, u1, y)
+                                : plain_step(c, 1, t0, h, u0, u1, y);
 }
 
 int32_t cosim_co_simulation_outputs(void *self, double t, const double *u, double *y)

@@ -20,6 +20,8 @@
 typedef struct {
     /* what every step reads, first */
     cosim_fmu *fmu; /* NULL: all is left to the methods */
+    /* no inputs in events, no saved state, no D; inputs and outputs are Float64 in order */
+    int32_t plain;
     int32_t initialized, interpolates, stepped, ended;
     int32_t n_u, n_y, n_event;
     int32_t note; /* of the last step: what it did before it was left to the methods */

@@ -32,7 +32,7 @@ class CoSimulationStruct(Structure):
 
     _fields_ = (
         ("fmu", c_void_p),
-        *((name, c_int32) for name in ("initialized", "interpolates", "stepped", "ended")),
+        *((name, c_int32) for name in ("plain", "initialized", "interpolates", "stepped", "ended")),
         *((name, c_int32) for name in ("n_u", "n_y", "n_event", "note")),
         ("next_event", c_double),
         *((name, c_void_p) for name in ("get_state", "held", "outputs", "inputs")),

@@ -16,8 +16,6 @@ typedef int (*directional_3)(void *instance, const uint32_t *unknowns, size_t n_
 
 typedef int (*slopes_2)(void *instance, const uint32_t *references, size_t n, const int32_t *orders,
                         const double *values);
-typedef int (*step_1)(void *instance, double t, double h, signed char new_step);
-typedef int (*step_2)(void *instance, double t, double h, int no_way_back);
 typedef int (*step_3)(void *instance, double t, double h, bool no_way_back, bool *event_needed,
                       bool *terminate, bool *early_return, double *last_successful_time);
 
@@ -250,15 +248,15 @@ static bool was_not_asked(const cosim_interpolation *interpolation)
     return false;
 }
 
-static int32_t do_step_3(cosim_fmu *fmu, cosim_fmu_step *step, double t, double h)
+int32_t cosim_fmu_do_step_3(cosim_fmu *fmu, cosim_fmu_step *step, double t, double h)
 {
     cosim_interpolation *interpolation = step->interpolation;
     interpolation->t0 = t;
     interpolation->h = h;
     interpolation->last_request = -INFINITY;
     step->status = ((step_3)step->function)(fmu->instance, t, h, !fmu->may_go_back,
-                                                  step->event_needed, step->terminate,
-                                                  step->early_return, step->last_successful_time);
+                                            step->event_needed, step->terminate,
+                                            step->early_return, step->last_successful_time);
     if (step->status > COSIM_FMI_WARNING || step->status < COSIM_FMI_OK)
         return COSIM_DECLINED;
     if (*step->terminate || *step->early_return || (*step->event_needed && step->event_mode))
@@ -269,20 +267,11 @@ static int32_t do_step_3(cosim_fmu *fmu, cosim_fmu_step *step, double t, double 
     return COSIM_OK;
 }
 
-int32_t cosim_fmu_do_step(cosim_fmu *fmu, cosim_fmu_step *step, double t, double h)
+int32_t cosim_fmu_judge_step(cosim_fmu *fmu, cosim_fmu_step *step)
 {
-    fmu->messages->now = t;
-    if (fmu->version == 3) {
-        if (do_step_3(fmu, step, t, h) != COSIM_OK)
-            return COSIM_DECLINED;
-    } else if (fmu->version == 2)
-        step->status = ((step_2)step->function)(fmu->instance, t, h, !fmu->may_go_back);
-    else
-        step->status = ((step_1)step->function)(fmu->instance, t, h, 1);
-    if (step->status == COSIM_FMI_WARNING)
-        cosim_fmu_record_warning(fmu, step->call);
-    else if (step->status != COSIM_FMI_OK)
+    if (step->status != COSIM_FMI_WARNING)
         return COSIM_DECLINED;
+    cosim_fmu_record_warning(fmu, step->call);
     return COSIM_OK;
 }
 

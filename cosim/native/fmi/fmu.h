@@ -9,7 +9,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "callbacks.h"
+#include "fmi.h"
 
 /* Statuses beside those of cosim.h. */
 #define COSIM_DECLINED 20    /* nothing was called: it is left to the methods in Python */
@@ -103,38 +103,49 @@ int32_t cosim_fmu_set_any(cosim_fmu *fmu, const cosim_fmu_variables *variables,
  * were read, and may be read again. */
 int32_t cosim_fmu_get_any(cosim_fmu *fmu, const cosim_fmu_variables *variables, double *vector);
 
-/* The same, quick for what is usual. */
-static inline int cosim_fmu_access(const cosim_fmu *fmu, void (*function)(void),
+/* The same, quick for what is usual; `version` is that of the FMU, a constant where it is known. */
+static inline int cosim_fmu_access(const cosim_fmu *fmu, int32_t version, void (*function)(void),
                                    const cosim_fmu_variables *variables, void *values)
 {
-    if (fmu->version == 3)
+    if (version == 3)
         return ((cosim_fmu_values_3)function)(fmu->instance, variables->references,
                                               variables->n_references, values, variables->size);
     return ((cosim_fmu_values_2)function)(fmu->instance, variables->references,
                                           variables->n_references, values);
 }
 
+static inline int32_t cosim_fmu_set_direct(cosim_fmu *fmu, int32_t version,
+                                           const cosim_fmu_variables *variables,
+                                           const double *vector)
+{
+    /* functions of FMI that set take const values */
+    double *values = (double *)vector + variables->first;
+    const int status = cosim_fmu_access(fmu, version, variables->set, variables, values);
+    return status == COSIM_FMI_OK ? 0
+                                  : cosim_fmu_judge_other(fmu, variables->groups->set, status);
+}
+
+static inline int32_t cosim_fmu_get_direct(cosim_fmu *fmu, int32_t version,
+                                           const cosim_fmu_variables *variables, double *vector)
+{
+    double *values = vector + variables->first;
+    const int status = cosim_fmu_access(fmu, version, variables->get, variables, values);
+    return status == COSIM_FMI_OK ? 0
+                                  : cosim_fmu_judge_other(fmu, variables->groups->get, status);
+}
+
 static inline int32_t cosim_fmu_set(cosim_fmu *fmu, const cosim_fmu_variables *variables,
                                     const double *vector)
 {
-    if (!variables->set)
-        return cosim_fmu_set_any(fmu, variables, vector);
-    /* functions of FMI that set take const values */
-    double *values = (double *)vector + variables->first;
-    const int status = cosim_fmu_access(fmu, variables->set, variables, values);
-    return status == COSIM_FMI_OK ? 0
-                                  : cosim_fmu_judge_other(fmu, variables->groups->set, status);
+    return variables->set ? cosim_fmu_set_direct(fmu, fmu->version, variables, vector)
+                          : cosim_fmu_set_any(fmu, variables, vector);
 }
 
 static inline int32_t cosim_fmu_get(cosim_fmu *fmu, const cosim_fmu_variables *variables,
                                     double *vector)
 {
-    if (!variables->get)
-        return cosim_fmu_get_any(fmu, variables, vector);
-    double *values = vector + variables->first;
-    const int status = cosim_fmu_access(fmu, variables->get, variables, values);
-    return status == COSIM_FMI_OK ? 0
-                                  : cosim_fmu_judge_other(fmu, variables->groups->get, status);
+    return variables->get ? cosim_fmu_get_direct(fmu, fmu->version, variables, vector)
+                          : cosim_fmu_get_any(fmu, variables, vector);
 }
 
 /* Write d(unknowns)/d(knowns) . seed, of Float64 variables. */
@@ -175,9 +186,28 @@ typedef struct {
     cosim_interpolation *interpolation;
     cosim_fmu_call *set; /* fmi3SetFloat64, which the interpolation calls */
 } cosim_fmu_step;
+typedef int (*cosim_fmu_do_step_1)(void *instance, double t, double h, signed char new_step);
+typedef int (*cosim_fmu_do_step_2)(void *instance, double t, double h, int no_way_back);
+/* That of FMI 3.0: COSIM_OK or COSIM_DECLINED. */
+int32_t cosim_fmu_do_step_3(cosim_fmu *fmu, cosim_fmu_step *step, double t, double h);
+/* Judge another status than ok: COSIM_OK for a warning, else COSIM_DECLINED. */
+int32_t cosim_fmu_judge_step(cosim_fmu *fmu, cosim_fmu_step *step);
+
 /* Call it; COSIM_DECLINED: it ended in another way than with a completed step, and what is to be
  * found out about that is left to the methods in Python. */
-int32_t cosim_fmu_do_step(cosim_fmu *fmu, cosim_fmu_step *step, double t, double h);
+static inline int32_t cosim_fmu_do_step(cosim_fmu *fmu, int32_t version, cosim_fmu_step *step,
+                                        double t, double h)
+{
+    fmu->messages->now = t;
+    if (version == 2)
+        step->status =
+            ((cosim_fmu_do_step_2)step->function)(fmu->instance, t, h, !fmu->may_go_back);
+    else if (version == 1)
+        step->status = ((cosim_fmu_do_step_1)step->function)(fmu->instance, t, h, 1);
+    else if (cosim_fmu_do_step_3(fmu, step, t, h) != 0)
+        return COSIM_DECLINED;
+    return step->status == COSIM_FMI_OK ? 0 : cosim_fmu_judge_step(fmu, step);
+}
 /* Until when inputs with slopes followed them in a step that was completed [s], infinity: to its
  * end, -infinity: not at all; ends the interpolation of FMI 3.0. */
 double cosim_fmu_interpolated_until(cosim_fmu *fmu, const cosim_fmu_step *step);

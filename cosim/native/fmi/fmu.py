@@ -8,8 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import DTypeLike
 
-from cosim.native.fmi.callbacks import MessageStruct
-from cosim.native.library import declare
+from cosim.native.library import MessageStruct, declare
 
 DECLINED: Final = 20  # COSIM_DECLINED
 CALL_FAILED: Final = 21  # COSIM_CALL_FAILED
@@ -76,6 +75,11 @@ class VariablesStruct(Structure):
         *((name, c_size_t) for name in ("n_references", "size")),
         ("first", c_ssize_t),
     )
+
+    @property
+    def is_direct(self) -> bool:
+        """Whether they are handed over where they stand in the vector."""
+        return bool(self.get)
 
 
 class DirectionalStruct(Structure):

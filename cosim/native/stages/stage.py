@@ -58,7 +58,10 @@ class OperationStruct(Structure):
 class SegmentStruct(Structure):
     """cosim_segment."""
 
-    _fields_ = (("operations", c_void_p), *((name, c_int64) for name in ("count", "first", "cascade")))
+    _fields_ = (
+        ("operations", c_void_p),
+        *((name, c_int64) for name in ("count", "first", "cascade")),
+    )
 
 
 class HeldStruct(Structure):

@@ -1,4 +1,4 @@
-#include "callbacks.h"
+#include "fmi.h"
 
 #include <stdarg.h>
 #include <stdatomic.h>
