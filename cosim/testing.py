@@ -21,7 +21,9 @@ from cosim.core.calls import result_problem
 from cosim.core.clock import nanoseconds, seconds
 from cosim.core.contracts import Component, Design, Native, Rollback, State, prepare
 from cosim.native.numerics.expression import compile_expression
-from cosim.native.step import NativeStep, evaluate_at, first_order_hold
+from cosim.native.numerics.linear import first_order_hold
+from cosim.native.numerics.programs import evaluate_at
+from cosim.native.step import NativeStep
 from cosim.theory.disturbances.families import Exponential, Family, group_by_alpha
 from cosim.theory.disturbances.regression import expand
 from cosim.theory.disturbed_plant import DisturbedPlant

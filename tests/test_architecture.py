@@ -79,26 +79,39 @@ OUTSIDE = {
     "typer": {"cli", "completion", "report"},
     "rich": {"report", "terminal"},
 }
-FMI_ROOMS = [
-    "variable",
-    "references",
-    "description",
-    "platforms",
-    "bundled",
-    "describing",
-    "instance",
-    "generated",
-    "reading",
-    "trial_cache",
-    "child_process",
-    "binary",
-    "driving",
-    "options",
-    "component",
-    "exporting",
-    "linearizing",
-    "checking",
-]
+ROOMS = {
+    "native": [
+        "build",
+        "library",
+        "memory",
+        "step",
+        "numerics",
+        "blocks",
+        "estimation",
+        "fmi",
+        "stages",
+    ],
+    "fmi": [
+        "variable",
+        "references",
+        "description",
+        "platforms",
+        "bundled",
+        "describing",
+        "instance",
+        "generated",
+        "reading",
+        "trial_cache",
+        "child_process",
+        "binary",
+        "driving",
+        "options",
+        "component",
+        "exporting",
+        "linearizing",
+        "checking",
+    ],
+}
 MODULES = sorted(ROOT.rglob("*.py"))
 
 
@@ -180,16 +193,17 @@ def test_no_import_runs_upwards_between_files():
 
 
 @pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(ROOT)))
-def test_the_rooms_of_fmi_stand_in_one_order(path):
-    """A folder or file of cosim.fmi imports only those that stand before it."""
-    inside = path.relative_to(ROOT).parts
-    if inside[0] != "fmi" or path.name == "__init__.py":
+def test_the_rooms_of_a_layer_stand_in_one_order(path):
+    """A folder or file of cosim.fmi or cosim.native imports only those that stand before it."""
+    layer, *inside = path.relative_to(ROOT).parts
+    if layer not in ROOMS or inside == ["__init__.py"]:
         return
-    number = FMI_ROOMS.index(inside[1].removesuffix(".py"))
+    rooms = ROOMS[layer]
+    number = rooms.index(inside[0].removesuffix(".py"))
     for module in imported_modules(path, modules()):
         parts = module.split(".")
-        if parts[:2] == ["cosim", "fmi"]:
-            assert FMI_ROOMS.index(parts[2]) <= number, f"{path} imports {module}"
+        if parts[:2] == ["cosim", layer]:
+            assert rooms.index(parts[2]) <= number, f"{path} imports {module}"
 
 
 def type_names(tree: ast.Module) -> set[str]:

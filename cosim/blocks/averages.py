@@ -18,14 +18,8 @@ from cosim.core.linear import LinearModel
 from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
 from cosim.native.blocks.window import WindowConstants, WindowStep, window_memory
-from cosim.native.step import (
-    LARGEST_MEMORY,
-    DiscretizedDynamics,
-    NativeStep,
-    affine,
-    first_order_hold,
-    linear_step,
-)
+from cosim.native.numerics.linear import DiscretizedDynamics, affine, first_order_hold, linear_step
+from cosim.native.step import LARGEST_MEMORY, NativeStep
 
 
 @dataclass(frozen=True, slots=True)

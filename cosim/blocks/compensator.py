@@ -33,7 +33,8 @@ from cosim.core.contracts import Design, check_design
 from cosim.core.signals import Interface, Signal
 from cosim.errors import LogError, UsageError
 from cosim.native.blocks.compensator import CompensatorConstants, CompensatorStep
-from cosim.native.step import NativeStep, affine, matrix_exponential
+from cosim.native.numerics.linear import affine, matrix_exponential
+from cosim.native.step import NativeStep
 from cosim.theory.compensation.activation import Activation
 from cosim.theory.compensation.design import (
     CertifiedCompensator,

@@ -10,7 +10,8 @@ from cosim.arrays import Matrix, Vector
 from cosim.core.linear import LinearModel
 from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
-from cosim.native.step import LARGEST_MEMORY, NativeStep, delay_step
+from cosim.native.numerics.linear import delay_step
+from cosim.native.step import LARGEST_MEMORY, NativeStep
 
 AUGMENTED = 6  # the discretization of n states works on 4 matrices of 3 n rows: (6 n)^2 values
 

@@ -22,7 +22,7 @@ from cosim.native.estimation.alphas import Alpha, PastAlphas
 from cosim.native.estimation.identifier import IdentifierConstants
 from cosim.native.estimation.output_error import KnownInput, OutputErrorConstants
 from cosim.native.estimation.rayleigh import RayleighConstants
-from cosim.native.step import RegressorConstants
+from cosim.native.estimation.regression import RegressorConstants
 from cosim.theory.disturbances.families import SearchBox
 from cosim.theory.disturbed_plant import DisturbedPlant, NoiseModel, discretize, white_noise
 from cosim.theory.estimators.output_error import presence_threshold

@@ -11,7 +11,7 @@ from cosim.blocks.estimator import Estimator, estimate, optional_input
 from cosim.core.contracts import Design
 from cosim.core.signals import Interface
 from cosim.errors import UsageError
-from cosim.native.step import LeastSquares, LeastSquaresConstants
+from cosim.native.estimation.regression import LeastSquares, LeastSquaresConstants
 from cosim.theory.estimators.least_squares import Recovery, recovery_constants
 
 

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from cosim.arrays import Matrix, Vector
 from cosim.errors import UsageError, steps_text
 from cosim.native.blocks.sensor import DrawnSamples, Levels
-from cosim.native.step import LARGEST_MEMORY, WORDS_PER_NORMAL, normal
+from cosim.native.numerics.noise import WORDS_PER_NORMAL, normal
+from cosim.native.step import LARGEST_MEMORY
 
 MOST_BITS = 52  # doubles tell no more levels apart
 WHOLE_NUMBERS = 2.0**53  # from here on every double is a whole number

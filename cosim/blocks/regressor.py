@@ -12,7 +12,8 @@ from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
 from cosim.native.blocks.wrapping import parts_step
 from cosim.native.estimation.alphas import Alpha, AlphaSignal, PastAlphas, signals_among
-from cosim.native.step import LARGEST_MEMORY, NativeStep, RegressorConstants, RegressorStep
+from cosim.native.estimation.regression import RegressorConstants, RegressorStep
+from cosim.native.step import LARGEST_MEMORY, NativeStep
 from cosim.theory.disturbances.regression import Term
 
 

@@ -28,7 +28,7 @@ from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Design, Stopped
 from cosim.core.signals import Interface
 from cosim.errors import CosimError, RunError
-from cosim.native.step import affine, first_order_hold
+from cosim.native.numerics.linear import affine, first_order_hold
 from cosim.theory.observers.observer import (
     ObserverDesign,
     StateSpace,

@@ -14,7 +14,9 @@ from cosim.core.signals import Interface, Signal, SignalType, Variability
 from cosim.errors import UsageError
 from cosim.native.blocks.functions import drawn_step, table_step
 from cosim.native.numerics.expression import compile_expression
-from cosim.native.step import WORDS_PER_NORMAL, NativeStep, evaluate, expression_step, normal
+from cosim.native.numerics.noise import WORDS_PER_NORMAL, normal
+from cosim.native.numerics.programs import evaluate, expression_step
+from cosim.native.step import NativeStep
 
 _DRAWN_AHEAD: Final = 4096  # numbers that are drawn at once: a call for each value is slow
 

@@ -11,7 +11,8 @@ from cosim.blocks.plant import linear_model
 from cosim.core.linear import LinearModel, feedthrough_of
 from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
-from cosim.native.step import DiscretizedDynamics, NativeStep, affine, linear_step
+from cosim.native.numerics.linear import DiscretizedDynamics, affine, linear_step
+from cosim.native.step import NativeStep
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,7 +35,8 @@ if TYPE_CHECKING:
     from cosim.core.recorders import EndOfRun, Memory, Nothing, Watched, end_of_run
     from cosim.core.signals import Channel, Interface, Layout, Signal
     from cosim.core.simulation import Simulation
-    from cosim.core.snapshots import SimulationState, StepRows
+    from cosim.core.states import SimulationState
+    from cosim.core.step_rows import StepRows
 
 _HOMES = {
     "Block": "cosim.core.contracts",
@@ -72,8 +73,8 @@ _HOMES = {
     "SignalEvent": "cosim.core.contracts",
     "simulate": "cosim.core.master",
     "Simulation": "cosim.core.simulation",
-    "SimulationState": "cosim.core.snapshots",
-    "StepRows": "cosim.core.snapshots",
+    "SimulationState": "cosim.core.states",
+    "StepRows": "cosim.core.step_rows",
     "Stopped": "cosim.core.contracts",
     "Watched": "cosim.core.recorders",
 }

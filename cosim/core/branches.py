@@ -138,7 +138,7 @@ class Branches:
         began = perf_counter()
         cuts = way(block, signals, end)
         elapsed = perf_counter() - began
-        if elapsed > LONG_ENOUGH:
+        if end and elapsed > LONG_ENOUGH:
             self._times[in_two].append(elapsed / end)
         return cuts
 

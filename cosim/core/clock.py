@@ -201,6 +201,15 @@ class Clock:
         first, second = sorted((float(nearest), other))
         return first, second
 
+    def block_at(self, index: int, steps: int) -> Block:
+        """Return some communication steps, from the point of number ``index`` on."""
+        numbers = np.arange(index, index + steps + 1, dtype=np.int64)
+        ns = self.start_ns + numbers * self.step_ns
+        time = seconds(ns)
+        for array in (ns, time):
+            array.setflags(write=False)  # components see them
+        return Block(index, ns, time, self.step_ns / NANOSECONDS)
+
     def blocks(self, limit: int, work: float = BLOCK_WORK) -> Iterator[Block]:
         """Yield the blocks of the run, none longer than ``limit`` steps.
 
@@ -211,14 +220,8 @@ class Clock:
         size = min(self.block or FIRST_BLOCK, limit)
         while index < self.steps:
             size = min(size, self.steps - index)
-            first_ns = self.start_ns + index * self.step_ns
-            end_ns = first_ns + (size + 1) * self.step_ns
-            ns = np.arange(first_ns, end_ns, self.step_ns, dtype=np.int64)
-            time = seconds(ns)
-            for array in (ns, time):
-                array.setflags(write=False)  # components see them
             began = perf_counter()
-            yield Block(index, ns, time, self.step_ns / NANOSECONDS)
+            yield self.block_at(index, size)
             index += size
             if self.block is None:
                 elapsed = max(perf_counter() - began, 1e-9)

@@ -7,6 +7,7 @@ whole block in one call. Feedthrough orders only the inside of loops and the ini
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cached_property
 from itertools import chain
 from typing import Literal
 
@@ -243,6 +244,15 @@ class Graph:
         for member in self._members.values():
             member.component.measure(seconds)
         return seconds
+
+    @cached_property
+    def members(self) -> Mapping[str, Member]:
+        """The components in their places by name, in the order of the stages."""
+        members: dict[str, Member] = {}
+        for stage in self.stages:
+            for member in stage.members:
+                members[member.name] = member
+        return members
 
     @property
     def warnings(self) -> list[tuple[str, str]]:

@@ -13,7 +13,8 @@ from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Design, check_design
 from cosim.core.signals import Interface
 from cosim.errors import GraphError
-from cosim.native.step import DiscretizedDynamics, NativeStep, affine, first_order_hold, linear_step
+from cosim.native.numerics.linear import DiscretizedDynamics, affine, first_order_hold, linear_step
+from cosim.native.step import NativeStep
 
 
 @dataclass(frozen=True, slots=True)

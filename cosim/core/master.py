@@ -19,22 +19,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-import numpy as np
-
 from cosim.arrays import Matrix
 from cosim.core.arguments import check_recorder, check_type
 from cosim.core.clock import Clock
 from cosim.core.contracts import Block, Design, Plan, Recorder, Stopped
+from cosim.core.engine import Engine
 from cosim.core.graph import Graph
-from cosim.core.native_stage import advancing_stages
-from cosim.core.pacing import Pacer
-from cosim.core.recorders import BlockMemory, Nothing
+from cosim.core.recorders import Nothing
 from cosim.errors import UsageError
-
-TWO_SIMULATIONS = (
-    "another simulation of this graph has begun, and its components have one state each; build a "
-    "graph with components of its own for every simulation"
-)
 
 
 def run(
@@ -135,21 +127,11 @@ def _advance(
     graph: Graph, clock: Clock, recorder: Recorder, *, divide: bool
 ) -> Iterator[tuple[Block, Matrix]]:
     """Initialize a prepared graph, and yield its blocks; those that take long in pieces."""
-    memory = BlockMemory(recorder, graph.layout.width, clock.steps)
-    row = np.zeros(graph.layout.width)
-    graph.initialize(clock.start_time, row)
-    initialization = graph.initializations
-    pacer = Pacer(advancing_stages(graph), divide=divide)
-    for block in clock.blocks(memory.limit, pacer.work):
-        signals = memory.rows(block, row)
-        pacer.begin(block)
-        reached = -1
-        while reached < pacer.end:
-            if graph.initializations != initialization:
-                raise UsageError(TWO_SIMULATIONS)
-            begin = max(reached, 0)
-            reached = pacer.advance(block, signals)
-            yield block.part(begin, reached), signals[begin : reached + 1]
-        if pacer.error is not None:
-            raise pacer.error
+    engine = Engine(graph, clock, recorder, divide=divide)
+    row = engine.first_row
+    for block in clock.blocks(engine.limit, engine.work):
+        signals = engine.rows(block, row)
+        yield from engine.advance(block, signals)
+        if engine.error is not None:
+            raise engine.error
         row = signals[block.steps]

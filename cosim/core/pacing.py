@@ -61,6 +61,7 @@ class Pacer:
     def begin(self, block: Block) -> None:
         """Begin a block."""
         self.end = block.steps
+        self.error = None
         for stage in self._stages:
             stage.reached = 0
 

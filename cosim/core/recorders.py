@@ -16,7 +16,7 @@ from typing import Any, Final, Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.arrays import Mask, Matrix, Nanoseconds, Vector, read_only
+from cosim.arrays import Mask, Matrix, Nanoseconds, read_only
 from cosim.core.arguments import check_type
 from cosim.core.contracts import (
     Block,
@@ -31,7 +31,6 @@ from cosim.core.recorded import RecordedSignals, RunMessage, find_channel
 from cosim.core.signals import Channel
 from cosim.errors import Interrupted, LogError, UsageError, nearest
 
-BLOCK_BYTES: Final = 2**24  # of the rows of one block
 MEMORY_BYTES: Final = 2**30  # of rows that are taken at a time
 
 
@@ -354,39 +353,7 @@ class Memory(RecordedSignals):
         return self._steps[-1][-1] if self._steps else 0
 
 
-class BlockMemory:
-    """Memory for the rows of one block after another: the recorder's, or what is used again.
-
-    Parameters
-    ----------
-    recorder : Recorder
-    width : int
-        Columns of a row.
-    steps : int
-        Communication steps of the run.
-
-    Attributes
-    ----------
-    limit : int
-        The most steps of a block.
-    """
-
-    def __init__(self, recorder: Recorder, width: int, steps: int) -> None:
-        self.limit = max(1, BLOCK_BYTES // (8 * width + 8))
-        self._recorder = recorder
-        self._steps = steps
-        self._own = np.empty((min(self.limit, steps) + 1, width))
-
-    def rows(self, block: Block, first: Vector) -> Matrix:
-        """Return the rows of a block, shape (K+1, width), to be filled behind the first one."""
-        rows = _memory_of(self._recorder, block, self._steps - block.index)
-        if rows is None:
-            rows = self._own[: block.steps + 1]
-        rows[0] = first
-        return rows
-
-
-def _memory_of(recorder: Recorder, block: Block, steps: int) -> Matrix | None:
+def memory_of(recorder: Recorder, block: Block, steps: int) -> Matrix | None:
     """Return the memory of a recorder where the rows of a block will stay; None: it has none."""
     return recorder.memory_for(block, steps) if isinstance(recorder, RowMemory) else None
 
@@ -462,7 +429,7 @@ class Watched:
 
     def memory_for(self, block: Block, steps: int) -> Matrix | None:
         """Pass on."""
-        return _memory_of(self._recorder, block, steps)
+        return memory_of(self._recorder, block, steps)
 
     def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
         """Pass on."""

@@ -26,6 +26,8 @@ END: Final = slice(0, 1)  # the only row
 
 GivenOutputs: TypeAlias = Mapping[str, Sequence[tuple[slice, Vector]]]  # by component, with columns
 
+NOTHING_GIVEN: Final[GivenOutputs] = {}
+
 
 class _Update(NamedTuple):
     """Brings inputs of a member up to date, or some of its outputs; None: its inputs."""
@@ -52,10 +54,7 @@ class RightLimits:
 
     def __init__(self, graph: Graph) -> None:
         self._graph = graph
-        self._members: dict[str, Member] = {}
-        for stage in graph.stages:
-            for member in stage.members:
-                self._members[member.name] = member
+        self._members = graph.members
         self._followers: dict[Port, list[Port]] = {}
         for channel in graph.layout.channels:
             for signal in channel.interface.inputs:

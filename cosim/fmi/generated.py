@@ -29,7 +29,7 @@ from cosim.fmi.description import Capabilities, Description
 from cosim.fmi.instance import DiscreteStates
 from cosim.fmi.references import ReferenceMap
 from cosim.fmi.variable import Variable
-from cosim.native.step import affine
+from cosim.native.numerics.linear import affine
 
 Mode: TypeAlias = Literal[
     "instantiated", "initialization", "event", "continuous", "terminated", "freed"

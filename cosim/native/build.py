@@ -50,7 +50,7 @@ SOURCES = (
     "estimation/start_grid.c",
     "estimation/output_error.c",
     "estimation/identifier.c",
-    "fmi/fmi.c",
+    "fmi/callbacks.c",
     "fmi/fmu.c",
     "fmi/process.c",
     "fmi/inner_step.c",

@@ -16,7 +16,8 @@ from cosim.core.contracts import Recorder, Stopped
 from cosim.core.overrides import OverrideValue
 from cosim.core.recorders import end_of_run
 from cosim.core.simulation import Simulation
-from cosim.core.snapshots import SimulationState, StepRows
+from cosim.core.states import SimulationState
+from cosim.core.step_rows import StepRows
 from cosim.errors import RunError, UsageError
 
 
@@ -49,7 +50,8 @@ class Session:
     """A scenario that is advanced by hand; :meth:`cosim.scenario.parsing.Scenario.start` starts it.
 
     A context manager: at its end the log is complete, and FMUs are closed. It is used by the thread
-    that started it.
+    that started it. What it does with time, signals and states is that of its
+    :class:`cosim.core.Simulation`, whose methods say which errors they raise.
 
     Parameters
     ----------
@@ -154,16 +156,8 @@ class Session:
     def step(self, count: int = 1) -> StepRows:
         """Advance over some communication steps; return their rows by the names of signals.
 
-        An array of the rows has shape (count, size), cannot be written to, and is yours to keep.
-
-        Raises
-        ------
-        UsageError
-            If ``count`` is no whole number from 1 on, or goes beyond the stop of the scenario; if
-            the session has ended, or is that of another thread.
-        NonFiniteError, Stopped
-            Where a component cannot go on, or asks for the end; what was completed before is in the
-            log, and the session has ended there.
+        See :meth:`cosim.core.Simulation.step`. An array of the rows has shape (count, size), cannot
+        be written to, and is yours to keep.
         """
         return self._simulation.step(count)
 
@@ -173,17 +167,7 @@ class Session:
         return self._simulation.rows
 
     def run_until(self, t: float) -> StepRows:
-        """Advance up to an instant [s]; return the rows.
-
-        Raises
-        ------
-        ClockError
-            If it is no communication point.
-        UsageError
-            If it is before the time reached, or as from :meth:`step`.
-        NonFiniteError, Stopped
-            As from :meth:`step`.
-        """
+        """Advance up to an instant [s]; see :meth:`cosim.core.Simulation.run_until`."""
         return self._simulation.run_until(t)
 
     # --- signals ---
@@ -194,42 +178,19 @@ class Session:
         return self._simulation.signals
 
     def __getitem__(self, signal: str) -> Vector:
-        """Return what a signal is at the time reached, behind its jumps; shape (size,).
-
-        Raises
-        ------
-        UnknownSignalError
-            If there is no such component, signal or element; names the nearest.
-        UsageError
-            If it is the session of another thread.
-        """
+        """Return what a signal is at the time reached, behind its jumps; shape (size,)."""
         return self._simulation[signal]
 
     def __setitem__(self, to: str, value: OverrideValue) -> None:
         """Override an input, or elements of it, from the time reached on.
 
         It holds until it is changed or released. The row at this instant keeps the value before;
-        outputs that feed through follow at once.
-
-        Raises
-        ------
-        GraphError
-            If there is no such input, or the value does not fit it.
-        UsageError
-            If the session has ended, or is that of another thread.
+        outputs that feed through follow at once. See :meth:`cosim.core.Simulation.__setitem__`.
         """
         self._simulation[to] = value
 
     def release(self, to: str) -> None:
-        """Release an override, of an input or of elements of it: its connection drives it again.
-
-        Raises
-        ------
-        GraphError
-            If there is no such input, or it is not overridden.
-        UsageError
-            If the session has ended, or is that of another thread.
-        """
+        """Release an override; see :meth:`cosim.core.Simulation.release`."""
         self._simulation.release(to)
 
     @property
@@ -241,24 +202,12 @@ class Session:
 
     @property
     def state(self) -> SimulationState:
-        """The state at the time reached, to go back to; it can be pickled.
-
-        Raises
-        ------
-        UsageError
-            If components cannot go back, or the session has ended.
-        """
+        """The state at the time reached, to go back to; it can be pickled."""
         return self._simulation.state
 
     @state.setter
     def state(self, state: SimulationState) -> None:
-        """Go back to a state of this scenario.
-
-        Raises
-        ------
-        UsageError
-            If it is none, or that of another scenario; if there is a log.
-        """
+        """Go back to a state of this scenario; without a log."""
         self._simulation.state = state
 
     def reset(self) -> None:

@@ -37,7 +37,7 @@ from cosim.native.estimation.output_error import (
     ResponseRecord,
     residual_of,
 )
-from cosim.native.step import first_order_holds
+from cosim.native.numerics.linear import first_order_holds
 from cosim.theory.plants.descriptor import ReducedSystem
 from cosim.theory.predictor import Predictor, stationary_predictor, time_varying_predictor
 from cosim.theory.sampling import distinct_steps

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from cosim.arrays import Matrix, Vector
 from cosim.errors import AssumptionError
 from cosim.native.estimation.predictor import predictor_gains
-from cosim.native.step import first_order_holds
+from cosim.native.numerics.linear import first_order_holds
 
 UNSEEN = 1e14  # condition of the information about the unstable modes
 

@@ -35,7 +35,7 @@ from cosim.core.recorders import Memory
 from cosim.core.signals import Interface, Signal
 from cosim.native.blocks.functions import LinearResponse
 from cosim.native.numerics.expression import compile_expression
-from cosim.native.step import delay_step
+from cosim.native.numerics.linear import delay_step
 from cosim.testing import check_component, check_rollback
 from cosim.theory.disturbances.families import Exponential, group_by_alpha
 from cosim.theory.disturbances.regression import expand

@@ -6,7 +6,7 @@ import pytest
 from cosim.blocks.source import Expression, Noise, Table, chirp, constant, ramp, sine, step
 from cosim.core.contracts import Stopped
 from cosim.errors import UsageError
-from cosim.native.step import normal
+from cosim.native.numerics.noise import normal
 from tests.blocks.stepping import drive, times
 
 STEPS = 2000

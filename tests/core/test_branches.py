@@ -7,11 +7,12 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from cosim.blocks.source import sine
+from cosim.blocks.source import Table, sine
 from cosim.blocks.state_space import controller
 from cosim.core import branches
 from cosim.core.branches import Branches
 from cosim.core.clock import Clock
+from cosim.core.contracts import Stopped
 from cosim.core.graph import Graph
 from cosim.core.linear import Linear
 from cosim.core.master import run
@@ -102,6 +103,17 @@ def test_the_first_error_is_that_of_one_thread(failing):
             run(Graph(components, connections, threads=threads), Clock(0.1, 1e-3, 20), memory)
         ends.append((str(caught.value), memory.rows("u").tobytes(), memory.rows("z").tobytes()))
     assert ends[0] == ends[1]
+
+
+@pytest.mark.usefixtures("in_two")
+def test_a_source_that_ends_at_once_ends_the_run(monkeypatch):
+    """The branches behind it have no step whose time could be taken."""
+    monkeypatch.setattr(branches, "LONG_ENOUGH", -1.0)
+    components, connections = chains(u=Table(np.array([0.0, 0.5e-3]), np.zeros((2, 1))))
+    memory = Memory()
+    with pytest.raises(Stopped, match=r"'u' stopped at t = 0\.0 s"):
+        run(Graph(components, connections), Clock(0.1, 1e-3, 20), memory)
+    assert memory.steps == 0
 
 
 @pytest.mark.usefixtures("in_two")

@@ -443,6 +443,68 @@ def test_only_what_is_overridden_is_released():
 # --- events ---
 
 
+class Kept(Memory):
+    """Keeps the events too."""
+
+    def __init__(self):
+        super().__init__()
+        self.events = []
+
+    def event(self, event):
+        self.events.append(event)
+
+
+def two_inputs():
+    components = {"a": sine(rate=3.0), "x": gain(np.eye(2)), "y": Delay(2, size=2)}
+    return Graph(components, {"x.u": ["a.y", "a.y"], "y.u": "x.y"})
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ([("x.u[0]", 2.0), ("x.u[0]", None)], []),
+        ([("x.u", [2.0, 3.0]), ("x.u", None)], []),
+        ([("x.u[0]", 2.0), ("x.u", [2.0, 3.0]), ("x.u", None)], []),
+        ([("x.u", [2.0, 3.0]), ("x.u[0]", None)], [("override", "x.u[1]")]),
+        ([("x.u[1]", 2.0), ("x.u[0]", 3.0)], [("override", "x.u")]),
+        ([("x.u", [2.0, 3.0]), ("x.u", [2.0, 4.0])], [("override", "x.u")]),
+        ([("y.u", None)], [("release", "y.u")]),
+        ([("y.u[1]", None)], [("release", "y.u[1]")]),
+        ([("y.u[1]", None), ("y.u[0]", None)], [("release", "y.u")]),
+        ([("y.u[1]", None), ("y.u[1]", 7.0)], [("override", "y.u[1]")]),
+        ([("y.u[1]", None), ("y.u", [7.0, 7.0])], [("override", "y.u")]),
+        ([("y.u[1]", None), ("y.u", [5.0, 7.0])], [("override", "y.u[1]")]),
+        ([("y.u[1]", 4.0), ("y.u", None)], [("release", "y.u")]),
+    ],
+)
+def test_events_are_what_overrides_at_one_point_come_to(changes, expected):
+    """A release of what was overridden there only is none; repeated, they give the same again."""
+    memory = Kept()
+    graph = two_inputs()
+    with memory:
+        plan = graph.prepare(clock().step_ns)
+        memory.begin(plan)
+        simulation = Simulation(graph, clock(8), plan, recorder=memory)
+        simulation.step(2)
+        simulation["y.u"] = [5.0, 6.0]
+        simulation.step(2)
+        memory.events.clear()
+        for to, value in changes:
+            if value is None:
+                simulation.release(to)
+            else:
+                simulation[to] = value
+        simulation.step(4)
+    own = [(e.cause, e.signal) for e in memory.events if e.cause != "follow"]
+    assert own == expected
+    first = SignalEvent(2 * 10**8, "override", "y.u", (5.0, 6.0))
+    again = Kept()
+    repeat(two_inputs(), clock(8), again, events=[first, *memory.events])
+    assert again.events == [first, *memory.events]
+    for name in again.signals():
+        assert again[name].tobytes() == memory[name].tobytes()
+
+
 def test_events_are_repeated_in_the_order_of_time():
     """Each at its communication point; others are refused."""
     events = [SignalEvent(3 * 10**8, "override", "x.u", (2.0,))]
@@ -459,6 +521,19 @@ def test_events_are_repeated_in_the_order_of_time():
     between = [SignalEvent(10**8 + 1, "override", "x.u", (2.0,))]
     with pytest.raises(LogError, match=r"t = 0.100000001 s: that is no communication point"):
         repeat(driven_lag(), clock(), Memory(), events=between)
+
+
+def test_a_recorded_row_keeps_the_left_limits_of_a_jump():
+    """Also in the memory of the recorder, where the next step starts from the right ones."""
+    memory = Memory()
+    events = [SignalEvent(3 * 10**8, "override", "first.u", (2.0,))]
+    repeat(chain(), clock(), memory, events=events)
+    undisturbed = recorded(chain())
+    for name in memory:
+        assert memory[name][:4].tobytes() == undisturbed[name][:4].tobytes(), name
+    assert memory["x.u"][4:].tolist() == [12.0] * 37
+    x = memory["x.y"]
+    assert x[4] == pytest.approx(12.0 + (x[3] - 12.0) * np.exp(-STEP), abs=12.0 * 8 * 2**-53)
 
 
 @pytest.mark.parametrize("is_recorded", [True, False])

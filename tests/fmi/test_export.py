@@ -25,13 +25,13 @@ from cosim.fmi.options import FmuOptions
 from cosim.fmi.reading.model_description import read
 from cosim.native import build
 from cosim.native.estimation.alphas import AlphaSignal, PastAlphas
-from cosim.native.numerics.expression import compile_expression
-from cosim.native.step import (
+from cosim.native.estimation.regression import (
     LeastSquaresConstants,
     RecoveryConstants,
     RegressorConstants,
-    first_order_hold,
 )
+from cosim.native.numerics.expression import compile_expression
+from cosim.native.numerics.linear import first_order_hold
 from tests.fmi.dae import descriptor
 from tests.fmi.plant import INTERFACE, A, B, C, D, grid, inputs, model, run, solution
 from tests.scenario.online import COARSE

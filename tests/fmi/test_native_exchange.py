@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from cosim.blocks.sampled import Sampled
 from cosim.core.clock import Clock
 from cosim.core.connections import Connection
 from cosim.core.contracts import Stopped
@@ -372,6 +373,34 @@ def test_fmus_in_loops_and_cascades(model, solver, version, coupling):
         for fmu in fmus:
             fmu.close()
     assert all(other == found[0] for other in found[1:])
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_the_end_that_an_fmu_requests_comes_with_the_row_of_its_step(version):
+    """Also where that is the last step of the run, or one of several with the FMU's own period."""
+    options = FmuOptions(solver="rk4", start={"p": 0.45})
+    ends = []
+    for native in (False, True):
+        for period in (1, 2):
+            with load(eventful.build("TIRED", version), options) as fmu:
+                component = fmu.component if period == 1 else Sampled(fmu.component, period)
+                memory = Memory()
+                run(Graph({"fmu": component}, {}, native=native), Clock(0.46, H), memory)
+                ends.append((memory.reason, memory.steps))
+    expected = ("'fmu' stopped at t = 0.46 s: the FMU requests the end of the run", 46)
+    assert ends == [expected] * 4
+
+
+@pytest.mark.parametrize("native", [False, True])
+@pytest.mark.parametrize("version", [2, 3])
+def test_an_fmu_that_requests_the_end_when_it_is_initialized_stops_the_run_there(version, native):
+    """There are no compiled steps of it: its states were never read."""
+    options = FmuOptions(solver="rk4", start={"p": -1.0})
+    with load(eventful.build("ENDS", version), options) as fmu:
+        memory = Memory()
+        run(Graph({"fmu": fmu.component}, {}, native=native), Clock(0.05, H), memory)
+    assert memory.steps == 0
+    assert memory.reason == "'fmu' stopped at t = 0.0 s: the FMU requests the end of the run"
 
 
 @pytest.mark.parametrize("solver", ["rk4", "DOP853"])

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from cosim.errors import UsageError, quoted
 from cosim.native.numerics.expression import FUNCTIONS, compile_expression
-from cosim.native.step import evaluate, evaluate_at
+from cosim.native.numerics.programs import evaluate, evaluate_at
 
 
 def of_numbers(function):

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from cosim.errors import UsageError
 from cosim.native.numerics.expression import compile_expression
 from cosim.native.numerics.jumps import jumps
-from cosim.native.step import evaluate
+from cosim.native.numerics.programs import evaluate
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from hypothesis.extra.numpy import arrays
 from cosim.blocks.plant import linear_model
 from cosim.core.linear import Linear
 from cosim.core.signals import Signal
-from cosim.native.step import (
+from cosim.native.numerics.linear import (
     affine,
     first_order_hold,
     first_order_holds,

@@ -23,7 +23,7 @@ from cosim.fmi.component import load
 from cosim.fmi.options import FmuOptions
 from cosim.native.estimation.alphas import AlphaSignal
 from cosim.native.numerics.expression import compile_expression
-from cosim.native.step import evaluate_at
+from cosim.native.numerics.programs import evaluate_at
 from cosim.scenario.build import Builder
 from cosim.scenario.document import find
 from cosim.scenario.exporting import export_component

@@ -1,5 +1,7 @@
 """The identifier by output error, online: its contract, its options, and what it does not say."""
 
+import pickle
+
 import numpy as np
 import pytest
 
@@ -123,6 +125,36 @@ def test_a_state_whose_samples_were_replaced_is_refused(recorded):
     component.initialize(0.0, recorded[0])
     with pytest.raises(UsageError, match=r"10 samples .* was restored to 0 of them since"):
         component.restore(early)
+
+
+@pytest.mark.parametrize("is_pickled", [False, True])
+def test_a_state_goes_on_in_another_identifier_with_its_samples(is_pickled, recorded):
+    """Any number of times; states that were saved there are refused then."""
+    component = prepared()
+    component.initialize(0.0, recorded[0])
+    drive(component, recorded, 0, 1100)
+    state = component.save()
+    if is_pickled:
+        state = pickle.loads(pickle.dumps(state))
+    expected = drive(component, recorded, 1100, 1200)
+    other = prepared()
+    other.initialize(0.0, recorded[0])
+    drive(other, 1.5 * recorded, 0, 500)
+    own = other.save()
+    for _ in range(2):
+        other.restore(state)
+        assert np.array_equal(drive(other, recorded, 1100, 1200), expected)
+    with pytest.raises(UsageError, match=r"500 samples .* was restored to 0 of them since"):
+        other.restore(own)
+
+
+def test_a_state_of_an_identifier_of_a_longer_run_is_refused(recorded):
+    """Its samples stand elsewhere in memory."""
+    component = prepared()
+    component.initialize(0.0, recorded[0])
+    longer = prepared({**EVERY_STEP, "scenario.stop": 24.0})
+    with pytest.raises(UsageError, match=r"a state of another identifier, .* of the same length"):
+        longer.restore(component.save())
 
 
 @pytest.mark.parametrize("period", [H, 0.1])

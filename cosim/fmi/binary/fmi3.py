@@ -33,8 +33,9 @@ from cosim.fmi.description import Capabilities
 from cosim.fmi.instance import DiscreteStates, StepEnd
 from cosim.fmi.references import Group
 from cosim.fmi.variable import Variable, VariableType
+from cosim.native.fmi.callbacks import InterpolationStruct
 from cosim.native.fmi.fmu import SlopesStruct, StepStruct
-from cosim.native.library import InterpolationStruct, address
+from cosim.native.library import address
 
 _FLOATS = ("Float64", "Float32")
 _INTEGERS = ("Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64")

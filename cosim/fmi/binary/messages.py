@@ -1,4 +1,4 @@
-"""What an FMU logs, between the callback in ``native/fmi/fmi.c`` that takes it and the log."""
+"""What an FMU logs, between the callback of ``native/fmi/callbacks.c`` and the log."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from ctypes import addressof, byref, c_double
 from typing import Final, NamedTuple
 
 from cosim.core.contracts import MessageLevel
-from cosim.native.library import MessagesStruct, MessageStruct, library
+from cosim.native.fmi.callbacks import MessagesStruct, MessageStruct
+from cosim.native.library import library
 from cosim.native.memory import place_struct
 
 LEVELS: Final[tuple[MessageLevel, ...]] = (

@@ -17,7 +17,7 @@ import threading
 from ctypes import addressof, create_string_buffer
 from typing import Final, final
 
-from cosim.native.library import library
+from cosim.native.fmi.process import process_restore, process_save, process_size
 
 ROUNDING: Final = 1
 _SUBNORMALS: Final = 2
@@ -43,7 +43,7 @@ class Process:
     """Remembers the state of the process before a call of an FMU."""
 
     def __init__(self) -> None:
-        self._state = create_string_buffer(library.cosim_process_size())
+        self._state = create_string_buffer(process_size())
         self._shared = 0
 
     @property
@@ -54,11 +54,11 @@ class Process:
     def save(self) -> None:
         """Remember the state."""
         self._shared = int(threading.current_thread() is threading.main_thread())
-        library.cosim_process_save(self._state, self._shared)
+        process_save(self._state, self._shared)
 
     def restore(self) -> int:
         """Put back what changed since ``save``; return what did, as bits of ``CHANGES``."""
-        changes: int = library.cosim_process_restore(self._state, self._shared)
+        changes: int = process_restore(self._state, self._shared)
         return changes
 
 

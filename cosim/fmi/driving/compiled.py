@@ -117,10 +117,12 @@ class CompiledIntegrator:
             struct.set_state = addresses.call("SetFMUState")
 
     def hand_over(self) -> None:
-        """Allow compiled steps, from where the integrator is."""
+        """Allow compiled steps, from where the integrator is; none behind the end of the run."""
         struct = self._struct
         integrator = self._integrator
         state = integrator.state
+        if state.ended:
+            return
         self._x[:] = state.x
         self._inputs[:] = state.inputs
         self._indicators[:] = state.indicators
@@ -129,7 +131,7 @@ class CompiledIntegrator:
         struct.next_event = state.next_event
         struct.inputs_time = integrator.inputs_time
         struct.due = sum(BITS[kind] for kind in state.due)
-        struct.ended = int(state.ended)
+        struct.ended = 0
         struct.rolls_back = int(integrator.rolls_back)
         if integrator.fmu_state is not None:
             struct.fmu_state = self._addresses.state(integrator.fmu_state)

@@ -13,7 +13,7 @@ from cosim.errors import RunError
 from cosim.fmi.binary.messages import Message
 from cosim.fmi.binary.process import ROUNDING, Process, describe_changes
 from cosim.fmi.driving.diagnostics import Diagnostics
-from cosim.native.fmi.guarded import GuardedStruct, guarded_step
+from cosim.native.fmi.process import GuardedStruct, guarded_step
 from cosim.native.step import Guard, NativeStep
 
 Result = TypeVar("Result")

@@ -56,8 +56,7 @@ from cosim.fmi.driving.residual import RADAU, RadauIIA, ResidualForm
 from cosim.fmi.driving.solvers import TOLERANT, Adaptive, Solver, Stateless
 from cosim.fmi.instance import ModelExchangeInstance
 from cosim.native.fmi.model_exchange import AT_END, ENDLESS_UPDATE, EVENT_IS_OVER, FAILED_SOLVER
-from cosim.native.library import RungeKuttaStruct
-from cosim.native.numerics.runge_kutta import EXPLICIT, RightHandSide, RungeKutta
+from cosim.native.numerics.runge_kutta import EXPLICIT, RightHandSide, RungeKutta, RungeKuttaStruct
 
 NONE: Final = np.empty(0)
 

@@ -36,7 +36,7 @@ from cosim.fmi.description import Dae, Description, Formulation
 from cosim.fmi.driving.solvers import SolutionPoint
 from cosim.fmi.instance import ModelExchangeInstance
 from cosim.fmi.references import ReferenceMap
-from cosim.native.step import affine, invert
+from cosim.native.numerics.linear import affine, invert
 
 DaeForm: TypeAlias = Literal["ode", "residual"]
 FORMS: Final[tuple[DaeForm, ...]] = ("ode", "residual")

@@ -15,8 +15,8 @@ from cosim.fmi.exporting.kernels import ESTIMATION, Kernel, doubles, integers, p
 from cosim.native.estimation.identifier import IdentifierConstants, IdentifierStep
 from cosim.native.estimation.output_error import OutputErrorModel, known_input_struct
 from cosim.native.estimation.rayleigh import RayleighModel
+from cosim.native.estimation.regression import RegressorConstants
 from cosim.native.estimation.start_grid import StartGridModel
-from cosim.native.step import RegressorConstants
 
 # an array, or the name of what stands in the text before
 Pointer: TypeAlias = NDArray[Any] | str

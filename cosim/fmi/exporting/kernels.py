@@ -17,13 +17,13 @@ from cosim.core.signals import Interface
 from cosim.native.blocks.control import PidConstants
 from cosim.native.blocks.window import WindowConstants
 from cosim.native.estimation.alphas import PastAlphas, elements_of
-from cosim.native.numerics.expression import Program
-from cosim.native.step import (
-    DiscretizedDynamics,
+from cosim.native.estimation.regression import (
     LeastSquaresConstants,
     RecoveryConstants,
     RegressorConstants,
 )
+from cosim.native.numerics.expression import Program
+from cosim.native.numerics.linear import DiscretizedDynamics
 
 # files of cosim/native that kernels need: those of controllers, those of the method
 CONTROL: Final = ("control.c", "linear.c")

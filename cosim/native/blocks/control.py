@@ -4,15 +4,46 @@ from __future__ import annotations
 
 import ctypes
 import sys
+from ctypes import c_double, c_int32, c_void_p
 from dataclasses import astuple, dataclass
 
 import numpy as np
 
 from cosim.arrays import Mask, Vector
-from cosim.native.library import IntegratorStruct, PidStruct, address, library, pointer
+from cosim.native.library import address, declare, library, pointer
 from cosim.native.step import NativeStep
 
 LARGEST_NUMBER = sys.float_info.max  # a limit that no value reaches
+
+
+class IntegratorStruct(ctypes.Structure):
+    """cosim_integrator."""
+
+    _fields_ = (
+        ("width", c_int32),
+        *((name, c_double) for name in ("lower", "upper")),
+        *((name, c_void_p) for name in ("held", "memory")),
+    )
+
+
+class PidStruct(ctypes.Structure):
+    """cosim_pid."""
+
+    _fields_ = (
+        *((name, c_double) for name in ("gain", "integral_gain", "derivative_gain")),
+        *((name, c_double) for name in ("setpoint_weight", "derivative_weight")),
+        *((name, c_double) for name in ("filter_rate", "tracking_rate")),
+        *((name, c_double) for name in ("lower", "upper", "initial_integral")),
+        *((name, c_void_p) for name in ("held", "memory")),
+    )
+
+
+declare(
+    {
+        "cosim_pid_start": (None, (c_void_p, c_void_p)),
+        "cosim_pid_outputs": (None, (c_void_p, c_void_p, c_void_p)),
+    }
+)
 
 
 def integrator_step(lower: float, upper: float, held: Mask) -> NativeStep:

@@ -12,9 +12,9 @@ import numpy as np
 
 from cosim.arrays import Matrix, Vector
 from cosim.native.blocks.wrapping import InnerStruct, inner_struct
-from cosim.native.estimation.alphas import program_array, program_struct
-from cosim.native.library import ProgramStruct, address, int32, pointer
+from cosim.native.library import address, int32, pointer
 from cosim.native.numerics.expression import Program
+from cosim.native.numerics.programs import ProgramStruct, program_array, program_struct
 from cosim.native.step import DOUBLE, NativeStep
 
 Extrapolation: TypeAlias = Literal["error", "hold", "linear"]

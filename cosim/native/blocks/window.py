@@ -3,13 +3,28 @@
 from __future__ import annotations
 
 import ctypes
+from ctypes import c_int32, c_void_p
 from dataclasses import dataclass
 
 import numpy as np
 
 from cosim.arrays import Matrix, Vector
-from cosim.native.library import LinearStruct, WindowStruct, address, library, pointer
-from cosim.native.step import DiscretizedDynamics, NativeStep
+from cosim.native.library import address, declare, library, pointer
+from cosim.native.numerics.linear import DiscretizedDynamics, LinearStruct
+from cosim.native.step import NativeStep
+
+
+class WindowStruct(ctypes.Structure):
+    """cosim_window."""
+
+    _fields_ = (
+        ("linear", LinearStruct),
+        *((name, c_int32) for name in ("taps", "width")),
+        *((name, c_void_p) for name in ("Jx", "J0", "J1", "weights", "memory")),
+    )
+
+
+declare({"cosim_window_outputs": (None, (c_void_p, c_void_p, c_void_p))})
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,8 +11,9 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from cosim.arrays import NAN, Vector
+from cosim.native.estimation.regression import RecoveryConstants, recovery_array
 from cosim.native.library import address, declare, library, pointer
-from cosim.native.step import NativeStep, RecoveryConstants, recovery_array
+from cosim.native.step import NativeStep
 
 AdaptiveLaw: TypeAlias = Literal["gradient", "drem"]
 

@@ -5,16 +5,38 @@ from __future__ import annotations
 import ctypes
 import math
 from collections.abc import Sequence
+from ctypes import c_int32, c_void_p
 from dataclasses import dataclass
 from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 
 from cosim.errors import UsageError
-from cosim.native.library import AlphasStruct, PastAlphasStruct, ProgramStruct, int32, pointer
+from cosim.native.library import int32, pointer
 from cosim.native.numerics.expression import Program
+from cosim.native.numerics.programs import program_array
 
 _ROUNDING: Final = 1e-9  # of an age in communication steps that is a whole number
+
+
+class AlphasStruct(ctypes.Structure):
+    """cosim_alphas."""
+
+    _fields_ = (
+        *((name, c_int32) for name in ("count", "signals")),
+        *((name, c_void_p) for name in ("element", "programs")),
+    )
+
+
+class PastAlphasStruct(ctypes.Structure):
+    """cosim_past_alphas."""
+
+    _fields_ = (
+        *((name, c_int32) for name in ("count", "signals")),
+        *((name, c_void_p) for name in ("element", "programs")),
+        *((name, c_int32) for name in ("rows", "depth")),
+        *((name, c_void_p) for name in ("age", "steps", "part")),
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,23 +65,6 @@ def signals_among(alphas: Sequence[Alpha]) -> list[AlphaSignal]:
     """Return the distinct signals, in the order of the input's elements."""
     by_element = {alpha.element: alpha for alpha in alphas if isinstance(alpha, AlphaSignal)}
     return [by_element[element] for element in sorted(by_element)]
-
-
-def program_struct(program: Program) -> ProgramStruct:
-    """Return cosim_program; the program must outlive it."""
-    code = pointer(program.code)
-    constants = pointer(program.constants)
-    return ProgramStruct(len(program.code), code, constants)
-
-
-def program_array(alphas: Sequence[Alpha]) -> ctypes.Array[ProgramStruct]:
-    """Return the structs of expressions, which must outlive them; empty ones of signals."""
-    array_type = ProgramStruct * max(len(alphas), 1)
-    array = array_type()
-    for i, alpha in enumerate(alphas):
-        if isinstance(alpha, Program):
-            array[i] = program_struct(alpha)
-    return array
 
 
 def elements_of(alphas: Sequence[Alpha]) -> list[int]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ctypes import Structure, c_double, c_int32, c_void_p
 
-from cosim.native.library import LinearStruct
+from cosim.native.numerics.linear import LinearStruct
 
 
 class ExactStruct(Structure):

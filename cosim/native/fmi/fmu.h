@@ -9,7 +9,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "fmi.h"
+#include "callbacks.h"
 
 /* Statuses beside those of cosim.h. */
 #define COSIM_DECLINED 20    /* nothing was called: it is left to the methods in Python */

@@ -8,7 +8,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import DTypeLike
 
-from cosim.native.library import MessageStruct, declare
+from cosim.native.fmi.callbacks import MessageStruct
+from cosim.native.library import declare
 
 DECLINED: Final = 20  # COSIM_DECLINED
 CALL_FAILED: Final = 21  # COSIM_CALL_FAILED

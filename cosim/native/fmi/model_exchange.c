@@ -664,7 +664,7 @@ int32_t cosim_model_exchange_step(void *self, double t0, double t1, double h, co
     }
     if (status == COSIM_OK)
         status = outputs(s, u1, y);
-    if (status != COSIM_OK)
+    if (status != COSIM_OK || s->ended) /* the end comes with the row of its step */
         return LEFT;
     s->reached = COSIM_AT_BEGIN;
     s->allowed = 1;

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 from cosim.native.numerics.expression import compile_expression, parse
-from cosim.native.step import evaluate
+from cosim.native.numerics.programs import evaluate
 
 Line: TypeAlias = tuple[float, float]  # slope and intercept
 

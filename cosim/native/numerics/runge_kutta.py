@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
-from ctypes import CFUNCTYPE, byref, c_double, c_int32, c_void_p
+from ctypes import CFUNCTYPE, POINTER, byref, c_char_p, c_double, c_int32, c_int64, c_void_p
 from typing import Final, TypeAlias, final
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Vector
 from cosim.errors import RunError
-from cosim.native.library import MethodStruct, RungeKuttaStruct, library, pointer
+from cosim.native.library import declare, library, pointer
 
 FIXED_STEP: Final = ("euler", "rk4")  # take the steps they are given
 EMBEDDED: Final = ("RK23", "RK45", "DOP853")  # estimate their error and keep to a tolerance
@@ -28,6 +28,40 @@ NUMBERS: Final = 5  # that stand before vectors of n
 STATE: Final = 2  # which of those is the state reached
 
 _RIGHT_HAND_SIDE: Final = CFUNCTYPE(c_int32, c_void_p, c_double, c_void_p, c_void_p)
+
+
+class MethodStruct(ctypes.Structure):
+    """cosim_method."""
+
+    _fields_ = (
+        *((name, c_int32) for name in ("stages", "extra", "dense", "root")),
+        *((name, c_void_p) for name in ("c", "a", "e", "e_low", "d")),
+    )
+
+
+class RungeKuttaStruct(ctypes.Structure):
+    """cosim_runge_kutta."""
+
+    _fields_ = (
+        *((name, c_void_p) for name in ("method", "f", "model")),
+        ("n", c_int32),
+        ("rtol", c_double),
+        ("evaluations", c_int64),
+        ("memory", c_void_p),
+    )
+
+
+_METHOD = POINTER(MethodStruct)
+
+declare(
+    {
+        "cosim_method_named": (c_int32, (c_char_p, _METHOD)),
+        "cosim_runge_kutta_memory": (c_int64, (_METHOD, c_int32)),
+        "cosim_runge_kutta_start": (c_int32, (c_void_p, c_double, c_void_p, c_void_p)),
+        "cosim_runge_kutta_step": (c_int32, (c_void_p, c_double, POINTER(c_double))),
+        "cosim_runge_kutta_at": (c_int32, (c_void_p, c_double, c_void_p)),
+    }
+)
 
 
 @final

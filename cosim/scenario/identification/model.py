@@ -13,7 +13,7 @@ import numpy as np
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.errors import AssumptionError, UsageError
 from cosim.native.estimation.alphas import Alpha, AlphaSignal, signals_among
-from cosim.native.step import evaluate_at
+from cosim.native.numerics.programs import evaluate_at
 from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.disturbances.families import Family
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant

@@ -20,7 +20,7 @@ from cosim.core.port import Port
 from cosim.errors import CosimError, UsageError
 from cosim.native.estimation.alphas import Alpha, AlphaSignal
 from cosim.native.numerics.expression import Program, compile_expression
-from cosim.native.step import evaluate_at
+from cosim.native.numerics.programs import evaluate_at
 from cosim.scenario.kinds.base import BuildContext, ImpliedConnection, KnownSignal
 from cosim.scenario.kinds.finite_values import check_finite, check_finite_values
 from cosim.scenario.kinds.jumps import check_continuous

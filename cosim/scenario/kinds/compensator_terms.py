@@ -11,7 +11,7 @@ import numpy as np
 from cosim.core.port import ElementIndex, Port
 from cosim.errors import UsageError
 from cosim.native.estimation.alphas import Alpha, AlphaSignal
-from cosim.native.step import evaluate_at
+from cosim.native.numerics.programs import evaluate_at
 from cosim.scenario.kinds.alphas import unchecked
 from cosim.scenario.kinds.base import BuildContext
 from cosim.scenario.kinds.identification import IdentifierKind

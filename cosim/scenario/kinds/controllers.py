@@ -17,7 +17,7 @@ from cosim.core.signals import Interface
 from cosim.fmi.exporting import kernels
 from cosim.fmi.exporting.kernels import DiscreteModel, Kernel
 from cosim.fmi.exporting.specifications import Exportable
-from cosim.native.step import first_order_hold
+from cosim.native.numerics.linear import first_order_hold
 from cosim.scenario.kinds.base import (
     BuildContext,
     ExportableKind,

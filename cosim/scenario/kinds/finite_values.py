@@ -12,7 +12,7 @@ from cosim.arrays import Vector
 from cosim.core.clock import Clock, seconds
 from cosim.errors import UsageError
 from cosim.native.numerics.expression import compile_expression
-from cosim.native.step import evaluate_at
+from cosim.native.numerics.programs import evaluate_at
 
 # that are looked at; what comes later stops the run where it is reached
 MOST_POINTS: Final = 1_000_000

@@ -17,7 +17,7 @@ from cosim.core.clock import NANOSECONDS, Clock
 from cosim.errors import UsageError
 from cosim.native.numerics.expression import compile_expression
 from cosim.native.numerics.jumps import Jump, jumps
-from cosim.native.step import evaluate
+from cosim.native.numerics.programs import evaluate
 
 _UNSEEN: Final = 0.01  # of a column's range
 

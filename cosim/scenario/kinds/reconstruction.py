@@ -14,7 +14,7 @@ from cosim.arrays import Matrix, Vector, as_columns
 from cosim.blocks.observer import averaged_observer, consistent_observer
 from cosim.core.contracts import Design, Recording
 from cosim.errors import AssumptionError, UsageError
-from cosim.native.step import DiscretizedDynamics, first_order_hold
+from cosim.native.numerics.linear import DiscretizedDynamics, first_order_hold
 from cosim.scenario.kinds.variants import Variant, without_default
 from cosim.theory.observers import observer
 from cosim.theory.plants.descriptor import ReducedSystem

@@ -20,7 +20,7 @@ from cosim.core.port import Port
 from cosim.errors import UsageError
 from cosim.native.estimation.alphas import Alpha, AlphaSignal, PastAlphas, signals_among
 from cosim.native.estimation.rayleigh import MOST_TERMS
-from cosim.native.step import RegressorConstants
+from cosim.native.estimation.regression import RegressorConstants
 from cosim.scenario.kinds.alphas import (
     ALPHA,
     KnownAlphas,

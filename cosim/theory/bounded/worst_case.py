@@ -54,7 +54,7 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
 from cosim.errors import AssumptionError
-from cosim.native.step import DiscretizedDynamics, first_order_hold, linear_step
+from cosim.native.numerics.linear import DiscretizedDynamics, first_order_hold, linear_step
 
 MOST_STEPS = 60  # refits of one search, and Gauss-Newton steps of one refit
 HALVINGS = 30  # of a Gauss-Newton step that does not lower the residual

@@ -44,7 +44,7 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
 from cosim.filters import ignored_warnings
-from cosim.native.step import matrix_exponential
+from cosim.native.numerics.linear import matrix_exponential
 from cosim.theory.compensation.internal_model import InternalModel, ParameterBox
 from cosim.theory.compensation.schedule import Schedule, Stabilization
 from cosim.theory.compensation.state_feedback import balancing, rescaled

@@ -40,7 +40,7 @@ import numpy as np
 
 from cosim.arrays import NAN, Matrix, Vector
 from cosim.errors import AssumptionError
-from cosim.native.step import first_order_hold
+from cosim.native.numerics.linear import first_order_hold
 from cosim.theory.compensation.certificate import (
     MOST_CORNERS,
     Certificate,

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cosim.arrays import Matrix, Vector
-from cosim.native.step import matrix_exponential
+from cosim.native.numerics.linear import matrix_exponential
 from cosim.theory.compensation.state_feedback import RegulatedPlant
 from cosim.theory.disturbances.families import Family
 

@@ -29,7 +29,7 @@ import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.native.estimation.kalman import AugmentedKalmanConstants, AugmentedKalmanStep
-from cosim.native.step import first_order_hold
+from cosim.native.numerics.linear import first_order_hold
 from cosim.theory.disturbances.families import Family
 from cosim.theory.disturbed_plant import DisturbedPlant, NoiseModel, white_noise
 from cosim.theory.estimators.defaults import (

@@ -28,7 +28,7 @@ import numpy as np
 
 from cosim.arrays import NAN, Matrix, Vector
 from cosim.errors import AssumptionError
-from cosim.native.step import RecoveryConstants
+from cosim.native.estimation.regression import RecoveryConstants
 from cosim.theory.disturbances.families import AlphaGroup, DampedSine, Exponential, Sine
 from cosim.theory.disturbances.regression import Parts, RowSet, Term, check_delays
 

@@ -26,7 +26,7 @@ from cosim.arrays import Matrix, Vector
 from cosim.native.estimation.output_error import Generators, OutputErrorConstants, ResponseRecord
 from cosim.native.estimation.start_grid import StartGridConstants, StartGridModel
 from cosim.native.numerics.expression import compile_expression
-from cosim.native.step import evaluate
+from cosim.native.numerics.programs import evaluate
 from cosim.theory.disturbances.families import Family, SearchBox, generators, search_box
 from cosim.theory.disturbed_plant import (
     DataSet,

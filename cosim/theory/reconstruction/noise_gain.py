@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from cosim.arrays import Matrix, Vector
-from cosim.native.step import DiscretizedDynamics
+from cosim.native.numerics.linear import DiscretizedDynamics
 
 _MOST_DOUBLINGS = 64  # 2^64 steps: no observer is slower than the spacing of numbers
 

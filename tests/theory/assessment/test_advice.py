@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from cosim.native.step import first_order_hold, linear_step
+from cosim.native.numerics.linear import first_order_hold, linear_step
 from cosim.theory.assessment.advice import advised
 from cosim.theory.assessment.assessing import assess
 from cosim.theory.assessment.problem import OutputErrorProblem

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from cosim.native.step import first_order_hold
+from cosim.native.numerics.linear import first_order_hold
 from cosim.theory.disturbances.families import Exponential, SearchBox, Sine
 from cosim.theory.disturbed_plant import DisturbedPlant, disturbed_plant
 from cosim.theory.estimators.augmented_kalman import augmented_kalman, smoothed_disturbance

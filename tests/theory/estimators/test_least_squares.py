@@ -6,7 +6,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from cosim.errors import AssumptionError
-from cosim.native.step import LeastSquares, LeastSquaresConstants
+from cosim.native.estimation.regression import LeastSquares, LeastSquaresConstants
 from cosim.theory.disturbances.families import (
     DampedSine,
     Exponential,

@@ -14,7 +14,7 @@ from scipy.signal import savgol_coeffs
 from cosim.blocks.averages import Windowed
 from cosim.blocks.observer import averaged_observer, consistent_observer
 from cosim.errors import AssumptionError
-from cosim.native.step import DiscretizedDynamics, first_order_hold
+from cosim.native.numerics.linear import DiscretizedDynamics, first_order_hold
 from cosim.theory.observers.observer import (
     design,
     identification_start_time,

@@ -1,12 +1,25 @@
-"""A compiled step after which the floating-point unit is put back (``process.h``)."""
+"""What a step of foreign code changes of its process is put back: ``process.h``."""
 
 from __future__ import annotations
 
-from ctypes import Structure, c_double, c_int32, c_uint32, c_void_p
+from ctypes import Structure, c_double, c_int32, c_size_t, c_uint32, c_void_p
+from typing import Final
 
-from cosim.native.library import address
+from cosim.native.library import address, declare, library
 from cosim.native.memory import place_struct
 from cosim.native.step import NativeStep
+
+declare(
+    {
+        "cosim_process_size": (c_size_t, ()),
+        "cosim_process_save": (None, (c_void_p, c_int32)),
+        "cosim_process_restore": (c_int32, (c_void_p, c_int32)),
+    }
+)
+
+process_size: Final = library.cosim_process_size
+process_save: Final = library.cosim_process_save
+process_restore: Final = library.cosim_process_restore
 
 
 class GuardedStruct(Structure):

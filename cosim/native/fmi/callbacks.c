@@ -1,4 +1,4 @@
-#include "fmi.h"
+#include "callbacks.h"
 
 #include <stdarg.h>
 #include <stdatomic.h>

@@ -3,8 +3,8 @@
  * An FMU may log from any thread, and FMI 1.0 names only its own component: every ring of messages
  * is in one list, found by a key under one lock, so that an FMU that names something else reaches
  * none of them. The memory belongs to the caller. */
-#ifndef COSIM_FMI_H
-#define COSIM_FMI_H
+#ifndef COSIM_CALLBACKS_H
+#define COSIM_CALLBACKS_H
 
 #include <stdbool.h>
 #include <stddef.h>

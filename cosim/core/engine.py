@@ -1,0 +1,129 @@
+"""The engine of every run and of every step by hand: a graph that advances over blocks.
+
+::
+
+    first row <- every component initialized with its inputs
+    advance(block): rows 1 to K behind row 0
+        until the end of the block, or where something stopped:
+            every stage advances, by some steps at once (:mod:`cosim.core.pacing`)
+            yield the steps that all stages have completed
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final, final
+
+import numpy as np
+
+from cosim.arrays import Matrix, Vector
+from cosim.core.clock import Clock
+from cosim.core.contracts import Block, Recorder
+from cosim.core.graph import Graph
+from cosim.core.native_stage import advancing_stages
+from cosim.core.pacing import Pacer
+from cosim.core.recorders import memory_of
+from cosim.errors import RunError, UsageError
+
+BLOCK_BYTES: Final = 2**24  # of the rows of one block
+
+
+@final
+class Engine:
+    """Advances a prepared graph, which it initializes.
+
+    Parameters
+    ----------
+    graph : Graph
+    clock : Clock
+    recorder : Recorder
+        Rows are computed in its memory, where it has any.
+    divide : bool
+        Whether blocks that take long come in pieces.
+
+    Attributes
+    ----------
+    first_row : Vector, shape (width,)
+        The initial values.
+    stages : sequence of Advancing
+        As they advance, in their order.
+    limit : int
+        The most steps of a block.
+
+    Raises
+    ------
+    NonFiniteError
+        If an initial value is not finite.
+    """
+
+    def __init__(self, graph: Graph, clock: Clock, recorder: Recorder, *, divide: bool) -> None:
+        width = graph.layout.width
+        self.first_row = np.zeros(width)
+        graph.initialize(clock.start_time, self.first_row)
+        self.stages = advancing_stages(graph)
+        self.limit = max(1, BLOCK_BYTES // (8 * width + 8))
+        self._graph = graph
+        self._initialization = graph.initializations
+        self._pacer = Pacer(self.stages, divide=divide)
+        self._recorder = recorder
+        self._steps = clock.steps
+        self._rows = np.empty((min(self.limit, clock.steps) + 1, width))  # used again
+
+    @property
+    def work(self) -> float:
+        """Wall time that a block should take [s]."""
+        return self._pacer.work
+
+    @property
+    def error(self) -> RunError | None:
+        """What stopped the graph in the last block."""
+        return self._pacer.error
+
+    def check_current(self) -> None:
+        """Check that the components have the state of this engine.
+
+        Raises
+        ------
+        UsageError
+            If another one has initialized them.
+        """
+        if self._graph.initializations != self._initialization:
+            raise UsageError(
+                "another simulation of this graph has begun, and its components have one state "
+                "each; build a graph with components of its own for every simulation"
+            )
+
+    def rows(self, block: Block, first: Vector) -> Matrix:
+        """Return the rows of a block, shape (K+1, width), to be filled behind the first one.
+
+        Their memory is that of the recorder, in which the first row is the last that was written,
+        or is used again.
+        """
+        rows = memory_of(self._recorder, block, self._steps - block.index)
+        if rows is None:
+            rows = self._rows[: block.steps + 1]
+        rows[0] = first
+        return rows
+
+    def advance(self, block: Block, signals: Matrix) -> Iterator[tuple[Block, Matrix]]:
+        """Fill rows 1 to K; yield them in pieces, each behind the last row of the one before.
+
+        Parameters
+        ----------
+        block : Block
+        signals : Matrix, shape (K + 1, width)
+            With row 0. Where the graph is stopped, with ``error``, no row behind that is filled.
+
+        Raises
+        ------
+        UsageError
+            If the components are those of another simulation since the last piece.
+        """
+        pacer = self._pacer
+        pacer.begin(block)
+        reached = -1
+        while reached < pacer.end:
+            self.check_current()
+            begin = max(reached, 0)
+            reached = pacer.advance(block, signals)
+            yield block.part(begin, reached), signals[begin : reached + 1]

@@ -1,0 +1,275 @@
+"""Inputs that are overridden by hand, and the jumps at the communication point that is reached.
+
+An override takes effect at that point. Of the point there are two rows: the left limits, which were
+recorded, and the right limits, from which the next step starts. What follows an input at once is
+evaluated where somebody reads it, at the latest before the next step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import isfinite
+from typing import final
+
+import numpy as np
+
+from cosim.arrays import Vector
+from cosim.core.contracts import EventCause, SignalEvent
+from cosim.core.graph import Graph
+from cosim.core.member import Member
+from cosim.core.overrides import OverrideValue, checked_values
+from cosim.core.port import Port
+from cosim.core.ports import ConnectionEnd
+from cosim.core.right_limits import END, NOTHING_GIVEN, GivenOutputs, RightLimits
+from cosim.errors import GraphError, listing
+
+
+class OverridableInput:
+    """An input that can be overridden, or elements of it.
+
+    Parameters
+    ----------
+    to : Port
+        As it was named.
+    end : ConnectionEnd
+    member : Member
+    of_whole : slice
+        The columns of the whole input.
+    follows : bool
+        Whether something follows at once when it jumps.
+    """
+
+    __slots__ = (
+        "columns",
+        "end",
+        "follows",
+        "is_plain",
+        "member",
+        "name",
+        "numbers",
+        "of_whole",
+        "whole",
+    )
+
+    def __init__(
+        self, to: Port, end: ConnectionEnd, member: Member, *, of_whole: slice, follows: bool
+    ) -> None:
+        self.name = str(to)
+        self.end = end
+        self.whole = end.port
+        self.member = member
+        self.follows = follows
+        self.columns = end.columns
+        self.is_plain = end.size == 1 and end.signal.type == "real"
+        self.numbers = range(end.columns.start, end.columns.stop)
+        self.of_whole = range(of_whole.start, of_whole.stop)
+
+    def checked(self, value: OverrideValue) -> list[float]:
+        """Return the elements of a value to override it with.
+
+        Raises
+        ------
+        GraphError
+            If the value does not fit it.
+        """
+        if self.is_plain and type(value) is float and isfinite(value):
+            return [value]  # as most are; any other is checked in full
+        return checked_values(self.name, value, self.end)
+
+
+@final
+class Jumps:
+    """The jumps of inputs at the communication point that is reached, and what follows them.
+
+    Parameters
+    ----------
+    graph : Graph
+
+    Attributes
+    ----------
+    row : Vector, shape (width,)
+        The right limits; what follows inputs, as of the last evaluation.
+    waiting : set of Port
+        Inputs that have jumped since then.
+    changes : dict of OverridableInput to EventCause
+        Inputs whose jumps are to be recorded, the last change last.
+    """
+
+    def __init__(self, graph: Graph) -> None:
+        self.waiting: set[Port] = set()
+        self.changes: dict[OverridableInput, EventCause] = {}
+        self._overridden_before: dict[Port, frozenset[int]] = {}  # columns, where inputs jumped
+        self._graph = graph
+        self._inputs: dict[str | Port, OverridableInput] = {}
+        self._right_limits = RightLimits(graph)
+        self.stand_at(np.zeros(graph.layout.width))
+
+    def stand_at(self, row: Vector) -> None:
+        """Take a row as that of the point that is reached, without jumps so far."""
+        self.row = row
+        self._left_row = row
+        self.waiting.clear()
+        self.clear_changes()
+
+    def clear_changes(self) -> None:
+        """Forget the jumps that were recorded."""
+        self.changes.clear()
+        self._overridden_before.clear()
+
+    @property
+    def are_there(self) -> bool:
+        """Whether inputs have jumped at this point: the right limits have a row of their own."""
+        return self.row is not self._left_row
+
+    def input(self, to: str) -> OverridableInput:
+        """Return an input, or elements of it.
+
+        Raises
+        ------
+        GraphError
+            If there is no such input.
+        """
+        try:
+            return self._inputs[to]
+        except (KeyError, TypeError):  # not asked for before, or no input at all
+            port = to if isinstance(to, Port) else Port.parse(to)
+        end = self._graph.ports.input(port)
+        member = self._graph.members[port.component]
+        follows = self._right_limits.reach_more(end.port)
+        of_whole = self._graph.ports.input(end.port).columns
+        self._inputs[to] = OverridableInput(port, end, member, of_whole=of_whole, follows=follows)
+        return self._inputs[to]
+
+    def override(self, overridden: OverridableInput, values: Sequence[float]) -> None:
+        """Override an input with values that were checked."""
+        self._start(overridden, "override")
+        overrides = overridden.member.overrides
+        for column, element in zip(overridden.numbers, values, strict=True):
+            overrides[column] = element
+            self.row[column] = element
+
+    def release(self, released: OverridableInput) -> None:
+        """Release an override: the connection of the input drives it again.
+
+        Raises
+        ------
+        GraphError
+            If it is not overridden.
+        """
+        overrides = released.member.overrides
+        if not all(column in overrides for column in released.numbers):
+            names = listing(list(self.overrides)) or "nothing is"
+            raise GraphError(
+                f"release: '{released.name}' is not overridden, as a whole; overridden: {names}"
+            )
+        self._start(released, "release")
+        for column in released.numbers:
+            del overrides[column]
+        released.member.gather(self.row[np.newaxis], END)
+
+    @property
+    def overrides(self) -> dict[str, float]:
+        """The elements of inputs that are overridden, and their values."""
+        values: dict[str, float] = {}
+        for member in self._graph.members.values():
+            for column, value in member.overrides.values().items():
+                values[member.label(column - member.columns.start)] = value
+        return values
+
+    def _start(self, changed: OverridableInput, cause: EventCause) -> None:
+        """Note that an input jumps; the row before the jump is kept."""
+        if self.row is self._left_row:
+            self.row = self._left_row.copy()
+        if changed.whole not in self._overridden_before:
+            self._overridden_before[changed.whole] = _overridden(changed)
+        self.changes.pop(changed, None)  # the last change of an input comes last
+        self.changes[changed] = cause
+        if changed.follows:
+            self.waiting.add(changed.whole)
+
+    def evaluate(self, t: float, given: GivenOutputs = NOTHING_GIVEN) -> None:
+        """Evaluate at ``t`` [s] what follows the inputs that have jumped.
+
+        Parameters
+        ----------
+        t : float
+        given : mapping of component name to columns with their values
+            Right limits that are known, of components that are not evaluated.
+
+        Raises
+        ------
+        NonFiniteError, Stopped
+            If it cannot be evaluated.
+        RunError
+            If values keep changing.
+        """
+        jumped = frozenset(self.waiting)
+        self.waiting.clear()
+        self._right_limits.evaluate(t, self.row, jumped, given)
+
+    def events(self, t_ns: int) -> list[SignalEvent]:
+        """Return the jumps at ``t_ns`` [ns]: overrides and releases, then what followed."""
+        events = self._own_events(t_ns)
+        own = {self.input(event.signal).whole for event in events}
+        for channel in self._graph.layout.channels:
+            if self.row[channel.columns].tobytes() == self._left_row[channel.columns].tobytes():
+                continue
+            for name, columns in channel.signal_columns.items():
+                before = self._left_row[columns]
+                values_now = self.row[columns]
+                is_own = Port(channel.name, name) in own
+                if not is_own and before.tobytes() != values_now.tobytes():
+                    values = tuple(values_now.tolist())
+                    events.append(SignalEvent(t_ns, "follow", f"{channel.name}.{name}", values))
+        return events
+
+    def _own_events(self, t_ns: int) -> list[SignalEvent]:
+        """Return overrides and releases that lead from those before to those now.
+
+        They are not always those that were asked for: who releases at the same point what he has
+        overridden there has changed nothing.
+        """
+        by_input: dict[Port, list[tuple[OverridableInput, EventCause]]] = {}
+        for changed, cause in self.changes.items():
+            by_input.setdefault(changed.whole, []).append((changed, cause))
+        events: list[SignalEvent] = []
+        for whole, changes in by_input.items():
+            changed, cause = changes[0]
+            before = self._overridden_before[whole]
+            if len(changes) > 1 or (cause == "release" and not before.issuperset(changed.numbers)):
+                events += self._net_events(t_ns, changed, before)
+            else:
+                events.append(self._event(t_ns, cause, changed))
+        return events
+
+    def _net_events(
+        self, t_ns: int, changed: OverridableInput, before: frozenset[int]
+    ) -> list[SignalEvent]:
+        """Return the events of an input by its elements, or as a whole where they are alike."""
+        now = _overridden(changed)
+        same = {c for c in now & before if self._keeps(c)}
+        causes: dict[int, EventCause] = dict.fromkeys(sorted(before - now), "release")
+        causes.update(dict.fromkeys(sorted(now - same), "override"))
+        whole = self.input(str(changed.whole))
+        if len(causes) == len(whole.numbers) and len(set(causes.values())) == 1:
+            return [self._event(t_ns, causes[whole.numbers[0]], whole)]
+        first = changed.member.columns.start
+        events = []
+        for column, cause in causes.items():
+            element = self.input(changed.member.label(column - first))
+            events.append(self._event(t_ns, cause, element))
+        return events
+
+    def _keeps(self, column: int) -> bool:
+        """Return whether a value has the bits that it had before."""
+        return bool(self.row[column].tobytes() == self._left_row[column].tobytes())
+
+    def _event(self, t_ns: int, cause: EventCause, changed: OverridableInput) -> SignalEvent:
+        values = tuple(self.row[changed.columns].tolist())
+        return SignalEvent(t_ns, cause, changed.name, values)
+
+
+def _overridden(changed: OverridableInput) -> frozenset[int]:
+    """Return the columns of the whole input that are overridden."""
+    overrides = changed.member.overrides
+    return frozenset(column for column in changed.of_whole if column in overrides)

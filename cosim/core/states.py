@@ -1,0 +1,177 @@
+"""States of a whole graph: they are saved, pickled, and restored."""
+
+from __future__ import annotations
+
+import hashlib
+import pickle
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+from cosim.arrays import Vector
+from cosim.core.clock import Clock
+from cosim.core.contracts import Plan
+from cosim.core.graph import Graph
+from cosim.errors import UsageError, listing
+
+
+@dataclass(frozen=True, eq=False)
+class SimulationState:
+    """The state of a simulation at a communication point; it can be pickled.
+
+    Parameters
+    ----------
+    graph : str
+        Hash of the graph that it is a state of.
+    index : int
+        Number of the communication point.
+    row : Vector, shape (width,)
+        All signals there, behind the jumps.
+    overrides : mapping of column to float
+        Of inputs.
+    components : mapping of component name to its state
+        What delays and filters hold, the states of random generators, and so on.
+    origin : object
+        The simulation in whose memory component states may lie; not pickled.
+    """
+
+    graph: str
+    index: int
+    row: Vector
+    overrides: Mapping[int, float]
+    components: Mapping[str, Any]
+    origin: object = field(default=None, repr=False)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        self.check_portable()
+        values = (self.graph, self.index, self.row, self.overrides, self.components)
+        return SimulationState, values
+
+    def check_portable(self) -> None:
+        """Check that every component's state can leave the simulation that it was taken of.
+
+        Raises
+        ------
+        UsageError
+            If one lies in the memory of its component, as that of an FMU does.
+        """
+        for name, state in self.components.items():
+            try:
+                pickle.dumps(state)
+            except Exception as error:  # a state is the component's own, and may raise anything
+                raise UsageError(
+                    f"state: that of {name!r} cannot leave its simulation: {error}; needed "
+                    "components whose states can be pickled"
+                ) from error
+
+
+class States:
+    """Saves and restores the components of a graph, and the overrides of their inputs.
+
+    Parameters
+    ----------
+    graph : Graph
+    clock : Clock
+    plan : Plan
+    identity : str or None
+        What the values of the graph are known by; None: by its designs.
+    """
+
+    def __init__(self, graph: Graph, clock: Clock, plan: Plan, identity: str | None) -> None:
+        self._graph = graph
+        self._clock = clock
+        self._plan = plan
+        self._identity = identity
+
+    @cached_property
+    def graph_hash(self) -> str:
+        """What states of this graph are known by."""
+        return graph_hash(self._graph, self._clock, self._plan, self._identity)
+
+    def check_rollback(self) -> None:
+        """Check that every component can go back.
+
+        Raises
+        ------
+        UsageError
+            If one cannot.
+        """
+        names = []
+        for name, member in self._graph.members.items():
+            if not member.channel.interface.rollback:
+                names.append(name)
+        if names:
+            raise UsageError(
+                f"state: {listing(names)} cannot go back (rollback is not declared); needed "
+                "components that can, or reset() and the same steps again"
+            )
+
+    def save(self, index: int, row: Vector, origin: object) -> SimulationState:
+        """Save the state at a communication point; ``origin`` is the simulation.
+
+        Raises
+        ------
+        RunError
+            If a component raises what is no error of cosim.
+        """
+        overrides: dict[int, float] = {}
+        components = {}
+        for name, member in self._graph.members.items():
+            overrides.update(member.overrides.values())
+            components[name] = member.component.save()
+        row = row.copy()
+        row.flags.writeable = False
+        return SimulationState(self.graph_hash, index, row, overrides, components, origin)
+
+    def check(self, state: SimulationState, simulation: object) -> None:
+        """Check that a state can be restored in a simulation.
+
+        Raises
+        ------
+        UsageError
+            If it is that of another graph, or cannot leave its simulation.
+        """
+        if state.graph != self.graph_hash:
+            raise UsageError(
+                f"state: found one of another graph ({state.graph[:12]}; this one is "
+                f"{self.graph_hash[:12]}); needed a state of a simulation of the same scenario, "
+                "with the same values"
+            )
+        if state.origin is not simulation:
+            state.check_portable()
+
+    def restore(self, state: SimulationState) -> None:
+        """Put a state that was checked back into the components.
+
+        Raises
+        ------
+        RunError
+            If a component raises what is no error of cosim.
+        """
+        for name, member in self._graph.members.items():
+            member.component.restore(state.components[name])
+            member.overrides.clear()
+            for column, value in state.overrides.items():
+                if member.inputs.start <= column < member.inputs.stop:
+                    member.overrides[column] = value
+
+
+def graph_hash(graph: Graph, clock: Clock, plan: Plan, identity: str | None) -> str:
+    """Return the hash of a graph on a clock.
+
+    It covers the structure, and ``identity``, which stands for the values; None: the designs do.
+    """
+    digest = hashlib.sha256()
+    structure = (graph.layout, graph.input_interpolation, plan.schedule)
+    times = (clock.start_ns, clock.step_ns)
+    digest.update(repr((structure, times, identity)).encode())
+    for to, connection in graph.connections.items():
+        digest.update(repr((to, connection.sources, connection.offset, connection.unit)).encode())
+        digest.update(connection.matrix.tobytes())
+    if identity is None:
+        for name, design in plan.designs.items():
+            for key, array in design.items():
+                digest.update(repr((name, key, array.shape)).encode())
+                digest.update(array.tobytes())
+    return digest.hexdigest()

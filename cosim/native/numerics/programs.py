@@ -1,0 +1,73 @@
+"""Compiled expressions in t, evaluated: ``expression.c``."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from ctypes import POINTER, byref, c_double, c_int32, c_void_p
+
+import numpy as np
+
+from cosim.arrays import Matrix, Vector
+from cosim.native.library import address, declare, library, pointer
+from cosim.native.numerics.expression import Program
+from cosim.native.step import NativeStep
+
+
+class ProgramStruct(ctypes.Structure):
+    """cosim_program."""
+
+    _fields_ = (("length", c_int32), ("code", c_void_p), ("constants", c_void_p))
+
+
+class ExpressionStruct(ctypes.Structure):
+    """cosim_expression."""
+
+    _fields_ = (("count", c_int32), ("programs", c_void_p))
+
+
+declare({"cosim_evaluate": (c_double, (POINTER(ProgramStruct), c_double))})
+
+
+def program_struct(program: Program) -> ProgramStruct:
+    """Return cosim_program; the program must outlive it."""
+    code = pointer(program.code)
+    constants = pointer(program.constants)
+    return ProgramStruct(len(program.code), code, constants)
+
+
+def program_array(programs: Sequence[object]) -> ctypes.Array[ProgramStruct]:
+    """Return the structs of programs, which must outlive them; empty ones of all else."""
+    array_type = ProgramStruct * max(len(programs), 1)
+    array = array_type()
+    for i, program in enumerate(programs):
+        if isinstance(program, Program):
+            array[i] = program_struct(program)
+    return array
+
+
+def evaluate(program: Program, t: float) -> float:
+    """Evaluate an expression at the instant ``t`` [s]."""
+    struct = program_struct(program)
+    value: float = library.cosim_evaluate(byref(struct), t)
+    return value
+
+
+def evaluate_at(programs: Sequence[Program], t: Vector) -> Matrix:
+    """Evaluate expressions at instants ``t (N,)`` [s], shape ``(N, len(programs))``."""
+    step = expression_step(programs)
+    no_inputs = np.zeros((len(t) + 1, 0))
+    ends_of_steps = np.concatenate([[0.0], t])  # where the first one begins does not matter
+    return step.advance(ends_of_steps, 0.0, no_inputs)
+
+
+def expression_step(programs: Sequence[Program]) -> NativeStep:
+    """Build the step whose outputs are expressions in t; it has no memory."""
+    n_y = len(programs)
+    array = program_array(programs)
+    state = ExpressionStruct(n_y, ctypes.addressof(array))
+    function = address("cosim_expression_step")
+    outputs = address("cosim_expression_refresh")
+    no_memory = np.zeros(0)
+    keep = (array, *programs)
+    return NativeStep(function, state, n_y=n_y, memory=no_memory, keep=keep, outputs=outputs)
