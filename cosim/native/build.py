@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import importlib.util
 import platform
+import re
 import shutil
 import subprocess
 import sys
@@ -19,7 +20,7 @@ from typing import Any
 
 HERE = Path(__file__).resolve().parent
 SOURCES = (
-    "stages/loops.c",
+    "stages/cascade.c",
     "stages/stage.c",
     "numerics/linear.c",
     "numerics/elementary.c",
@@ -38,7 +39,7 @@ SOURCES = (
     "blocks/wrapping.c",
     "blocks/refresh.c",
     "estimation/alphas.c",
-    "estimation/estimate.c",
+    "estimation/regression.c",
     "estimation/adaptive.c",
     "estimation/kalman.c",
     "estimation/extended_kalman.c",
@@ -59,7 +60,8 @@ SOURCES = (
     "fmi/model_exchange.c",
 )
 # files include headers by name alone: in an exported FMU all of them are in one folder
-INCLUDES = tuple(f"-I{HERE / folder}" for folder in (".", "stages", "numerics", "blocks", "fmi"))
+FOLDERS = (".", "stages", "numerics", "blocks", "estimation", "fmi")
+INCLUDES = tuple(f"-I{HERE / folder}" for folder in FOLDERS)
 FLAGS = ("-std=c11", "-O2", "-ffp-contract=off", "-fPIC", "-shared")
 # of the package's own library, which is compiled once: a fifth less time, and the same bits
 OPTIONS = ("-O3", *INCLUDES)
@@ -98,9 +100,17 @@ def source(name: str) -> Path:
 
 
 def headers(names: Iterable[str]) -> list[Path]:
-    """Return the paths of the headers that sources of these names include."""
-    tables = [HERE / "numerics" / "tables.h"] if "elementary.c" in names else []
-    return [HERE / "cosim.h", *tables]
+    """Return the headers that sources of these names include, and those that they include."""
+    by_name = {path.name: path for folder in FOLDERS for path in (HERE / folder).glob("*.h")}
+    found: dict[str, Path] = {}
+    waiting = [source(name) for name in names]
+    while waiting:
+        text = waiting.pop().read_text(encoding="utf-8")
+        for name in re.findall(r'^#include "(.+)"$', text, re.MULTILINE):
+            if name not in found:
+                found[name] = by_name[name]
+                waiting.append(by_name[name])
+    return [found[name] for name in sorted(found)]
 
 
 def compile_library(

@@ -33,7 +33,7 @@ RANGES = {
 POWER = 1.7
 POINTS = 2000  # for the error
 MAIN = r"""
-#include "cosim.h"
+#include "elementary.h"
 #include <math.h>
 #include <stdio.h>
 #include <time.h>

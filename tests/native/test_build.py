@@ -67,7 +67,8 @@ def test_the_kernels_call_no_function_whose_bits_depend_on_the_c_library(tmp_pat
 
 
 HASH = r"""
-#include "cosim.h"
+#include "elementary.h"
+#include <stdint.h>
 #include <stdio.h>
 #include <string.h>
 
@@ -140,7 +141,7 @@ ROTATIONS = """
 #include <stdio.h>
 #include <stdint.h>
 #include <string.h>
-#include "cosim.h"
+#include "householder.h"
 
 int main(void)
 {
@@ -198,7 +199,8 @@ def test_the_operations_are_numbered_as_in_c():
 
 
 MAIN = r"""
-#include "cosim.h"
+#include "linear.h"
+#include "regression.h"
 #include <math.h>
 #include <stdlib.h>
 

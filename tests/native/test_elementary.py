@@ -15,7 +15,7 @@ from cosim.native.library import library
 mpmath = pytest.importorskip("mpmath")
 
 FUNCTIONS = ("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "exp", "ln")
-BOUND = 0.6  # ulp: stated in cosim.h
+BOUND = 0.6  # ulp: stated in elementary.h
 SUBNORMAL_BOUND = 0.75
 TABLES = Path(__file__).parents[1] / "reference" / "elementary_tables.py"
 TINY = 5e-324

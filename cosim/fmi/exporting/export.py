@@ -8,7 +8,7 @@ The parts of the C source, each in ``c/``::
                                   only, around one kernel
     residual.c                    the equations of the algebraic variables that were eliminated from
                                   a linear model (FMI 3.0)
-    model.c                       written here: the numbers
+    model.c, kernels.h            written here: the numbers, and the headers of the steps
     cosim/native/*/*.c            the steps: the same arithmetic in the package and in the FMU
 
 A linear model is for model exchange and for co-simulation; a discrete one for co-simulation only.
@@ -333,7 +333,10 @@ def _sources(specification: ExportSpecification, version: Version) -> dict[str, 
     natives = specification.natives
     paths += [*map(build.source, natives), *build.headers(natives)]
     paths += [standard / name for name in version.headers]
-    return {path.name: path.read_bytes() for path in paths}
+    sources = {path.name: path.read_bytes() for path in paths}
+    includes = "".join(f'#include "{Path(native).stem}.h"\n' for native in natives)
+    sources["kernels.h"] = includes.encode()
+    return sources
 
 
 def _constants(specification: ExportSpecification, description: Description, stamp: int) -> str:

@@ -27,7 +27,7 @@ from cosim.native.numerics.linear import DiscretizedDynamics
 
 # files of cosim/native that kernels need: those of controllers, those of the method
 CONTROL: Final = ("control.c", "linear.c")
-ESTIMATION: Final = ("estimate.c", "alphas.c", "expression.c", "linear.c", "elementary.c")
+ESTIMATION: Final = ("regression.c", "alphas.c", "expression.c", "linear.c", "elementary.c")
 
 
 @dataclass(frozen=True, slots=True)

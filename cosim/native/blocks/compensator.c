@@ -1,4 +1,5 @@
-#include "blocks.h"
+#include "compensator.h"
+#include "linear.h"
 
 #include <math.h>
 #include <string.h>

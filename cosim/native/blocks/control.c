@@ -1,4 +1,5 @@
-#include "cosim.h"
+#include "control.h"
+#include "linear.h"
 
 #include <stddef.h>
 

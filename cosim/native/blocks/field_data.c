@@ -1,4 +1,5 @@
-#include "blocks.h"
+#include "field_data.h"
+#include "functions.h"
 
 #include <math.h>
 

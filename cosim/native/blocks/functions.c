@@ -1,4 +1,6 @@
-#include "blocks.h"
+#include "functions.h"
+#include "linear.h"
+#include "static.h"
 
 #include <string.h>
 

@@ -1,4 +1,4 @@
-#include "blocks.h"
+#include "late_samples.h"
 
 #include <math.h>
 #include <string.h>

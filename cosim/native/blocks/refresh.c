@@ -1,4 +1,7 @@
-#include "blocks.h"
+#include "refresh.h"
+#include "control.h"
+#include "regression.h"
+#include "window.h"
 
 #include <string.h>
 

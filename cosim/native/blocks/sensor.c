@@ -1,4 +1,5 @@
-#include "blocks.h"
+#include "sensor.h"
+#include "linear.h"
 
 #include <math.h>
 #include <string.h>

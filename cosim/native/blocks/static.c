@@ -1,4 +1,4 @@
-#include "cosim.h"
+#include "static.h"
 
 void cosim_limit(int32_t width, double lower, double upper, const double *u, double *y)
 {

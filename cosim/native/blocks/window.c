@@ -1,4 +1,4 @@
-#include "cosim.h"
+#include "window.h"
 
 /* The parts of the memory. */
 static double *steps_taken(const cosim_window *s) { return s->memory + 2 * s->linear.n; }

@@ -1,4 +1,4 @@
-#include "blocks.h"
+#include "wrapping.h"
 
 #include <string.h>
 

@@ -1,4 +1,5 @@
-#include "cosim.h"
+#include "adaptive.h"
+#include "elementary.h"
 
 #include <math.h>
 #include <string.h>
@@ -110,9 +111,9 @@ static void forget(const cosim_adaptive *s, const extension *x, double decay)
         x->Y[i] *= decay;
 }
 
-/* Delta = det Omega in units of (trace / q)^q, at most 1, and adj(Omega) Y / Delta = Omega^-1 Y, which
- * replaces the last column of `work`; 0: Omega is singular, so that Delta adj(Omega) Y counts for
- * nothing. Omega is positive definite: no pivoting is needed. */
+/* Delta = det Omega in units of (trace / q)^q, at most 1, and adj(Omega) Y / Delta = Omega^-1 Y,
+ * which replaces the last column of `work`; 0: Omega is singular, so that Delta adj(Omega) Y counts
+ * for nothing. Omega is positive definite: no pivoting is needed. */
 static double mix(const cosim_adaptive *s, const extension *x)
 {
     const int32_t q = s->unknowns, n = q + 1;

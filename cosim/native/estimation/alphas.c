@@ -1,4 +1,4 @@
-#include "cosim.h"
+#include "alphas.h"
 
 void cosim_alphas_at(const cosim_alphas *self, double t, const double *signals, double *values)
 {

@@ -1,4 +1,5 @@
-#include "cosim.h"
+#include "between.h"
+#include "linear.h"
 
 #include <math.h>
 
@@ -26,7 +27,8 @@ cosim_between_record cosim_between_in(const cosim_between *s, double *memory, in
     return record;
 }
 
-/* The inputs at the instant are those on the straight line, (1 - part) u0 + part u1, unless held. */
+/* The inputs at the instant are those on the straight line, (1 - part) u0 + part u1, unless
+ * held. */
 static void append(const cosim_between *s, const cosim_between_record *record, double elapsed,
                    double part, const double *x, const double *u0, const double *u1,
                    const double *y, int32_t stride)

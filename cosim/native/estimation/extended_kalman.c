@@ -1,4 +1,6 @@
-#include "cosim.h"
+#include "extended_kalman.h"
+#include "kalman.h"
+#include "linear.h"
 
 #include <math.h>
 #include <string.h>

@@ -1,4 +1,7 @@
-#include "cosim.h"
+#include "identifier.h"
+#include "householder.h"
+#include "linear.h"
+#include "weights.h"
 
 #include <math.h>
 #include <string.h>
@@ -190,9 +193,9 @@ void cosim_identifier_start(cosim_identifier *s, double *y)
 
 /* --- samples --- */
 
-/* S grows by mu mu', N by the covariance of the noise that delta(t - D_j) brings into mu: terms with
- * the same row of delta share it. Both of means over some samples: (25) is linear in mu, so it holds
- * for them too, and the noise of a derivative nearly cancels in them. */
+/* S grows by mu mu', N by the covariance of the noise that delta(t - D_j) brings into mu: terms
+ * with the same row of delta share it. Both of means over some samples: (25) is linear in mu, so it
+ * holds for them too, and the noise of a derivative nearly cancels in them. */
 static void take_regressor(const cosim_identifier *s, const storage *m, double t, const double *mu)
 {
     const cosim_regressor *products = s->products;
@@ -268,7 +271,8 @@ static void less_gain(int32_t n, int32_t outputs, int32_t columns, const double 
                 M[a * M_row + c * M_column] -= K[a * outputs + o] * N[o * of_row + c * of_column];
 }
 
-/* What leads to sample k from the one before: with the gain that y there has, 0 where it is missing. */
+/* What leads to sample k from the one before: with the gain that y there has, 0 where it is
+ * missing. */
 static void set_interval_to(const cosim_identifier *s, const storage *m, int64_t k)
 {
     const cosim_output_error *model = s->on_y;
@@ -603,7 +607,8 @@ static void put_fit(const cosim_identifier *s, const storage *m, const double *f
     }
 }
 
-/* The best points of the grid, for all samples so far; of those beside a fit, where there is one. */
+/* The best points of the grid, for all samples so far; of those beside a fit, where there is
+ * one. */
 static int32_t starts_on_grid(const cosim_identifier *s, const storage *m, const double *fit,
                               double *theta)
 {

@@ -1,4 +1,6 @@
-#include "cosim.h"
+#include "kalman.h"
+#include "householder.h"
+#include "linear.h"
 
 #include <math.h>
 #include <string.h>

@@ -1,4 +1,6 @@
-#include "cosim.h"
+#include "output_error.h"
+#include "householder.h"
+#include "linear.h"
 
 #include <float.h>
 #include <math.h>
@@ -159,7 +161,8 @@ void cosim_output_error_residual(const cosim_output_error *s, const cosim_known_
 
 /* --- one pass over samples, for given theta --- */
 
-/* Exponentials of components of one state, which wait for others: they are computed side by side. */
+/* Exponentials of components of one state, which wait for others: they are computed side by
+ * side. */
 typedef struct {
     int count;
     double M[COSIM_NUMBERS], S[COSIM_NUMBERS];
@@ -364,8 +367,8 @@ static const double *weight_at(const cosim_output_error *s, const cosim_record *
     return s->L + interval * s->outputs * s->outputs;
 }
 
-/* The rows of one sample, one an output, of the covariance of the noise. `between`: where they are in the
- * record, if it is no sample of the grid; else L is of the interval that ends there. */
+/* The rows of one sample, one an output, of the covariance of the noise. `between`: where they are
+ * in the record, if it is no sample of the grid; else L is of the interval that ends there. */
 static void make_rows(const cosim_output_error *s, layout l, const parts *p, const double *between,
                       const double *L, const double *residual, double *rows)
 {
@@ -838,7 +841,8 @@ static void make_statistics(const cosim_output_error *s, const regression *r,
     }
 }
 
-/* A row of R with the derivative by theta in the place of those of the basis, for amplitudes beta. */
+/* A row of R with the derivative by theta in the place of those of the basis, for amplitudes
+ * beta. */
 static void make_slopes(const cosim_output_error *s, const double *derivative, const double *beta,
                         double *slope)
 {
@@ -974,7 +978,8 @@ static int leave_out_dependent(const cosim_fit *fit, const free_theta *f)
     return found;
 }
 
-/* The theta that the step carries farthest across a bound goes to it; returns whether there is one. */
+/* The theta that the step carries farthest across a bound goes to it; returns whether there is
+ * one. */
 static int stop_at_bound(const cosim_fit *fit, const free_theta *f, gauss_newton *g)
 {
     int32_t stopped = -1;

@@ -1,4 +1,6 @@
-#include "cosim.h"
+#include "predictor.h"
+#include "linear.h"
+#include "weights.h"
 
 #include <string.h>
 

@@ -1,4 +1,7 @@
-#include "cosim.h"
+#include "rayleigh.h"
+#include "householder.h"
+#include "linear.h"
+#include "start_grid.h"
 
 #include <math.h>
 #include <string.h>
@@ -141,7 +144,8 @@ static double within(double value, double lower, double upper)
     return value > upper ? upper : value;
 }
 
-/* The derivatives of the residual by theta, by central differences, and the residual beside them. */
+/* The derivatives of the residual by theta, by central differences, and the residual beside
+ * them. */
 static void make_regression(const cosim_rayleigh *s, const double *R, const double *N,
                             const double *theta, const double *rho, double *rows)
 {

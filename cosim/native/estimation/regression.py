@@ -1,4 +1,4 @@
-"""The regression (21)-(25), and its least squares (33)-(35): ``estimate.c``."""
+"""The regression (21)-(25), and its least squares (33)-(35): ``regression.c``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-#include "cosim.h"
+#include "start_grid.h"
+#include "householder.h"
+#include "linear.h"
 
 #include <math.h>
 #include <string.h>
@@ -88,7 +90,8 @@ int64_t cosim_start_grid_memory(const cosim_start_grid *s, int32_t records)
     return parts_of(s, records, NULL).size;
 }
 
-/* Rotate x(0) and the offset to the front; what stands below them is the regression without them. */
+/* Rotate x(0) and the offset to the front; what stands below them is the regression without
+ * them. */
 static void eliminate(const cosim_start_grid *s, const parts *p, const double *R, double *to)
 {
     const int32_t all = cosim_output_error_columns(s->model);
@@ -398,7 +401,8 @@ static void choose_beside(const cosim_start_grid *s, const parts *p, int32_t rec
     }
 }
 
-/* Add the component that explains most at its best point; `forced` is added whatever it explains. */
+/* Add the component that explains most at its best point; `forced` is added whatever it
+ * explains. */
 static void add_component(const cosim_start_grid *s, const parts *p, int32_t records,
                           int32_t forced, choice *c)
 {

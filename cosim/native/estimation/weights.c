@@ -1,4 +1,4 @@
-#include "cosim.h"
+#include "weights.h"
 
 #include <math.h>
 #include <string.h>

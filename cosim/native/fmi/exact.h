@@ -2,7 +2,7 @@
 #ifndef COSIM_EXACT_H
 #define COSIM_EXACT_H
 
-#include "cosim.h"
+#include "linear.h"
 
 /* `events` are the inputs that change in events only: where one of them has changed, the step is
  * declined, and the caller's ordinary step does it from the state that stands here. */

@@ -6,7 +6,7 @@
 #ifndef COSIM_MODEL_EXCHANGE_H
 #define COSIM_MODEL_EXCHANGE_H
 
-#include "cosim.h"
+#include "runge_kutta.h"
 #include "fmu.h"
 
 /* Kinds of events, as bits: those due at one time. */

@@ -6,7 +6,6 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "cosim.h"
 #include "stage.h"
 
 enum { /* what differed */

@@ -28,7 +28,7 @@
  *
  * Pairs: with |a| >= |b|, s = a + b rounded, (a - s) + b is the rest exactly (Dekker 1971); for any
  * order Knuth's form needs six operations. Products are split after 26 bits. */
-#include "cosim.h"
+#include "elementary.h"
 #include "tables.h"
 
 #include <math.h>

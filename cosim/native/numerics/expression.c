@@ -1,4 +1,5 @@
-#include "cosim.h"
+#include "expression.h"
+#include "elementary.h"
 
 #include <math.h>
 

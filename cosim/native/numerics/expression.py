@@ -56,7 +56,7 @@ _BINARY = {
 }
 _CONSTANTS = {"pi": math.pi, "e": math.e}
 _ALLOWED = "only numbers, t, pi, e, + - * / ** and functions are allowed"
-_STACK = 64  # COSIM_STACK of cosim.h
+_STACK = 64  # COSIM_STACK of expression.h
 MOST_TEXT = 100_000  # characters
 
 

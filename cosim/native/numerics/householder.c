@@ -1,4 +1,4 @@
-#include "cosim.h"
+#include "householder.h"
 
 #include <math.h>
 

@@ -1,4 +1,4 @@
-#include "cosim.h"
+#include "linear.h"
 
 #include <float.h>
 #include <math.h>

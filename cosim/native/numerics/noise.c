@@ -1,4 +1,5 @@
-#include "cosim.h"
+#include "noise.h"
+#include "elementary.h"
 
 #include <math.h>
 

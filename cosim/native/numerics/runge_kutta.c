@@ -4,7 +4,8 @@
  *
  * HNW: E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, 2nd ed.,
  * Springer 1993. */
-#include "cosim.h"
+#include "runge_kutta.h"
+#include "elementary.h"
 
 #include <float.h>
 #include <math.h>

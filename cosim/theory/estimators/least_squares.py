@@ -33,7 +33,7 @@ from cosim.theory.disturbances.families import AlphaGroup, DampedSine, Exponenti
 from cosim.theory.disturbances.regression import Parts, RowSet, Term, check_delays
 
 # pivot over the largest pivot, below which R'R, the information, is singular to rounding;
-# the same value stands in estimate.c
+# the same value stands in regression.c
 RANK = 2.0**-26
 EQUAL_SPACING = 1e-9  # relative difference of two spacings that still counts as none
 

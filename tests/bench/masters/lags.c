@@ -5,7 +5,7 @@
  * y' = u - y from y = 0; each lag is driven by the one before it, and the first by
  * OFFSET + GAIN y of the last, which it keeps from the start of the step (Gauss-Seidel). All inputs
  * and outputs of all steps are kept in memory that the loop touches first. */
-#include "cosim.h"
+#include "linear.h"
 #include "program.h"
 
 #define COLUMNS 2 /* of a lag: u, y */

@@ -28,8 +28,8 @@
 #define SetReal_ "fmi3SetFloat64"
 #define GetReal_ "fmi3GetFloat64"
 #endif
-#include "cosim.h"
 #include "program.h"
+#include "runge_kutta.h"
 
 #include <dlfcn.h>
 #include <math.h>

@@ -1,6 +1,7 @@
 /* Two stages of their own, each a loop of lags with a sum, a delay and a component that is left to the
  * caller, run in two threads: prints the last row of each. Compiled with sanitizers by
  * test_sanitizers.py; there is no Python in it. */
+#include "linear.h"
 #include "stage.h"
 
 #include <pthread.h>

@@ -1,4 +1,4 @@
-/* What discrete.c needs of a kernel: a step of cosim.h with its initialization and its outputs.
+/* What discrete.c needs of a kernel: a native step with its initialization and its outputs.
  * Each has a file of its own; its numbers are in the generated model.c, its changing state is
  * `memory`. */
 #ifndef DISCRETE_H

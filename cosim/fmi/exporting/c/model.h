@@ -16,7 +16,7 @@
 #pragma GCC visibility push(hidden)
 #endif
 
-#include "cosim.h"
+#include "kernels.h" /* written for the model, too: the headers of the steps that it needs */
 
 extern const char *const model_token;           /* GUID or instantiation token */
 extern const double model_stamp;                /* of copied states: whose they are */

@@ -1,4 +1,6 @@
-#include "cosim.h"
+#include "regression.h"
+#include "elementary.h"
+#include "linear.h"
 
 #include <float.h>
 #include <math.h>

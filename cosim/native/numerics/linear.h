@@ -1,0 +1,67 @@
+/* Linear algebra in a fixed order, and linear systems that step. */
+#ifndef COSIM_LINEAR_H
+#define COSIM_LINEAR_H
+
+#include "cosim.h"
+
+/* The place of `count` doubles in `memory`, behind those before, of which there are `next`. Without
+ * memory it only counts. */
+double *cosim_place(double *memory, int64_t *next, int64_t count);
+
+/* y = M v (set) or y += M v (add), M of shape (rows, columns). */
+void cosim_multiply(int32_t rows, int32_t columns, const double *M, const double *v, double *y);
+void cosim_multiply_add(int32_t rows, int32_t columns, const double *M, const double *v, double *y);
+
+/* The inverse of M, shape (n, n), which is overwritten, by elimination with partial pivoting. */
+int32_t cosim_invert(int32_t n, double *M, double *inverse);
+
+/* E = exp(M) for M of shape (n, n), by scaling, a Taylor series and squaring; `work` has 2 n n
+ * doubles. */
+void cosim_exponential(int32_t n, const double *M, double *E, double *work);
+
+/* y(t) = c' exp(G t) beta at `count` instants, for G of shape (n, n); `work` has 4 n n doubles. */
+void cosim_response(int32_t n, const double *G, const double *c, const double *beta, int64_t count,
+                    const double *t, double *y, double *work);
+
+/* exp([[M, S], [0, M]]) = [[E, F], [0, E]]: F is the derivative of E = exp(M) in the direction S
+ * (C. Van Loan, IEEE Trans. Automatic Control, 1978). All of shape (n, n); `work` has 4 n n
+ * doubles. */
+void cosim_exponential_slope(int32_t n, const double *M, const double *S, double *E, double *F,
+                             double *work);
+
+/* cosim_exponential_slope of so many numbers, side by side: one alone waits for each division. */
+#define COSIM_NUMBERS 4
+void cosim_exponential_numbers(const double *M, const double *S, double *E, double *F);
+
+/* G = G0 + sum_j theta_j G1_j, all of shape (n, n), those of G1 one behind the other. */
+void cosim_system_matrix(int32_t n, int32_t count, const double *G0, const double *G1,
+                         const double *theta, double *G);
+
+/* Exact discretization of x' = A x + B u for inputs that are interpolated linearly over the step
+ * (the triangle, or first-order, hold): x(t+h) = Ad x + B0 u(t) + B1 u(t+h). held[j] != 0:
+ * zero-order hold of input j at u(t). `work` has 4 N N doubles, N = n + 2 m. */
+void cosim_first_order_hold(int32_t n, int32_t m, const double *A, const double *B, double h,
+                            const uint8_t *held, double *Ad, double *B0, double *B1, double *work);
+/* The same for `count` steps of lengths h, one result behind the other. */
+void cosim_first_order_holds(int64_t count, int32_t n, int32_t m, const double *A, const double *B,
+                             const double *h, const uint8_t *held, double *Ad, double *B0,
+                             double *B1, double *work);
+
+typedef struct {
+    int32_t n, m, p;                    /* states, inputs, outputs */
+    const double *Ad, *B0, *B1, *C, *D; /* (n, n), (n, m), (n, m), (p, n), (p, m) */
+    double *memory;                     /* x, then n doubles of scratch */
+} cosim_linear;
+int32_t cosim_linear_step(void *self, double t0, double t1, double h, const double *u0,
+                          const double *u1, double *y);
+int32_t cosim_linear_outputs(void *self, double t, const double *u, double *y);
+
+/* y(t) = u(t - steps h); memory: the row that is due now, then `steps` rows of `width`. */
+typedef struct {
+    int32_t steps, width;
+    double *memory;
+} cosim_delay;
+int32_t cosim_delay_step(void *self, double t0, double t1, double h, const double *u0,
+                         const double *u1, double *y);
+
+#endif
