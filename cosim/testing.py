@@ -8,6 +8,7 @@ An estimator of the parameters of a disturbance has laws of its own beside these
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -105,6 +106,8 @@ def check_rollback(
 ) -> None:
     """Check that ``restore(save())`` is the identity, after ``initialize`` and later, repeatedly.
 
+    States are set back in any order; one that can be pickled goes on in another component, too.
+
     Parameters are those of :func:`check_component`.
 
     Raises
@@ -129,7 +132,10 @@ def _check_rollback(bench: _Bench, held: Mask) -> None:
         component.save()
         saved_twice = bench.outputs(component, k)
         bench.compare("save changes nothing", saved_twice, outputs, k)
-        expected = bench.advance(component, k, bench.steps)
+        middle = (k + bench.steps) // 2
+        begun = bench.advance(component, k, middle)
+        later = component.save()
+        expected = np.vstack([begun, bench.advance(component, middle, bench.steps)])
         for _ in range(2):
             component.restore(state)
             restored = bench.outputs(component, k)
@@ -137,6 +143,28 @@ def _check_rollback(bench: _Bench, held: Mask) -> None:
             rows = bench.advance(component, k, bench.steps)
             law = "a restored component goes on as it did after save"
             bench.compare(law, rows, expected, k + 1)
+        component.restore(state)
+        component.restore(later)
+        rows = bench.advance(component, middle, bench.steps)
+        law = "a later state can be restored after an earlier one"
+        bench.compare(law, rows, expected[middle - k :], middle + 1)
+        _check_another(bench, held, later, middle, expected[middle - k :])
+
+
+def _check_another(bench: _Bench, held: Mask, state: object, k: int, expected: Matrix) -> None:
+    """Require that a state that can be pickled goes on in another component."""
+    try:
+        pickled = pickle.dumps(state)
+    except Exception:  # a state is the component's own, and may raise anything
+        return
+    prepared = bench.prepared(held)
+    bench.initialize(prepared)
+    # As above.
+    another = cast("RollbackComponent[object]", prepared)
+    another.restore(pickle.loads(pickled))
+    rows = bench.advance(another, k, bench.steps)
+    law = "another component goes on from a pickled state"
+    bench.compare(law, rows, expected, k + 1)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

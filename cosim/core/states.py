@@ -130,13 +130,19 @@ class States:
         Raises
         ------
         UsageError
-            If it is that of another graph, or cannot leave its simulation.
+            If it is that of another graph, behind the stop, or cannot leave its simulation.
         """
         if state.graph != self.graph_hash:
             raise UsageError(
                 f"state: found one of another graph ({state.graph[:12]}; this one is "
                 f"{self.graph_hash[:12]}); needed a state of a simulation of the same scenario, "
                 "with the same values"
+            )
+        if state.index > self._clock.steps:
+            found = (self._clock.start_ns + state.index * self._clock.step_ns) / 1e9
+            raise UsageError(
+                f"state: found one at t = {found} s, behind the stop at {self._clock.stop} s; "
+                "needed an earlier one, or a later stop"
             )
         if state.origin is not simulation:
             state.check_portable()

@@ -492,6 +492,28 @@ class Forgetful(Delay):
         return self._step.memory
 
 
+class Keeping(Delay):
+    """A delay that keeps its states and hands out their numbers."""
+
+    def initialize(self, t, u):
+        self.kept = []
+        return super().initialize(t, u)
+
+    def save(self):
+        self.kept.append(super().save())
+        return len(self.kept) - 1
+
+    def restore(self, state):
+        if state < len(self.kept):
+            super().restore(self.kept[state])
+
+
+def test_a_state_that_rests_on_its_component_is_noticed():
+    """It can be pickled, so it is taken for one that another component goes on from."""
+    with pytest.raises(AssertionError, match="another component goes on from a pickled state: 'y'"):
+        check_rollback(lambda: Keeping(3))
+
+
 def test_a_state_that_is_not_copied_is_noticed():
     """``restore(save())`` is the identity, also after more steps."""
     with pytest.raises(AssertionError, match="restore goes back to the outputs at save: 'y'"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from contextlib import ExitStack
 from dataclasses import replace
 
@@ -212,6 +213,29 @@ def test_missing_samples_of_an_unstable_plant_are_predictions_without_correction
     component.advance(t[650:801], H, u[650:801])
     component.restore(state)
     np.testing.assert_array_equal(component.advance(t[650:], H, u[650:])[-1], found)
+    another = identifier(scenario, most=1, plant=UNSTABLE, at_points=True)
+    another.initialize(t[0], u[0])
+    another.restore(pickle.loads(pickle.dumps(state)))
+    np.testing.assert_array_equal(another.advance(t[650:], H, u[650:])[-1], found)
+
+
+def test_a_pickled_state_has_the_samples_between_the_points(run):
+    """In another identifier, which has taken others before."""
+    scenario, log = run
+    times = 0.8 * H * np.arange(1, 2400)
+    t, u = rows(log, times, outputs_at(times))
+    component = identifier(scenario)
+    component.initialize(t[0], u[0])
+    component.advance(t[:1201], H, u[:1201])
+    state = pickle.dumps(component.save())
+    expected = component.advance(t[1200:], H, u[1200:])
+    assert np.isfinite(expected[-1]).all()
+    another = identifier(scenario)
+    others = u.copy()
+    others[:, 8 : 8 + MOST] *= 1.5
+    estimate(another, t[:801], others[:801])
+    another.restore(pickle.loads(state))
+    np.testing.assert_array_equal(another.advance(t[1200:], H, u[1200:]), expected)
 
 
 def test_an_unstable_plant_with_all_its_samples_is_predicted_with_a_constant_gain(run):

@@ -13,6 +13,7 @@ from cosim.log import Log
 from cosim.report.verification import verify
 from cosim.scenario.execution import replay
 from cosim.scenario.exporting import export_component
+from tests.scenario.online import COARSE
 
 pytestmark = pytest.mark.usefixtures("without_verdicts")
 
@@ -320,6 +321,65 @@ def test_a_state_is_set_back_in_a_session_without_a_log():
         elsewhere = other.step(50)
     for signal, values in first.items():
         assert values.tobytes() == again[signal].tobytes() == elsewhere[signal].tobytes()
+
+
+METHODS = (
+    "output-error",
+    "least-squares",
+    "rayleigh",
+    "projection",
+    "augmented-kalman",
+    "extended-kalman",
+    "gradient",
+    "drem",
+)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_state_has_all_samples_of_an_identifier(method):
+    """In its own session, in any order, and in another one with a later stop."""
+    changes = {**COARSE, "identifier.method": method, "scenario.stop": 12.0}
+    coarse = cosim.load("academic-noisy").set(changes)
+    with coarse.start() as sim:
+        sim.step(300)
+        early = sim.state
+        sim.step(300)
+        saved = sim.state
+        pickled = pickle.dumps(saved)
+        expected = sim.step(300)
+        sim.state = early
+        sim["plant.delta"] = 1.0
+        sim.step(400)
+        sim.state = saved
+        again = sim.step(300)
+        sim.reset()
+        sim.state = saved
+        behind_reset = sim.step(300)
+    with coarse.set({"scenario.stop": 13.0}).start() as other:
+        other.step(100)
+        there = other.state
+        other.state = pickle.loads(pickled)
+        elsewhere = other.step(300)
+        other.state = there
+        assert other.step(100)["identifier.theta"].shape == (100, 2)
+        other.state = saved
+        straight = other.step(300)
+    for rows in (again, behind_reset, elsewhere, straight):
+        for signal, values in expected.items():
+            assert rows[signal].tobytes() == values.tobytes(), signal
+
+
+def test_a_state_beyond_the_stop_is_refused():
+    """Nothing would be left to step."""
+    with scenario().start() as sim:
+        sim.step(80)
+        saved = sim.state
+    with scenario(**{"scenario.stop": 0.05}).start() as shorter:
+        with pytest.raises(
+            UsageError, match=r"state: found one at t = 0\.08 s, behind the stop at 0\.05 s; needed"
+        ):
+            shorter.state = saved
+        assert shorter.step().steps == 1
 
 
 def test_a_state_of_another_scenario_is_refused():

@@ -51,6 +51,20 @@ static storage storage_of(const cosim_augmented_kalman *s)
 }
 
 int64_t cosim_augmented_kalman_memory(const cosim_augmented_kalman *s) { return storage_of(s).size; }
+int64_t cosim_augmented_kalman_state(const cosim_augmented_kalman *s) { return storage_of(s).state; }
+
+int64_t cosim_augmented_kalman_samples(const cosim_augmented_kalman *s, const double *state,
+                                       int64_t *parts)
+{
+    const storage m = storage_of(s);
+    const int64_t n = s->states, count = (int64_t)state[m.count - s->memory];
+    int64_t next = 0;
+    next = cosim_note_part(m.time - s->memory, count, parts, next);
+    next = cosim_note_part(m.predicted - s->memory, count * n, parts, next);
+    next = cosim_note_part(m.spread - s->memory, count * n * n, parts, next);
+    next = cosim_note_part(m.innovation - s->memory, count * s->outputs, parts, next);
+    return cosim_note_part(m.signals - s->memory, count * s->signals, parts, next);
+}
 
 void cosim_augmented_kalman_start(cosim_augmented_kalman *s, double *y)
 {

@@ -20,6 +20,10 @@ typedef struct {
     double *memory;
 } cosim_augmented_kalman;
 int64_t cosim_augmented_kalman_memory(const cosim_augmented_kalman *self);
+int64_t cosim_augmented_kalman_state(const cosim_augmented_kalman *self);
+/* As of cosim_identifier. */
+int64_t cosim_augmented_kalman_samples(const cosim_augmented_kalman *self, const double *state,
+                                       int64_t *parts);
 /* Smooth over all samples; delta of each. */
 void cosim_augmented_kalman_smooth(const cosim_augmented_kalman *self, double *delta);
 void cosim_augmented_kalman_start(cosim_augmented_kalman *self, double *y);

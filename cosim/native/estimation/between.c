@@ -6,7 +6,7 @@
 static int32_t n_driving(const cosim_between *s) { return s->inputs + s->components; }
 
 /* Doubles of the rows of one sample. */
-static int64_t width_of(const cosim_between *s)
+int64_t cosim_between_width(const cosim_between *s)
 {
     return (int64_t)s->outputs * (s->states + 2 * s->components);
 }
@@ -14,7 +14,7 @@ static int64_t width_of(const cosim_between *s)
 int64_t cosim_between_memory(const cosim_between *s)
 {
     const int64_t n = s->states, m = n_driving(s), N = n + 2 * m;
-    return s->capacity * (1 + width_of(s) + s->outputs) + n * n + 2 * n * m + 4 * N * N;
+    return s->capacity * (1 + cosim_between_width(s) + s->outputs) + n * n + 2 * n * m + 4 * N * N;
 }
 
 cosim_between_record cosim_between_in(const cosim_between *s, double *memory, int64_t count)
@@ -23,7 +23,7 @@ cosim_between_record cosim_between_in(const cosim_between *s, double *memory, in
     record.count = count;
     record.place = memory;
     record.rows = record.place + s->capacity;
-    record.residual = record.rows + s->capacity * width_of(s);
+    record.residual = record.rows + s->capacity * cosim_between_width(s);
     return record;
 }
 
@@ -35,7 +35,7 @@ static void append(const cosim_between *s, const cosim_between_record *record, d
 {
     const int32_t n = s->states, m = n_driving(s), components = s->components;
     double *Ad = record->residual + s->capacity * s->outputs, *B0 = Ad + n * n, *B1 = B0 + n * m;
-    double *row = record->rows + record->count * width_of(s);
+    double *row = record->rows + record->count * cosim_between_width(s);
     cosim_first_order_hold(n, m, s->A, s->B, elapsed, s->held, Ad, B0, B1, B1 + n * m);
     for (int32_t o = 0; o < s->outputs; ++o) {
         const double *C = s->C + o * n;

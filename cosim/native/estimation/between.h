@@ -14,6 +14,8 @@ typedef struct {
     const uint8_t *held;   /* (inputs + components) zero-order hold over the step */
 } cosim_between;
 int64_t cosim_between_memory(const cosim_between *self);
+/* The number of doubles in a row of its record. */
+int64_t cosim_between_width(const cosim_between *self);
 /* The record that stands in its memory. */
 cosim_between_record cosim_between_in(const cosim_between *self, double *memory, int64_t count);
 /* Append the samples of the step from t0 to t1, which the sample `place` of the grid ends; x: the

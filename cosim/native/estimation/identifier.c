@@ -168,6 +168,38 @@ static storage storage_of(const cosim_identifier *s)
 int64_t cosim_identifier_memory(const cosim_identifier *s) { return storage_of(s).size; }
 int64_t cosim_identifier_state(const cosim_identifier *s) { return storage_of(s).state; }
 
+int64_t cosim_identifier_samples(const cosim_identifier *s, const double *state, int64_t *parts)
+{
+    const storage m = storage_of(s);
+    const double *memory = s->memory;
+    const int64_t count = s->on_delta ? (int64_t)state[m.count - memory] : 0;
+    const int64_t components = s->rayleigh->components, outputs = n_outputs(s);
+    int64_t next = 0;
+    next = cosim_note_part(m.residual - memory, count * outputs, parts, next);
+    next = cosim_note_part(m.alpha - memory, count * components, parts, next);
+    next = cosim_note_part(m.delta - memory, count, parts, next);
+    next = cosim_note_part(m.delta_alpha - memory, count * components, parts, next);
+    if (s->between) {
+        const int64_t betweens = (int64_t)state[m.betweens - memory];
+        const cosim_between_record record = cosim_between_in(s->between, m.between, betweens);
+        const int64_t width = cosim_between_width(s->between);
+        next = cosim_note_part(record.place - memory, betweens, parts, next);
+        next = cosim_note_part(record.rows - memory, betweens * width, parts, next);
+        next = cosim_note_part(record.residual - memory, betweens * outputs, parts, next);
+    }
+    if (s->predictor) {
+        const int64_t states = s->on_y->states, sources = s->on_y->sources;
+        next = cosim_note_part(m.step - memory, count, parts, next);
+        next = cosim_note_part((double *)m.interval - memory, (count + 1) / 2, parts, next);
+        next = cosim_note_part(m.Ad - memory, count * states * states, parts, next);
+        next = cosim_note_part(m.B0 - memory, count * sources * states, parts, next);
+        next = cosim_note_part(m.B1 - memory, count * sources * states, parts, next);
+        next = cosim_note_part(m.K - memory, count * states * outputs, parts, next);
+        next = cosim_note_part(m.L - memory, count * outputs * outputs, parts, next);
+    }
+    return next;
+}
+
 static void forget_outputs(const cosim_identifier *s, const storage *m)
 {
     for (int32_t i = 0; i < s->width; ++i)

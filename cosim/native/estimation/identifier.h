@@ -53,6 +53,9 @@ typedef struct {
 /* The number of doubles of `memory`, and of those before the samples, which are only appended. */
 int64_t cosim_identifier_memory(const cosim_identifier *self);
 int64_t cosim_identifier_state(const cosim_identifier *self);
+/* The parts of the memory that the samples of a state fill: begin and length of each, in pairs;
+ * returns how many. */
+int64_t cosim_identifier_samples(const cosim_identifier *self, const double *state, int64_t *parts);
 void cosim_identifier_start(cosim_identifier *self, double *y);
 int32_t cosim_identifier_step(void *self, double t0, double t1, double h, const double *u0,
                               const double *u1, double *y);

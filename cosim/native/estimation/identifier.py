@@ -7,12 +7,10 @@ from collections.abc import Sequence
 from ctypes import byref, c_double, c_int32, c_int64, c_void_p
 from dataclasses import dataclass
 from typing import Any, Literal
-from weakref import WeakSet
 
 import numpy as np
 
 from cosim.arrays import Vector
-from cosim.errors import UsageError
 from cosim.native.estimation.alphas import PastAlphas
 from cosim.native.estimation.between import BetweenConstants
 from cosim.native.estimation.output_error import (
@@ -24,6 +22,7 @@ from cosim.native.estimation.output_error import (
 from cosim.native.estimation.predictor import ModePredictorConstants
 from cosim.native.estimation.rayleigh import RayleighConstants, RayleighModel
 from cosim.native.estimation.regression import RegressorConstants, regressor_struct
+from cosim.native.estimation.samples import SampleMemory, SavedSamples, used_parts
 from cosim.native.estimation.start_grid import StartGridConstants, StartGridModel
 from cosim.native.library import address, declare, library, pointer
 from cosim.native.step import NativeStep
@@ -132,44 +131,6 @@ class IdentifierConstants:
         return np.ones(0 if self.on_y is None else len(self.on_y.C))
 
 
-class IdentifierState:
-    """A saved state of an identifier; the samples that belong to it stay in its memory.
-
-    Where it is pickled, it takes them along.
-
-    Parameters
-    ----------
-    memory : Vector
-        All but the samples.
-    rest : Vector
-        The memory of the identifier that the samples are in.
-    """
-
-    def __init__(self, memory: Vector, rest: Vector) -> None:
-        self.memory = memory
-        self.rest = rest
-        self.samples = int(memory[0])
-        self.replaced_after: int | None = None
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        self.check_samples()
-        return IdentifierState, (self.memory, self.rest.copy())
-
-    def check_samples(self) -> None:
-        """Check that its samples are still there.
-
-        Raises
-        ------
-        UsageError
-            If they may have been replaced, as an earlier state was restored since.
-        """
-        if self.replaced_after is not None:
-            raise UsageError(
-                f"a state with {self.samples} samples cannot be restored: the identifier was "
-                f"restored to {self.replaced_after} of them since; needed a state saved later"
-            )
-
-
 class IdentifierStep:
     """The identifier bound to its memory."""
 
@@ -227,59 +188,27 @@ class IdentifierStep:
             keep_predictor = (predictor, *of_predictor)
         memory = np.zeros(int(library.cosim_identifier_memory(byref(state))))
         state.memory = pointer(memory)
-        self._small = int(library.cosim_identifier_state(byref(state)))
+        small = int(library.cosim_identifier_state(byref(state)))
         keep_models = (on_delta, on_y, rayleigh, keep_known, keep_products, keep_lagging, *structs)
         keep = (*keep_models, grid, *vectors, *keep_between, *keep_predictor)
-        self._rest = memory[self._small :]
-        self._saved: WeakSet[IdentifierState] = WeakSet()
+        self._samples = SampleMemory(memory, small, used_parts("cosim_identifier_samples", state))
         function = address("cosim_identifier_step")
         self.step = NativeStep(function, state, n_y=constants.n_y, memory=memory, keep=keep)
 
     def initialize(self) -> Vector:
         """Forget all samples and return the outputs, which have no value yet."""
-        self._replace_samples_after(0)
+        self._samples.keep_beyond(0)
         y = np.empty(self.step.n_y)
         library.cosim_identifier_start(byref(self.step.state), pointer(y))
         return y
 
-    def save(self) -> IdentifierState:
-        """Copy the state, but for the samples: later ones are appended behind them."""
-        memory = self.step.memory[: self._small].copy()
-        state = IdentifierState(memory, self._rest)
-        self._saved.add(state)
-        return state
+    def save(self) -> SavedSamples:
+        """Return the state; the samples are copied where they are about to be replaced."""
+        return self._samples.save()
 
-    def restore(self, state: IdentifierState) -> None:
-        """Return to a saved state.
-
-        Raises
-        ------
-        UsageError
-            If its samples may have been replaced, as an earlier state was restored since; or it is
-            that of another identifier, with room for another number of samples.
-        """
-        state.check_samples()
-        if state.rest is self._rest:
-            self._replace_samples_after(state.samples)
-        else:
-            self._take_samples(state.rest)
-        self.step.memory[: self._small] = state.memory
-
-    def _take_samples(self, rest: Vector) -> None:
-        """Copy the samples of another identifier."""
-        if len(rest) != len(self._rest):
-            raise UsageError(
-                f"a state of another identifier, whose memory for samples has {len(rest)} numbers, "
-                f"cannot be restored: this one has {len(self._rest)}; needed a run of the same "
-                "length"
-            )
-        self._replace_samples_after(0)
-        self._rest[:] = rest
-
-    def _replace_samples_after(self, samples: int) -> None:
-        for state in self._saved:
-            if state.samples > samples and state.replaced_after is None:
-                state.replaced_after = samples
+    def restore(self, state: SavedSamples) -> None:
+        """Return to a saved state, of this identifier or another."""
+        self._samples.restore(state)
 
 
 def _model_of(

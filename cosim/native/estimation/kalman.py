@@ -19,6 +19,7 @@ from cosim.native.estimation.output_error import (
     OutputErrorModel,
     known_input_struct,
 )
+from cosim.native.estimation.samples import SampleMemory, SavedSamples, used_parts
 from cosim.native.library import address, declare, library, pointer
 from cosim.native.step import LARGEST_MEMORY, NativeStep
 
@@ -214,10 +215,14 @@ class AugmentedKalmanStep:
         state.memory = pointer(memory)
         function = address("cosim_augmented_kalman_step")
         keep = (projection, *arrays)
+        small = int(library.cosim_augmented_kalman_state(byref(state)))
+        parts = used_parts("cosim_augmented_kalman_samples", state)
+        self._samples = SampleMemory(memory, small, parts)
         self.step = NativeStep(function, state, n_y=parameters, memory=memory, keep=keep)
 
     def initialize(self) -> Vector:
         """Forget all samples and return the output, which has no value yet."""
+        self._samples.keep_beyond(0)
         y = np.empty(self.step.n_y)
         library.cosim_augmented_kalman_start(byref(self.step.state), pointer(y))
         return y
@@ -228,13 +233,13 @@ class AugmentedKalmanStep:
         library.cosim_augmented_kalman_smooth(byref(self.step.state), pointer(delta))
         return delta
 
-    def save(self) -> Vector:
-        """Copy the state, all samples included."""
-        return self.step.save()
+    def save(self) -> SavedSamples:
+        """Return the state; the samples are copied where they are about to be replaced."""
+        return self._samples.save()
 
-    def restore(self, state: Vector) -> None:
-        """Return to a saved state."""
-        self.step.restore(state)
+    def restore(self, state: SavedSamples) -> None:
+        """Return to a saved state, of this filter or another."""
+        self._samples.restore(state)
 
 
 declare(
@@ -242,6 +247,7 @@ declare(
         "cosim_extended_kalman_memory": (c_int64, (c_void_p,)),
         "cosim_extended_kalman_start": (None, (c_void_p, c_void_p)),
         "cosim_augmented_kalman_memory": (c_int64, (c_void_p,)),
+        "cosim_augmented_kalman_state": (c_int64, (c_void_p,)),
         "cosim_augmented_kalman_start": (None, (c_void_p, c_void_p)),
         "cosim_augmented_kalman_smooth": (None, (c_void_p, c_void_p)),
     }

@@ -22,6 +22,13 @@ double *cosim_place(double *memory, int64_t *next, int64_t count)
     return place;
 }
 
+int64_t cosim_note_part(int64_t begin, int64_t count, int64_t *parts, int64_t next)
+{
+    parts[2 * next] = begin;
+    parts[2 * next + 1] = count;
+    return next + 1;
+}
+
 void cosim_multiply(int32_t rows, int32_t columns, const double *M, const double *v, double *y)
 {
     for (int32_t i = 0; i < rows; ++i)

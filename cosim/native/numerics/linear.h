@@ -8,6 +8,10 @@
  * memory it only counts. */
 double *cosim_place(double *memory, int64_t *next, int64_t count);
 
+/* Note a part of a memory, its first double and how many, as pair `next` of `parts`; returns the
+ * number of the next pair. */
+int64_t cosim_note_part(int64_t begin, int64_t count, int64_t *parts, int64_t next);
+
 /* y = M v (set) or y += M v (add), M of shape (rows, columns). */
 void cosim_multiply(int32_t rows, int32_t columns, const double *M, const double *v, double *y);
 void cosim_multiply_add(int32_t rows, int32_t columns, const double *M, const double *v, double *y);
