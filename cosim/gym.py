@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Vector
 from cosim.core.contracts import Stopped
-from cosim.core.step_rows import StepRows
+from cosim.core.stepping.step_rows import StepRows
 from cosim.errors import UsageError
 from cosim.scenario.execution import load
 from cosim.scenario.parsing import Scenario

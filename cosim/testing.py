@@ -18,9 +18,9 @@ import numpy as np
 
 from cosim.arrays import NAN, Mask, Matrix, Vector, read_only
 from cosim.blocks.regressor import Regressor
-from cosim.core.calls import result_problem
 from cosim.core.clock import nanoseconds, seconds
 from cosim.core.contracts import Component, Design, Native, Rollback, State, prepare
+from cosim.core.stages.calls import result_problem
 from cosim.native.numerics.expression import compile_expression
 from cosim.native.numerics.linear import first_order_hold
 from cosim.native.numerics.programs import evaluate_at

@@ -1,4 +1,20 @@
-"""Simulation without knowledge of the method: contracts, graph, coupling and master."""
+"""Simulation without knowledge of the method: contracts, graph, coupling and master.
+
+In the order in which to read it::
+
+    contracts, signals, port   what a component, a signal, a recorder is
+    clock, connections, graph  a network of components on a grid of communication points
+      structure/               what checks and orders it, once
+      initialization/          its initial values
+    master                     run and simulate: the pseudocode of a run
+      stages/                  the engine under it: components in their places, cascades and loops,
+                               in Python and in compiled code
+    recorders, recorded        what takes the rows, and gives them back by name
+    simulation                 the same engine, step by step
+      stepping/                jumps of inputs, states, rows
+    ensemble                   many members of one graph
+    linear                     linear models with their exact solver
+"""
 
 from __future__ import annotations
 
@@ -35,8 +51,8 @@ if TYPE_CHECKING:
     from cosim.core.recorders import EndOfRun, Memory, Nothing, Watched, end_of_run
     from cosim.core.signals import Channel, Interface, Layout, Signal
     from cosim.core.simulation import Simulation
-    from cosim.core.states import SimulationState
-    from cosim.core.step_rows import StepRows
+    from cosim.core.stepping.states import SimulationState
+    from cosim.core.stepping.step_rows import StepRows
 
 _HOMES = {
     "Block": "cosim.core.contracts",
@@ -73,8 +89,8 @@ _HOMES = {
     "SignalEvent": "cosim.core.contracts",
     "simulate": "cosim.core.master",
     "Simulation": "cosim.core.simulation",
-    "SimulationState": "cosim.core.states",
-    "StepRows": "cosim.core.step_rows",
+    "SimulationState": "cosim.core.stepping.states",
+    "StepRows": "cosim.core.stepping.step_rows",
     "Stopped": "cosim.core.contracts",
     "Watched": "cosim.core.recorders",
 }

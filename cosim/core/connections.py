@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from cosim.core.arguments import check_type, kind_of
 from cosim.core.port import Port
-from cosim.core.ports import Ports
 from cosim.core.signals import Signal
+from cosim.core.structure.ports import Ports
 from cosim.errors import GraphError
 from cosim.units import Conversion, Unit, conversion
 

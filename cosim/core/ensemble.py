@@ -19,9 +19,9 @@ from cosim.arrays import Matrix, Vector
 from cosim.core.arguments import check_type
 from cosim.core.clock import Clock
 from cosim.core.contracts import Block, Component
-from cosim.core.coupling import Advancing, Cut
 from cosim.core.graph import Graph
-from cosim.core.native_stage import advancing_stages
+from cosim.core.stages.coupling import Advancing, Cut
+from cosim.core.stages.native_stage import advancing_stages
 from cosim.errors import CosimError, RunError, UsageError
 from cosim.native.stages.stage import accumulate
 

@@ -15,19 +15,23 @@ import numpy as np
 
 from cosim.arrays import Mask, Vector
 from cosim.core.arguments import check_type, checked_components, kind_of
-from cosim.core.connection_checks import check_connections, element_warnings, unit_warnings
 from cosim.core.connections import ONE_SOURCE, Connection, SourceText, conversions_of
 from cosim.core.contracts import Component, Design, Plan
-from cosim.core.coupling import Cascade, Loop, Stage
-from cosim.core.cycles import groups_in_order
-from cosim.core.initial_values import InitialValues
-from cosim.core.member import Member, first_non_finite
-from cosim.core.order import order_loop
+from cosim.core.initialization.initial_values import InitialValues
 from cosim.core.port import Port
-from cosim.core.ports import Ports, layout_of, undriven_parts
 from cosim.core.signals import Channel, Signal, Variability
-from cosim.core.variability import Variabilities
-from cosim.core.wires import Wire, constant_wires, wires_of
+from cosim.core.stages.coupling import Cascade, Loop, Stage
+from cosim.core.stages.member import Member, first_non_finite
+from cosim.core.stages.wires import Wire, constant_wires, wires_of
+from cosim.core.structure.connection_checks import (
+    check_connections,
+    element_warnings,
+    unit_warnings,
+)
+from cosim.core.structure.cycles import groups_in_order
+from cosim.core.structure.order import order_loop
+from cosim.core.structure.ports import Ports, layout_of, undriven_parts
+from cosim.core.structure.variability import Variabilities
 from cosim.errors import GraphError, nearest
 from cosim.units import Conversion
 
@@ -206,7 +210,7 @@ class Graph:
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # the check below names them
     def initialize(self, t: float, row: Vector) -> None:
-        """Initialize all components together; see :mod:`cosim.core.initial_values`.
+        """Initialize all components together; see :mod:`cosim.core.initialization.initial_values`.
 
         Overrides are released.
 

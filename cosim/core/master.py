@@ -23,9 +23,9 @@ from cosim.arrays import Matrix
 from cosim.core.arguments import check_recorder, check_type
 from cosim.core.clock import Clock
 from cosim.core.contracts import Block, Design, Plan, Recorder, Stopped
-from cosim.core.engine import Engine
 from cosim.core.graph import Graph
 from cosim.core.recorders import Nothing
+from cosim.core.stages.engine import Engine
 from cosim.errors import UsageError
 
 

@@ -27,16 +27,16 @@ from cosim.arrays import Matrix, Vector
 from cosim.core.arguments import check_type, kind_of
 from cosim.core.clock import Clock
 from cosim.core.contracts import Block, Plan, Recorder
-from cosim.core.coupling import Cut
-from cosim.core.engine import Engine
 from cosim.core.graph import Graph
-from cosim.core.jumps import Jumps
-from cosim.core.native_stage import NativeStage
-from cosim.core.overrides import OverrideValue
 from cosim.core.recorders import Nothing
-from cosim.core.right_limits import NOTHING_GIVEN, GivenOutputs
-from cosim.core.states import SimulationState, States
-from cosim.core.step_rows import SignalColumns, StepRows
+from cosim.core.stages.coupling import Cut
+from cosim.core.stages.engine import Engine
+from cosim.core.stages.native_stage import NativeStage
+from cosim.core.stages.overrides import OverrideValue
+from cosim.core.stepping.jumps import Jumps
+from cosim.core.stepping.right_limits import NOTHING_GIVEN, GivenOutputs
+from cosim.core.stepping.states import SimulationState, States
+from cosim.core.stepping.step_rows import SignalColumns, StepRows
 from cosim.errors import RunError, UsageError, steps_text
 
 POINTS: Final = 4096  # communication points whose times are computed at once

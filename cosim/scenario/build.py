@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any, Final
 from cosim.blocks.declared import with_units
 from cosim.blocks.replay import Replay
 from cosim.core.clock import Clock, start_nanoseconds
-from cosim.core.connection_checks import check_connections
 from cosim.core.contracts import Component, Design, Plan, Recording, SignalEvent
 from cosim.core.graph import Graph
 from cosim.core.port import Port
-from cosim.core.ports import Ports, layout_of
 from cosim.core.signals import Interface
+from cosim.core.structure.connection_checks import check_connections
+from cosim.core.structure.ports import Ports, layout_of
 from cosim.errors import CosimError
 from cosim.scenario.context import (
     DependsOnInvalid,

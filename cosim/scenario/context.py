@@ -16,9 +16,9 @@ from cosim.blocks.replay import Replay
 from cosim.core.clock import Clock, nanoseconds, seconds
 from cosim.core.contracts import Component, Recording
 from cosim.core.port import Port
-from cosim.core.ports import unknown_port
 from cosim.core.recorded import find_channel
 from cosim.core.signals import Interface
+from cosim.core.structure.ports import unknown_port
 from cosim.errors import CosimError, LogError, UsageError, nearest, option, quoted
 from cosim.scenario.identification.model import IdentifiedPlant
 from cosim.scenario.kinds import Kind

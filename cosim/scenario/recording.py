@@ -137,7 +137,7 @@ def _run(experiment: Experiment, recorder: Recorder) -> None:
         run_graph(graph, clock, recorder, plan, designs=designs)
         return
     # Most runs need none of it.
-    from cosim.core.repeating import repeat
+    from cosim.core.stepping.repeating import repeat
 
     copied = () if experiment.origin is None else experiment.origin.copied
     repeat(

@@ -13,11 +13,11 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.core.contracts import Recorder, Stopped
-from cosim.core.overrides import OverrideValue
 from cosim.core.recorders import end_of_run
 from cosim.core.simulation import Simulation
-from cosim.core.states import SimulationState
-from cosim.core.step_rows import StepRows
+from cosim.core.stages.overrides import OverrideValue
+from cosim.core.stepping.states import SimulationState
+from cosim.core.stepping.step_rows import StepRows
 from cosim.errors import RunError, UsageError
 
 

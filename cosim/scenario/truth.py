@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from cosim.core.connection_checks import incomparable
 from cosim.core.contracts import Component
 from cosim.core.port import Port
 from cosim.core.signals import Signal
+from cosim.core.structure.connection_checks import incomparable
 from cosim.errors import GraphError, nearest
 from cosim.scenario.problems import Problem
 from cosim.scenario.schema import File, truth_ports

@@ -9,15 +9,15 @@ from hypothesis import strategies as st
 
 from cosim.blocks.source import Table, sine
 from cosim.blocks.state_space import controller
-from cosim.core import branches
-from cosim.core.branches import Branches
 from cosim.core.clock import Clock
 from cosim.core.contracts import Stopped
 from cosim.core.graph import Graph
 from cosim.core.linear import Linear
 from cosim.core.master import run
-from cosim.core.native_stage import NativeStage, advancing_stages
 from cosim.core.recorders import Memory
+from cosim.core.stages import branches
+from cosim.core.stages.branches import Branches
+from cosim.core.stages.native_stage import NativeStage, advancing_stages
 from cosim.errors import CosimError, GraphError
 from tests.core.parts import integrator, through
 from tests.core.test_native_stage import InPython, random_graph, rows_of

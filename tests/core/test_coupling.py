@@ -12,14 +12,14 @@ from cosim.blocks.sampled import Sampled
 from cosim.blocks.source import Noise, sine
 from cosim.core.clock import Clock
 from cosim.core.contracts import prepare
-from cosim.core.cycles import strongly_connected
-from cosim.core.feedthrough import UnknownFeedthrough
 from cosim.core.graph import Graph
 from cosim.core.master import run
-from cosim.core.order import order_loop
 from cosim.core.port import Port
 from cosim.core.recorders import Memory
 from cosim.core.signals import Interface, Signal
+from cosim.core.structure.cycles import strongly_connected
+from cosim.core.structure.feedthrough import UnknownFeedthrough
+from cosim.core.structure.order import order_loop
 from tests.core.parts import half_through, integrator, through, times
 
 

@@ -6,7 +6,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from cosim.core.fixed_point import SingularError, eliminate, iterate, measure, newton, newton_step
+from cosim.core.initialization.fixed_point import (
+    SingularError,
+    eliminate,
+    iterate,
+    measure,
+    newton,
+    newton_step,
+)
 
 elements = st.floats(-1.0, 1.0).map(lambda x: round(x, 3))
 

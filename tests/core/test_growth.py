@@ -12,7 +12,6 @@ from cosim.blocks.renaming import Renaming, map_ports
 from cosim.blocks.replay import Replay
 from cosim.blocks.source import sine
 from cosim.core import clock as clock_module
-from cosim.core import pacing
 from cosim.core.clock import Clock
 from cosim.core.contracts import Plan
 from cosim.core.graph import Graph
@@ -20,6 +19,7 @@ from cosim.core.master import run
 from cosim.core.port import Port
 from cosim.core.recorders import Memory
 from cosim.core.signals import Channel, Interface, Layout, Signal
+from cosim.core.stages import pacing
 from tests.core.parts import integrator
 
 pytestmark = pytest.mark.usefixtures("frozen_heap")

@@ -14,13 +14,13 @@ from cosim.blocks.state_space import controller
 from cosim.core.clock import Clock
 from cosim.core.connections import Connection
 from cosim.core.contracts import Stopped
-from cosim.core.coupling import Loop
 from cosim.core.graph import Graph
 from cosim.core.linear import Linear
 from cosim.core.master import run
-from cosim.core.native_stage import NativeStage, advancing_stages
 from cosim.core.recorders import Memory
 from cosim.core.signals import Interface, Signal
+from cosim.core.stages.coupling import Loop
+from cosim.core.stages.native_stage import NativeStage, advancing_stages
 from cosim.errors import AlgebraicLoopError, CosimError
 from cosim.units import BaseUnit
 from tests.core.parts import Scripted, half_through, integrator, through

@@ -15,17 +15,17 @@ from cosim.blocks.dynamics import Delay, lag
 from cosim.blocks.sampled import Decimated, Sampled
 from cosim.blocks.source import Noise, sine
 from cosim.blocks.state_space import controller
-from cosim.core import order as order_module
 from cosim.core.clock import Clock
 from cosim.core.connections import Connection
-from cosim.core.cycles import groups_in_order
 from cosim.core.graph import Graph
 from cosim.core.linear import Linear
 from cosim.core.master import run
-from cosim.core.order import order_loop
 from cosim.core.port import Port
 from cosim.core.recorders import Memory
 from cosim.core.signals import Interface, Signal
+from cosim.core.structure import order as order_module
+from cosim.core.structure.cycles import groups_in_order
+from cosim.core.structure.order import order_loop
 from cosim.testing import check_component
 from tests.core.parts import half_through, integrator, times
 

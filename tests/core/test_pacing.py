@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 
 from cosim.blocks.source import sine
 from cosim.core import clock as clock_module
-from cosim.core import pacing
 from cosim.core.clock import BLOCK_WORK, Clock
 from cosim.core.contracts import Stopped
 from cosim.core.graph import Graph
 from cosim.core.master import run, simulate
 from cosim.core.recorders import Memory
 from cosim.core.signals import Interface, Signal
+from cosim.core.stages import pacing
 from cosim.errors import CosimError
 from tests.core.parts import integrator
 

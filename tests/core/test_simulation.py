@@ -15,9 +15,9 @@ from cosim.core.contracts import SignalEvent, Stopped
 from cosim.core.graph import Graph
 from cosim.core.master import run
 from cosim.core.recorders import Memory
-from cosim.core.repeating import repeat
 from cosim.core.signals import Interface, Signal
 from cosim.core.simulation import POINTS, Simulation
+from cosim.core.stepping.repeating import repeat
 from cosim.errors import (
     ClockError,
     GraphError,

@@ -52,7 +52,7 @@ def test_blocks_do_not_change_a_bit(name, changes, tmp_path):
 def test_compiled_stages_do_not_change_a_bit(name, changes, tmp_path, monkeypatch):
     """A run in compiled code and one whose stages call components from Python give equal logs."""
     compiled = cosim.run(name, out=tmp_path / "compiled.mcap", set=changes)
-    monkeypatch.setattr("cosim.core.engine.advancing_stages", lambda graph: graph.stages)
+    monkeypatch.setattr("cosim.core.stages.engine.advancing_stages", lambda graph: graph.stages)
     called = cosim.run(name, out=tmp_path / "called.mcap", set=changes)
     assert compiled.content_hash() == called.content_hash()
 

@@ -20,8 +20,8 @@ from cosim.core.clock import seconds
 from cosim.core.connections import conversions_of
 from cosim.core.contracts import CompleteRecording
 from cosim.core.port import Port
-from cosim.core.ports import Ports
 from cosim.core.recorded import RecordedSignals
+from cosim.core.structure.ports import Ports
 from cosim.errors import UsageError, nearest, quoted
 from cosim.log import open_log
 from cosim.native.estimation.alphas import signals_among

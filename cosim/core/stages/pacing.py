@@ -20,7 +20,7 @@ import numpy as np
 from cosim.arrays import Matrix
 from cosim.core.clock import BLOCK_WORK
 from cosim.core.contracts import Block
-from cosim.core.coupling import Advancing, Cut
+from cosim.core.stages.coupling import Advancing, Cut
 from cosim.errors import RunError
 
 CALL_WORK: Final = 1e-3  # s of wall time that one call of a component should take

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Matrix
 from cosim.core.arguments import kind_of
-from cosim.core.ports import ConnectionEnd
 from cosim.core.signals import Signal
+from cosim.core.structure.ports import ConnectionEnd
 from cosim.errors import GraphError
 
 LARGEST_WHOLE: Final = 2.0**53  # up to here every integer is a float64

@@ -1,10 +1,10 @@
 """How the components of one stage advance over a block.
 
 A cascade is one component: one call. The components of a loop advance step by step, by operations
-whose order is fixed before the run (:mod:`cosim.core.order`). At each step the input of a component
-from one that has not reached the end of the step yet is *extrapolated*: it keeps its value from the
-start of the step (first order). Outputs that feed through from it are evaluated again as soon as it
-is known.
+whose order is fixed before the run (:mod:`cosim.core.structure.order`). At each step the input of a
+component from one that has not reached the end of the step yet is *extrapolated*: it keeps its
+value from the start of the step (first order). Outputs that feed through from it are evaluated
+again as soon as it is known.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector, read_only
 from cosim.core.contracts import Block, Stopped
-from cosim.core.member import Member, NonFinite, driving_groups, first_non_finite
-from cosim.core.order import OperationKind
+from cosim.core.stages.member import Member, NonFinite, driving_groups, first_non_finite
+from cosim.core.structure.order import OperationKind
 from cosim.errors import RunError
 
 OperationName: TypeAlias = Literal["keep", "gather", "advance", "refresh", "check"]

@@ -1,6 +1,6 @@
 """The order in which the components of a loop advance, from names and declarations alone.
 
-Which inputs are extrapolated (:mod:`cosim.core.coupling`) is fixed before the run:
+Which inputs are extrapolated (:mod:`cosim.core.stages.coupling`) is fixed before the run:
 
 * Gauss-Seidel: components advance one after the other, in the order that breaks the fewest
   connections. A connection is *broken* where the component behind it advances first, though its
@@ -26,9 +26,14 @@ from dataclasses import dataclass
 from heapq import heappop, heappush
 from typing import Final, Literal, NamedTuple, TypeAlias
 
-from cosim.core.feedthrough import Feedthrough, Sources, UnknownFeedthrough, find_feedthrough
 from cosim.core.port import Port
 from cosim.core.signals import Interface
+from cosim.core.structure.feedthrough import (
+    Feedthrough,
+    Sources,
+    UnknownFeedthrough,
+    find_feedthrough,
+)
 
 OperationKind: TypeAlias = Literal["advance", "refresh"]
 Operation: TypeAlias = tuple[OperationKind, str]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Matrix
 from cosim.core.connections import Connection
-from cosim.core.ports import ConnectionEnd
+from cosim.core.structure.ports import ConnectionEnd
 from cosim.units import Conversion
 
 Columns: TypeAlias = slice | NDArray[np.intp]

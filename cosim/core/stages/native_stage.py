@@ -1,9 +1,9 @@
 """Stages in compiled code: the components of several stages advance in one call.
 
-A native stage has the programs of ordinary stages (:mod:`cosim.core.coupling`), one after the
-other: ``stage.c`` works through them step by step, with the same bits. An operation whose component
-has no compiled step, or whose compiled step declines, is done here by the methods of the component;
-so is every error, which is named here.
+A native stage has the programs of ordinary stages (:mod:`cosim.core.stages.coupling`), one after
+the other: ``stage.c`` works through them step by step, with the same bits. An operation whose
+component has no compiled step, or whose compiled step declines, is done here by the methods of the
+component; so is every error, which is named here.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector, read_only
-from cosim.core.branches import Exclusion, with_branches
 from cosim.core.contracts import Block, Stopped
-from cosim.core.coupling import Advancing, Cut, OperationName, Stage, StageProgram, call
 from cosim.core.graph import Graph
-from cosim.core.member import Member, NonFinite, first_non_finite
 from cosim.core.signals import Layout
-from cosim.core.wires import Wire
+from cosim.core.stages.branches import Exclusion, with_branches
+from cosim.core.stages.coupling import Advancing, Cut, OperationName, Stage, StageProgram, call
+from cosim.core.stages.member import Member, NonFinite, first_non_finite
+from cosim.core.stages.wires import Wire
 from cosim.errors import NonFiniteError
 from cosim.native.library import library, pointer
 from cosim.native.stages.stage import (
@@ -155,7 +155,7 @@ class NativeStage:
         self._measured = [m.component for m in self._members if m.component.is_measured]
 
     def advance(self, block: Block, signals: Matrix) -> None:
-        """Fill rows 1 to K of its columns; see :class:`cosim.core.coupling.Advancing`."""
+        """Fill rows 1 to K of its columns; see :class:`cosim.core.stages.coupling.Advancing`."""
         addresses = (block.time.ctypes.data, signals.ctypes.data)
         self.advance_at(addresses, signals, block.h, lambda: block)
 

@@ -16,11 +16,11 @@ import numpy as np
 from cosim.arrays import Vector
 from cosim.core.contracts import EventCause, SignalEvent
 from cosim.core.graph import Graph
-from cosim.core.member import Member
-from cosim.core.overrides import OverrideValue, checked_values
 from cosim.core.port import Port
-from cosim.core.ports import ConnectionEnd
-from cosim.core.right_limits import END, NOTHING_GIVEN, GivenOutputs, RightLimits
+from cosim.core.stages.member import Member
+from cosim.core.stages.overrides import OverrideValue, checked_values
+from cosim.core.stepping.right_limits import END, NOTHING_GIVEN, GivenOutputs, RightLimits
+from cosim.core.structure.ports import ConnectionEnd
 from cosim.errors import GraphError, listing
 
 

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
-from cosim.core.calls import GuardedComponent
 from cosim.core.contracts import Component
-from cosim.core.overrides import Overrides
 from cosim.core.signals import Channel, element_names
-from cosim.core.wires import Wire
+from cosim.core.stages.calls import GuardedComponent
+from cosim.core.stages.overrides import Overrides
+from cosim.core.stages.wires import Wire
 from cosim.errors import NonFiniteError
 
 

@@ -16,10 +16,10 @@ import numpy as np
 
 from cosim.arrays import Vector, read_only
 from cosim.core.contracts import Stopped
-from cosim.core.cycles import groups_in_order
 from cosim.core.graph import Graph
-from cosim.core.member import Member, first_non_finite
 from cosim.core.port import Port
+from cosim.core.stages.member import Member, first_non_finite
+from cosim.core.structure.cycles import groups_in_order
 from cosim.errors import RunError
 
 END: Final = slice(0, 1)  # the only row

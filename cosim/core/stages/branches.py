@@ -19,8 +19,8 @@ import numpy as np
 
 from cosim.arrays import Matrix
 from cosim.core.contracts import Block
-from cosim.core.coupling import Advancing, Cut, Stage
-from cosim.core.member import driving_groups
+from cosim.core.stages.coupling import Advancing, Cut, Stage
+from cosim.core.stages.member import driving_groups
 
 LONG_ENOUGH: Final = 3e-4  # s of wall time of a call from which on handing over is little of it
 TRIALS: Final = 6  # calls of each way that are timed
@@ -123,7 +123,7 @@ class Branches:
         self._threads: ThreadPoolExecutor | None = None
 
     def advance(self, block: Block, signals: Matrix) -> None:
-        """Fill rows 1 to K of their columns; see :class:`cosim.core.coupling.Advancing`."""
+        """Fill rows 1 to K of their columns; see :class:`cosim.core.stages.coupling.Advancing`."""
         before, first, second, behind = self._parts
         cuts = [before.advance(block, signals, block.steps)]
         cuts += self._advance_branches(block, signals, before.reached)

@@ -17,11 +17,11 @@ import numpy as np
 
 from cosim.arrays import Mask
 from cosim.core.connections import Connection
-from cosim.core.cycles import strongly_connected
-from cosim.core.feedthrough import Sources
 from cosim.core.port import Port
-from cosim.core.ports import Ports
 from cosim.core.signals import Channel, Signal, Variability
+from cosim.core.structure.cycles import strongly_connected
+from cosim.core.structure.feedthrough import Sources
+from cosim.core.structure.ports import Ports
 
 
 class Variabilities:

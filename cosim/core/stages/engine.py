@@ -5,7 +5,7 @@
     first row <- every component initialized with its inputs
     advance(block): rows 1 to K behind row 0
         until the end of the block, or where something stopped:
-            every stage advances, by some steps at once (:mod:`cosim.core.pacing`)
+            every stage advances, by some steps at once (:mod:`cosim.core.stages.pacing`)
             yield the steps that all stages have completed
 """
 
@@ -20,9 +20,9 @@ from cosim.arrays import Matrix, Vector
 from cosim.core.clock import Clock
 from cosim.core.contracts import Block, Recorder
 from cosim.core.graph import Graph
-from cosim.core.native_stage import advancing_stages
-from cosim.core.pacing import Pacer
 from cosim.core.recorders import memory_of
+from cosim.core.stages.native_stage import advancing_stages
+from cosim.core.stages.pacing import Pacer
 from cosim.errors import RunError, UsageError
 
 BLOCK_BYTES: Final = 2**24  # of the rows of one block

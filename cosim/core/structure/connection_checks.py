@@ -7,8 +7,8 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
 from cosim.core.connections import ONE_SOURCE, Connection, conversion_of, unit_reached
 from cosim.core.port import Port
-from cosim.core.ports import ConnectionEnd, Ports, undriven_parts, unknown_component
 from cosim.core.signals import Signal
+from cosim.core.structure.ports import ConnectionEnd, Ports, undriven_parts, unknown_component
 from cosim.errors import GraphError
 from cosim.units import BASE, BaseUnit, Unit, comparable, conversion, unknown_unit
 

@@ -8,7 +8,7 @@ they have their start values.
 
 Ports that depend on each other form an algebraic loop. It is torn at some of its inputs, v; one
 sweep along the rest of it gives them back as w(v), and w(v) = v is solved
-(:mod:`cosim.core.fixed_point`):
+(:mod:`cosim.core.initialization.fixed_point`):
 
 1. by fixed-point iteration, with as many sweeps as the loop has ports. That is enough where there
    is no loop in truth: unknown dependencies count as there. Where a signal is discrete, sweeps are
@@ -40,13 +40,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Vector
-from cosim.core.cycles import find_cycle, groups_in_order, strongly_connected
-from cosim.core.feedthrough import PortDependencies, Sources
-from cosim.core.fixed_point import Candidate, SingularError, iterate, measure, newton, newton_step
-from cosim.core.member import Member, NonFinite
+from cosim.core.initialization.fixed_point import (
+    Candidate,
+    SingularError,
+    iterate,
+    measure,
+    newton,
+    newton_step,
+)
 from cosim.core.port import Port
 from cosim.core.signals import Channel, Interface, Layout, Signal
-from cosim.core.wires import Wire
+from cosim.core.stages.member import Member, NonFinite
+from cosim.core.stages.wires import Wire
+from cosim.core.structure.cycles import find_cycle, groups_in_order, strongly_connected
+from cosim.core.structure.feedthrough import PortDependencies, Sources
 from cosim.errors import GraphError
 
 SWEEPS: Final = 100  # of a loop with discrete signals, beyond one for each port

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import TypeAlias
 
-from cosim.core.cycles import find_cycle, strongly_connected
 from cosim.core.port import Port
 from cosim.core.signals import Interface
+from cosim.core.structure.cycles import find_cycle, strongly_connected
 from cosim.errors import AlgebraicLoopError
 
 PortDependencies: TypeAlias = Mapping[Port, Collection[Port]]  # what each port depends on directly

@@ -1,0 +1,1 @@
+"""The initial values of all components together."""

@@ -1,0 +1,1 @@
+"""Components in their places, and how they advance over a block."""

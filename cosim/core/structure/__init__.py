@@ -1,0 +1,1 @@
+"""What a graph is checked and ordered by, before it runs."""
