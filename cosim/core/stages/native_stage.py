@@ -9,43 +9,24 @@ component; so is every error, which is named here.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import nullcontext
-from ctypes import Array, addressof, c_double
-from typing import Final, TypeAlias
+from ctypes import addressof, c_double
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector, read_only
 from cosim.core.contracts import Block, Stopped
 from cosim.core.graph import Graph
 from cosim.core.signals import Layout
 from cosim.core.stages.branches import Exclusion, with_branches
-from cosim.core.stages.coupling import Advancing, Cut, OperationName, Stage, StageProgram, call
+from cosim.core.stages.coupling import Advancing, Cut, OperationName, Stage, call
 from cosim.core.stages.member import Member, NonFinite, first_non_finite
-from cosim.core.stages.wires import Wire
+from cosim.core.stages.stage_structs import NativeSteps, StageStructs
 from cosim.errors import NonFiniteError
-from cosim.native.library import library, pointer
-from cosim.native.stages.stage import (
-    DONE,
-    HERE,
-    KINDS,
-    OVER,
-    CopyStruct,
-    MemberStruct,
-    OperationStruct,
-    SegmentStruct,
-    StageStruct,
-    SumStruct,
-    TermStruct,
-)
+from cosim.native.library import library
+from cosim.native.stages.stage import DONE, HERE, OVER
 from cosim.native.step import NativeStep
-
-TILE_STEPS: Final = 256  # of a segment before the next one, at most
-TILE_BYTES: Final = 2**17  # of the rows of so many steps, which stay in the cache
-
-NativeSteps: TypeAlias = dict[str, NativeStep]  # by component
 
 
 def advancing_stages(graph: Graph) -> Sequence[Advancing]:
@@ -59,7 +40,7 @@ def advancing_stages(graph: Graph) -> Sequence[Advancing]:
         return graph.stages
     advancing: list[Advancing] = []
     together: list[Stage] = []
-    steps: NativeSteps = {}
+    steps: dict[str, NativeStep] = {}
     for stage in graph.stages:
         steps_of_stage = _native_steps(stage.members)
         if steps_of_stage or stage.is_loop:
@@ -94,7 +75,7 @@ def _compiled(stages: Sequence[Stage], steps: NativeSteps, graph: Graph) -> list
     return [with_branches(stages, may_leave, binaries, compiled)]
 
 
-def _native_steps(members: Iterable[Member]) -> NativeSteps:
+def _native_steps(members: Iterable[Member]) -> dict[str, NativeStep]:
     steps = {}
     for member in members:
         step = member.component.native()
@@ -132,22 +113,8 @@ class NativeStage:
             self._members += stage.members
             self._operations += [(kind, members[0]) for kind, members in program]
             self._stage_of.update((member.name, stage) for member in stage.members)
-        members = (MemberStruct * len(self._members))()
-        optional = _optional(layout)
-        wires = []
-        for struct, member in zip(members, self._members, strict=True):
-            _fill(struct, member, steps.get(member.name))
-            struct.optional = pointer(optional) + member.columns.start
-            wires.append(_add_wires(struct, member))
-        addresses = {}
-        for struct, member in zip(members, self._members, strict=True):
-            addresses[member.name] = addressof(struct)
-        operations = _operations(programs, addresses)
-        segments = _segments(stages, programs, operations)
-        self._keep = (members, optional, wires, operations, steps)
-        tile = max(1, min(TILE_STEPS, TILE_BYTES // (8 * layout.width + 8)))
-        self._segments = segments
-        self._state = StageStruct(addressof(segments), len(segments), layout.width, tile)
+        self._structs = StageStructs(stages, programs, steps, layout)
+        self._state = self._structs.stage
         self._address = addressof(self._state)
         own_steps = [steps[member.name] for member in self._members if member.name in steps]
         guards = [step.guard for step in own_steps if step.guard is not None]
@@ -255,93 +222,3 @@ class NativeStage:
             if 0 <= own_column < member.columns.stop - member.columns.start:
                 return NonFinite(member.label(own_column), self._state.origin_value, column)
         raise AssertionError(column)
-
-
-def _optional(layout: Layout) -> NDArray[np.uint8]:
-    """Return which columns of a row may have no value (NaN)."""
-    optional: list[bool] = []
-    for channel in layout.channels:
-        for signal in channel.signals:
-            optional += [signal.optional] * signal.size
-    return np.array(optional, np.uint8)
-
-
-def _fill(struct: MemberStruct, member: Member, step: NativeStep | None) -> None:
-    if step is not None:
-        struct.advance = step.function
-        struct.outputs = step.outputs
-        struct.self = step.address
-    struct.u = member.inputs.start
-    struct.n_u = member.n_u
-    struct.y = member.outputs.start
-    struct.n_y = member.outputs.stop - member.outputs.start
-    struct.seconds = member.component.native_seconds_address
-    struct.overridden = member.overrides.columns_address
-    struct.overrides = member.overrides.values_address
-
-
-def _operations(
-    programs: Sequence[StageProgram], addresses: Mapping[str, int]
-) -> Array[OperationStruct]:
-    """Return the programs of stages, one behind the other; ``addresses``: of the members."""
-    operations = []
-    for program in programs:
-        for kind, of in program:
-            operations.append(OperationStruct(addresses[of[0].name], KINDS[kind], len(of)))
-    return (OperationStruct * len(operations))(*operations)
-
-
-def _segments(
-    stages: Sequence[Stage], programs: Sequence[StageProgram], operations: Array[OperationStruct]
-) -> Array[SegmentStruct]:
-    """Return where the program of each stage stands among the operations."""
-    segments = []
-    first = 0
-    for stage, program in zip(stages, programs, strict=True):
-        address = addressof(operations[first])
-        segments.append(SegmentStruct(address, len(program), first, int(not stage.is_loop)))
-        first += len(program)
-    return (SegmentStruct * len(segments))(*segments)
-
-
-def _add_wires(struct: MemberStruct, member: Member) -> object:
-    """Write the wires of a member to its struct; return their memory."""
-    copies = []
-    sums = []
-    terms: list[Array[TermStruct]] = []
-    for wire in member.wires:
-        sources = wire.source_columns
-        if wire.gain is None and wire.conversion.copies:
-            copies.append(CopyStruct(wire.to.start, sources[0], len(sources)))
-            continue
-        for row, to in enumerate(range(wire.to.start, wire.to.stop)):
-            own_terms = _terms(wire, row)
-            sums.append(_sum(to, wire, own_terms))
-            terms.append(own_terms)
-    copy_array = (CopyStruct * len(copies))(*copies)
-    sum_array = (SumStruct * len(sums))(*sums)
-    struct.n_copies = len(copies)
-    struct.n_sums = len(sums)
-    struct.copies = addressof(copy_array)
-    struct.sums = addressof(sum_array)
-    return copy_array, sum_array, terms
-
-
-def _terms(wire: Wire, row: int) -> Array[TermStruct]:
-    """Return what is added up for one element of an input."""
-    sources = wire.source_columns
-    if wire.gain is None:
-        return (TermStruct * 1)(TermStruct(sources[row], 1.0))
-    terms = []
-    for source, factor in zip(sources, wire.gain[row], strict=True):
-        if factor != 0.0:
-            terms.append(TermStruct(source, factor))
-    return (TermStruct * len(terms))(*terms)
-
-
-def _sum(to: int, wire: Wire, terms: Array[TermStruct]) -> SumStruct:
-    conversion = wire.conversion
-    factors = (conversion.factor1, conversion.offset1, conversion.offset2, conversion.factor2)
-    converts = int(not conversion.copies)
-    plain = int(wire.gain is None)
-    return SumStruct(addressof(terms), to, len(terms), plain, converts, wire.offset, *factors)
