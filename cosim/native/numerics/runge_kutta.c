@@ -221,13 +221,11 @@ static int32_t evaluate(cosim_runge_kutta *s, double t, const double *x, double 
 /* Below so many states a loop over them costs more to begin than it takes. */
 enum { FEW = 8 };
 
-/* sum_j weights_j k_j of state i, j < count. */
-static inline double weighed(const cosim_runge_kutta *s, int32_t count, const double *weights,
-                             int32_t i)
+/* sum_j weights_j k_j of one state, j < count; k_j stands `n` behind k_(j-1). */
+static inline double weighed(int32_t count, const double *weights, const double *k, int32_t n)
 {
-    const double *k = slope(s, 0) + i;
     double sum = 0.0;
-    for (int32_t j = 0; j < count; ++j, k += s->n)
+    for (int32_t j = 0; j < count; ++j, k += n)
         if (weights[j] != 0.0)
             sum += weights[j] * *k;
     return sum;
@@ -238,7 +236,7 @@ static void weigh(const cosim_runge_kutta *s, int32_t count, const double *weigh
 {
     if (s->n < FEW) {
         for (int32_t i = 0; i < s->n; ++i)
-            out[i] = weighed(s, count, weights, i);
+            out[i] = weighed(count, weights, slope(s, 0) + i, s->n);
         return;
     }
     for (int32_t i = 0; i < s->n; ++i)
@@ -251,29 +249,38 @@ static void weigh(const cosim_runge_kutta *s, int32_t count, const double *weigh
     }
 }
 
-/* The argument of slope i in a step of length h, which for the last stage is its end. */
-static void combine(const cosim_runge_kutta *s, int32_t i, double h, double *out)
+static void combine_many(const cosim_runge_kutta *s, int32_t i, const double *weights, double h,
+                         double *out)
 {
-    const double *x = vector(s, X_BEGIN), *weights = s->method->a + i * (i - 1) / 2;
-    if (s->n < FEW) {
-        for (int32_t j = 0; j < s->n; ++j)
-            out[j] = x[j] + h * weighed(s, i, weights, j);
-        return;
-    }
+    const double *x = vector(s, X_BEGIN);
     weigh(s, i, weights, out);
     for (int32_t j = 0; j < s->n; ++j)
         out[j] = x[j] + h * out[j];
+}
+
+/* The argument of slope i in a step of length h, which for the last stage is its end. */
+static inline void combine(const cosim_runge_kutta *s, int32_t i, double h, double *out)
+{
+    const double *x = vector(s, X_BEGIN), *k = slope(s, 0);
+    const double *weights = s->method->a + i * (i - 1) / 2;
+    const int32_t n = s->n;
+    if (n >= FEW)
+        combine_many(s, i, weights, h, out);
+    else
+        for (int32_t j = 0; j < n; ++j)
+            out[j] = x[j] + h * weighed(i, weights, k + j, n);
 }
 
 /* Slopes `first` to `last`; at the end of the step time is t1 to the last bit. */
 static int32_t slopes(cosim_runge_kutta *s, int32_t first, int32_t last, double t1)
 {
     const double t0 = s->memory[BEGIN], h = t1 - t0;
+    double *argument = vector(s, STAGE);
     for (int32_t i = first; i <= last; ++i) {
         const double c = s->method->c[i];
-        combine(s, i, h, vector(s, STAGE));
+        combine(s, i, h, argument);
         const double t = c == 1.0 ? t1 : t0 + c * h;
-        const int32_t status = evaluate(s, t, vector(s, STAGE), slope(s, i));
+        const int32_t status = evaluate(s, t, argument, slope(s, i));
         if (status != COSIM_OK)
             return status;
     }

@@ -61,7 +61,7 @@ class Pass:
                 self._wires.append((to, source - self._width if late else source))
                 if late:
                     self._last_wires.append((to, source))
-            step = member.native()
+            step = member.component.native()
             self._steps.append(step)
             refresh = step.outputs if kind == "refresh" else 0
             columns = (member.inputs.start, member.outputs.start)
@@ -146,7 +146,7 @@ def passes_of(stages, library, width):
     """Return what fills the rows: stages with native steps together, others alone."""
     passes = []
     for stage in stages:
-        missing = [member.name for member in stage.members if member.native() is None]
+        missing = [member.name for member in stage.members if member.component.native() is None]
         if missing and stage.is_loop:
             protocol.refuse(f"no native step: {', '.join(missing)}")
         if missing:
