@@ -361,7 +361,7 @@ const char *instance_begin_step(instance *i, double t, double h)
             h, needed);
         return i->message;
     }
-    update(i); /* initializes, if nothing was read before the first step */
+    update_states(i); /* initializes, if nothing was read before the first step */
     copy_doubles(i->previous_u, i->u, m());
     return NULL;
 }
@@ -377,6 +377,8 @@ const char *instance_end_step(instance *i, double t, double h)
     *i->time = t1;
     *i->z_is_set = 0.0;
     forget(i);
+    if (model_has_derivatives && !model_residual_form)
+        i->stale &= ~OUTPUTS; /* the step has computed them */
     return NULL;
 }
 
