@@ -64,7 +64,7 @@ def construct(name: str, user_class: UserClass, table: Mapping[str, Any]) -> Com
         component: Component = user_class.loaded(**arguments)
     except CosimError:
         raise
-    except Exception as error:  # it is the user's code, which may raise anything
+    except (Exception, SystemExit) as error:  # it is the user's code, which may raise anything
         text = f"the constructor of {user_class.name!r} raised {in_words(error)}"
         raise UsageError(text) from error
     return checked_components({name: component})[name]

@@ -201,7 +201,9 @@ def test_a_design_that_is_none_is_refused(design):
 
 
 @pytest.mark.parametrize("method", ["prepare", "initialize", "outputs", "advance"])
-@pytest.mark.parametrize("raised", [ZeroDivisionError("mine"), KeyError("y"), StopIteration()])
+@pytest.mark.parametrize(
+    "raised", [ZeroDivisionError("mine"), KeyError("y"), StopIteration(), SystemExit(0)]
+)
 def test_foreign_exceptions_are_named(method, raised):
     """Component, method, type and line stand in the message; the exception itself is the cause."""
 

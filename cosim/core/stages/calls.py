@@ -22,6 +22,7 @@ from cosim.errors import AssumptionError, CosimError, GraphError, LogError, RunE
 from cosim.native.step import NativeStep
 
 FLOAT: Final = np.dtype(np.float64)
+RAISED: Final = (Exception, SystemExit)  # SystemExit would end the program without a word
 
 
 class GuardedComponent:
@@ -108,7 +109,7 @@ class GuardedComponent:
             raise AssumptionError(evidence, error.verdict, error.cure) from error
         except CosimError:
             raise
-        except Exception as error:
+        except RAISED as error:
             raise RunError(f"{self.name!r}: {_raised('prepare', error)}") from error
         return {key: self._design_array(key, array) for key, array in arrays.items()}
 
@@ -124,7 +125,7 @@ class GuardedComponent:
             y = self._component.initialize(t, read_only(u))
         except CosimError:
             raise
-        except Exception as error:
+        except RAISED as error:
             text = f"{self.name!r} stopped at t = {t} s: {_raised('initialize', error)}"
             raise RunError(text) from error
         problem = result_problem(y, (self._n_y,))
@@ -157,7 +158,7 @@ class GuardedComponent:
             y = self._component.outputs(t, u)
         except RunError:
             raise
-        except Exception as error:
+        except RAISED as error:
             raise RunError(_raised("outputs", error)) from error
         problem = result_problem(y, (self._n_y,))
         if problem:
@@ -181,7 +182,7 @@ class GuardedComponent:
             raise
         except RunError:
             raise
-        except Exception as error:
+        except RAISED as error:
             raise RunError(_raised("advance", error)) from error
         problem = result_problem(y, (steps, self._n_y))
         if problem:
@@ -200,7 +201,7 @@ class GuardedComponent:
             return cast(Rollback[Any], self._component).save()
         except CosimError:
             raise
-        except Exception as error:
+        except RAISED as error:
             raise RunError(f"{self.name!r}: {_raised('save', error)}") from error
 
     def restore(self, state: Any) -> None:
@@ -215,7 +216,7 @@ class GuardedComponent:
             cast(Rollback[Any], self._component).restore(state)
         except CosimError:
             raise
-        except Exception as error:
+        except RAISED as error:
             raise RunError(f"{self.name!r}: {_raised('restore', error)}") from error
 
     def native(self) -> NativeStep | None:
@@ -293,7 +294,7 @@ class Timed:
         cast(Rollback[Any], self._component).restore(state)
 
 
-def _raised(method: str, error: Exception) -> str:
+def _raised(method: str, error: BaseException) -> str:
     """Return in words what a method of a component raised, and where."""
     text = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
     if isinstance(error, CosimError):
