@@ -29,7 +29,7 @@ from cosim.core.contracts import (
 )
 from cosim.core.recorded import RecordedSignals, RunMessage, find_channel
 from cosim.core.signals import Channel
-from cosim.errors import Interrupted, LogError, UsageError, nearest
+from cosim.errors import CosimError, Interrupted, LogError, UsageError, nearest
 
 MEMORY_BYTES: Final = 2**30  # of rows that are taken at a time
 
@@ -51,8 +51,19 @@ def end_of_run(error: BaseException | None) -> EndOfRun:
             return EndOfRun("complete", str(error))
         case KeyboardInterrupt() | Interrupted():
             return EndOfRun("interrupted", str(error) or "interrupted by the user")
+        case SystemExit() | GeneratorExit():  # who called has left; nothing has failed
+            return EndOfRun("interrupted", error_text(error))
         case _:
-            return EndOfRun("failed", str(error) or type(error).__name__)
+            return EndOfRun("failed", error_text(error))
+
+
+def error_text(error: BaseException) -> str:
+    """Return what an error says; of one that is none of cosim with its type."""
+    name = type(error).__name__
+    text = str(error)
+    if isinstance(error, CosimError):
+        return text or name
+    return f"{name}: {text}" if text else name
 
 
 def _numbers(steps: range) -> NDArray[np.int64]:

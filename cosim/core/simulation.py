@@ -28,7 +28,7 @@ from cosim.core.arguments import check_type, kind_of
 from cosim.core.clock import Clock
 from cosim.core.contracts import Block, Plan, Recorder
 from cosim.core.graph import Graph
-from cosim.core.recorders import Nothing
+from cosim.core.recorders import Nothing, end_of_run, error_text
 from cosim.core.stages.coupling import Cut
 from cosim.core.stages.engine import Engine
 from cosim.core.stages.native_stage import NativeStage
@@ -37,7 +37,7 @@ from cosim.core.stepping.jumps import Jumps
 from cosim.core.stepping.right_limits import NOTHING_GIVEN, GivenOutputs
 from cosim.core.stepping.states import SimulationState, States
 from cosim.core.stepping.step_rows import SignalColumns, StepRows
-from cosim.errors import RunError, UsageError, steps_text
+from cosim.errors import Interrupted, RunError, UsageError, steps_text
 
 POINTS: Final = 4096  # communication points whose times are computed at once
 DOUBLE: Final = 8  # bytes
@@ -195,7 +195,6 @@ class Simulation:
                 signals = self._rows_behind(block.steps)
             else:
                 signals = self._engine.rows(block, self._jumps.row)
-            self._ended = INTERRUPTED
             reached, error = self._pass_through(block, signals)
             self.rows = None
             self._arrive(signals[reached], reached, error)
@@ -205,7 +204,6 @@ class Simulation:
         if self._jumps.changes:
             self.complete_jumps()
         signals = self._rows_behind(count)
-        self._ended = INTERRUPTED  # unless the end of this is reached
         if count == 1 and self._compiled:
             reached, error = self._pass_one(signals)
         else:
@@ -248,6 +246,9 @@ class Simulation:
                 error = cut.error
                 if not reached:
                     break
+            except BaseException as raised:
+                self._break_off(signals[:1], raised)
+                raise
         return reached, error
 
     def _next_step(self) -> Block:
@@ -256,11 +257,29 @@ class Simulation:
     def _pass_through(self, block: Block, signals: Matrix) -> tuple[int, RunError | None]:
         """Fill and record rows 1 to K; return the last one that is complete, and what stopped."""
         reached = 0
-        for part, rows in self._engine.advance(block, signals):
-            if part.steps:
-                self._recorder.write(part, rows)
-                reached += part.steps
+        try:
+            for part, rows in self._engine.advance(block, signals):
+                if part.steps:
+                    self._recorder.write(part, rows)
+                    reached += part.steps
+        except BaseException as raised:
+            self._break_off(signals[: reached + 1], raised)
+            raise
         return reached, self._engine.error
+
+    def _break_off(self, signals: Matrix, raised: BaseException) -> None:
+        """Stand at the last row that is recorded, and end: components may be ahead of it."""
+        signals.flags.writeable = False
+        self.rows = StepRows(self._columns, signals, self.index)
+        self.index += len(signals) - 1
+        self._jumps.stand_at(signals[-1])
+        if end_of_run(raised).status == "interrupted":
+            self._ended = INTERRUPTED
+            self.error = Interrupted(f"interrupted inside a step, at t = {self.t} s")
+        elif isinstance(raised, RunError):
+            self._end_with(raised)
+        else:
+            self._end_with(RunError(error_text(raised)))
 
     def _arrive(self, row: Vector, steps: int, error: RunError | None) -> None:
         """Stand at the row that was reached in some steps; raise what stopped there."""

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Self
 from cosim.arrays import Matrix, Vector
 from cosim.core.connections import Connection
 from cosim.core.contracts import Block, MessageLevel, Plan, Recorder, SignalEvent, Stopped
-from cosim.core.recorders import end_of_run
+from cosim.core.recorders import end_of_run, error_text
 from cosim.errors import Interrupted, RunError
 from cosim.interrupts import uninterrupted
 from cosim.log import Attachment
@@ -76,8 +76,7 @@ class MessageRecorder:
         """Record what is known at the end: last messages, the error, the last row."""
         self._record_messages()
         if error is not None:
-            text = str(error) or type(error).__name__
-            self._recorder.message(self._reached_ns, _level(error), "run", text)
+            self._recorder.message(self._reached_ns, _level(error), "run", error_text(error))
         if self._last is not None:
             labels = self._experiment.graph.labels()
             last = {}
@@ -160,7 +159,7 @@ def _level(error: BaseException) -> MessageLevel:
     match error:
         case Stopped(failed=False):
             return "info"
-        case Interrupted() | KeyboardInterrupt():
+        case Interrupted() | KeyboardInterrupt() | SystemExit() | GeneratorExit():
             return "warning"
         case _:
             return "error"

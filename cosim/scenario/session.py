@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import os
+import warnings
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Self, TypeAlias, final
+from weakref import finalize
 
 import numpy as np
 
@@ -18,7 +21,7 @@ from cosim.core.simulation import Simulation
 from cosim.core.stages.overrides import OverrideValue
 from cosim.core.stepping.states import SimulationState
 from cosim.core.stepping.step_rows import StepRows
-from cosim.errors import RunError, UsageError
+from cosim.errors import CosimError, Interrupted, RunError, UsageError
 
 
 @dataclass(frozen=True)
@@ -50,7 +53,8 @@ class Session:
     """A scenario that is advanced by hand; :meth:`cosim.scenario.parsing.Scenario.start` starts it.
 
     A context manager: at its end the log is complete, and FMUs are closed. It is used by the thread
-    that started it. What it does with time, signals and states is that of its
+    that started it. The log of one that nobody has any more is completed, too, with a
+    ``ResourceWarning``. What it does with time, signals and states is that of its
     :class:`cosim.core.Simulation`, whose methods say which errors they raise.
 
     Parameters
@@ -71,8 +75,12 @@ class Session:
             self._resources = resources.pop_all()
         self._simulation = self._opened.simulation
         path = self._opened.log()
+        self._unclosed: finalize[[Opened, ExitStack, int], Session] | None = None
         if path is not None:
             self._logs.append(path)
+            self._unclosed = finalize(
+                self, _complete_unclosed, self._opened, self._resources, os.getpid()
+            )
         self._is_open = True
 
     def __enter__(self) -> Self:
@@ -90,6 +98,8 @@ class Session:
         ------
         CosimError
             If the log cannot be completed, or an FMU fails at its end.
+        UsageError
+            If it is the session of another thread, which goes on.
         """
         self._close(error, "closed")
 
@@ -100,33 +110,26 @@ class Session:
         ------
         CosimError
             If the log cannot be completed, or an FMU fails at its end.
+        UsageError
+            If it is the session of another thread, which goes on.
         """
         self._close(None, "closed")
 
     def _close(self, error: BaseException | None, how: str) -> None:
         if not self._is_open:
             return
+        self._simulation.check_thread()
         self._is_open = False
+        if self._unclosed is not None:
+            self._unclosed.detach()
         with self._resources:
             try:
                 self._simulation.close()
-            except RunError as failure:
-                self._conclude(error or failure)
+            except BaseException as failure:
+                _conclude(self._opened, error or failure)
                 raise
-            self._conclude(error or self._simulation.error or self._early_end(how))
-
-    def _conclude(self, ended: BaseException | None) -> None:
-        """Complete the log, or end the FMUs without one."""
-        recorder = self._opened.recorder
-        if recorder is not None:
-            trace = None if ended is None else ended.__traceback__
-            recorder.__exit__(None if ended is None else type(ended), ended, trace)
-            return
-        try:
-            self._opened.terminate()
-        except RunError:
-            if end_of_run(ended).status == "complete":
-                raise
+            ended = error or self._simulation.error or self._early_end(how)
+            _conclude(self._opened, ended)
 
     def _early_end(self, how: str) -> Stopped | None:
         """Return why a session has no more steps, if it is before its stop."""
@@ -235,3 +238,34 @@ class Session:
     def logs(self) -> tuple[Path, ...]:
         """The logs of this session, in their order: one, and one more for every reset."""
         return tuple(self._logs)
+
+
+def _conclude(opened: Opened, ended: BaseException | None) -> None:
+    """Complete the log, or end the FMUs without one."""
+    recorder = opened.recorder
+    if recorder is not None:
+        trace = None if ended is None else ended.__traceback__
+        recorder.__exit__(None if ended is None else type(ended), ended, trace)
+        return
+    try:
+        opened.terminate()
+    except RunError:
+        if end_of_run(ended).status == "complete":
+            raise
+
+
+def _complete_unclosed(opened: Opened, resources: ExitStack, process: int) -> None:
+    """Complete the log of a session that nobody has any more."""
+    if os.getpid() != process:  # a copy of it, in a process that was forked
+        return
+    simulation = opened.simulation
+    path = opened.log()
+    ended = simulation.error
+    if ended is None:
+        ended = Interrupted(f"the session was not closed, at t = {simulation.t} s")
+    with resources:
+        with suppress(CosimError):
+            simulation.close()
+        _conclude(opened, ended)
+    text = f"{path}: the session was not closed; needed sim.close(), or a with block"
+    warnings.warn(text, ResourceWarning, stacklevel=2)

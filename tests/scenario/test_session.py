@@ -1,12 +1,16 @@
 """Scenarios advanced by hand: the bits of a run, logs that a replay verifies, states, resets."""
 
 import pickle
+import subprocess
+import sys
 import threading
 
 import numpy as np
 import pytest
 
 import cosim
+from cosim.core.signals import Interface, Signal
+from cosim.core.stages import pacing
 from cosim.errors import GraphError, LogError, NonFiniteError, RunError, UsageError
 from cosim.fmi.component import Fmu
 from cosim.log import Log
@@ -238,6 +242,99 @@ def test_an_override_behind_the_last_step_is_recorded(tmp_path):
     assert verify(log, replay(log)).passed
 
 
+def test_the_log_of_a_session_that_is_not_closed_is_completed(plant, tmp_path):
+    """Where nobody has it any more; a warning says so, as of a file."""
+    path = tmp_path / "x.mcap"
+    sim = scenario().edit(swap={"plant": f"{plant}#cs"}).start(out=path)
+    sim.step(20)
+    sim["plant.u"] = 0.5
+    sessions = [sim]
+    del sim
+    with pytest.warns(ResourceWarning, match=r"x\.mcap: the session was not closed"):
+        sessions.clear()
+    log = cosim.open_log(path)
+    assert log.status == "interrupted"
+    assert log.reason == "the session was not closed, at t = 0.02 s"
+    assert log.events()[0].signal == "plant.u"
+    assert verify(log, replay(log)).passed
+
+
+def test_the_log_of_a_session_is_completed_at_the_end_of_its_program(tmp_path):
+    """Of which it may be a variable."""
+    lines = [
+        "import cosim",
+        "sim = cosim.load('academic').start(out='x.mcap')",
+        "sim.step(20)",
+        "raise SystemExit(0)",
+    ]
+    subprocess.run([sys.executable, "-c", "\n".join(lines)], cwd=tmp_path, check=True)
+    assert len(cosim.open_log(tmp_path / "x.mcap")["plant.y"]) == 21
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "reason"),
+    [
+        (KeyError("plant.u"), "failed", "KeyError: 'plant.u'"),
+        (ValueError(), "failed", "ValueError"),
+        (SystemExit(0), "interrupted", "SystemExit: 0"),
+        (GeneratorExit(), "interrupted", "GeneratorExit"),
+        (KeyboardInterrupt(), "interrupted", "interrupted by the user"),
+        (GraphError("no such input"), "failed", "no such input"),
+    ],
+)
+def test_a_log_says_what_its_session_was_left_by(error, status, reason, tmp_path):
+    """With the type of an error that is none of cosim; to leave the program is no failure."""
+    sim = scenario().start(out=tmp_path / "x.mcap")
+    sim.step()
+    with pytest.raises(type(error)), sim:
+        raise error
+    log = cosim.open_log(sim.logs[0])
+    assert (log.status, log.reason) == (status, reason)
+
+
+def test_the_log_of_an_interrupted_step_ends_where_its_session_stands(tmp_path, monkeypatch):
+    """At the last row that was recorded; also where the block goes on."""
+    monkeypatch.setattr(pacing, "PIECE_WORK", 0.0)
+
+    def advance(self, t, h, u):
+        if t[-1] > 0.05:
+            raise KeyboardInterrupt
+        return np.zeros((len(t) - 1, 1))
+
+    monkeypatch.setattr(Relay, "advance", advance)
+    changes = {"relay": {"kind": "python", "class": f"{__name__}:Relay"}}
+    with scenario(**changes).start(out=tmp_path / "x.mcap") as sim:
+        sim.step(2)
+        with pytest.raises(KeyboardInterrupt):
+            sim.step(90)
+        reached = 2 + sim.rows.steps
+        assert 2 < reached <= 50
+        assert sim.t == reached / 1000.0
+        assert sim["plant.y"] == sim.rows["plant.y"][-1]
+        refusal = f"ended at t = {sim.t} s: it was interrupted inside a step"
+        with pytest.raises(UsageError, match=refusal):
+            sim.step()
+    log = cosim.open_log(sim.logs[0])
+    assert len(log["plant.y"]) == reached + 1
+    assert log.status == "interrupted"
+    assert log.reason == f"interrupted inside a step, at t = {sim.t} s"
+
+
+class Relay:
+    """Its output is 0."""
+
+    interface = Interface((), (Signal("y"),))
+
+    def initialize(self, t, u):
+        return np.zeros(1)
+
+    def outputs(self, t, u):
+        return np.zeros(1)
+
+    def advance(self, t, h, u):
+        return np.zeros((len(t) - 1, 1))
+
+
 def test_what_stops_a_session_is_in_its_log(tmp_path):
     """Also where the block goes on."""
     path = tmp_path / "x.mcap"
@@ -442,7 +539,7 @@ def test_an_fmu_with_a_log_is_reset_too(plant, tmp_path):
 
 
 def test_a_session_used_from_another_thread_is_an_error(tmp_path):
-    """Whoever resets it, too; the log goes on."""
+    """Whoever resets or closes it, too; the log goes on."""
     errors = []
 
     def use(function):
@@ -452,14 +549,15 @@ def test_a_session_used_from_another_thread_is_an_error(tmp_path):
             errors.append(str(error))
 
     with scenario().start(out=tmp_path / "x.mcap") as sim:
-        for function in (sim.step, sim.reset, lambda: sim["plant.u"]):
+        for function in (sim.step, sim.reset, sim.close, lambda: sim["plant.u"]):
             thread = threading.Thread(target=use, args=(function,))
             thread.start()
             thread.join()
         sim.step(3)
-    assert len(errors) == 3
+    assert len(errors) == 4
     assert all("was started in another thread" in error for error in errors)
     assert len(sim.logs) == 1
+    assert len(cosim.open_log(sim.logs[0])["plant.y"]) == 4
 
 
 def test_sessions_in_two_threads_have_the_hash_of_a_run(tmp_path):
