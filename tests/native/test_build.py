@@ -39,6 +39,16 @@ def test_the_kernels_compile_without_a_warning(tmp_path):
         assert result.returncode == 0, result.stderr
 
 
+def test_lines_of_c_have_100_columns_at_most():
+    """As those of Python have; in kernels and in the sources of exported FMUs."""
+    package = build.HERE.parent
+    files = [*package.rglob("*.c"), *package.rglob("*.h")]
+    assert files
+    for path in files:
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+            assert len(line) <= 100, f"{path}:{number}"
+
+
 def symbols(path, kinds):
     """Return the symbols of an object or a library that are of these kinds, as nm shows them."""
     options = ["-D"] if path.suffix == ".so" else []

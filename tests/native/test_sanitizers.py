@@ -27,7 +27,7 @@ def compiled(folder, *options):
     target = folder / "driver"
     sources = [str(build.source(name)) for name in SOURCES]
     command = ["cc", "-std=gnu11", "-g", "-O1", "-ffp-contract=off", "-pthread", *build.INCLUDES]
-    command += [*options, str(DRIVER), *sources, "-o", str(target), "-lm"]
+    command += ["-Wall", "-Werror", *options, str(DRIVER), *sources, "-o", str(target), "-lm"]
     result = subprocess.run(command, capture_output=True, text=True, check=False)
     if result.returncode and "cannot find" in result.stderr:
         pytest.skip(f"the libraries of {options} are not installed")
@@ -52,6 +52,7 @@ def last_row():
         outputs[LAGS] = ring[-4]
         new_inputs[LAGS + 1] = 0.1 + 0.5 * outputs[3] + -0.25 * outputs[LAGS]
         outputs[LAGS + 1] = 0.5 * new_inputs[LAGS + 1]
+        new_inputs[0] = outputs[LAGS + 1]  # the first lag is refreshed
         inputs = new_inputs
     row = []
     for u, y in zip(inputs, outputs, strict=True):

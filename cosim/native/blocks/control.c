@@ -65,7 +65,8 @@ void cosim_pid_start(const cosim_pid *s, const double *u)
 
 void cosim_pid_outputs(const cosim_pid *s, const double *u, double *y)
 {
-    const double unlimited = proportional(s, u) + (derivative_input(s, u) - s->memory[1]) + s->memory[0];
+    const double derivative = derivative_input(s, u) - s->memory[1];
+    const double unlimited = proportional(s, u) + derivative + s->memory[0];
     y[0] = limited(unlimited, s->lower, s->upper);
     y[1] = s->memory[0];
 }

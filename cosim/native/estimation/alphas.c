@@ -13,8 +13,8 @@ int64_t cosim_past_alphas_memory(const cosim_past_alphas *self)
 }
 
 /* A signal `steps` samples before now; NaN before the first one. */
-static double sample(const cosim_past_alphas *self, const double *ring, int64_t now, int32_t element,
-                     const double *signals, int32_t steps)
+static double sample(const cosim_past_alphas *self, const double *ring, int64_t now,
+                     int32_t element, const double *signals, int32_t steps)
 {
     if (steps == 0)
         return signals[element];

@@ -50,8 +50,14 @@ static storage storage_of(const cosim_augmented_kalman *s)
     return m;
 }
 
-int64_t cosim_augmented_kalman_memory(const cosim_augmented_kalman *s) { return storage_of(s).size; }
-int64_t cosim_augmented_kalman_state(const cosim_augmented_kalman *s) { return storage_of(s).state; }
+int64_t cosim_augmented_kalman_memory(const cosim_augmented_kalman *s)
+{
+    return storage_of(s).size;
+}
+int64_t cosim_augmented_kalman_state(const cosim_augmented_kalman *s)
+{
+    return storage_of(s).state;
+}
 
 int64_t cosim_augmented_kalman_samples(const cosim_augmented_kalman *s, const double *state,
                                        int64_t *parts)
@@ -78,8 +84,8 @@ void cosim_augmented_kalman_start(cosim_augmented_kalman *s, double *y)
 
 /* --- the filter --- */
 
-static void take_sample(const cosim_augmented_kalman *s, const storage *m, double t, const double *y,
-                        const double *u)
+static void take_sample(const cosim_augmented_kalman *s, const storage *m, double t,
+                        const double *y, const double *u)
 {
     const int32_t n = s->states, o = s->outputs, inputs = s->inputs;
     const int64_t k = (int64_t)*m->count;
@@ -115,7 +121,8 @@ static void take_sample(const cosim_augmented_kalman *s, const storage *m, doubl
 /* --- the smoother --- */
 
 /* y = P v with P = R'R. */
-static void multiply_covariance(int32_t n, const double *R, const double *v, double *product, double *y)
+static void multiply_covariance(int32_t n, const double *R, const double *v, double *product,
+                                double *y)
 {
     cosim_multiply(n, n, R, v, product);
     for (int32_t a = 0; a < n; ++a) {
@@ -127,7 +134,8 @@ static void multiply_covariance(int32_t n, const double *R, const double *v, dou
 }
 
 /* Back over all samples. With S = C P C' + r I, e the innovation and P the predicted covariance,
- *     m = l - C' S^-1 (e + C P l),   x_smoothed = x_predicted - P m,   l of the sample before = Phi' m
+ *     m = l - C' S^-1 (e + C P l),   x_smoothed = x_predicted - P m,
+ * and l of the sample before is Phi' m
  * (A. Bryson and M. Frazier, 1963): the smoother of Rauch, Tung and Striebel without an inverse
  * covariance. */
 static void smooth(const cosim_augmented_kalman *s, const storage *m)

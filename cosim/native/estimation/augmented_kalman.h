@@ -16,7 +16,8 @@ typedef struct {
     const double *noise;         /* (2, states) rows whose products are the covariance of a step */
     const double *first_spread;  /* (states) deviations at first */
     double deviation;            /* of the noise of the outputs, made white */
-    const cosim_identifier *projection; /* on delta, its products have a memory of their own; or NULL */
+    /* on delta, with a memory of its own for its products; or NULL */
+    const cosim_identifier *projection;
     double *memory;
 } cosim_augmented_kalman;
 int64_t cosim_augmented_kalman_memory(const cosim_augmented_kalman *self);

@@ -5,7 +5,7 @@
 #include <math.h>
 #include <string.h>
 
-#define INFORMED 0.5 /* standard error over that at first, below which theta is no longer its start */
+#define INFORMED 0.5 /* standard error over that at first, below which theta is an estimate */
 
 typedef struct {
     int32_t n;          /* of all states */

@@ -16,7 +16,7 @@
 #define RIVALS 8   /* other minima that are kept from one search to the next */
 #define ROWS_A_TERM 2 /* rows of a regression before the first search */
 #define ITERATIONS 120 /* of a fit */
-#define START_ITERATIONS 20 /* of one from a start; but for the lowest others are not worth their time */
+#define START_ITERATIONS 20 /* of one from a start; only the lowest is worth more */
 #define SAME 0.1             /* standard errors between two fits of the same minimum */
 #define NEAR 0.05            /* longest steps between a start and the minimum that it leads to */
 #define ROUNDING_OF_THETA 0x1p-20 /* relative to its longest step */
@@ -34,8 +34,9 @@ typedef struct {
     double *count, *taken, *has_theta, *next_search, *largest, *largest_delta, *rows, *summed;
     double *sums, *factors; /* of mu, and of the products of alphas in it */
     double *theta, *outputs;
-    double *rivals, *rival_theta, *excess; /* what the last search left: how many, (RIVALS,
-                                            * parameters), and by how many variances they are worse */
+    /* what the last search left: how many, (RIVALS, parameters), and by how many variances they are
+     * worse */
+    double *rivals, *rival_theta, *excess;
     double *searched, *variance, *freedom; /* samples at the last search, and what its fit left */
     double *R, *N;
     double *x;
@@ -54,7 +55,8 @@ typedef struct {
     double *residual, *alpha;
     double *delta, *delta_alpha;
     double *between;
-    /* of the intervals that end at each sample, where y is predicted from samples that may be missing */
+    /* of the intervals that end at each sample, where y is predicted from samples that may be
+     * missing */
     double *step, *Ad, *B0, *B1, *K, *L;
     int32_t *interval;
     double *of_modes, *known_B0, *predicting; /* scratch */
@@ -474,7 +476,8 @@ static double rounding_of(const cosim_identifier *s, const storage *m)
     return ROUNDING * largest;
 }
 
-static void prepare_fit_of_y(const cosim_identifier *s, const storage *m, double *theta, estimation *e)
+static void prepare_fit_of_y(const cosim_identifier *s, const storage *m, double *theta,
+                             estimation *e)
 {
     const int64_t count = (int64_t)*m->count;
     const int64_t first = s->window && count > s->window ? count - s->window : 0;
@@ -527,7 +530,8 @@ static void weigh(const cosim_identifier *s, const storage *m, estimation *e,
     const int32_t n = n_outputs(s);
     const cosim_experiment *x = &e->experiment;
     const int correlated = freedom >= FEWEST * n * n;
-    cosim_output_error_products(x->model, e->fit.theta, unknowns, &x->record, x->work, m->covariance);
+    cosim_output_error_products(x->model, e->fit.theta, unknowns, &x->record, x->work,
+                                m->covariance);
     for (int32_t i = 0; i < n; ++i) {
         for (int32_t j = 0; j < n; ++j)
             m->covariance[i * n + j] *= i == j || correlated ? 1.0 / freedom : 0.0;
@@ -596,7 +600,9 @@ static void write_outputs(const cosim_identifier *s, const storage *m, const est
             const int known = e->state[j] == COSIM_ESTIMATED || e->state[j] == COSIM_FIXED;
             const double own = sqrt(factor * e->covariance[j * P + j]);
             theta[j] = known ? e->estimate[j] : cosim_no_value();
-            error[j] = known ? largest_of(own, farthest_rival(s, m, j, theta[j])) : cosim_no_value();
+            error[j] = cosim_no_value();
+            if (known)
+                error[j] = largest_of(own, farthest_rival(s, m, j, theta[j]));
         }
         for (int32_t k = 0; k < s->rayleigh->size[i]; ++k, ++column)
             amplitudes[column] = e->experiment.amplitudes[column];
@@ -676,7 +682,8 @@ typedef struct {
     double squares, variance;
     int32_t present;  /* parameters whose components are there */
     int is_minimum;
-    int is_certain;   /* all are, known to a small part of their ranges, and no other fit is as good */
+    /* all are, known to a small part of their ranges, and no other fit is as good */
+    int is_certain;
     int is_clear;     /* it was the best before, and others are far worse */
 } candidate;
 

@@ -46,7 +46,8 @@ typedef struct {
     const double *deviations;            /* (outputs) of the noise that the W of on_y makes white */
     const cosim_start_grid *grid;
     const cosim_between *between; /* NULL: y is sampled at the communication points */
-    /* of y whose samples, of communication points alone, may be missing; NULL: its gain is K of on_y */
+    /* of y whose samples, of communication points alone, may be missing; NULL: its gain is K of
+     * on_y */
     const cosim_mode_predictor *predictor;
     double *memory;
 } cosim_identifier;

@@ -5,8 +5,8 @@
 #include <math.h>
 #include <string.h>
 
-void cosim_kalman_predict(int32_t n, const double *Phi, int32_t rows, const double *noise, double *R,
-                          double *work)
+void cosim_kalman_predict(int32_t n, const double *Phi, int32_t rows, const double *noise,
+                          double *R, double *work)
 {
     double *block = work, *scratch = block + (n + rows) * n;
     for (int32_t a = 0; a < n; ++a)
@@ -16,8 +16,8 @@ void cosim_kalman_predict(int32_t n, const double *Phi, int32_t rows, const doub
     cosim_householder(n, R, n + rows, block, scratch);
 }
 
-void cosim_kalman_correct(int32_t n, const double *row, double variance, double innovation, double *x,
-                          double *R, double *work)
+void cosim_kalman_correct(int32_t n, const double *row, double variance, double innovation,
+                          double *x, double *R, double *work)
 {
     double *phi = work, *gain = work + n;
     double total = variance;

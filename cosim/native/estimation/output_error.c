@@ -7,10 +7,10 @@
 #include <string.h>
 
 #define BLOCK 64              /* rows that are gathered before they are rotated into R */
-#define DEPENDENT 0x1p-40     /* pivot over the length of its column below which that is dependent */
-#define FEW_STEPS 3           /* after which a fit is given up that does not promise to be as good */
+#define DEPENDENT 0x1p-40     /* pivot over the length of its column: below it, that is dependent */
+#define FEW_STEPS 3           /* after which a fit is given up that does not promise as much */
 #define HALVINGS 12           /* of a step that does not reduce the sum of squares */
-#define SMALL_STEP 0.05       /* in standard errors: what Gauss and Newton leave then is its square */
+#define SMALL_STEP 0.05       /* in standard errors: what Gauss-Newton leaves then is its square */
 #define SMALLEST_STEP 0x1p-43 /* relative to theta: rounding */
 
 /* --- the columns of the regression matrix, and where things stand in `work` --- */
@@ -45,7 +45,7 @@ static layout layout_of(const cosim_output_error *s)
 typedef struct {
     double *R;                     /* (columns, columns), first: others read it */
     double *rows, *interval;       /* rows in R; interval of E */
-    double *lag, *passed;          /* (outputs) values in the ring; samples since the last of them */
+    double *lag, *passed;          /* (outputs) values in the ring; samples since the last one */
     double *X, *next;              /* (states, columns) responses */
     double *input0, *input1;       /* (columns) disturbances of the columns at both ends */
     double *basis, *advanced;      /* (basis + derivatives) c' expm(G t) and its derivatives */
@@ -53,7 +53,7 @@ typedef struct {
     double *ring;                  /* (ar, outputs, columns) rows before the filter */
     double *pairs;                 /* (outputs, outputs) samples behind a product of residuals */
     double *steps, *summed, *sums; /* of means: steps, (outputs) rows, (outputs, columns) sums */
-    double *R_squared;             /* (columns, columns) of rows with the squares of their weights */
+    double *R_squared;             /* (columns, columns) of rows with squares of their weights */
     double *block, *block_squared; /* (BLOCK + outputs, columns) */
     double *scratch;
     int64_t size;
@@ -937,12 +937,14 @@ typedef struct {
 typedef struct {
     int32_t n;
     int32_t place[COSIM_MOST_PARAMETERS];
-    double triangle[COSIM_MOST_COLUMNS * COSIM_MOST_COLUMNS]; /* (n + 1, n + 1), the residual last */
+    /* (n + 1, n + 1), the residual last */
+    double triangle[COSIM_MOST_COLUMNS * COSIM_MOST_COLUMNS];
     double solution[COSIM_MOST_PARAMETERS];
 } free_theta;
 
 /* The regression of those estimated, the steps of the others taken. */
-static void make_triangle(const cosim_fit *fit, const double *T, const gauss_newton *g, free_theta *f)
+static void make_triangle(const cosim_fit *fit, const double *T, const gauss_newton *g,
+                          free_theta *f)
 {
     const int32_t P = fit->parameters, width = P + 1;
     double rows[COSIM_MOST_COLUMNS * COSIM_MOST_COLUMNS];
@@ -1050,7 +1052,8 @@ static int reduce_all(const cosim_fit *fit, double *T, double *rows_total, int32
     for (int32_t e = 0; e < fit->experiments; ++e) {
         const cosim_experiment *x = &fit->experiment[e];
         const layout l = layout_of(x->model);
-        *unknowns += cosim_output_error_reduce(x->model, x->work, x->amplitudes, statistics, reduced);
+        *unknowns +=
+            cosim_output_error_reduce(x->model, x->work, x->amplitudes, statistics, reduced);
         *rows_total += *parts_of(x->model, l, x->work).rows;
         for (int32_t i = 0; i < fit->components; ++i)
             fit->statistics[i] += statistics[i];
@@ -1067,7 +1070,8 @@ static void pass(const cosim_fit *fit, const double *theta)
     for (int32_t e = 0; e < fit->experiments; ++e) {
         const cosim_experiment *x = &fit->experiment[e];
         cosim_output_error_start(x->model, theta, x->work);
-        cosim_output_error_take(x->model, theta, &x->record, x->record.first, x->record.end, x->work);
+        cosim_output_error_take(x->model, theta, &x->record, x->record.first, x->record.end,
+                                x->work);
     }
 }
 

@@ -28,14 +28,15 @@ typedef struct {
     const double *Ad;      /* (intervals, states, states) */
     const double *B0, *B1; /* (intervals, sources, states) for both ends of the interval */
     const double *K;       /* (intervals, states, outputs) gain of the predictor, in Ad, B0 */
-    const double *L;       /* (intervals, outputs, outputs) lower triangle: L e has the covariance of
-                            * the noise, where e is what is predicted wrong at the interval's end */
+    const double *L;       /* (intervals, outputs, outputs) lower triangle: L e has the covariance
+                            * of the noise, e is what is predicted wrong at the interval's end */
     const double *C;       /* (outputs, states) */
     const double *D;       /* (sources, outputs) */
     const double *W;       /* (outputs, outputs) makes the noise of the outputs white */
-    const double *a;       /* (outputs, ar) W e is white, e(k) = v(k) - a_1 v(k-1) - ..., v = y - fit */
+    const double *a;       /* (outputs, ar) W e is white, e(k) = v(k) - a_1 v(k-1) - ..., where v is
+                            * y less the fit */
     const int32_t *every;  /* (outputs) samples from one value to the next that `a` is for */
-    double forgetting;     /* weight of the square of a row over that of the next sample; 1: the same */
+    double forgetting;     /* weight of the square of a row over that of the next sample */
 } cosim_output_error;
 
 /* Samples between those of the grid, in the order of time. The row of an output is (C, D0, D1): it

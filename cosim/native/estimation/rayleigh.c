@@ -160,7 +160,8 @@ static void make_regression(const cosim_rayleigh *s, const double *R, const doub
         residual(s, R, N, point, below);
         point[j] = theta[j];
         for (int32_t i = 0; i < n; ++i)
-            rows[i * width + j] = difference > 0.0 ? (above[i] - below[i]) / (2.0 * difference) : 0.0;
+            rows[i * width + j] =
+                difference > 0.0 ? (above[i] - below[i]) / (2.0 * difference) : 0.0;
     }
     for (int32_t i = 0; i < n; ++i)
         rows[i * width + P] = -rho[i];
@@ -182,7 +183,8 @@ static void add_damping(int32_t n, int32_t P, double damping, double *rows)
 
 /* Where the step leads, within the box and at most a quarter of it away; returns how far that is,
  * relative to the box. */
-static double move(const cosim_rayleigh *s, const double *theta, const double *step, double *reached)
+static double move(const cosim_rayleigh *s, const double *theta, const double *step,
+                   double *reached)
 {
     double largest = 0.0;
     for (int32_t j = 0; j < s->parameters; ++j) {

@@ -4,7 +4,7 @@
 #include "cosim.h"
 
 #define COSIM_MOST_TERMS 128
-#define COSIM_MOST_ROWS 48 /* delays: one more than there are basis functions, all groups together */
+#define COSIM_MOST_ROWS 48 /* delays: one more than the basis functions of all groups */
 
 /* The regression (25) as a function of theta: mu' chi(theta) = 0, with noise of covariance N in
  * mu. */

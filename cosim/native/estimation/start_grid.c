@@ -8,7 +8,7 @@
 #define EXHAUSTIVE 4096 /* combinations of points up to which each is tried */
 #define MOST_PAIRS 16384 /* points of two components up to which both are chosen together */
 #define SWEEPS 12
-#define DEPENDENT 0x1p-18 /* length of a column beside others over its own, below which it is none */
+#define DEPENDENT 0x1p-18 /* length of a column beside others over its own: below it, it is none */
 
 /* What a search works on. */
 typedef struct {
@@ -21,7 +21,7 @@ typedef struct {
     double *free;              /* as R, column by column, without what others explain */
     double *lengths;           /* (records, columns) of the columns of R */
     double *basis;             /* (width, columns) orthonormal columns of others */
-    double *squared, *along;   /* (records, columns) products of free with themselves, the residual */
+    double *squared, *along;   /* (records, columns) products of free with itself, the residual */
     double *scanned;           /* squares of all points of one component or two beside a fit */
     int64_t size;
 } parts;
@@ -191,8 +191,8 @@ static void write_theta(const cosim_start_grid *s, int64_t point, double *theta)
     }
 }
 
-int32_t cosim_keep_smallest(double value, int64_t point, int32_t found, int32_t most, double *values,
-                            int64_t *points)
+int32_t cosim_keep_smallest(double value, int64_t point, int32_t found, int32_t most,
+                            double *values, int64_t *points)
 {
     int32_t place = found;
     while (place > 0 && value < values[place - 1])
@@ -349,7 +349,8 @@ static double explained_by(const parts *p, int32_t e, int32_t count, const int32
         const double length = DEPENDENT * p->lengths[e * n + column[r]];
         z[r] = p->along[e * n + column[r]];
         for (int32_t c = 0; c < r; ++c) {
-            double sum = product_of(n, free + (int64_t)column[r] * n, free + (int64_t)column[c] * n);
+            const double *left = free + (int64_t)column[r] * n;
+            double sum = product_of(n, left, free + (int64_t)column[c] * n);
             for (int32_t k = 0; k < c; ++k)
                 sum -= row[k] * L[c * count + k];
             row[c] = L[c * count + c] > 0.0 ? sum / L[c * count + c] : 0.0;
@@ -525,12 +526,14 @@ static int32_t exchange(const cosim_start_grid *s, const parts *p, int32_t recor
     return count;
 }
 
-static void write_choices(const cosim_start_grid *s, int32_t count, const choice *found, double *theta)
+static void write_choices(const cosim_start_grid *s, int32_t count, const choice *found,
+                          double *theta)
 {
     for (int32_t k = 0; k < count; ++k) {
         const double *from = s->theta;
         for (int32_t i = 0; i < s->components; ++i) {
-            memcpy(theta, from + found[k].digit[i] * s->count[i], (size_t)s->count[i] * sizeof *theta);
+            const size_t bytes = (size_t)s->count[i] * sizeof *theta;
+            memcpy(theta, from + found[k].digit[i] * s->count[i], bytes);
             from += s->points[i] * s->count[i];
             theta += s->count[i];
         }

@@ -16,7 +16,7 @@ typedef struct {
     const cosim_output_error *model;
     const int32_t *size, *count; /* (components) V_i of one point, and parameters */
     const int32_t *points;       /* (components) */
-    const int32_t *alike;        /* (components) last one before that is interchangeable with it; -1 */
+    const int32_t *alike;        /* (components) last interchangeable one before it; -1: none */
     const uint8_t *even;         /* (parameters) whether the negative makes the same signals */
     const double *theta;         /* (points_i, count_i) of one component behind the other */
 } cosim_start_grid;
@@ -24,8 +24,8 @@ typedef struct {
 int64_t cosim_start_grid_memory(const cosim_start_grid *self, int32_t records);
 /* Insert a value among the smallest ones of a grid, which stand in ascending order with their
  * points; infinity and NaN are none. Returns how many there are then, at most `most`. */
-int32_t cosim_keep_smallest(double value, int64_t point, int32_t found, int32_t most, double *values,
-                            int64_t *points);
+int32_t cosim_keep_smallest(double value, int64_t point, int32_t found, int32_t most,
+                            double *values, int64_t *points);
 /* The number of combinations of points; 0: too many to try each. */
 int64_t cosim_start_grid_points(const cosim_start_grid *self);
 /* The least squares of every combination, where each can be tried, summed over records; R: those of

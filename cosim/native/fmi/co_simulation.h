@@ -1,7 +1,7 @@
 /* A communication step of a co-simulation FMU: the usual one of stepping.py, in one part.
  *
- * What is not usual is left to the methods in Python: an event, a discarded step, an early return, a
- * failure, the end. `note` tells them what is done already. */
+ * What is not usual is left to the methods in Python: an event, a discarded step, an early return,
+ * a failure, the end. `note` says what is done already. */
 #ifndef COSIM_CO_SIMULATION_H
 #define COSIM_CO_SIMULATION_H
 

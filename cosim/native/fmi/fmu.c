@@ -170,7 +170,8 @@ static int32_t access(cosim_fmu *fmu, cosim_fmu_call *call, const cosim_fmu_grou
     return cosim_fmu_judge(fmu, call, status);
 }
 
-int32_t cosim_fmu_set_any(cosim_fmu *fmu, const cosim_fmu_variables *variables, const double *vector)
+int32_t cosim_fmu_set_any(cosim_fmu *fmu, const cosim_fmu_variables *variables,
+                          const double *vector)
 {
     for (int64_t i = 0; i < variables->count; ++i) {
         const cosim_fmu_group *group = variables->groups + i;

@@ -1,7 +1,7 @@
 /* A loaded FMU, called by address: what its methods in Python do, for steps in compiled code.
  *
- * Values are float64 vectors; the FMU carries them by type. A call that fails is remembered, so that
- * the methods in Python can name it; none is made where values do not fit the types. */
+ * Values are float64 vectors; the FMU carries them by type. A call that fails is remembered, so
+ * that the methods in Python can name it; none is made where values do not fit the types. */
 #ifndef COSIM_FMU_H
 #define COSIM_FMU_H
 

@@ -30,7 +30,8 @@ typedef int (*for_values)(void *, double *, size_t);
 
 static int32_t judge(Model *s, cosim_fmu_call *call, int status)
 {
-    return cosim_fmu_judge(s->fmu, call, status) == COSIM_OK ? COSIM_OK : fail(s, COSIM_FAILED_CALL);
+    const int32_t judged = cosim_fmu_judge(s->fmu, call, status);
+    return judged == COSIM_OK ? COSIM_OK : fail(s, COSIM_FAILED_CALL);
 }
 
 static int32_t change_mode(Model *s, cosim_fmu_call *call)

@@ -1,5 +1,5 @@
-/* What an FMU may change of the process that it runs in, and must not: read before a call of it, put
- * back after it. */
+/* What an FMU may change of the process that it runs in, and must not: read before a call of it,
+ * put back after it. */
 #ifndef COSIM_PROCESS_H
 #define COSIM_PROCESS_H
 
@@ -26,8 +26,8 @@ void cosim_process_save(void *state, int32_t shared);
 /* Put back what differs from a state; return what did. */
 int32_t cosim_process_restore(const void *state, int32_t shared);
 
-/* A step after which the floating-point unit is put back, which is the thread's own: after every one
- * where numbers are computed in another way, and after every 32nd, whatever changed. */
+/* A step after which the floating-point unit is put back, which is the thread's own: after every
+ * one where numbers are computed in another way, and after every 32nd, whatever changed. */
 typedef struct {
     const void *process; /* the state before the first of many steps */
     cosim_step step;

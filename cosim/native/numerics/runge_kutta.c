@@ -336,8 +336,8 @@ static int32_t first_step(cosim_runge_kutta *s, double room, double *h)
         change[i] -= k[i];
     const double d2 = sqrt(squares(s, change, x) / s->n) / h0;
     const double largest = larger(d1, d2);
-    const double h1 =
-        largest <= 1e-15 ? larger(1e-6, 1e-3 * h0) : cosim_pow(100.0 * largest, -1.0 / s->method->root);
+    const double h1 = largest <= 1e-15 ? larger(1e-6, 1e-3 * h0)
+                                       : cosim_pow(100.0 * largest, -1.0 / s->method->root);
     *h = smaller(smaller(100.0 * h0, h1), room);
     return COSIM_OK;
 }
@@ -450,8 +450,9 @@ int32_t cosim_runge_kutta_at(void *self, double t, double *x)
             return status;
         s->memory[EXTENDED] = 1.0;
     }
-    /* x0 + p (F_0 + q (F_1 + p (F_2 + q (F_3 + ...)))), p = (t - t0) / h, q = 1 - p: F_0 to F_2 make
-     * it the cubic with the values and the slopes at both ends (HNW (II.6.7)), F_3 on are h d k */
+    /* x0 + p (F_0 + q (F_1 + p (F_2 + q (F_3 + ...)))), p = (t - t0) / h, q = 1 - p: F_0 to F_2
+     * make it the cubic with the values and the slopes at both ends (HNW (II.6.7)), F_3 on are
+     * h d k */
     const double p = (t - t0) / h, q = 1.0 - p;
     const double *k0 = slope(s, 0), *k1 = slope(s, method->stages);
     double *row = vector(s, WORK);

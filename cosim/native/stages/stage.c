@@ -204,8 +204,8 @@ static inline void begin_step(cosim_stage *s)
     s->origin = -1;
 }
 
-/* Do the steps of the segment up to `end`, from the cursor on; or return the number of the operation
- * that is left. */
+/* Do the steps of the segment up to `end`, from the cursor on; or return the number of the
+ * operation that is left. */
 static int64_t run_segment(cosim_stage *s, int64_t end)
 {
     const cosim_segment *segment = s->segments + s->segment;

@@ -2,10 +2,13 @@
  *
  * The signals of a graph stand in rows, one a communication point; each component has its columns,
  * its inputs and behind them its outputs. A stage is a list of operations that fills the next row,
- * done once for every step; those of one segment for some steps before the next one does them, which
- * keeps code and rows in the caches. It has two ends: the last row wanted, and an operation that is not done
- * here. Then the cursor shows that operation; whoever called does it, and calls again. So components without a native step take part, and what is rare in a native step (an
- * event, an error) is left to code that is written to be read. */
+ * done once for every step; those of one segment for some steps before the next one does them,
+ * which keeps code and rows in the caches.
+ *
+ * It has two ends: the last row wanted, and an operation that is not done here. Then the cursor
+ * shows that operation; whoever called does it, and calls again. So components without a native
+ * step take part, and what is rare in a native step (an event, an error) is left to code that is
+ * written to be read. */
 #ifndef COSIM_STAGE_H
 #define COSIM_STAGE_H
 
@@ -61,8 +64,8 @@ typedef struct {
     int32_t kind, count;
 } cosim_operation;
 
-/* Operations that follow each other: one component outside every loop, or a loop. None of them reads
- * what a later segment writes at the same step or before it. */
+/* Operations that follow each other: one component outside every loop, or a loop. None of them
+ * reads what a later segment writes at the same step or before it. */
 typedef struct {
     const cosim_operation *operations;
     int64_t count, first; /* of them, and the number of the first one */

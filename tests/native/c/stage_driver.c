@@ -1,5 +1,5 @@
-/* Two stages of their own, each a loop of lags with a sum, a delay and a component that is left to the
- * caller, run in two threads: prints the last row of each. Compiled with sanitizers by
+/* Two stages of their own, each a loop of lags with a sum, a delay and a component that is left to
+ * the caller, run in two threads: prints the last row of each. Compiled with sanitizers by
  * test_sanitizers.py; there is no Python in it. */
 #include "linear.h"
 #include "stage.h"
@@ -16,7 +16,7 @@ typedef struct {
     cosim_linear lags[LAGS];
     cosim_delay delay;
     cosim_member members[MEMBERS];
-    cosim_operation operations[4 * MEMBERS + 3];
+    cosim_operation operations[2 * MEMBERS + 2];
     cosim_segment segment;
     cosim_copy copies[MEMBERS];
     cosim_sum sum;
@@ -35,7 +35,7 @@ static void build(system_of_lags *s)
     for (int i = 0; i < MEMBERS; ++i) {
         cosim_member *m = s->members + i;
         *m = (cosim_member){.u = 2 * i, .n_u = 1, .y = 2 * i + 1, .n_y = 1,
-                            .first_copy = i, .copies = 1, .optional = s->optional,
+                            .copies = s->copies + i, .n_copies = 1, .optional = s->optional,
                             .overridden = s->overridden};
         s->copies[i] = (cosim_copy){2 * i, i ? 2 * i - 1 : WIDTH - 1, 1};
     }
@@ -50,21 +50,21 @@ static void build(system_of_lags *s)
     s->members[LAGS].advance = cosim_delay_step;
     s->members[LAGS].self = &s->delay;
     /* the last one: u = 0.1 + 0.5 y_3 - 0.25 y_delay, advanced by the caller */
-    s->members[LAGS + 1].copies = 0;
-    s->members[LAGS + 1].sums = 1;
-    s->sum = (cosim_sum){.to = WIDTH - 2, .terms = 2, .offset = 0.1};
+    s->members[LAGS + 1].n_copies = 0;
+    s->members[LAGS + 1].sums = &s->sum;
+    s->members[LAGS + 1].n_sums = 1;
+    s->sum = (cosim_sum){.to = WIDTH - 2, .terms = s->terms, .n_terms = 2, .offset = 0.1};
     s->terms[0] = (cosim_term){7, 0.5};
     s->terms[1] = (cosim_term){2 * LAGS + 1, -0.25};
     int n = 0;
-    s->operations[n++] = (cosim_operation){COSIM_KEEP, 0, MEMBERS};
     for (int i = 0; i < MEMBERS; ++i)
-        s->operations[n++] = (cosim_operation){COSIM_ADVANCE, i, 1};
-    s->operations[n++] = (cosim_operation){COSIM_REFRESH, 0, 1};
-    s->operations[n++] = (cosim_operation){COSIM_CHECK, 0, MEMBERS};
-    s->segment = (cosim_segment){0, n};
-    s->stage = (cosim_stage){.members = s->members, .operations = s->operations,
-                             .copies = s->copies, .sums = &s->sum, .terms = s->terms,
-                             .segments = &s->segment, .n_segments = 1,
+        s->operations[n++] = (cosim_operation){s->members + i, COSIM_KEEP, 1};
+    for (int i = 0; i < MEMBERS; ++i)
+        s->operations[n++] = (cosim_operation){s->members + i, COSIM_ADVANCE, 1};
+    s->operations[n++] = (cosim_operation){s->members, COSIM_REFRESH, 1};
+    s->operations[n++] = (cosim_operation){s->members, COSIM_CHECK, MEMBERS};
+    s->segment = (cosim_segment){.operations = s->operations, .count = n};
+    s->stage = (cosim_stage){.segments = &s->segment, .n_segments = 1,
                              .width = WIDTH, .tile = 16, .t = s->t, .rows = s->rows,
                              .h = 1e-3};
 }

@@ -30,8 +30,8 @@ static const char *problem_of(int32_t status)
     case COSIM_OK:
         return NULL;
     case COSIM_FULL:
-        return "there are more communication steps than the run has that this was exported from, so "
-               "that there is no room for samples; export it again for a longer one";
+        return "there are more communication steps than the run has that this was exported from, "
+               "so that there is no room for samples; export it again for a longer one";
     case COSIM_OUTSIDE:
         return "a sample is said to be of an instant that is not since the communication point "
                "before; set those of the step";

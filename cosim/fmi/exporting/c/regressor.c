@@ -35,7 +35,8 @@ const char *kernel_step(double *memory, double t0, double t1, double h, const do
 }
 
 /* Every product has one factor delta, delayed or not: where it is not, the derivative is the
- * product for delta = 1. The signals among the alphas are other inputs, which `affine` leaves out. */
+ * product for delta = 1. The signals among the alphas are other inputs, which `affine` leaves
+ * out. */
 double kernel_by_input(double *memory, double *y, double t, const double *u, int32_t row,
                        int32_t input, int in_initialization)
 {
