@@ -190,6 +190,24 @@ static double closeness(double t)
     return 4.0 * (next.value - size.value);
 }
 
+/* Whether the next time event is at t or before it. */
+static inline bool is_time_event_due(const Model *s)
+{
+    return s->next_event != INFINITY && s->next_event - s->t <= closeness(s->t);
+}
+
+/* Whether it comes before the end of the communication step. */
+static inline bool event_comes_first(const Model *s)
+{
+    return s->next_event != INFINITY && s->t1 - s->next_event > closeness(s->t1);
+}
+
+/* `stop`, where t is close to it. */
+static inline double end_at(double t, double stop)
+{
+    return t != stop && stop - t <= closeness(stop) ? stop : t;
+}
+
 static bool domains_differ(const Model *s, const double *before, const double *after)
 {
     for (int32_t i = 0; i < s->n_z; ++i)
@@ -246,8 +264,7 @@ static int32_t solution(Model *s, double t, double *x)
 static int32_t set_solution(Model *s, double *t, double stop, double *x)
 {
     int32_t status = solution(s, *t, x);
-    if (stop - *t <= closeness(stop))
-        *t = stop;
+    *t = end_at(*t, stop);
     if (status == COSIM_OK)
         status = set_point(s, *t, x);
     return status;
@@ -473,7 +490,7 @@ static int32_t handle_events(Model *s, const double *u)
 /* Add the time event where it is due; the FMU then has a time not before it. */
 static int32_t add_time_event(Model *s)
 {
-    if (s->next_event - s->t > closeness(s->t))
+    if (!is_time_event_due(s))
         return COSIM_OK;
     s->due |= COSIM_TIME_EVENT;
     if (!(s->next_event > s->t))
@@ -511,8 +528,7 @@ static int32_t solver_step(Model *s, double stop)
         if (status != COSIM_OK)
             return LEFT;
     }
-    if (stop - t <= closeness(stop))
-        t = stop;
+    t = end_at(t, stop);
     status = set_point(s, t, s->x); /* the solver's own, at the end of its step */
     if (status == COSIM_OK && s->n_z)
         status = look_for_event(s, &t, stop);
@@ -526,10 +542,9 @@ static int32_t integrate_to_event(Model *s)
 {
     s->due = 0;
     for (int32_t i = 0; i < SOLVER_STEPS; ++i) {
-        if (s->next_event - s->t <= closeness(s->t))
+        if (is_time_event_due(s))
             return add_time_event(s);
-        const bool event_comes_first = s->t1 - s->next_event > closeness(s->t1);
-        int32_t status = solver_step(s, event_comes_first ? s->next_event : s->t1);
+        int32_t status = solver_step(s, event_comes_first(s) ? s->next_event : s->t1);
         if (status == COSIM_OK && s->completed_step)
             status = complete_step(s);
         if (status == COSIM_OK)

@@ -212,14 +212,23 @@ static double *slope(const cosim_runge_kutta *s, int32_t i) { return vector(s, S
 static double larger(double a, double b) { return a > b ? a : b; }
 static double smaller(double a, double b) { return a < b ? a : b; }
 
+/* Below so many states a loop over them costs more to begin than it takes. */
+enum { FEW = 8 };
+
+static inline void copy(const cosim_runge_kutta *s, double *to, const double *from)
+{
+    if (s->n >= FEW)
+        memcpy(to, from, (size_t)s->n * sizeof *to);
+    else
+        for (int32_t i = 0; i < s->n; ++i)
+            ((volatile double *)to)[i] = from[i]; /* volatile: else it is a call too */
+}
+
 static int32_t evaluate(cosim_runge_kutta *s, double t, const double *x, double *dx)
 {
     ++s->evaluations;
     return s->f(s->model, t, x, dx);
 }
-
-/* Below so many states a loop over them costs more to begin than it takes. */
-enum { FEW = 8 };
 
 /* sum_j weights_j k_j of one state, j < count; k_j stands `n` behind k_(j-1). */
 static inline double weighed(int32_t count, const double *weights, const double *k, int32_t n)
@@ -249,38 +258,37 @@ static void weigh(const cosim_runge_kutta *s, int32_t count, const double *weigh
     }
 }
 
-static void combine_many(const cosim_runge_kutta *s, int32_t i, const double *weights, double h,
-                         double *out)
-{
-    const double *x = vector(s, X_BEGIN);
-    weigh(s, i, weights, out);
-    for (int32_t j = 0; j < s->n; ++j)
-        out[j] = x[j] + h * out[j];
-}
-
-/* The argument of slope i in a step of length h, which for the last stage is its end. */
-static inline void combine(const cosim_runge_kutta *s, int32_t i, double h, double *out)
+/* out = x + h sum_j weights_j k_j, j < count, from x at the beginning of the step. */
+static inline void combine(const cosim_runge_kutta *s, int32_t count, const double *weights,
+                           double h, double *out)
 {
     const double *x = vector(s, X_BEGIN), *k = slope(s, 0);
-    const double *weights = s->method->a + i * (i - 1) / 2;
     const int32_t n = s->n;
-    if (n >= FEW)
-        combine_many(s, i, weights, h, out);
-    else
+    if (n >= FEW) {
+        weigh(s, count, weights, out);
         for (int32_t j = 0; j < n; ++j)
-            out[j] = x[j] + h * weighed(i, weights, k + j, n);
+            out[j] = x[j] + h * out[j];
+        return;
+    }
+    for (int32_t j = 0; j < n; ++j)
+        out[j] = x[j] + h * weighed(count, weights, k + j, n);
+}
+
+/* The weights of the argument of slope i, which for the last stage is the end of the step. */
+static const double *weights_of(const cosim_method *method, int32_t i)
+{
+    return method->a + i * (i - 1) / 2;
 }
 
 /* Slopes `first` to `last`; at the end of the step time is t1 to the last bit. */
 static int32_t slopes(cosim_runge_kutta *s, int32_t first, int32_t last, double t1)
 {
-    const double t0 = s->memory[BEGIN], h = t1 - t0;
-    double *argument = vector(s, STAGE);
-    for (int32_t i = first; i <= last; ++i) {
-        const double c = s->method->c[i];
-        combine(s, i, h, argument);
-        const double t = c == 1.0 ? t1 : t0 + c * h;
-        const int32_t status = evaluate(s, t, argument, slope(s, i));
+    const double t0 = s->memory[BEGIN], h = t1 - t0, *c = s->method->c;
+    const double *weights = weights_of(s->method, first);
+    double *argument = vector(s, STAGE), *k = slope(s, first);
+    for (int32_t i = first; i <= last; weights += i++, k += s->n) {
+        combine(s, i, weights, h, argument);
+        const int32_t status = evaluate(s, c[i] == 1.0 ? t1 : t0 + c[i] * h, argument, k);
         if (status != COSIM_OK)
             return status;
     }
@@ -393,7 +401,6 @@ int32_t cosim_runge_kutta_step(void *self, double t_end, double *reached)
 {
     cosim_runge_kutta *s = self;
     const cosim_method *method = s->method;
-    const size_t size = (size_t)s->n * sizeof(double);
     const double t = s->memory[END];
     double *last = slope(s, method->stages), t1 = t_end;
     int32_t status = COSIM_OK;
@@ -401,9 +408,9 @@ int32_t cosim_runge_kutta_step(void *self, double t_end, double *reached)
     if (!(t < t_end))
         return COSIM_OK;
     s->memory[BEGIN] = t;
-    memcpy(vector(s, X_BEGIN), vector(s, X), size);
+    copy(s, vector(s, X_BEGIN), vector(s, X));
     if (s->memory[KNOWN] != 0.0)
-        memcpy(slope(s, 0), last, size);
+        copy(s, slope(s, 0), last);
     else
         status = evaluate(s, t, vector(s, X_BEGIN), slope(s, 0));
     /* until the step is done: a failure leaves a state from which it can be tried again */
@@ -412,11 +419,11 @@ int32_t cosim_runge_kutta_step(void *self, double t_end, double *reached)
         status = controlled_step(s, t_end, &t1);
     else if (status == COSIM_OK) {
         status = slopes(s, 1, method->stages - 1, t1);
-        combine(s, method->stages, t1 - t, vector(s, STAGE));
+        combine(s, method->stages, weights_of(method, method->stages), t1 - t, vector(s, STAGE));
     }
     if (status != COSIM_OK)
         return status;
-    memcpy(vector(s, X), vector(s, STAGE), size);
+    copy(s, vector(s, X), vector(s, STAGE));
     s->memory[KNOWN] = method->root != 0;
     s->memory[END] = *reached = t1;
     return COSIM_OK;
@@ -427,7 +434,7 @@ static int32_t shorter_step(cosim_runge_kutta *s, double t, double *x)
 {
     const int32_t stages = s->method->stages;
     const int32_t status = slopes(s, 1, stages - 1, t);
-    combine(s, stages, t - s->memory[BEGIN], x);
+    combine(s, stages, weights_of(s->method, stages), t - s->memory[BEGIN], x);
     return status;
 }
 
@@ -438,7 +445,7 @@ int32_t cosim_runge_kutta_at(void *self, double t, double *x)
     const double t0 = s->memory[BEGIN], t1 = s->memory[END], h = t1 - t0;
     const double *x0 = vector(s, X_BEGIN), *x1 = vector(s, X);
     if (t == t1 || t == t0) {
-        memcpy(x, t == t1 ? x1 : x0, (size_t)s->n * sizeof(double));
+        copy(s, x, t == t1 ? x1 : x0);
         return COSIM_OK;
     }
     if (!method->root)
