@@ -33,6 +33,7 @@ from cosim.core.stages.coupling import Cut
 from cosim.core.stages.engine import Engine
 from cosim.core.stages.native_stage import NativeStage
 from cosim.core.stages.overrides import OverrideValue
+from cosim.core.stepping.jump_events import events_of
 from cosim.core.stepping.jumps import Jumps
 from cosim.core.stepping.right_limits import NOTHING_GIVEN, GivenOutputs
 from cosim.core.stepping.states import SimulationState, States
@@ -465,7 +466,7 @@ class Simulation:
         if self._jumps.waiting:
             self._evaluate(given)
         if self._is_recorded:
-            for event in self._jumps.events(self.t_ns):
+            for event in events_of(self._jumps, self._graph.layout, self.t_ns):
                 self._recorder.event(event)
         self._jumps.clear_changes()
 

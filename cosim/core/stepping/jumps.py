@@ -14,7 +14,7 @@ from typing import final
 import numpy as np
 
 from cosim.arrays import Vector
-from cosim.core.contracts import EventCause, SignalEvent
+from cosim.core.contracts import EventCause
 from cosim.core.graph import Graph
 from cosim.core.port import Port
 from cosim.core.stages.member import Member
@@ -93,12 +93,16 @@ class Jumps:
         Inputs that have jumped since then.
     changes : dict of OverridableInput to EventCause
         Inputs whose jumps are to be recorded, the last change last.
+    overridden_before : dict of Port to frozenset of int
+        Of the inputs that have jumped, the columns that were overridden before.
+    left_row : Vector, shape (width,)
+        The left limits; the same array as the right ones where nothing has jumped.
     """
 
     def __init__(self, graph: Graph) -> None:
         self.waiting: set[Port] = set()
         self.changes: dict[OverridableInput, EventCause] = {}
-        self._overridden_before: dict[Port, frozenset[int]] = {}  # columns, where inputs jumped
+        self.overridden_before: dict[Port, frozenset[int]] = {}
         self._graph = graph
         self._inputs: dict[str | Port, OverridableInput] = {}
         self._right_limits = RightLimits(graph)
@@ -107,19 +111,19 @@ class Jumps:
     def stand_at(self, row: Vector) -> None:
         """Take a row as that of the point that is reached, without jumps so far."""
         self.row = row
-        self._left_row = row
+        self.left_row = row
         self.waiting.clear()
         self.clear_changes()
 
     def clear_changes(self) -> None:
         """Forget the jumps that were recorded."""
         self.changes.clear()
-        self._overridden_before.clear()
+        self.overridden_before.clear()
 
     @property
     def are_there(self) -> bool:
         """Whether inputs have jumped at this point: the right limits have a row of their own."""
-        return self.row is not self._left_row
+        return self.row is not self.left_row
 
     def input(self, to: str) -> OverridableInput:
         """Return an input, or elements of it.
@@ -178,10 +182,10 @@ class Jumps:
 
     def _start(self, changed: OverridableInput, cause: EventCause) -> None:
         """Note that an input jumps; the row before the jump is kept."""
-        if self.row is self._left_row:
-            self.row = self._left_row.copy()
-        if changed.whole not in self._overridden_before:
-            self._overridden_before[changed.whole] = _overridden(changed)
+        if self.row is self.left_row:
+            self.row = self.left_row.copy()
+        if changed.whole not in self.overridden_before:
+            self.overridden_before[changed.whole] = overridden_columns(changed)
         self.changes.pop(changed, None)  # the last change of an input comes last
         self.changes[changed] = cause
         if changed.follows:
@@ -207,69 +211,8 @@ class Jumps:
         self.waiting.clear()
         self._right_limits.evaluate(t, self.row, jumped, given)
 
-    def events(self, t_ns: int) -> list[SignalEvent]:
-        """Return the jumps at ``t_ns`` [ns]: overrides and releases, then what followed."""
-        events = self._own_events(t_ns)
-        own = {self.input(event.signal).whole for event in events}
-        for channel in self._graph.layout.channels:
-            if self.row[channel.columns].tobytes() == self._left_row[channel.columns].tobytes():
-                continue
-            for name, columns in channel.signal_columns.items():
-                before = self._left_row[columns]
-                values_now = self.row[columns]
-                is_own = Port(channel.name, name) in own
-                if not is_own and before.tobytes() != values_now.tobytes():
-                    values = tuple(values_now.tolist())
-                    events.append(SignalEvent(t_ns, "follow", f"{channel.name}.{name}", values))
-        return events
 
-    def _own_events(self, t_ns: int) -> list[SignalEvent]:
-        """Return overrides and releases that lead from those before to those now.
-
-        They are not always those that were asked for: who releases at the same point what he has
-        overridden there has changed nothing.
-        """
-        by_input: dict[Port, list[tuple[OverridableInput, EventCause]]] = {}
-        for changed, cause in self.changes.items():
-            by_input.setdefault(changed.whole, []).append((changed, cause))
-        events: list[SignalEvent] = []
-        for whole, changes in by_input.items():
-            changed, cause = changes[0]
-            before = self._overridden_before[whole]
-            if len(changes) > 1 or (cause == "release" and not before.issuperset(changed.numbers)):
-                events += self._net_events(t_ns, changed, before)
-            else:
-                events.append(self._event(t_ns, cause, changed))
-        return events
-
-    def _net_events(
-        self, t_ns: int, changed: OverridableInput, before: frozenset[int]
-    ) -> list[SignalEvent]:
-        """Return the events of an input by its elements, or as a whole where they are alike."""
-        now = _overridden(changed)
-        same = {c for c in now & before if self._keeps(c)}
-        causes: dict[int, EventCause] = dict.fromkeys(sorted(before - now), "release")
-        causes.update(dict.fromkeys(sorted(now - same), "override"))
-        whole = self.input(str(changed.whole))
-        if len(causes) == len(whole.numbers) and len(set(causes.values())) == 1:
-            return [self._event(t_ns, causes[whole.numbers[0]], whole)]
-        first = changed.member.columns.start
-        events = []
-        for column, cause in causes.items():
-            element = self.input(changed.member.label(column - first))
-            events.append(self._event(t_ns, cause, element))
-        return events
-
-    def _keeps(self, column: int) -> bool:
-        """Return whether a value has the bits that it had before."""
-        return bool(self.row[column].tobytes() == self._left_row[column].tobytes())
-
-    def _event(self, t_ns: int, cause: EventCause, changed: OverridableInput) -> SignalEvent:
-        values = tuple(self.row[changed.columns].tolist())
-        return SignalEvent(t_ns, cause, changed.name, values)
-
-
-def _overridden(changed: OverridableInput) -> frozenset[int]:
+def overridden_columns(changed: OverridableInput) -> frozenset[int]:
     """Return the columns of the whole input that are overridden."""
     overrides = changed.member.overrides
     return frozenset(column for column in changed.of_whole if column in overrides)
