@@ -1,4 +1,4 @@
-"""Two recorded runs compared, signal by signal, at the times they share.
+"""Two recorded runs compared, signal by signal, at the times they share, and event by event.
 
 Without tolerances the comparison is of bits: 0.0 and -0.0 differ. With tolerances a pair of values
 agrees where ``|a - b| <= atol + rtol * max|a|``, the maximum over all the signal's rows and
@@ -20,6 +20,7 @@ from cosim.core.contracts import Recording
 from cosim.core.port import Port
 from cosim.core.recorded import find_signal
 from cosim.errors import LogError, UsageError
+from cosim.log.event_difference import EventsDifference, compare_events
 from cosim.log.pairing import Window, windows
 
 DifferenceStatus: TypeAlias = Literal[
@@ -87,21 +88,30 @@ class LogDifference:
         The signals of a in their order, then those that only b has.
     atol, rtol : float
         The tolerances of :func:`diff`.
+    events : EventsDifference
+        How the jumps by overrides compare.
     """
 
     rows: tuple[SignalDifference, ...]
     atol: float
     rtol: float
+    events: EventsDifference
 
     @property
     def equal(self) -> bool:
+        """Whether all signals have the same bits at the same times, and the same events."""
+        return self.same_rows and self.events.equal
+
+    @property
+    def same_rows(self) -> bool:
         """Whether all signals have the same bits at the same times."""
         return all(row.status == "equal" for row in self.rows)
 
     @property
     def within(self) -> bool:
-        """Whether both runs have all signals at the same times, within the tolerance."""
-        return all(row.status in {"equal", "within"} for row in self.rows)
+        """Whether both runs have all signals and events at the same times, within the tolerance."""
+        same_rows = all(row.status in {"equal", "within"} for row in self.rows)
+        return same_rows and not self.events.outside
 
     @property
     def first(self) -> ElementDifference | None:
@@ -122,6 +132,7 @@ class LogDifference:
             "rtol": self.rtol,
             "first": None if first is None else asdict(first),
             "signals": signals,
+            "events": asdict(self.events),
         }
 
 
@@ -149,7 +160,8 @@ def diff(
     Raises
     ------
     LogError
-        If a or b is no recording, or one of ``signals`` is in neither; names the nearest.
+        If a or b is no recording, or one of ``signals`` is in neither; names the nearest. If an
+        event is of no signal.
     UsageError
         If a tolerance is no number from 0 on.
     """
@@ -173,7 +185,12 @@ def diff(
             run_a = a if name in columns_a else None
             run_b = b if name in columns_b else None
             rows[name] = _not_compared(name, run_a, run_b)
-    return LogDifference(tuple(rows[name] for name in names), atol, rtol)
+    tolerances: dict[str, float | None] = {}
+    for name, row in rows.items():
+        if row.status not in {"other size", "only in a", "only in b"}:
+            tolerances[name] = row.tolerance if atol or rtol else None
+    events = compare_events((a, b), (columns_a, columns_b), tolerances)
+    return LogDifference(tuple(rows[name] for name in names), atol, rtol, events)
 
 
 def _pairs_by_component(

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cosim.core.connections import Connection, unit_reached
+from cosim.core.contracts import SignalEvent
 from cosim.core.graph import Graph
 from cosim.core.port import Port
 from cosim.core.recorded import RunMessage
@@ -32,6 +34,7 @@ if TYPE_CHECKING:
 Section = dict[str, Any]
 
 MOST_MESSAGES = 10_000  # that are shown of a log
+MOST_OVERRIDES = 10  # and releases
 MOST_TEXT = 2**22  # characters of them
 
 
@@ -54,6 +57,9 @@ def describe_log(path: str) -> Section:
         "schedule": ", ".join(log.schedule),
         "attachments": ", ".join(log.attachments),
     }
+    events = log.events()
+    if events:
+        about["events"] = _event_counts(events)
     if "replay" in run:
         about["replay of"] = asdict(replay_origin(log))
     signals: list[Section] = []
@@ -69,11 +75,35 @@ def describe_log(path: str) -> Section:
         if entry:
             metadata[name] = entry
     content = {"run": about, "signals": signals, "metadata": metadata, "differences": differences}
+    content |= _overrides(events)
     messages, more = _messages(log)
     if messages:
         content["messages"] = messages
     if more:
         content["more messages"] = {"not shown": more}
+    return content
+
+
+def _event_counts(events: Sequence[SignalEvent]) -> str:
+    """Return how many events there are of each cause."""
+    counts = Counter(event.cause for event in events)
+    causes = ", ".join(f"{cause} {count}" for cause, count in counts.items())
+    return f"{len(events)} by overrides: {causes}"
+
+
+def _overrides(events: Sequence[SignalEvent]) -> Section:
+    """Return the first overrides and releases, and how many there are beyond those shown."""
+    overrides = [event for event in events if event.cause != "follow"]
+    rows: list[Section] = []
+    for event in overrides[:MOST_OVERRIDES]:
+        values = " ".join(f"{value:.6g}" for value in event.values)
+        t = event.time_ns / 1e9
+        rows.append({"t": t, "signal": event.signal, "cause": event.cause, "values": values})
+    content: Section = {}
+    if rows:
+        content["overrides"] = rows
+    if len(overrides) > len(rows):
+        content["more overrides"] = {"not shown": len(overrides) - len(rows)}
     return content
 
 

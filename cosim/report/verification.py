@@ -63,7 +63,7 @@ class Verification:
     @property
     def passed(self) -> bool:
         """Whether the content is what was recorded, and follows by computation where it can."""
-        same_rows = self.found_hash == self.recorded_hash and self.difference.equal
+        same_rows = self.found_hash == self.recorded_hash and self.difference.same_rows
         return same_rows and not self.contradictions
 
     @property
@@ -110,7 +110,7 @@ class Verification:
                 "the rows are not those that its run recorded: their content hash is "
                 f"{self.found_hash}, recorded {self.recorded_hash}"
             )
-        if not self.difference.equal:
+        if not self.difference.same_rows:
             problems.append(f"the replay differs from the log; first: {self._first}")
         for contradiction in self.contradictions[:_MOST_SHOWN]:
             problems.append(f"the log contradicts its scenario: {contradiction}")

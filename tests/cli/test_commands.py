@@ -179,6 +179,37 @@ def test_info_of_a_log_a_scenario_and_an_fmu(call):
         assert json.loads(call("info", what, "--json")[1])
 
 
+def test_info_and_diff_show_overrides(call):
+    """How many there are, the first of them, and where two logs first differ in them."""
+    for name, value in (("a", 0.3), ("b", 0.4)):
+        loaded = cosim.load("academic").set({"scenario.stop": 0.1})
+        with loaded.start(out=f"{name}.mcap") as sim:
+            for _ in range(6):
+                sim.step()
+                sim["plant.u"] = value
+                sim.step()
+                sim.release("plant.u")
+    _, out, _ = call("info", "a.mcap")
+    out = " ".join(out.split())
+    assert "by overrides: override 6, follow " in out
+    assert "overrides t signal cause values 0.001 plant.u override 0.3 0.002 plant.u release" in out
+    assert "more overrides not shown 2" in out
+    content = json.loads(call("info", "a.mcap", "--json")[1])
+    assert len(content["overrides"]) == 10
+    assert call("diff", "a.mcap", "a.mcap")[0] == 0
+    code, out, _ = call("diff", "a.mcap", "b.mcap", "plant.u")
+    assert code == 1
+    assert (
+        "events by overrides: 12 in a, 12 in b: 6 of 12 jumps of elements differ; first plant.u at "
+        "0.001 s: override 0.3, override 0.4"
+    ) in " ".join(out.split())
+    code, out, _ = call("diff", "a.mcap", "b.mcap", "plant.u", "--atol", "0.2")
+    assert code == 0
+    assert "12 in b: within the tolerance" in " ".join(out.split())
+    assert "12 in b: equal" in " ".join(call("diff", "a.mcap", "a.mcap", "plant.u")[1].split())
+    assert "events" not in call("diff", "a.mcap", "b.mcap", "plant.delta")[1]
+
+
 def test_info_of_fmus_of_every_version(call, tmp_path):
     """Text has units in SI, ranges, items, sizes, states and dependencies.
 

@@ -18,6 +18,7 @@ from cosim.report.tables.console import (
 
 if TYPE_CHECKING:
     from cosim.log.diff import LogDifference
+    from cosim.log.event_difference import EventsDifference
     from cosim.report.comparing import Comparison, EstimateDifference
     from cosim.report.estimator_comparison import EstimatorComparison, EstimatorResult
     from cosim.report.summary import Summary
@@ -43,11 +44,31 @@ def print_difference(difference: LogDifference, *, as_json: bool) -> None:
         numbers = [f"{value:.3g}" for value in (row.largest, row.scale, row.ratio)]
         table.add_row(row.signal, row.status, *numbers, outside)
     print_table(table)
+    if any(difference.events.events):
+        print_line(_events_text(difference.events))
     if any(row.largest > 0.0 and row.signal.endswith(".delta") for row in difference.rows):
         print_line(
             "note: a reconstructed disturbance multiplies the last bit of y by filter_rate; "
             "give it a tolerance of its own"
         )
+
+
+def _events_text(difference: EventsDifference) -> str:
+    """Return how the jumps by overrides compare, in words."""
+    count_a, count_b = difference.events
+    text = f"events by overrides: {count_a} in a, {count_b} in b: "
+    first = difference.first
+    if difference.equal:
+        return f"{text}equal"
+    if first is None:
+        return f"{text}within the tolerance"
+    values = ", ".join(
+        "no jump" if jump is None else f"{jump.cause} {jump.value!r}" for jump in (first.a, first.b)
+    )
+    return (
+        f"{text}{difference.outside} of {difference.jumps} jumps of elements differ; first "
+        f"{first.signal} at {first.time_ns / 1e9} s: {values}"
+    )
 
 
 def print_dry_run(reports: SwapReports, *, as_json: bool) -> None:

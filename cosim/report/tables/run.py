@@ -307,7 +307,7 @@ def print_verification(
     if not as_json:
         for problem in verification.problems:
             print_line(f"{path}: {problem}", error=True)
-        if verification.contradictions or not verification.difference.equal:
+        if verification.contradictions or not verification.difference.same_rows:
             _warn_of_environment(source)
 
 
