@@ -95,7 +95,7 @@ class Simulation:
         self._recorder: Recorder = Nothing() if recorder is None else recorder
         self._columns = SignalColumns(graph.layout, clock)
         self._states = States(graph, clock, plan, identity)
-        self._jumps = Jumps(graph)
+        self._jumps = Jumps(graph, are_recorded=self._is_recorded)
         self._width = graph.layout.width
         self._h = clock.step
         self._thread = get_ident()
@@ -189,7 +189,7 @@ class Simulation:
             As from :meth:`step`.
         """
         while self.index < index:
-            if self._jumps.changes:
+            if self._jumps.changes or self._jumps.waiting:
                 self.complete_jumps()
             block = self._block(min(self._engine.limit, index - self.index))
             if self._jumps.are_there:  # row 0 in the memory of a recorder keeps the left limits
@@ -202,7 +202,7 @@ class Simulation:
 
     def _advance(self, count: int) -> StepRows:
         """Advance over some steps; return their rows."""
-        if self._jumps.changes:
+        if self._jumps.changes or self._jumps.waiting:
             self.complete_jumps()
         signals = self._rows_behind(count)
         if count == 1 and self._compiled:

@@ -84,6 +84,8 @@ class Jumps:
     Parameters
     ----------
     graph : Graph
+    are_recorded : bool
+        Whether events are made of them.
 
     Attributes
     ----------
@@ -92,14 +94,15 @@ class Jumps:
     waiting : set of Port
         Inputs that have jumped since then.
     changes : dict of OverridableInput to EventCause
-        Inputs whose jumps are to be recorded, the last change last.
+        Inputs whose jumps are still to be recorded, the last change last.
     overridden_before : dict of Port to frozenset of int
         Of the inputs that have jumped, the columns that were overridden before.
     left_row : Vector, shape (width,)
         The left limits; the same array as the right ones where nothing has jumped.
     """
 
-    def __init__(self, graph: Graph) -> None:
+    def __init__(self, graph: Graph, *, are_recorded: bool) -> None:
+        self._are_recorded = are_recorded
         self.waiting: set[Port] = set()
         self.changes: dict[OverridableInput, EventCause] = {}
         self.overridden_before: dict[Port, frozenset[int]] = {}
@@ -184,12 +187,13 @@ class Jumps:
         """Note that an input jumps; the row before the jump is kept."""
         if self.row is self.left_row:
             self.row = self.left_row.copy()
-        if changed.whole not in self.overridden_before:
-            self.overridden_before[changed.whole] = overridden_columns(changed)
-        self.changes.pop(changed, None)  # the last change of an input comes last
-        self.changes[changed] = cause
         if changed.follows:
             self.waiting.add(changed.whole)
+        if self._are_recorded:
+            if changed.whole not in self.overridden_before:
+                self.overridden_before[changed.whole] = overridden_columns(changed)
+            self.changes.pop(changed, None)  # the last change of an input comes last
+            self.changes[changed] = cause
 
     def evaluate(self, t: float, given: GivenOutputs = NOTHING_GIVEN) -> None:
         """Evaluate at ``t`` [s] what follows the inputs that have jumped.
