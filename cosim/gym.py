@@ -9,7 +9,9 @@ from typing import Any, Final, SupportsFloat, TypeAlias, cast, final
 import numpy as np
 from numpy.typing import NDArray
 
+from cosim.arguments import callable_argument
 from cosim.arrays import Vector
+from cosim.core.arguments import kind_of
 from cosim.core.contracts import Stopped
 from cosim.core.stepping.step_rows import StepRows
 from cosim.errors import UsageError
@@ -62,7 +64,8 @@ class Env(gymnasium.Env[NDArray[np.float64], NDArray[np.float64]]):
     Raises
     ------
     UsageError
-        If a signal is not there, bounds are none, or the scenario is no whole number of actions.
+        If a signal is not there, bounds are none, an element of an input is there twice, or the
+        scenario is no whole number of actions.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 (declared so by gymnasium)
@@ -81,12 +84,15 @@ class Env(gymnasium.Env[NDArray[np.float64], NDArray[np.float64]]):
         self._scenario = scenario if isinstance(scenario, Scenario) else load(scenario)
         self._act = tuple(act)
         self._observe = tuple(observe)
+        callable_argument("reward", reward)
+        callable_argument("terminated", terminated)
         self._reward = reward
         self._steps = steps
         self._terminated = terminated
         self._out = out
         self._seeded = _seeded(self._scenario)
-        self._is_reset = False
+        self._problem = "there is no episode yet"  # why no step can be taken
+        self._is_closed = False
         self._session = self._scenario.start()
         try:
             self._check_steps()
@@ -101,14 +107,22 @@ class Env(gymnasium.Env[NDArray[np.float64], NDArray[np.float64]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Vector, dict[str, Any]]:
-        """Begin an episode; with a ``seed``, the one that this seed gives."""
+        """Begin an episode; with a ``seed``, the one that this seed gives.
+
+        Raises
+        ------
+        UsageError
+            If the environment is closed.
+        """
+        if self._is_closed:
+            raise UsageError("reset: this environment is closed; needed another one")
         super().reset(seed=seed)
         if self._seeded or (self._out is not None and not self._session.logs):
             self._session.close()
             self._session = self._next_session()
         else:
             self._session.reset()
-        self._is_reset = True
+        self._problem = ""
         return self._observation(), self._info()
 
     def step(
@@ -129,8 +143,8 @@ class Env(gymnasium.Env[NDArray[np.float64], NDArray[np.float64]]):
             If the scenario cannot go on.
         """
         session = self._session
-        if not self._is_reset:
-            raise UsageError("step: there is no episode yet; needed reset() first")
+        if self._problem:
+            raise UsageError(f"step: {self._problem}; needed reset() first")
         values = self._checked(action)
         for to, part in self._parts.items():
             session[to] = values[part]
@@ -145,10 +159,13 @@ class Env(gymnasium.Env[NDArray[np.float64], NDArray[np.float64]]):
         if self._terminated is not None:
             is_over = is_over or bool(self._terminated(rows))
         truncated = not session.steps_left and not is_over
+        if is_over or truncated:
+            self._problem = "the episode has ended"
         return self._observation(), float(self._reward(rows)), is_over, truncated, self._info()
 
     def close(self) -> None:
         """Close the session; complete its log."""
+        self._is_closed = True
         self._session.close()
 
     @property
@@ -169,7 +186,10 @@ class Env(gymnasium.Env[NDArray[np.float64], NDArray[np.float64]]):
 
     def _checked(self, action: NDArray[np.float64]) -> Vector:
         """Return an action that fits the action space."""
-        values = np.asarray(action, np.float64)
+        try:
+            values = np.asarray(action, np.float64)
+        except (TypeError, ValueError) as error:
+            raise UsageError(f"action: found {kind_of(action)}; needed numbers") from error
         if values.shape != self._low.shape:
             raise UsageError(
                 f"action: found shape {values.shape}; needed {self._low.shape}: "
@@ -199,7 +219,13 @@ class Env(gymnasium.Env[NDArray[np.float64], NDArray[np.float64]]):
         start = 0
         for name in self._act:
             values = self._session[name]
+            before = self._session.overrides
             self._session[name] = np.zeros(len(values))  # refuses what is no input
+            if len(self._session.overrides) < len(before) + len(values):
+                raise UsageError(
+                    f"act: found '{name}', elements of which another input of the action has; "
+                    "needed every element once"
+                )
             parts[name] = slice(start, start + len(values))
             start += len(values)
         return parts

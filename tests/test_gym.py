@@ -81,7 +81,7 @@ def test_an_episode_is_a_session_with_overrides(env):
             step = sim.step(10)
             assert rows[k + 1].tolist() == [*sim["observer.x_a"], *sim["plant.y"]]
             assert rewards[k] == reward(step)
-    with pytest.raises(UsageError, match="the simulation is at its stop"):
+    with pytest.raises(UsageError, match="the episode has ended"):
         env.step(np.zeros(1))
 
 
@@ -133,6 +133,7 @@ def test_a_component_that_asks_for_the_end_terminates_the_episode(env, monkeypat
     _, value, terminated, truncated, _ = env.step(np.zeros(1))
     assert (terminated, truncated) == (True, False)
     assert value < 0.0
+    env.reset()
     monkeypatch.setattr(Session, "step", ends(True))
     with pytest.raises(Stopped, match="enough"):
         env.step(np.zeros(1))
@@ -149,6 +150,31 @@ def test_an_action_that_does_not_fit_is_refused(env):
         env.step(np.array([1.5]))
     with pytest.raises(UsageError, match=r"found nan as element 0"):
         env.step(np.array([np.nan]))
+    with pytest.raises(UsageError, match=r"action: found an object of type dict; needed numbers"):
+        env.step({"plant.u": 0.0})
+
+
+@pytest.mark.parametrize("terminated", [None, lambda rows: True])
+def test_an_episode_that_has_ended_takes_no_steps(terminated):
+    """Terminated or truncated; the next one does."""
+    with environment(steps=200, terminated=terminated) as env:
+        for _ in range(2):
+            env.reset()
+            env.step(np.zeros(1))
+            with pytest.raises(UsageError, match=r"step: the episode has ended; needed reset\(\)"):
+                env.step(np.zeros(1))
+
+
+@pytest.mark.parametrize("name", ["academic", "academic-noisy"])
+def test_a_closed_environment_has_no_further_episodes(name):
+    """Whether a reset makes a session of its own or not."""
+    env = environment(name, steps=10)
+    env.reset()
+    env.close()
+    with pytest.raises(UsageError, match=r"reset: this environment is closed; needed another one"):
+        env.reset()
+    with pytest.raises(UsageError, match=r"closed"):
+        env.step(np.zeros(1))
 
 
 @pytest.mark.parametrize(
@@ -161,6 +187,9 @@ def test_an_action_that_does_not_fit_is_refused(env):
         ({"observe": "plant.y"}, UsageError, r"observe: found 'plant.y'; needed the names"),
         ({"act": {"plant.u": 3.0}}, UsageError, r"found 3.0 as the bounds of 'plant.u'; needed"),
         ({"act": {"plant.u": (1, 0)}}, UsageError, r"act: found 1.0 to 0.0 for 'plant.u'"),
+        ({"act": ["plant.u", "plant.u[0]"]}, UsageError, r"act: found 'plant.u\[0\]', elements"),
+        ({"reward": 3}, UsageError, r"reward: found 3; needed a function"),
+        ({"terminated": "x"}, UsageError, r"terminated: found 'x'; needed a function"),
         ({"steps": 7}, UsageError, r"steps: found 7; needed .*the scenario, 200 steps, is a mult"),
         ({"steps": 0}, UsageError, r"steps: found 0; needed a whole number"),
         ({"steps": 1.0}, UsageError, r"steps: found 1.0; needed a whole number"),

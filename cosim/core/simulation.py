@@ -276,7 +276,7 @@ class Simulation:
         self._jumps.stand_at(signals[-1])
         if end_of_run(raised).status == "interrupted":
             self._ended = INTERRUPTED
-            self.error = Interrupted(f"interrupted inside a step, at t = {self.t} s")
+            self.error = Interrupted("interrupted inside a step")
         elif isinstance(raised, RunError):
             self._end_with(raised)
         else:
