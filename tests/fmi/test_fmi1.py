@@ -10,6 +10,7 @@ from cosim.fmi.component import load
 from cosim.fmi.driving.initialization import Initialization
 from cosim.fmi.instance import DiscreteStates, StepEnd
 from cosim.fmi.options import FmuOptions
+from tests.fmi import lag
 from tests.fmi.probes import got, opened, put
 
 
@@ -39,6 +40,16 @@ def test_equal_inputs_do_not_restart(probe1):
         instance.exit_initialization_mode()
         assert [text for *_, text in fmu.drain()] == ["hello world", "x = 2"]
         assert got(instance, "count") == [0.0]
+
+
+def test_an_initialization_with_equal_inputs_shows_the_same_again(tmp_path):
+    """The FMU shows no outputs once inputs were set behind its initialization."""
+    with load(lag.build(tmp_path, "1")) as fmu:
+        u = np.array([2.0, 0.0])
+        expected = fmu.component.initialize(0.0, u)
+        assert fmu.component.initialize(0.0, u).tolist() == expected.tolist()
+        fmu.component.initialize(0.0, u + 1.0)
+        assert fmu.component.initialize(0.0, u).tolist() == expected.tolist()
 
 
 def test_initialization_without_a_reading(probe1):

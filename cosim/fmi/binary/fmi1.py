@@ -236,15 +236,22 @@ class Fmi1:
 
     def access(self, verb: str, group: Group, values: NDArray[Any]) -> None:
         """Get or set variables of one type: ``verb`` is "Get" or "Set"."""
-        if self._initializing:
-            self._prepare_access(verb, group, values)
+        if self._initializing and not self._prepare_access(verb, group, values):
+            return
         self._access[verb, group.type](group.address, group.count, pointer(values))
 
-    def _prepare_access(self, verb: str, group: Group, values: NDArray[Any]) -> None:
-        """Initialize before a reading; restart before a value that differs from the one set."""
+    def _prepare_access(self, verb: str, group: Group, values: NDArray[Any]) -> bool:
+        """Initialize before a reading; restart before a value that differs from the one set.
+
+        Returns
+        -------
+        bool
+            Whether there is a call to make: after values that an initialized instance has already,
+            set again, it may refuse to show what it made of them.
+        """
         if verb == "Get":
             self._initialize()
-            return
+            return True
         references = group.references.tolist()
         rows = values.copy().reshape(-1, 1)  # of one element each, to point to
         new_values: dict[tuple[VariableType, int], NDArray[Any]] = {}
@@ -258,6 +265,7 @@ class Fmi1:
         if changed:
             self._restart_if_initialized()
             self._set_values |= new_values
+        return changed
 
     def set_text(self, variable: Variable, values: list[bytes]) -> None:
         """Set a String."""
