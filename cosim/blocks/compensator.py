@@ -244,7 +244,7 @@ class Compensator:
         kernel.u[:] = self._limited(np.zeros(len(self._gains.K)))
         kernel.w[:] = 0.0
         kernel.theta[:] = NAN
-        kernel.judged[:] = NAN
+        kernel.checked[:] = NAN
         kernel.is_active = False
         return self.outputs(t, u)
 
@@ -254,7 +254,7 @@ class Compensator:
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Advance by K steps."""
-        return self._kernel.step.advance_through(t, h, u, lambda k: self._judge(u[k]))
+        return self._kernel.step.advance_through(t, h, u, lambda k: self._check_estimates(u[k]))
 
     def native(self) -> NativeStep:
         """Return the compiled step: it goes on until there is another estimate."""
@@ -264,13 +264,13 @@ class Compensator:
         above = np.maximum(v, self.options.lower)
         return np.minimum(above, self.options.upper)
 
-    def _judge(self, row: Vector) -> None:
+    def _check_estimates(self, row: Vector) -> None:
         """Switch the internal model on, or follow theta, where the estimate is good enough."""
         kernel = self._kernel
         theta = row[self._columns["theta"]] if kernel.theta.size else np.zeros(0)
         error = row[self._columns["standard_error"]] if kernel.theta.size else theta
-        kernel.judged[0] = theta
-        kernel.judged[1] = error
+        kernel.checked[0] = theta
+        kernel.checked[1] = error
         if kernel.is_active and np.array_equal(theta, kernel.theta):
             return
         if not self._activation.allows(theta, error):
@@ -315,7 +315,7 @@ class Compensator:
         kernel.u[:] = u
         kernel.w[:] = w
         kernel.theta[:] = theta
-        kernel.judged[:] = np.inf  # no estimate: the next one is judged
+        kernel.checked[:] = np.inf  # no estimate: the next one is checked
         if kernel.is_active:
             self._take_gains()
 

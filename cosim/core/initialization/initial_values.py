@@ -191,12 +191,12 @@ class InitialValues:
             for signal in channel.interface.inputs:
                 row[self.columns[Port(channel.name, signal.name)]] = signal.initial_values
         values = _InitialRow(self, t, row)
-        self._settle(values, row)
+        self._iterate(values, row)
         while values.starts_differently():
-            self._settle(values, row)
+            self._iterate(values, row)
         return values.origins
 
-    def _settle(self, values: _InitialRow, row: Vector) -> None:
+    def _iterate(self, values: _InitialRow, row: Vector) -> None:
         """Compute all ports until none changes."""
         # One round reaches what is declared. What is not may pass one component in each round more;
         # the last round only sees that nothing has changed.

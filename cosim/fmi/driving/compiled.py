@@ -176,7 +176,7 @@ class CompiledIntegrator:
         return Interruption(struct.reached, struct.failure, struct.handled, nominals_changed)
 
     def list_events(self) -> None:
-        """Give the integrator the events since it was told of them."""
+        """Give the integrator the events since it got them last."""
         struct = self._struct
         if not struct.moved:
             return
@@ -188,7 +188,7 @@ class CompiledIntegrator:
         """Begin to count the events anew, as after they were fetched."""
         self._struct.in_step = 0
 
-    def settle(self, interruption: Interruption) -> None:
+    def finish(self, interruption: Interruption) -> None:
         """Finish the event that a step was left in; raise what failed in it.
 
         Raises

@@ -189,7 +189,7 @@ class EventList:
         self.latest = 0.0
 
     def begin_step(self) -> None:
-        """Begin to count anew; tell of the step before what was not listed."""
+        """Begin to count anew; report of the step before what was not listed."""
         omitted = self.in_step - KEPT
         if omitted > 0:
             self._records.append([(self.latest, NOT_LISTED, omitted)])

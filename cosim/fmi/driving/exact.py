@@ -1,7 +1,7 @@
 """The exact solver of a linear model, also in compiled steps.
 
-A step changes the state alone. The instance is told where it has got to when somebody may look at
-it: at the end of a block, and after compiled steps by ``take_over``.
+A step changes the state only. The instance gets time, states and inputs at the end of a block, and
+after compiled steps by ``take_over``.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from cosim.native.step import NativeStep
 
 @final
 class ExactSolver:
-    """Advances a linear model, and tells its instance.
+    """Advances a linear model, and sets time, states and inputs in its instance.
 
     Parameters
     ----------

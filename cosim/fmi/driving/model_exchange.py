@@ -148,7 +148,7 @@ class ModelExchange:
 
     def outputs(self, t: float, u: Vector) -> Vector:
         """Return the outputs at ``t``, the time reached, after what is due there."""
-        self._settle(self._take_over())
+        self._finish(self._take_over())
         self._leave_initialization()
         y = self._integrator.outputs(np.array(u, np.float64, order="C"))
         self._hand_over()
@@ -159,7 +159,7 @@ class ModelExchange:
         interruption = self._take_over()
         no_rows = np.empty((0, self.interface.n_y))
         try:
-            self._settle(interruption)
+            self._finish(interruption)
             self._leave_initialization()
         except RunError as error:
             raise Stopped(no_rows, str(error)) from error
@@ -197,7 +197,7 @@ class ModelExchange:
         FmuError
             If the FMU cannot save its state.
         """
-        self._settle(self._take_over())
+        self._finish(self._take_over())
         state = ModelExchangeState(self._initialization.mode_time, self._integrator.save())
         saved = save(self._instance, self._capabilities, state)
         self._hand_over()
@@ -215,7 +215,7 @@ class ModelExchange:
 
     def native(self) -> NativeStep | None:
         """Return the compiled step; see :class:`cosim.core.contracts.Native`."""
-        self._settle(self._take_over())
+        self._finish(self._take_over())
         step: NativeStep | None = None
         if self._exact is not None:
             step = self._exact.native()
@@ -246,10 +246,10 @@ class ModelExchange:
             self._exact.take_over()
         return None
 
-    def _settle(self, interruption: Interruption | None) -> None:
+    def _finish(self, interruption: Interruption | None) -> None:
         """Finish the event that a compiled step was left in; raise what failed in it."""
         if self._compiled and interruption:
-            self._compiled.settle(interruption)
+            self._compiled.finish(interruption)
 
     def _hand_over(self) -> None:
         """Let compiled steps go on from here, unless the initialization is not over."""

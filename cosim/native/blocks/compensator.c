@@ -10,7 +10,7 @@ static double limited(double value, double lower, double upper)
     return above < upper || isnan(above) ? above : upper;
 }
 
-/* Whether there is an estimate that nobody has judged. */
+/* Whether there is an estimate that was not checked yet. */
 static int is_new(const cosim_compensator *s, const double *row)
 {
     const size_t width = (size_t)s->parameters * sizeof *row;
@@ -18,8 +18,8 @@ static int is_new(const cosim_compensator *s, const double *row)
         return 0;
     if (s->parameters == 0)
         return s->memory[s->n_u + s->n_w] == 0.0;
-    return memcmp(s->judged, row + s->theta, width) != 0 ||
-           memcmp(s->judged + s->parameters, row + s->standard_error, width) != 0;
+    return memcmp(s->checked, row + s->theta, width) != 0 ||
+           memcmp(s->checked + s->parameters, row + s->standard_error, width) != 0;
 }
 
 int32_t cosim_compensator_step(void *self, double t0, double t1, double h, const double *u0,

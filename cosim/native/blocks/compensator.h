@@ -4,7 +4,7 @@
 #include "cosim.h"
 
 /* A compensator; compensator.py of the blocks has the equations. COSIM_NO_VALUE where the estimates
- * are not those that were judged last: then they are judged, and the gains made anew. */
+ * are not those that were checked last: then they are checked, and the gains made anew. */
 typedef struct {
     int32_t n_u, n_w, known, regulated, parameters;
     int32_t follows;                           /* there is an internal model */
@@ -13,7 +13,7 @@ typedef struct {
     const double *before;                      /* (n_u, known) */
     const double *lower, *upper;               /* (n_u) */
     const double *X, *minus_K_w, *generator;   /* (n_w, known), (n_u, n_w), (n_w, driving) */
-    const double *judged;                      /* (2, parameters) theta and its standard errors */
+    const double *checked;                      /* (2, parameters) theta and its standard errors */
     double *memory;                            /* u, w, whether it is active, theta in use */
     double *work; /* known + n_w + n_u + driving, which is n_w + regulated + n_u */
 } cosim_compensator;

@@ -53,13 +53,13 @@ class _CompensatorStruct(Structure):
         *((name, c_int32) for name in ("follows", "reference", "theta", "standard_error")),
         *((name, c_void_p) for name in ("known_columns", "regulated_columns")),
         *((name, c_void_p) for name in ("before", "lower", "upper")),
-        *((name, c_void_p) for name in ("X", "minus_K_w", "generator", "judged")),
+        *((name, c_void_p) for name in ("X", "minus_K_w", "generator", "checked")),
         *((name, c_void_p) for name in ("memory", "work")),
     )
 
 
 class CompensatorStep:
-    """The step of a compensator; it declines where an estimate is to be judged.
+    """The step of a compensator; it declines where an estimate is to be checked.
 
     Attributes
     ----------
@@ -68,8 +68,8 @@ class CompensatorStep:
         What changes, and is the output, with ``is_active``.
     X, minus_K_w, generator : Matrix
         Shapes (n_w, known), (n_u, n_w), (n_w, n_w + regulated + n_u), at the present theta.
-    judged : Matrix, shape (2, P)
-        The estimates that were judged last, and their standard errors.
+    checked : Matrix, shape (2, P)
+        The estimates that were checked last, and their standard errors.
     """
 
     def __init__(self, constants: CompensatorConstants) -> None:
@@ -84,14 +84,14 @@ class CompensatorStep:
         self.X = np.zeros((n_w, n_known))
         self.minus_K_w = np.zeros((n_u, n_w))
         self.generator = np.zeros((n_w, driving))
-        self.judged = np.full((2, parameters), NAN)
+        self.checked = np.full((2, parameters), NAN)
         memory = np.zeros(n_u + n_w + 1 + parameters)
         self.u = memory[:n_u]
         self.w = memory[n_u : n_u + n_w]
         self._active = memory[n_u + n_w : n_u + n_w + 1]
         self.theta = memory[n_u + n_w + 1 :]
         work = np.zeros(n_known + n_w + n_u + driving)
-        gains = (self.X, self.minus_K_w, self.generator, self.judged)
+        gains = (self.X, self.minus_K_w, self.generator, self.checked)
         state = _CompensatorStruct(
             n_u,
             n_w,

@@ -108,7 +108,7 @@ static inline int32_t corrected_outputs(Component *c, const double *u, double *y
 RARE static int32_t save_state(const Component *c)
 {
     const int status = ((get_state_function)c->get_state->function)(c->fmu->instance, c->fmu_state);
-    return cosim_fmu_judge(c->fmu, c->get_state, status);
+    return cosim_fmu_check(c->fmu, c->get_state, status);
 }
 
 /* Leave what a failed call, or a value that does not fit its type, ended before do_step. */

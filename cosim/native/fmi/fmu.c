@@ -28,7 +28,7 @@ void cosim_fmu_record_warning(const cosim_fmu *fmu, cosim_fmu_call *call)
     call->has_message = cosim_messages_last(fmu->messages, &call->message);
 }
 
-int32_t cosim_fmu_judge_other(cosim_fmu *fmu, cosim_fmu_call *call, int32_t status)
+int32_t cosim_fmu_check_other(cosim_fmu *fmu, cosim_fmu_call *call, int32_t status)
 {
     if (status == COSIM_FMI_WARNING) {
         cosim_fmu_record_warning(fmu, call);
@@ -167,7 +167,7 @@ static int32_t access(cosim_fmu *fmu, cosim_fmu_call *call, const cosim_fmu_grou
     else
         status = ((cosim_fmu_values_2)call->function)(fmu->instance, group->references,
                                                       group->count, values);
-    return cosim_fmu_judge(fmu, call, status);
+    return cosim_fmu_check(fmu, call, status);
 }
 
 int32_t cosim_fmu_set_any(cosim_fmu *fmu, const cosim_fmu_variables *variables,
@@ -215,7 +215,7 @@ int32_t cosim_fmu_directional_derivative(cosim_fmu *fmu, const cosim_fmu_directi
     else
         status = ((directional_2)d->call->function)(fmu->instance, d->unknowns, d->n_unknowns,
                                                     d->knowns, d->n_knowns, seed, result);
-    return cosim_fmu_judge(fmu, d->call, status);
+    return cosim_fmu_check(fmu, d->call, status);
 }
 
 /* --- co-simulation --- */
@@ -232,7 +232,7 @@ int32_t cosim_fmu_set_slopes(cosim_fmu *fmu, const cosim_fmu_slopes *slopes, con
     else
         status = ((slopes_2)slopes->call->function)(fmu->instance, slopes->references,
                                                     slopes->count, slopes->orders, slopes->values);
-    const int32_t result = cosim_fmu_judge(fmu, slopes->call, status);
+    const int32_t result = cosim_fmu_check(fmu, slopes->call, status);
     if (result == COSIM_OK && slopes->interpolation)
         slopes->interpolation->size = slopes->size; /* not 0: switched on for one step */
     return result;
@@ -268,7 +268,7 @@ int32_t cosim_fmu_do_step_3(cosim_fmu *fmu, cosim_fmu_step *step, double t, doub
     return COSIM_OK;
 }
 
-int32_t cosim_fmu_judge_step(cosim_fmu *fmu, cosim_fmu_step *step)
+int32_t cosim_fmu_check_step(cosim_fmu *fmu, cosim_fmu_step *step)
 {
     if (step->status != COSIM_FMI_WARNING)
         return COSIM_DECLINED;

@@ -13,7 +13,7 @@
 
 /* Statuses beside those of cosim.h. */
 #define COSIM_DECLINED 20    /* nothing was called: it is left to the methods in Python */
-#define COSIM_CALL_FAILED 21 /* `failed` and `status` of the FMU tell which call, and how */
+#define COSIM_CALL_FAILED 21 /* `failed` and `status` of the FMU say which call, and how */
 
 /* Statuses of FMI that a call may return. */
 #define COSIM_FMI_OK 0
@@ -84,11 +84,11 @@ static inline bool cosim_fmu_is_open(const cosim_fmu *fmu)
 /* Remember the first warning of a function. */
 void cosim_fmu_record_warning(const cosim_fmu *fmu, cosim_fmu_call *call);
 
-/* Judge what a call returned: COSIM_OK for ok and warning, else COSIM_CALL_FAILED. */
-int32_t cosim_fmu_judge_other(cosim_fmu *fmu, cosim_fmu_call *call, int32_t status);
-static inline int32_t cosim_fmu_judge(cosim_fmu *fmu, cosim_fmu_call *call, int32_t status)
+/* Check what a call returned: COSIM_OK for ok and warning, else COSIM_CALL_FAILED. */
+int32_t cosim_fmu_check_other(cosim_fmu *fmu, cosim_fmu_call *call, int32_t status);
+static inline int32_t cosim_fmu_check(cosim_fmu *fmu, cosim_fmu_call *call, int32_t status)
 {
-    return status == COSIM_FMI_OK ? 0 : cosim_fmu_judge_other(fmu, call, status);
+    return status == COSIM_FMI_OK ? 0 : cosim_fmu_check_other(fmu, call, status);
 }
 
 typedef int (*cosim_fmu_values_2)(void *instance, const uint32_t *references, size_t n,
@@ -122,7 +122,7 @@ static inline int32_t cosim_fmu_set_direct(cosim_fmu *fmu, int32_t version,
     double *values = (double *)vector + variables->first;
     const int status = cosim_fmu_access(fmu, version, variables->set, variables, values);
     return status == COSIM_FMI_OK ? 0
-                                  : cosim_fmu_judge_other(fmu, variables->groups->set, status);
+                                  : cosim_fmu_check_other(fmu, variables->groups->set, status);
 }
 
 static inline int32_t cosim_fmu_get_direct(cosim_fmu *fmu, int32_t version,
@@ -131,7 +131,7 @@ static inline int32_t cosim_fmu_get_direct(cosim_fmu *fmu, int32_t version,
     double *values = vector + variables->first;
     const int status = cosim_fmu_access(fmu, version, variables->get, variables, values);
     return status == COSIM_FMI_OK ? 0
-                                  : cosim_fmu_judge_other(fmu, variables->groups->get, status);
+                                  : cosim_fmu_check_other(fmu, variables->groups->get, status);
 }
 
 static inline int32_t cosim_fmu_set(cosim_fmu *fmu, const cosim_fmu_variables *variables,
@@ -190,8 +190,8 @@ typedef int (*cosim_fmu_do_step_1)(void *instance, double t, double h, signed ch
 typedef int (*cosim_fmu_do_step_2)(void *instance, double t, double h, int no_way_back);
 /* That of FMI 3.0: COSIM_OK or COSIM_DECLINED. */
 int32_t cosim_fmu_do_step_3(cosim_fmu *fmu, cosim_fmu_step *step, double t, double h);
-/* Judge another status than ok: COSIM_OK for a warning, else COSIM_DECLINED. */
-int32_t cosim_fmu_judge_step(cosim_fmu *fmu, cosim_fmu_step *step);
+/* Check another status than ok: COSIM_OK for a warning, else COSIM_DECLINED. */
+int32_t cosim_fmu_check_step(cosim_fmu *fmu, cosim_fmu_step *step);
 
 /* Call it; COSIM_DECLINED: it ended in another way than with a completed step, and what is to be
  * found out about that is left to the methods in Python. */
@@ -206,7 +206,7 @@ static inline int32_t cosim_fmu_do_step(cosim_fmu *fmu, int32_t version, cosim_f
         step->status = ((cosim_fmu_do_step_1)step->function)(fmu->instance, t, h, 1);
     else if (cosim_fmu_do_step_3(fmu, step, t, h) != 0)
         return COSIM_DECLINED;
-    return step->status == COSIM_FMI_OK ? 0 : cosim_fmu_judge_step(fmu, step);
+    return step->status == COSIM_FMI_OK ? 0 : cosim_fmu_check_step(fmu, step);
 }
 /* Until when inputs with slopes followed them in a step that was completed [s], infinity: to its
  * end, -infinity: not at all; ends the interpolation of FMI 3.0. */

@@ -28,35 +28,35 @@ typedef int (*with_number)(void *, double);
 typedef int (*with_values)(void *, const double *, size_t);
 typedef int (*for_values)(void *, double *, size_t);
 
-static int32_t judge(Model *s, cosim_fmu_call *call, int status)
+static int32_t check(Model *s, cosim_fmu_call *call, int status)
 {
-    const int32_t judged = cosim_fmu_judge(s->fmu, call, status);
-    return judged == COSIM_OK ? COSIM_OK : fail(s, COSIM_FAILED_CALL);
+    const int32_t checked = cosim_fmu_check(s->fmu, call, status);
+    return checked == COSIM_OK ? COSIM_OK : fail(s, COSIM_FAILED_CALL);
 }
 
 static int32_t change_mode(Model *s, cosim_fmu_call *call)
 {
     if (!call) /* FMI 1.0 has no modes */
         return COSIM_OK;
-    return judge(s, call, ((no_arguments)call->function)(s->fmu->instance));
+    return check(s, call, ((no_arguments)call->function)(s->fmu->instance));
 }
 
 static int32_t set_time(Model *s, double t)
 {
     s->fmu->messages->now = t;
-    return judge(s, s->set_time, ((with_number)s->set_time->function)(s->fmu->instance, t));
+    return check(s, s->set_time, ((with_number)s->set_time->function)(s->fmu->instance, t));
 }
 
 static int32_t set_states(Model *s, const double *x)
 {
     cosim_fmu_call *call = s->set_states;
     const with_values function = (with_values)call->function;
-    return judge(s, call, function(s->fmu->instance, x, (size_t)s->n_x));
+    return check(s, call, function(s->fmu->instance, x, (size_t)s->n_x));
 }
 
 static int32_t get_values(Model *s, cosim_fmu_call *call, double *values, int32_t n)
 {
-    return judge(s, call, ((for_values)call->function)(s->fmu->instance, values, (size_t)n));
+    return check(s, call, ((for_values)call->function)(s->fmu->instance, values, (size_t)n));
 }
 
 static int32_t get_indicators(Model *s, double *z)
@@ -109,10 +109,10 @@ static int32_t complete_step(Model *s)
         s->due |= event ? COSIM_STEP_EVENT : 0;
         s->ended = end;
     }
-    return judge(s, call, status);
+    return check(s, call, status);
 }
 
-/* What an update of the discrete states may tell. */
+/* What an update of the discrete states may return. */
 typedef struct {
     bool again, end, nominals_changed;
     double next_event; /* infinity: none is announced */
@@ -128,7 +128,7 @@ static int32_t update_1(Model *s, Discrete *found)
     const int status = ((update)s->update->function)(s->fmu->instance, 0, &info);
     *found = (Discrete){!info.converged, info.end, info.references_changed,
                         info.has_next ? info.next : INFINITY};
-    return judge(s, s->update, status);
+    return check(s, s->update, status);
 }
 
 static int32_t update_2(Model *s, Discrete *found)
@@ -140,7 +140,7 @@ static int32_t update_2(Model *s, Discrete *found)
     const int status = ((int (*)(void *, void *))s->update->function)(s->fmu->instance, &info);
     *found = (Discrete){info.again, info.end, info.nominals_changed,
                         info.has_next ? info.next : INFINITY};
-    return judge(s, s->update, status);
+    return check(s, s->update, status);
 }
 
 static int32_t update_3(Model *s, Discrete *found)
@@ -154,7 +154,7 @@ static int32_t update_3(Model *s, Discrete *found)
                                       &found->nominals_changed, &values_changed, &has_next, &next);
     if (has_next)
         found->next_event = next;
-    return judge(s, s->update, status);
+    return check(s, s->update, status);
 }
 
 /* Iterate the discrete states until the FMU needs no further update. */
@@ -438,7 +438,7 @@ static int32_t handle_event(Model *s, const double *u)
     int32_t status = change_mode(s, s->enter_event_mode);
     if (status != COSIM_OK)
         return status;
-    keep_inputs(s, u); /* also where they cannot be set, so that the caller can tell */
+    keep_inputs(s, u); /* also where they cannot be set, so that the caller can see it */
     status = set_variables(s, &s->input_variables, u);
     if (status == COSIM_OK)
         status = iterate(s, &found);
@@ -608,7 +608,7 @@ static int32_t outputs_after_event(Model *s, const double *u, double *y)
     memcpy(z, s->indicators, (size_t)s->n_z * sizeof *z);
     memcpy(inputs, s->inputs, (size_t)s->n_u * sizeof *inputs);
     copies_state copy = (copies_state)s->get_state->function;
-    int32_t status = judge(s, s->get_state, copy(instance, s->fmu_state));
+    int32_t status = check(s, s->get_state, copy(instance, s->fmu_state));
     if (status == COSIM_OK)
         status = handle_event(s, u);
     if (status == COSIM_OK)
@@ -616,7 +616,7 @@ static int32_t outputs_after_event(Model *s, const double *u, double *y)
     if (status != COSIM_OK || s->ended)
         return status;
     sets_state set = (sets_state)s->set_state->function;
-    status = judge(s, s->set_state, set(instance, *s->fmu_state));
+    status = check(s, s->set_state, set(instance, *s->fmu_state));
     memcpy(s->x, x, (size_t)s->n_x * sizeof *x);
     memcpy(s->indicators, z, (size_t)s->n_z * sizeof *z);
     memcpy(s->inputs, inputs, (size_t)s->n_u * sizeof *inputs);

@@ -1,8 +1,8 @@
 /* A loaded FMU for model exchange with an explicit Runge-Kutta method, in compiled steps.
  *
- * What happens in a communication step is told and done in integrator.py; this is the same, call
- * for call and bit for bit. What is declined stands here as far as it was done, and the caller goes
- * on from there: what fails, the end of the run, changed nominal values, a first FMU state. */
+ * What happens in a communication step is described and done in integrator.py; this is the same,
+ * call for call and bit for bit. What is declined stands here as far as it was done, and the caller
+ * goes on from there: what fails, the end of the run, changed nominal values, a first FMU state. */
 #ifndef COSIM_MODEL_EXCHANGE_H
 #define COSIM_MODEL_EXCHANGE_H
 
