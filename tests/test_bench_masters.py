@@ -6,6 +6,7 @@ import sys
 
 import pytest
 
+from tests.bench.bench_masters import arguments
 from tests.bench.masters.cases import FLOOR, FmuCase
 from tests.bench.masters.core_cases import LagsCase
 from tests.bench.masters.environments import Command, Unavailable, run
@@ -67,3 +68,19 @@ def test_a_master_that_fails_is_reported_with_its_last_line():
     program = "import sys; sys.exit('a trace\\nnot today')"
     with pytest.raises(Unavailable, match=r"^not today$"):
         run(Command((sys.executable, "-c", program)))
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        (["--peers", "cosim,simulink"], "--peers: found 'simulink'; there is: cosim, ecos"),
+        (["--cases", "ring-9"], "--cases: found 'ring-9', which is in no name; there is: ring-3"),
+        (["--rounds", "0"], "argument --rounds: found 0; needed a whole number from 1 on"),
+        (["--steps", "10"], "argument --steps: found 10; needed at least 1000"),
+    ],
+)
+def test_what_the_benchmark_cannot_measure_is_refused(options, text, capsys):
+    """An empty table would look as if there were nothing to say."""
+    with pytest.raises(SystemExit):
+        arguments(options)
+    assert text in capsys.readouterr().err

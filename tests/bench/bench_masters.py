@@ -180,17 +180,52 @@ def not_measured(pairings: Iterable[Pairing]) -> Table:
     return shown
 
 
-def arguments() -> argparse.Namespace:
+def arguments(given: Sequence[str] | None = None) -> argparse.Namespace:
     """Return the options."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--steps", type=int, default=STEPS, help="of the longer of two runs")
-    parser.add_argument("--rounds", type=int, default=ROUNDS, help="pairs of cosim and C")
-    parser.add_argument("--peer-rounds", type=int, default=None, help="pairs of others and C")
+    names = [case.name for case in cases()]
+    parser = argparse.ArgumentParser(
+        description=__doc__.splitlines()[0] if __doc__ else None,
+        epilog=f"contenders: {', '.join(CONTENDERS)}; cases: {', '.join(names)}",
+        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+    )
+    parser.add_argument("--steps", type=_steps, default=STEPS, help="of the longer of two runs")
+    parser.add_argument("--rounds", type=_positive, default=ROUNDS, help="pairs of cosim and C")
+    parser.add_argument(
+        "--peer-rounds",
+        type=_positive,
+        default=PEER_ROUNDS,
+        help="pairs of others and C, no more than those of cosim",
+    )
     parser.add_argument("--seconds", type=float, default=SECONDS, help="of a slow master's run")
-    parser.add_argument("--seed", type=int, default=SEED)
+    parser.add_argument("--seed", type=int, default=SEED, help="of the order of the pairs")
     parser.add_argument("--peers", default=",".join(CONTENDERS), help="contenders, with commas")
     parser.add_argument("--cases", default="", help="parts of names of cases, with commas")
-    return parser.parse_args()
+    options = parser.parse_args(given)
+    options.peers = options.peers.split(",")
+    for name in options.peers:
+        if name not in CONTENDERS:
+            parser.error(f"--peers: found {name!r}; there is: {', '.join(CONTENDERS)}")
+    options.cases = options.cases.split(",")
+    for part in options.cases:
+        if not any(part in name for name in names):
+            parser.error(
+                f"--cases: found {part!r}, which is in no name; there is: {', '.join(names)}"
+            )
+    return options
+
+
+def _positive(text: str) -> int:
+    number = int(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"found {number}; needed a whole number from 1 on")
+    return number
+
+
+def _steps(text: str) -> int:
+    number = int(text)
+    if number < FEWEST:
+        raise argparse.ArgumentTypeError(f"found {number}; needed at least {FEWEST}")
+    return number
 
 
 def pairings_of(selected: Iterable[Case], contenders: list[str]) -> list[Pairing]:
@@ -205,7 +240,7 @@ def pairings_of(selected: Iterable[Case], contenders: list[str]) -> list[Pairing
 
 def measure(pairings: Sequence[Pairing], options: argparse.Namespace, console: Console) -> None:
     """Measure all pairings, the rounds of each in turn with those of the others."""
-    peer_rounds = options.peer_rounds or min(PEER_ROUNDS, options.rounds)
+    peer_rounds = min(options.peer_rounds, options.rounds)
     for pairing in pairings:
         console.print(f"calibrating {pairing.case.name}: {pairing.contender}", style="dim")
         pairing.calibrate(options.steps, options.seconds)
@@ -223,12 +258,11 @@ def main() -> None:
     random.seed(options.seed)
     if sys.platform == "linux":  # the processes inherit it
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
-    parts = options.cases.split(",")
-    selected = [case for case in cases() if any(part in case.name for part in parts)]
+    selected = [case for case in cases() if any(part in case.name for part in options.cases)]
     with tempfile.TemporaryDirectory() as folder:
         for case in selected:
             case.build(Path(folder))
-        pairings = pairings_of(selected, options.peers.split(","))
+        pairings = pairings_of(selected, options.peers)
         measure(pairings, options, Console(stderr=True))
     console = Console(width=None if sys.stdout.isatty() else WIDTH)
     console.print(table(pairings))
