@@ -18,6 +18,7 @@ end of every step until it is released.
 from __future__ import annotations
 
 from ctypes import addressof, c_char
+from numbers import Integral
 from threading import get_ident
 from typing import Any, Final, final
 
@@ -150,8 +151,10 @@ class Simulation:
             Where the graph cannot go on, or a component asks for the end; what was completed before
             is recorded, and the simulation has ended there.
         """
-        if type(count) is not int or count < 1:
-            raise UsageError(f"step: found {kind_of(count)} steps; needed a whole number from 1 on")
+        if type(count) is not int:
+            count = _whole(count)
+        if count < 1:
+            raise UsageError(f"step: found {count} steps; needed a whole number from 1 on")
         self._check_ready("step")
         if count > self._clock.steps - self.index:
             self._refuse("step", f"{steps_text(count)}")
@@ -524,3 +527,16 @@ class Simulation:
         if self._is_recorded:
             raise UsageError("reset: a recorder takes one run; needed another simulation")
         self._begin()
+
+
+def _whole(count: object) -> int:
+    """Return a number of steps that is no ``int``, such as one of numpy.
+
+    Raises
+    ------
+    UsageError
+        If it is no whole number.
+    """
+    if isinstance(count, bool) or not isinstance(count, Integral):
+        raise UsageError(f"step: found {kind_of(count)} steps; needed a whole number from 1 on")
+    return int(count)

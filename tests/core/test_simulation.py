@@ -165,10 +165,15 @@ def test_a_step_beyond_the_end_is_refused():
         simulation.step()
 
 
-@pytest.mark.parametrize("count", [0, -1, 1.0, True, "2"])
+@pytest.mark.parametrize("count", [0, -1, 1.0, True, "2", np.int64(0), np.float64(1.0), np.True_])
 def test_a_number_of_steps_is_a_positive_integer(count):
     with pytest.raises(UsageError, match=r"step: found .* steps; needed a whole number from 1 on"):
         Simulation(chain(), clock()).step(count)
+
+
+def test_a_number_of_steps_may_be_one_of_numpy():
+    """As it comes of a computation with arrays."""
+    assert Simulation(chain(), clock()).step(np.int64(3)).steps == 3
 
 
 @pytest.mark.parametrize("size", [1, 10])
