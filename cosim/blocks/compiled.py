@@ -12,9 +12,10 @@ and writes the outputs at ``t1``; an input with a zero-order hold is the same in
 ``u``, and changes nothing. The whole state is in ``memory``. Both return 0, or the number of an
 error, which ends the run; a step that returns one must not have changed the memory.
 
-In numba, ``@cfunc("int32(float64*, float64, float64, float64, float64*, float64*, float64*)")``
-makes a step; ``numba.carray`` makes arrays of the pointers, and ``.address`` is what is needed
-here.
+In numba, with ``p = "CPointer(float64)"``, a step is made by
+``@cfunc(f"int32({p}, float64, float64, float64, {p}, {p}, {p})")``, and the outputs by
+``@cfunc(f"int32({p}, float64, {p}, {p})")``. ``numba.carray`` makes arrays of the pointers, and
+``.address`` is what is needed here.
 """
 
 from __future__ import annotations

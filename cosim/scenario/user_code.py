@@ -368,7 +368,8 @@ def _class_in(module: ModuleType, name: str) -> type:
 def in_words(error: BaseException) -> str:
     """Return what an error of a user's code says, and where it was raised."""
     name = type(error).__name__
-    if isinstance(error, SyntaxError):
+    # What is compiled from a string has no file; whoever compiled it has one.
+    if isinstance(error, SyntaxError) and not str(error.filename).startswith("<"):
         return f"{name}: {error.msg} ({error.filename}, line {error.lineno})"
     text = f"{name}: {error}" if str(error) else name
     last = traceback.extract_tb(error.__traceback__)[-1]

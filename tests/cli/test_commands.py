@@ -111,7 +111,7 @@ def test_an_existing_log_is_refused_with_exit_2(call):
 
 
 def test_a_failed_run_is_exit_1_and_leaves_a_valid_log(call, tmp_path):
-    """A value that is not finite ends the run; the log keeps everything before and says so."""
+    """A value that is not finite ends the run; everything before is kept and says so."""
     (tmp_path / "bad.toml").write_text(
         '[scenario]\nname = "bad"\nstop = 1.0\nstep = 0.01\n'
         '[components.u]\nkind = "expression"\ny = "log(0.5 - t)"\n'
@@ -119,7 +119,7 @@ def test_a_failed_run_is_exit_1_and_leaves_a_valid_log(call, tmp_path):
     code, _, err = call("run", "bad.toml", "--out", "bad.mcap")
     assert code == 1
     assert err == (
-        "cosim: 'u.y' became -inf at t = 0.5 s; the log keeps everything before\n"
+        "cosim: 'u.y' became -inf at t = 0.5 s; everything before is kept\n"
         "cosim: bad.mcap has the run up to t = 0.49 s\n"
     )
     code, out, _ = call("info", "bad.mcap", "--json")

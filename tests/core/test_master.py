@@ -165,7 +165,7 @@ def test_a_loop_stops_with_everything_before(block, coupling):
 def test_a_value_that_is_not_finite_stops_the_run(value, block):
     """It is named where it arose, not where it was seen first; everything before is recorded."""
     components = {"behind": times(2.0), "x": script(value, 5), "b": integrator()}
-    text = rf"^'x\.y' became {value} at t = 0\.5 s; the log keeps everything before$"
+    text = rf"^'x\.y' became {value} at t = 0\.5 s; everything before is kept$"
     memory = attempt(
         components, {"behind.u": "x.y", "b.u": "x.y"}, NonFiniteError, block=block, text=text
     )

@@ -450,7 +450,7 @@ def test_a_non_finite_value_stops_the_run_and_keeps_what_was_before(tmp_path):
         '[components.y]\nkind = "gain"\nK = 2.0\n[connections]\n"y.u" = "u.y"\n'
     )
     with pytest.raises(
-        NonFiniteError, match=r"'u\.y' became inf at t = 0\.5 s; the log keeps everything before"
+        NonFiniteError, match=r"'u\.y' became inf at t = 0\.5 s; everything before is kept"
     ):
         cosim.run(scenario, out=tmp_path / "mine.mcap")
     log = open_log(tmp_path / "mine.mcap")

@@ -366,6 +366,15 @@ def test_an_import_error_carries_its_traceback(tmp_path):
     assert "ratio" in functions_of(cause(error.value, ZeroDivisionError))
 
 
+def test_a_syntax_error_of_a_string_has_the_line_that_compiles_it(tmp_path):
+    """As of an annotation; the string itself is in no file."""
+    write(tmp_path, own="x = 1\neval('int32(float64*)')\n")
+    with pytest.raises(ScenarioError) as error:
+        cosim.run(one(tmp_path))
+    assert "SyntaxError: invalid syntax (<string>, line 1)" in str(error.value)
+    assert str(error.value).endswith(f"({tmp_path}/own.py, line 2)")
+
+
 def test_a_constructor_that_raises_is_named_with_its_line(tmp_path):
     own_module(tmp_path, constructor='raise ValueError("width: found -1")')
     with pytest.raises(ScenarioError) as error:
@@ -440,7 +449,7 @@ def test_a_value_that_is_not_finite_is_named_at_its_time(tmp_path):
     own_module(tmp_path, advance="return np.where(t[1:, np.newaxis] > 0.6, np.nan, u[1:])")
     with pytest.raises(NonFiniteError) as error:
         cosim.run(one(tmp_path))
-    assert str(error.value) == ("'own.y' became nan at t = 0.75 s; the log keeps everything before")
+    assert str(error.value) == ("'own.y' became nan at t = 0.75 s; everything before is kept")
 
 
 @pytest.mark.parametrize(

@@ -33,7 +33,7 @@ class NonFinite:
     def error(self, t: float) -> NonFiniteError:
         """Return the error that names it, at time ``t`` [s]."""
         return NonFiniteError(
-            f"{self.label!r} became {self.value} at t = {t} s; the log keeps everything before"
+            f"{self.label!r} became {self.value} at t = {t} s; everything before is kept"
         )
 
 
