@@ -34,6 +34,7 @@ class MessageRecorder:
         self._recorder = recorder
         self._experiment = experiment
         self._reached_ns = experiment.clock.start_ns
+        self._ahead: dict[str, list[Message]] = {}  # by FMU, of instants that are not reached yet
         self._last: Vector | None = None
         self._assessor = Assessor(experiment.graph, experiment.identified)
 
@@ -73,8 +74,12 @@ class MessageRecorder:
         return error
 
     def _conclude(self, error: BaseException | None) -> None:
-        """Record what is known at the end: last messages, the error, the last row."""
-        self._record_messages()
+        """Record what is known at the end: last messages, the error, the last row.
+
+        Where the run ended early, FMUs may be ahead of its end: of them there are the messages up
+        to the end of the step that was not completed.
+        """
+        self._record_messages(self._reached_ns + self._experiment.clock.step_ns)
         if error is not None:
             self._recorder.message(self._reached_ns, _level(error), "run", error_text(error))
         if self._last is not None:
@@ -97,7 +102,7 @@ class MessageRecorder:
         for name, text in self._experiment.warnings:
             self._recorder.message(self._reached_ns, "warning", name, text)
         for name, messages in self._experiment.messages.items():
-            self._record(name, messages)
+            self._record(name, messages, self._reached_ns)
 
     def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
         """Pass on."""
@@ -115,8 +120,9 @@ class MessageRecorder:
         """Record the messages of the block, and pass it on."""
         if self._last is None:
             self._record_initial_states(signals[0])
-        self._record_messages()
-        self._reached_ns = int(block.time_ns[-1])
+        end_ns = int(block.time_ns[-1])
+        self._record_messages(end_ns)
+        self._reached_ns = end_ns
         self._recorder.write(block, signals)
         self._last = signals[-1].copy()
         self._assessor.take(block, signals)
@@ -132,17 +138,27 @@ class MessageRecorder:
         if plain:
             self._recorder.result({INITIAL_STATES: plain})
 
-    def _record_messages(self) -> None:
-        """Record the new messages of all FMUs."""
+    def _record_messages(self, until_ns: int) -> None:
+        """Record the new messages of all FMUs, and those that have waited for their instants."""
         for name, fmu in self._experiment.fmus.items():
-            self._record(name, fmu.drain())
+            self._record(name, [*self._ahead.pop(name, []), *fmu.drain()], until_ns)
 
-    def _record(self, name: str, messages: Sequence[Message]) -> None:
-        """Record messages at their own time; where there is none, at the time reached before."""
-        for time, level, category, text in messages:
+    def _record(self, name: str, messages: Sequence[Message], until_ns: int) -> None:
+        """Record messages at their own time; where there is none, at the time reached before.
+
+        Those behind ``until_ns`` wait.
+        """
+        ahead = []
+        for message in messages:
+            time, level, category, text = message
             time_ns = self._reached_ns if time is None else round(time * 1e9)
+            if time_ns > until_ns:
+                ahead.append(message)
+                continue
             labelled = f"{category}: {text}" if category else text
             self._recorder.message(time_ns, level, name, labelled)
+        if ahead:
+            self._ahead[name] = ahead
 
 
 def _start_values(experiment: Experiment) -> Iterator[tuple[str, str]]:

@@ -17,7 +17,7 @@ from cosim.report.summary import summarize
 from cosim.scenario.document import shipped
 from cosim.scenario.exporting import export_component
 from cosim.scenario.recorded_metadata import ReplayOrigin, replay_origin
-from tests.fmi import lag
+from tests.fmi import eventful, lag
 
 SHORT = {"scenario.stop": 7.0}  # past the start of the identification at 6.461 s
 
@@ -764,3 +764,34 @@ def test_what_an_fmu_says_of_its_failure_has_the_time_of_the_step_that_failed(tm
         if "out of petrol" in m.text
     ]
     assert found == [(155_000_000, "error", "lag"), (155_000_000, "error", "run")]
+
+
+def test_messages_of_a_run_that_ended_early_are_those_up_to_its_end(tmp_path):
+    """An FMU may be ahead of the component that ends the run, by as much as a block."""
+    text = f"""
+[scenario]
+name = "early"
+stop = 2.0
+step = 0.01
+
+[components]
+saw = {{ kind = "fmu", path = "{eventful.build("SAW")}", solver = "rk4", start = {{ p = 0.05 }} }}
+ramp = {{ kind = "ramp", slope = 1.0 }}
+ends = {{ kind = "look-up-table", u = [0.0, 0.5], y = [0.0, 1.0], extrapolation = "error" }}
+
+[connections]
+"ends.u" = "ramp.y"
+"saw.u" = "ramp.y"
+"saw.d" = "ramp.y"
+"""
+    path = tmp_path / "early.toml"
+    path.write_text(text)
+    found = []
+    for block in (1, 7, 200):
+        out = tmp_path / f"{block}.mcap"
+        with pytest.raises(RunError, match="'ends' stopped"):
+            cosim.run(path, out=out, block=block)
+        messages = [m for m in open_log(out).messages() if m.source == "saw"]
+        found.append([(m.time_ns, m.text) for m in messages if "time event" in m.text])
+    assert [time_ns for time_ns, _ in found[0]] == [5 * 10**7 * k for k in range(1, 11)]
+    assert found[1:] == found[:1] * 2
