@@ -487,14 +487,25 @@ class ScenarioBuildContext:
             In a replay, if its source is not that of the recorded run: what is computed would be of
             another component than the log says.
         """
-        from cosim.scenario.user_code import load_class
+        from cosim.scenario.user_code import OtherSource, load_class
 
         if self._describes:
             self.add_metadata(name, {"class": class_name, "ports": _NOT_IMPORTED})
             raise NotImported(class_name)
         folder = self._scenario.document.folder if package is None else None
+        spec = self._scenario.specs[name]
+        needed = None
+        recorded: CodeRecord | None = None
+        is_replayed = self._recording is not None and spec.code not in self._named_files
+        if self._recording is not None and is_replayed:
+            recorded = component_record(self._recording, name).code
+            needed = {} if recorded is None else recorded.sources
         try:
-            user_class = load_class(class_name, folder, distribution=package)
+            user_class = load_class(class_name, folder, distribution=package, needed=needed)
+        except OtherSource as other:
+            sources = {other.file: other.found}
+            found = CodeRecord.model_validate({"class": class_name, "sources": sources})
+            raise self._other_code(name, recorded, found) from other
         except UsageError as error:
             key = "class" if package is None else "kind"
             raise TableProblems([((key,), str(error))]) from error.__cause__
@@ -503,25 +514,16 @@ class ScenarioBuildContext:
             "sources": dict(user_class.sources),
             "distribution": user_class.distribution,
         }
-        spec = self._scenario.specs[name]
-        if self._recording is not None and spec.code not in self._named_files:
-            self._check_code(name, self._recording, CodeRecord.model_validate(code))
+        found = CodeRecord.model_validate(code)
+        if is_replayed and found != recorded:
+            raise self._other_code(name, recorded, found)
         self.add_metadata(name, {"code": code})
         return user_class
 
-    def _check_code(self, name: str, recording: Recording, found: CodeRecord) -> None:
-        """Check that code in a replay is that of the recorded run.
-
-        Raises
-        ------
-        UsageError
-            If it is not.
-        """
-        recorded = component_record(recording, name).code
-        if found == recorded:
-            return
+    def _other_code(self, name: str, recorded: CodeRecord | None, found: CodeRecord) -> UsageError:
+        """Return the error about code in a replay that is not that of the recorded run."""
         entry = option("set", f"{name}.class", found.class_name)
-        raise UsageError(
+        return UsageError(
             f"found {found.difference(recorded)}; needed the same code: {entry} takes it as it is "
             "now, for another replay than that of the log"
         )

@@ -25,6 +25,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib
+import importlib.util
 import pkgutil
 import re
 import sys
@@ -110,8 +111,28 @@ def _meant(name: str) -> str:
     return f"; did you mean {corrected!r}?"
 
 
+class OtherSource(UsageError):
+    """A file is not the one that was needed, and so it was not run.
+
+    Parameters
+    ----------
+    file : str
+    found : str
+        Its SHA-256.
+    """
+
+    def __init__(self, file: str, found: str) -> None:
+        super().__init__(f"{file} has the SHA-256 {found}")
+        self.file = file
+        self.found = found
+
+
 def load_class(
-    name: str, folder: Path | None = None, *, distribution: str | None = None
+    name: str,
+    folder: Path | None = None,
+    *,
+    distribution: str | None = None,
+    needed: Mapping[str, str] | None = None,
 ) -> UserClass:
     """Import a class.
 
@@ -123,9 +144,14 @@ def load_class(
         Where its module is looked for first.
     distribution : str, optional
         Name and version of the installed package that it is part of, where that is known.
+    needed : mapping of file name to str, optional
+        The SHA-256 of the sources; another file is not run. Of an ordinary module this is known
+        where the class is defined in it.
 
     Raises
     ------
+    OtherSource
+        If a file is none of those needed.
     UsageError
         If there is no such module, it cannot be imported or has no such class, or its file changed
         since it was imported; what was raised is the cause.
@@ -141,12 +167,15 @@ def load_class(
         importlib.invalidate_caches()  # a file may be younger than the listing of its folder
         inside = None if folder is None else _FolderFinder(folder)
         if inside is None or not inside.has(module_name):
+            if needed is not None and module_name not in sys.modules:
+                _check_ordinary(module_name, needed)
             found = _ordinary_class(name, module_name, class_name, folder)
             package = distribution or _distribution_of(module_name)
             return replace(found, distribution=package)
         key = (inside.folder, module_name)
         imported = _of_folders.get(key)
         if imported is None or not imported.is_current():
+            inside.needed = needed
             imported = _of_folders[key] = _import_from(inside, module_name)
     sources = {}
     for path, text in imported.hashes.items():
@@ -160,14 +189,20 @@ def load_class(
 class _HashingLoader(SourceFileLoader):
     """Compiles a file anew from the bytes that it hashes."""
 
-    def __init__(self, name: str, path: str, hashes: dict[Path, str]) -> None:
+    def __init__(self, name: str, path: str, finder: _FolderFinder) -> None:
         super().__init__(name, path)
-        self._hashes = hashes
+        self._finder = finder
 
     def get_code(self, fullname: str) -> CodeType:
-        """Return the code of the module."""
+        """Return the code of the module.
+
+        Raises
+        ------
+        OtherSource
+            If it is not the one that is needed.
+        """
         source = self.get_data(self.path)
-        self._hashes[Path(self.path)] = _hash(source)
+        self._finder.take(Path(self.path), _hash(source))
         code: CodeType = self.source_to_code(source, self.path)
         return code
 
@@ -180,11 +215,14 @@ class _FolderFinder(MetaPathFinder):
     folder : Path
     hashes : dict of Path to str
         The SHA-256 of every file that was imported, the first one first.
+    needed : mapping of file name to str, or None
+        What these have to be; None: anything.
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder.resolve()
         self.hashes: dict[Path, str] = {}
+        self.needed: Mapping[str, str] | None = None
         self._own: dict[str, bool] = {}  # names without a dot, and whether the folder has them
 
     def has(self, name: str) -> bool:
@@ -205,8 +243,21 @@ class _FolderFinder(MetaPathFinder):
         if spec is None or spec.origin is None:
             return spec
         if isinstance(spec.loader, SourceFileLoader):
-            spec.loader = _HashingLoader(fullname, spec.origin, self.hashes)
+            spec.loader = _HashingLoader(fullname, spec.origin, self)
         return spec
+
+    def take(self, path: Path, found: str) -> None:
+        """Note the hash of a file that is about to be run.
+
+        Raises
+        ------
+        OtherSource
+            If it is not the one that is needed.
+        """
+        file = path.relative_to(self.folder).as_posix()
+        if self.needed is not None and self.needed.get(file) != found:
+            raise OtherSource(file, found)
+        self.hashes[path] = found
 
     def owns(self, top: str) -> bool:
         """Return whether a module without a package is one of the folder's."""
@@ -276,6 +327,27 @@ def _files_without_source(finder: _FolderFinder, module: ModuleType) -> list[Pat
 # --- ordinary modules ---
 
 
+def _check_ordinary(name: str, needed: Mapping[str, str]) -> None:
+    """Refuse a module that would be run, and is another one than was needed.
+
+    Raises
+    ------
+    OtherSource
+        If it is.
+    """
+    try:
+        spec = importlib.util.find_spec(name)
+        path = Path(str(None if spec is None else spec.origin))
+        found = _hash(path.read_bytes())
+    except (ImportError, OSError):  # its import says what is wrong
+        return
+    source = Path(*name.split(".")).with_suffix(path.suffix).as_posix()
+    if path.stem == "__init__":
+        source = Path(*name.split("."), path.name).as_posix()
+    if needed.get(source, found) != found:
+        raise OtherSource(source, found)
+
+
 def _ordinary_class(name: str, module_name: str, class_name: str, folder: Path | None) -> UserClass:
     module = _imported(module_name, folder)
     loaded = _class_in(module, class_name)
@@ -328,6 +400,8 @@ def _distribution_of(module: str) -> str | None:
 def _imported(name: str, folder: Path | None) -> ModuleType:
     try:
         return importlib.import_module(name)
+    except OtherSource:
+        raise
     except ModuleNotFoundError as error:
         if error.name is None or not f"{name}.".startswith(f"{error.name}."):
             raise _not_importable(name, error) from error

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import sys
 
 import numpy as np
 import pytest
@@ -238,6 +239,40 @@ def test_a_module_beside_the_class_counts_as_its_code(folder):
     (folder / "beside.py").write_text("LEVEL = 2\n")
     with pytest.raises(ScenarioError, match=r"found beside\.py with the SHA-256"):
         cosim.replay("a.mcap", allow_code=True)
+
+
+@pytest.mark.parametrize("changed", ["relay.py", "beside.py"])
+def test_other_code_than_that_of_the_log_is_not_run(folder, changed):
+    """Its hash is compared before: to allow code is to allow that of the log."""
+    texts = {"relay.py": RELAY + "\nimport beside\n", "beside.py": "LEVEL = 1\n"}
+    for name, text in texts.items():
+        (folder / name).write_text(text)
+    cosim.run("thermostat.toml", out="a.mcap")
+    mark = "from pathlib import Path\nPath('mark').touch()\n"
+    (folder / changed).write_text(mark + texts[changed])
+    with pytest.raises(ScenarioError, match=rf"found {changed} with the SHA-256"):
+        cosim.replay("a.mcap", allow_code=True)
+    assert not (folder / "mark").exists()
+    cosim.replay("a.mcap", set={"relay.class": "relay:Relay"})
+    assert (folder / "mark").exists()
+
+
+@pytest.mark.parametrize("is_package", [False, True])
+def test_another_ordinary_module_than_that_of_the_log_is_not_run(folder, monkeypatch, is_package):
+    """Of a new process, in which it has not been imported."""
+    elsewhere = folder / "elsewhere"
+    home = elsewhere / "far_relay" if is_package else elsewhere
+    home.mkdir(parents=True)
+    file = home / ("__init__.py" if is_package else "far_relay.py")
+    file.write_text(RELAY)
+    monkeypatch.syspath_prepend(elsewhere)
+    changes = {"relay.class": "far_relay:Relay"}
+    cosim.run("thermostat.toml", set=changes, out="a.mcap")
+    del sys.modules["far_relay"]
+    file.write_text("from pathlib import Path\nPath('mark').touch()\n" + RELAY)
+    with pytest.raises(ScenarioError, match=r"found far_relay.*py with the SHA-256"):
+        cosim.replay("a.mcap", allow_code=True)
+    assert not (folder / "mark").exists()
 
 
 DESIGNED = """
