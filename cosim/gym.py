@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from numbers import Integral
 from pathlib import Path
 from typing import Any, Final, SupportsFloat, TypeAlias, cast, final
 
@@ -207,7 +208,8 @@ class Env(gymnasium.Env[NDArray[np.float64], NDArray[np.float64]]):
 
     def _check_steps(self) -> None:
         total = self._session.steps_left
-        if type(self._steps) is not int or self._steps < 1 or total % self._steps:
+        is_whole = isinstance(self._steps, Integral) and not isinstance(self._steps, bool)
+        if not is_whole or self._steps < 1 or total % self._steps:
             raise UsageError(
                 f"steps: found {self._steps!r}; needed a whole number of communication steps, of "
                 f"which the scenario, {total} steps, is a multiple"

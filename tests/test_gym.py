@@ -111,6 +111,13 @@ def test_every_episode_has_a_log_of_its_own(name, tmp_path):
         assert verification.passed, verification.problems
 
 
+def test_the_steps_of_an_action_may_be_a_number_of_numpy():
+    """As those of a session."""
+    with environment(steps=np.int64(100)) as env:
+        env.reset()
+        assert env.step(np.zeros(1))[-1] == {"t_ns": 100_000_000}
+
+
 def test_an_episode_may_be_terminated_by_its_rows():
     """It is then not truncated."""
     with environment(steps=10, terminated=lambda rows: bool(rows.time_ns[-1] == 5e7)) as env:

@@ -114,7 +114,7 @@ class Settings(TomlTable):
         "linear",
         description='inputs inside a step: "linear" interpolation, or "zero-order" hold',
     )
-    threads: Literal[1, 2] | None = Field(
+    threads: Annotated[Whole, Field(ge=1, le=2)] | None = Field(
         None,
         description="that advance branches which do not depend on each other, where that is "
         "faster: 1, or 2, also for FMUs; left out: 2 for cosim's own components",

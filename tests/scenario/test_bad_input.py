@@ -386,6 +386,14 @@ def test_units_must_agree_or_be_converted(tmp_path):
             r"set\['observer\.filter_rat'\]: components\.observer\.filter_rat: unknown key",
         ),
         (
+            {"scenario.threads": True},
+            r"set\['scenario\.threads'\]: scenario\.threads: found True; needed a whole number",
+        ),
+        (
+            {"scenario.threads": 3},
+            r"set\['scenario\.threads'\]: scenario\.threads: found 3; needed at most 2",
+        ),
+        (
             {"filter_rate": 1.0},
             r"set\['filter_rate'\]: found no dot, needed COMPONENT\.PARAMETER, such as set=",
         ),
