@@ -224,17 +224,17 @@ def test_chunks_are_written_after_a_second(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("error", "status"),
+    ("error", "status", "reason"),
     [
-        (ValueError("boom"), "failed"),
-        (KeyboardInterrupt(), "interrupted"),
-        (Interrupted("Ctrl-C"), "interrupted"),
-        (Stopped(np.empty((0, 0)), "enough", failed=False), "complete"),
-        (Stopped(np.empty((0, 0)), "burst"), "failed"),
+        (ValueError("boom"), "failed", "ValueError: boom"),
+        (KeyboardInterrupt(), "interrupted", "interrupted by the user"),
+        (Interrupted("Ctrl-C"), "interrupted", "Ctrl-C"),
+        (Stopped(np.empty((0, 0)), "enough", failed=False), "complete", "enough"),
+        (Stopped(np.empty((0, 0)), "burst"), "failed", "burst"),
     ],
 )
-def test_an_error_in_the_run_leaves_a_whole_file(tmp_path, error, status):
-    """Everything written so far is there, with the stop reason."""
+def test_an_error_in_the_run_leaves_a_whole_file(tmp_path, error, status, reason):
+    """Everything written so far is there, with the stop reason; of a foreign error its type too."""
     rows = table(layout(), 100)
 
     def fail():
@@ -248,7 +248,7 @@ def test_an_error_in_the_run_leaves_a_whole_file(tmp_path, error, status):
         fail()
     log = open_log(tmp_path / "a.mcap")
     assert log.status == status
-    assert log.results["reason"] == (str(error) or "interrupted by the user")
+    assert log.results["reason"] == reason
     assert log.results["steps"] == 50
     assert log.results["end_ns"] == 50 * STEP_NS
     assert same_bits(log.rows("plant"), rows[:51, :5])
