@@ -42,7 +42,8 @@ def installed_classes() -> Mapping[str, list[InstalledClass]]:
         about = "an unknown package"
         if point.dist is not None:
             about = f"{point.dist.name} {point.dist.version}"
-        found = InstalledClass(point.name, f"{point.module}:{point.attr}", about)
+        class_name = f"{point.module}:{point.attr}" if point.attr else point.value
+        found = InstalledClass(point.name, class_name, about)
         classes.setdefault(point.name, []).append(found)
     return dict(sorted(classes.items()))
 
@@ -74,6 +75,8 @@ def refusal(entry: InstalledClass, shipped: Collection[str]) -> str:
     """Return why an entry point makes no kind; empty: it does."""
     if entry.kind in shipped:
         return f"refused: {entry.kind!r} is a kind of cosim; needed another name"
+    if ":" not in entry.class_name:
+        return f"refused: found {entry.class_name!r}; needed 'package.module:Class'"
     if len(installed_classes()[entry.kind]) > 1:
         return f"refused: {entry.kind!r} is declared more than once; needed one"
     return ""

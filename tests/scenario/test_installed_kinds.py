@@ -1,6 +1,7 @@
 """Kinds of installed packages, by the entry points ``cosim.components``."""
 
 import json
+import re
 import sys
 
 import pytest
@@ -127,6 +128,17 @@ def test_the_name_of_a_shipped_kind_stays_with_it(site, capsys):
     assert "refused: 'gain' is a kind of cosim; needed another name" in line
     print_kind("gain", as_json=False)
     assert "relay_parts" not in capsys.readouterr().out
+
+
+def test_an_entry_point_that_names_no_class_is_refused(site, capsys):
+    """In the list, and where a scenario has its kind."""
+    install(site, "nameless", "nobody = relay_parts.thermostats")
+    print_catalog(as_json=False)
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if "nameless 1.0" in line]
+    text = "found 'relay_parts.thermostats'; needed 'package.module:Class'"
+    assert f"refused: {text}" in line
+    with pytest.raises(ScenarioError, match=re.escape(text)):
+        cosim.run("thermostat.toml", set={"relay": {"kind": "nobody"}})
 
 
 def test_a_kind_that_two_packages_declare_is_refused(site, capsys):
