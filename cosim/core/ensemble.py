@@ -119,11 +119,15 @@ class _MemberRun:
             return error
         return None
 
+    # What is not finite is named by the check; numpy's warnings would say it without a name.
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def _advance(self, stages: Sequence[Advancing], block: Block, rows: Matrix) -> int:
         """Advance a block, and add up its rows; return how many steps it has."""
         end = block.steps
         error: RunError | None = None
         for stage in stages:
+            if not end:
+                break
             try:
                 stage.advance(block.part(0, end), rows[: end + 1])
             except Cut as cut:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import numpy as np
 import pytest
 
@@ -83,6 +85,34 @@ def test_a_member_that_ends_before_its_end_ends_alone():
     assert found.steps.tolist() == [1, 2, 3]
     assert found.last[:, 0].tolist() == [1.0, 2.0, 3.0]
     assert found.sums[:, 0].tolist() == [1.0, 3.0, 6.0]
+
+
+class Tenfold(Scripted):
+    """Ten times the script in numpy, which may overflow."""
+
+    def advance(self, t, h, u):
+        return super().advance(t, h, u) * 10.0
+
+
+@pytest.mark.parametrize(
+    "end", [Stopped(np.empty((0, 1)), "enough", failed=False), 1e308], ids=["stop", "overflow"]
+)
+def test_the_error_is_that_of_a_run_of_its_own(end):
+    """Where the first component ends with a block, the next one is asked for no step."""
+    for k in (1, 5, 6):
+        script = [*np.zeros(k), end, *np.zeros(500)]
+
+        def graph(values=script):
+            return Graph(
+                {"a": Tenfold(values), "b": Scripted(np.ones(501), inputs=1)}, {"b.u0": "a.y"}
+            )
+
+        [error] = run_members(graph(), CLOCK, [{}]).errors
+        memory = Memory()
+        with suppress(NonFiniteError):
+            run(graph(), CLOCK, memory)
+        assert str(error) == memory.reason
+        assert isinstance(error, Stopped if isinstance(end, Stopped) else NonFiniteError)
 
 
 def test_what_cannot_take_a_place_is_refused():
