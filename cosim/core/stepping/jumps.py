@@ -115,6 +115,7 @@ class Jumps:
         """Take a row as that of the point that is reached, without jumps so far."""
         self.row = row
         self.left_row = row
+        self._is_evaluated = False  # what follows jumps at this point, once at least
         self.waiting.clear()
         self.clear_changes()
 
@@ -154,6 +155,8 @@ class Jumps:
         for column, element in zip(overridden.numbers, values, strict=True):
             overrides[column] = element
             self.row[column] = element
+        if overridden.follows:
+            self._let_follow(overridden)
 
     def release(self, released: OverridableInput) -> None:
         """Release an override: the connection of the input drives it again.
@@ -173,6 +176,8 @@ class Jumps:
         for column in released.numbers:
             del overrides[column]
         released.member.gather(self.row[np.newaxis], END)
+        if released.follows:
+            self._let_follow(released)
 
     @property
     def overrides(self) -> dict[str, float]:
@@ -187,13 +192,20 @@ class Jumps:
         """Note that an input jumps; the row before the jump is kept."""
         if self.row is self.left_row:
             self.row = self.left_row.copy()
-        if changed.follows:
-            self.waiting.add(changed.whole)
         if self._are_recorded:
             if changed.whole not in self.overridden_before:
                 self.overridden_before[changed.whole] = overridden_columns(changed)
             self.changes.pop(changed, None)  # the last change of an input comes last
             self.changes[changed] = cause
+
+    def _let_follow(self, changed: OverridableInput) -> None:
+        """Note that followers of an input wait, unless it is what it was before all jumps."""
+        columns = slice(changed.of_whole.start, changed.of_whole.stop)
+        is_as_before = self.row[columns].tobytes() == self.left_row[columns].tobytes()
+        if is_as_before and not self._is_evaluated:
+            self.waiting.discard(changed.whole)
+        else:
+            self.waiting.add(changed.whole)
 
     def evaluate(self, t: float, given: GivenOutputs = NOTHING_GIVEN) -> None:
         """Evaluate at ``t`` [s] what follows the inputs that have jumped.
@@ -213,6 +225,7 @@ class Jumps:
         """
         jumped = frozenset(self.waiting)
         self.waiting.clear()
+        self._is_evaluated = True
         self._right_limits.evaluate(t, self.row, jumped, given)
 
 
