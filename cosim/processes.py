@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import ctypes
 import os
 import signal
@@ -18,6 +19,7 @@ from cosim.temporary import TemporaryFolder
 # set in a child that does a command of its parent: the columns of the terminal; 0: there is none
 COMMAND_VARIABLE: Final = "COSIM_COMMAND"
 _PARENT_VARIABLE: Final = "COSIM_PARENT"  # set in a child: the process that waits for it
+_ENDED_VARIABLE: Final = "COSIM_ENDED"  # set in a child: the file that it makes at its own end
 _PR_SET_PDEATHSIG: Final = 1  # of linux/prctl.h
 _IMPORTED_FROM: Final = Path(__file__).parents[1]
 
@@ -42,12 +44,14 @@ def run_command(arguments: Sequence[str], *, columns: int | None) -> CommandResu
     Raises
     ------
     RunError
-        If the child crashes.
+        If the child crashes, or code that it runs ends it.
     """
     with TemporaryFolder("command") as folder:
+        ended = folder / "ended"
+        environment = child_environment(folder, COMMAND_VARIABLE, str(columns or 0))
         child = subprocess.Popen(
             [sys.executable, "-m", "cosim", *arguments],
-            env=child_environment(folder, COMMAND_VARIABLE, str(columns or 0)),
+            env=environment | {_ENDED_VARIABLE: str(ended)},
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -60,9 +64,15 @@ def run_command(arguments: Sequence[str], *, columns: int | None) -> CommandResu
             output, messages = child.communicate()
         finally:
             kill(child)
+        ended_itself = ended.exists()
     if child.returncode < 0:
         name = signal.Signals(-child.returncode).name
-        raise RunError(f"{messages}the process that loaded the FMUs crashes: {name}")
+        raise RunError(f"{messages}the process that loaded FMUs and classes crashes: {name}")
+    if not ended_itself:
+        raise RunError(
+            f"{messages}the process that loaded FMUs and classes was ended by one of them, with "
+            f"exit code {child.returncode}"
+        )
     return CommandResult(output, messages, child.returncode)
 
 
@@ -80,6 +90,13 @@ def child_environment(folder: Path, variable: str, value: str = "1") -> dict[str
         "PYTHONIOENCODING": "utf-8",
     }
     return os.environ | added | dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(folder))
+
+
+def note_own_end() -> None:
+    """Let this child tell its parent that it came to its end; ``exit`` of C in an FMU does not."""
+    path = os.environ.get(_ENDED_VARIABLE)
+    if path is not None:
+        atexit.register(Path(path).touch)
 
 
 def end_with_parent() -> None:

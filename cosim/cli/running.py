@@ -96,7 +96,7 @@ def run(
     dry_run: DryRunOption = False,
 ) -> None:
     """Run a scenario and record every signal to an MCAP log."""
-    from cosim.processes import COMMAND_VARIABLE, end_with_parent
+    from cosim.processes import COMMAND_VARIABLE, end_with_parent, note_own_end
     from cosim.report.tables.run import print_summary
     from cosim.scenario.execution import load
     from cosim.scenario.execution import run as run_scenario
@@ -105,6 +105,7 @@ def run(
         options = {"--set": changes, "--swap": swaps, "--map": maps}
         _dry_run_in_child(scenario, options, {"--stop": stop, "--step": step}, as_json=as_json)
     end_with_parent()
+    note_own_end()
     imported = perf_counter()
     edits = read_edits(changes, {"scenario.stop": stop, "scenario.step": step})
     swap = read_unique_pairs(swaps, "swap")

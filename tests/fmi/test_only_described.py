@@ -80,7 +80,21 @@ def test_a_dry_run_of_an_fmu_that_crashes(call, tmp_path):
     (tmp_path / "marked.toml").write_text(SCENARIO)
     code, _, err = call("run", "marked.toml", "--dry-run")
     assert code == 1
-    assert "the process that loaded the FMUs crashes: SIGSEGV" in err
+    assert "the process that loaded FMUs and classes crashes: SIGSEGV" in err
+
+
+def test_a_dry_run_of_an_fmu_that_ends_the_process(call, tmp_path):
+    """Exit code 0 of it does not say that the scenario can run."""
+    ends = tmp_path / "ends.c"
+    ends.write_text(
+        "#include <stdlib.h>\n__attribute__((constructor)) static void end(void) { exit(0); }\n"
+    )
+    compile_fmu(tmp_path / "marked.fmu", XML, "rogue2.c", ends, defines=("ROGUE=GOOD",))
+    (tmp_path / "marked.toml").write_text(SCENARIO)
+    code, _, err = call("run", "marked.toml", "--dry-run")
+    assert code == 1
+    text = "the process that loaded FMUs and classes was ended by one of them, with exit code 0"
+    assert text in err
 
 
 def test_the_child_does_it_itself(call, marked, monkeypatch):
