@@ -88,9 +88,16 @@ def record(
         with suppress(LogError):  # nothing was written
             recorded = log.recorded()
             if recorded.is_at_its_path and str(recorded.path) not in str(error):
-                error.add_note(f"{recorded.path} has the run up to t = {recorded.end_ns / 1e9} s")
+                error.add_note(f"{recorded.path} {_recorded_part(recorded)}")
         raise
     return log.recorded()
+
+
+def _recorded_part(log: Log) -> str:
+    """Return what a log has of a run that failed: nothing, if that was at its initialization."""
+    if not log.steps and not any(len(log.time_ns(name)) for name in log.channels):
+        return "has no row of the run"
+    return f"has the run up to t = {log.end_ns / 1e9} s"
 
 
 def announce_size(log: McapRecorder, steps: int, notice: Notice) -> None:
