@@ -391,6 +391,19 @@ def test_the_end_that_an_fmu_requests_comes_with_the_row_of_its_step(version):
     assert ends == [expected] * 4
 
 
+@pytest.mark.parametrize("driving", [Plain, Compiled])
+@pytest.mark.parametrize("version", [2, 3])
+def test_inputs_that_change_where_an_fmu_requests_the_end_are_no_event_any_more(version, driving):
+    """Only its end may follow, whatever the block: d changes at t = 0.49 s, where it is tired."""
+    path = eventful.build("TIRED", version)
+    options = FmuOptions(solver="rk4", start={"p": 0.485})
+    mask = np.zeros(2, np.bool_)
+    found = [run_eventful(driving, path, options, mask, size)[:3] for size in (1, 7, 10, STEPS)]
+    assert found[1:] == found[:1] * 3
+    messages, _ = found[0][2]
+    assert max(time for time, _, _ in messages) == 0.42
+
+
 @pytest.mark.parametrize("native", [False, True])
 @pytest.mark.parametrize("version", [2, 3])
 def test_an_fmu_that_requests_the_end_when_it_is_initialized_stops_the_run_there(version, native):

@@ -308,7 +308,7 @@ class ModelExchange:
                     interruption = None
                 # An event at the end of the block is left to the next advance: a loop may still
                 # correct the inputs that it happens with.
-                if completed and k < steps - 1:
+                if completed and k < steps - 1 and not self._integrator.state.ended:
                     self._integrator.handle_events(inputs[k + 1])
                 if completed:
                     y[k] = self._integrator.outputs(inputs[k + 1])
