@@ -52,7 +52,7 @@ class GrowingRows:
 
     def _take(self, steps: int) -> None:
         """Take memory for more rows, and begin it with the last one."""
-        memory = _untouched_rows(steps + 1, self._width)
+        memory = untouched_rows(steps + 1, self._width)
         if self.count:
             memory[0] = self._memory[self._end - 1]
             self._parts.append(self._memory[self._begin : self._end])
@@ -85,7 +85,7 @@ class GrowingRows:
         return whole
 
 
-def _untouched_rows(count: int, width: int) -> Matrix:
+def untouched_rows(count: int, width: int) -> Matrix:
     """Return memory for rows that are written once, one behind the other.
 
     numpy asks the system for huge pages where an array is large. On a virtual machine their first

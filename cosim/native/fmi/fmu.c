@@ -16,8 +16,6 @@ typedef int (*directional_3)(void *instance, const uint32_t *unknowns, size_t n_
 
 typedef int (*slopes_2)(void *instance, const uint32_t *references, size_t n, const int32_t *orders,
                         const double *values);
-typedef int (*step_3)(void *instance, double t, double h, bool no_way_back, bool *event_needed,
-                      bool *terminate, bool *early_return, double *last_successful_time);
 
 void cosim_fmu_record_warning(const cosim_fmu *fmu, cosim_fmu_call *call)
 {
@@ -249,23 +247,9 @@ static bool was_not_asked(const cosim_interpolation *interpolation)
     return false;
 }
 
-int32_t cosim_fmu_do_step_3(cosim_fmu *fmu, cosim_fmu_step *step, double t, double h)
+bool cosim_fmu_has_lost_slopes(const cosim_interpolation *interpolation)
 {
-    cosim_interpolation *interpolation = step->interpolation;
-    interpolation->t0 = t;
-    interpolation->h = h;
-    interpolation->last_request = -INFINITY;
-    step->status = ((step_3)step->function)(fmu->instance, t, h, !fmu->may_go_back,
-                                            step->event_needed, step->terminate,
-                                            step->early_return, step->last_successful_time);
-    if (step->status > COSIM_FMI_WARNING || step->status < COSIM_FMI_OK)
-        return COSIM_DECLINED;
-    if (*step->terminate || *step->early_return || (*step->event_needed && step->event_mode))
-        return COSIM_DECLINED;
-    const bool failed = interpolation->status > COSIM_FMI_WARNING;
-    if (interpolation->size && (failed || was_not_asked(interpolation)))
-        return COSIM_DECLINED;
-    return COSIM_OK;
+    return interpolation->status > COSIM_FMI_WARNING || was_not_asked(interpolation);
 }
 
 int32_t cosim_fmu_check_step(cosim_fmu *fmu, cosim_fmu_step *step)

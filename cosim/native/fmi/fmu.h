@@ -5,6 +5,7 @@
 #ifndef COSIM_FMU_H
 #define COSIM_FMU_H
 
+#include <math.h>
 #include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
@@ -188,8 +189,11 @@ typedef struct {
 } cosim_fmu_step;
 typedef int (*cosim_fmu_do_step_1)(void *instance, double t, double h, signed char new_step);
 typedef int (*cosim_fmu_do_step_2)(void *instance, double t, double h, int no_way_back);
-/* That of FMI 3.0: COSIM_OK or COSIM_DECLINED. */
-int32_t cosim_fmu_do_step_3(cosim_fmu *fmu, cosim_fmu_step *step, double t, double h);
+typedef int (*cosim_fmu_do_step_3)(void *instance, double t, double h, bool no_way_back,
+                                   bool *event_needed, bool *terminate, bool *early_return,
+                                   double *last_successful_time);
+/* Whether inputs with slopes failed in a step of FMI 3.0, or were never asked for. */
+bool cosim_fmu_has_lost_slopes(const cosim_interpolation *interpolation);
 /* Check another status than ok: COSIM_OK for a warning, else COSIM_DECLINED. */
 int32_t cosim_fmu_check_step(cosim_fmu *fmu, cosim_fmu_step *step);
 
@@ -204,8 +208,19 @@ static inline int32_t cosim_fmu_do_step(cosim_fmu *fmu, int32_t version, cosim_f
             ((cosim_fmu_do_step_2)step->function)(fmu->instance, t, h, !fmu->may_go_back);
     else if (version == 1)
         step->status = ((cosim_fmu_do_step_1)step->function)(fmu->instance, t, h, 1);
-    else if (cosim_fmu_do_step_3(fmu, step, t, h) != 0)
-        return COSIM_DECLINED;
+    else {
+        cosim_interpolation *interpolation = step->interpolation;
+        interpolation->t0 = t;
+        interpolation->h = h;
+        interpolation->last_request = -INFINITY;
+        step->status = ((cosim_fmu_do_step_3)step->function)(
+            fmu->instance, t, h, !fmu->may_go_back, step->event_needed, step->terminate,
+            step->early_return, step->last_successful_time);
+        if (*step->terminate || *step->early_return || (*step->event_needed && step->event_mode))
+            return COSIM_DECLINED;
+        if (interpolation->size && cosim_fmu_has_lost_slopes(interpolation))
+            return COSIM_DECLINED;
+    }
     return step->status == COSIM_FMI_OK ? 0 : cosim_fmu_check_step(fmu, step);
 }
 /* Until when inputs with slopes followed them in a step that was completed [s], infinity: to its
