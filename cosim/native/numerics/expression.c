@@ -2,10 +2,12 @@
 #include "elementary.h"
 
 #include <math.h>
+#include <stddef.h>
 
 /* The order is that of OPERATIONS in expression.py. */
 enum {
-    T, ADD, SUBTRACT, MULTIPLY, DIVIDE, POWER, MINIMUM, MAXIMUM, NEGATE,
+    T, ADD, SUBTRACT, MULTIPLY, DIVIDE, POWER, MINIMUM, MAXIMUM,
+    LESS, LESS_EQUAL, EQUAL, NOT_EQUAL, NEGATE,
     SIN, COS, TAN, ASIN, ACOS, ATAN, SINH, COSH, TANH, EXP, LOG, SQRT, ABS, SIGN, STEP,
     OPERATIONS
 };
@@ -19,7 +21,11 @@ static double binary(int32_t operation, double a, double b)
     case DIVIDE: return a / b;
     case POWER: return cosim_pow(a, b);
     case MINIMUM: return isnan(a) || a < b ? a : b; /* NaN stays NaN, so that the run stops there */
-    default: return isnan(a) || a > b ? a : b;
+    case MAXIMUM: return isnan(a) || a > b ? a : b;
+    case LESS: return isless(a, b); /* of NaN every comparison is false, also the last one */
+    case LESS_EQUAL: return islessequal(a, b);
+    case EQUAL: return a == b;
+    default: return islessgreater(a, b);
     }
 }
 
@@ -47,11 +53,18 @@ static double unary(int32_t operation, double a)
 
 double cosim_evaluate(const cosim_program *program, double t)
 {
+    return cosim_evaluate_row(program, t, NULL);
+}
+
+double cosim_evaluate_row(const cosim_program *program, double t, const double *row)
+{
     double stack[COSIM_STACK];
     int32_t top = -1;
     for (int32_t i = 0; i < program->length; ++i) {
         const int32_t code = program->code[i];
-        if (code >= OPERATIONS)
+        if (code < 0)
+            stack[++top] = row[-1 - code];
+        else if (code >= OPERATIONS)
             stack[++top] = program->constants[code - OPERATIONS];
         else if (code == T)
             stack[++top] = t;
@@ -62,6 +75,13 @@ double cosim_evaluate(const cosim_program *program, double t)
             stack[top] = unary(code, stack[top]);
     }
     return stack[0];
+}
+
+void cosim_evaluate_rows(const cosim_program *program, int64_t count, const double *t,
+                         const double *rows, int64_t stride, double *values)
+{
+    for (int64_t k = 0; k < count; ++k)
+        values[k] = cosim_evaluate_row(program, t[k], rows + k * stride);
 }
 
 int32_t cosim_expression_step(void *self, double t0, double t1, double h, const double *u0,

@@ -1,17 +1,22 @@
-/* Expressions in t. */
+/* Expressions in t, and over the values of a row. */
 #ifndef COSIM_EXPRESSION_H
 #define COSIM_EXPRESSION_H
 
 #include "cosim.h"
 
-/* An expression in t as a postfix program; see expression.py for the language. */
+/* An expression as a postfix program; see expression.py for the language. */
 typedef struct {
     int32_t length;
-    const int32_t *code;     /* operation, or number of operations + index of a constant */
+    const int32_t *code;     /* operation, or number of operations + index of a constant, or
+                                -1 - column of the row */
     const double *constants; /* referred to by code */
 } cosim_program;
 #define COSIM_STACK 64
-double cosim_evaluate(const cosim_program *program, double t);
+double cosim_evaluate(const cosim_program *program, double t); /* of t alone */
+double cosim_evaluate_row(const cosim_program *program, double t, const double *row);
+/* At the instants t (count), each with a row; rows begin `stride` doubles apart. */
+void cosim_evaluate_rows(const cosim_program *program, int64_t count, const double *t,
+                         const double *rows, int64_t stride, double *values);
 
 typedef struct {
     int32_t count;

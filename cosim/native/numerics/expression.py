@@ -1,15 +1,35 @@
-"""A small safe language for functions of time, compiled to a postfix program for the C kernel.
+"""A small safe language, compiled to a postfix program for the C kernel.
 
 Numbers, ``t``, ``pi``, ``e``, ``+ - * / **``, parentheses, ``min``, ``max`` and the functions
 listed in ``FUNCTIONS``; ``step(x)`` is 1 where x >= 0 and 0 elsewhere. Nothing else is evaluated,
-imported or called.
+imported or called. There are three forms:
+
+expression in t
+    A number, such as ``1.35 + 0.25*sin(1.7*t)``.
+expression over signals
+    A number of signals too: ``component.signal``, or an element ``plant.x_a[0]``; in quotes where
+    Python would read the name otherwise: ``'plant.der(x)'``, ``'my-plant.y'``.
+condition
+    Comparisons ``< <= > >= == !=`` of expressions over signals, joined by ``and``, ``or``, ``not``
+    and parentheses; at its end perhaps ``for 10 ms``: held without a break for so long. A duration
+    has a unit (``UNITS``), or is in seconds: ``for 0.5``.
+
+A comparison with NaN, such as that of an optional signal without a value, is false, and so is its
+negation: ``not a < b`` is ``a >= b``. So what has no value never makes a condition true.
 """
 
 from __future__ import annotations
 
 import ast
 import math
-from dataclasses import dataclass
+import re
+import unicodedata
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from decimal import Decimal
+from functools import partial
+from itertools import pairwise
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +63,10 @@ OPERATIONS = (
     "power",
     "min",
     "max",
+    "less",
+    "less_equal",
+    "equal",
+    "not_equal",
     "negate",
     *FUNCTIONS,
 )  # in the order of expression.c
@@ -54,22 +78,122 @@ _BINARY = {
     ast.Div: "divide",
     ast.Pow: "power",
 }
+_COMPARISONS: Final[Mapping[type[ast.cmpop], tuple[str, bool]]] = {
+    ast.Lt: ("less", False),
+    ast.LtE: ("less_equal", False),
+    ast.Gt: ("less", True),
+    ast.GtE: ("less_equal", True),
+    ast.Eq: ("equal", False),
+    ast.NotEq: ("not_equal", False),
+}  # the operation, and whether its operands are exchanged
+_OPPOSITES: Final[Mapping[type[ast.cmpop], type[ast.cmpop]]] = {
+    ast.Lt: ast.GtE,
+    ast.LtE: ast.Gt,
+    ast.Gt: ast.LtE,
+    ast.GtE: ast.Lt,
+    ast.Eq: ast.NotEq,
+    ast.NotEq: ast.Eq,
+}
 _CONSTANTS = {"pi": math.pi, "e": math.e}
-_ALLOWED = "only numbers, t, pi, e, + - * / ** and functions are allowed"
+UNITS: Final[Mapping[str, int]] = {
+    "ns": 1,
+    "us": 10**3,
+    "ms": 10**6,
+    "s": 10**9,
+    "min": 60 * 10**9,
+    "h": 3600 * 10**9,
+}  # of durations [ns]
+_COMPARISON_NEEDED = "needed a comparison, such as plant.y < 1, or several joined by and, or, not"
+_FOR = re.compile(r"(?<=[\s)\]])for(?=\s|$)")
+_NOT_IN_DURATION: Final = frozenset("'\"()[]<>=")
+_DURATION = re.compile(
+    r"(?P<number>\d+\.?\d*(e[+-]?\d{1,3})?|\.\d+(e[+-]?\d{1,3})?)\s*(?P<unit>\w*)"
+)
+_LONGEST_NS = 2**63 - 1
 _STACK = 64  # COSIM_STACK of expression.h
 MOST_TEXT = 100_000  # characters
 
 
 @dataclass(frozen=True, slots=True)
-class Program:
-    """A compiled expression.
+class _Form:
+    """One of the forms of the language, for messages.
 
-    ``code`` holds an index into ``OPERATIONS`` or, beyond them, into ``constants``.
+    Parameters
+    ----------
+    name, example : str
+    allowed : str
+        What there may be in it.
+    over_signals, is_condition : bool
+    """
+
+    name: str
+    example: str
+    allowed: str
+    over_signals: bool = False
+    is_condition: bool = False
+
+
+_WITH_SIGNALS = (
+    "only numbers, t, pi, e, signals such as plant.y, + - * / ** and functions are allowed"
+)
+_IN_TIME: Final = _Form(
+    "an expression",
+    "'1.35 + 0.25*sin(1.7*t)'",
+    "only numbers, t, pi, e, + - * / ** and functions are allowed",
+)
+_OVER_SIGNALS: Final = _Form(
+    "an expression", "'observer.delta - delta.y'", _WITH_SIGNALS, over_signals=True
+)
+_CONDITION: Final = _Form(
+    "a condition",
+    "'abs(observer.delta - delta.y) < 1e-3 for 1 s'",
+    _WITH_SIGNALS,
+    over_signals=True,
+    is_condition=True,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Program:
+    """A compiled expression, or condition: 1 where it is true, else 0.
+
+    Parameters
+    ----------
+    text : str
+    code : array of int32
+        Indices into ``OPERATIONS``; beyond them into ``constants``; -1, -2, ... are the columns 0,
+        1, ... of a row: as it is compiled, numbers of ``signals``.
+    constants : array of float64
+    signals : tuple of str
+        As they are written, each once, in the order of the text.
     """
 
     text: str
     code: NDArray[np.int32]
     constants: NDArray[np.float64]
+    signals: tuple[str, ...] = ()
+
+    def with_columns(self, columns: Sequence[int]) -> Program:
+        """Return the program for rows in which the signals stand in these columns."""
+        codes = [code if code >= 0 else -1 - columns[-1 - code] for code in self.code.tolist()]
+        return replace(self, code=np.array(codes, np.int32))
+
+
+@dataclass(frozen=True, slots=True)
+class ConditionProgram:
+    """A compiled condition.
+
+    Parameters
+    ----------
+    text : str
+    program : Program
+    duration_ns : int
+        How long it has to hold without a break [ns]; 0: an instant.
+    """
+
+    text: str
+    program: Program
+    duration_ns: int = 0
 
 
 def compile_expression(text: str) -> Program:
@@ -81,58 +205,138 @@ def compile_expression(text: str) -> Program:
         If the text is no expression of the language; with the place, what was found and what is
         possible instead.
     """
-    tree = parse(text)
-    compiler = _Compiler(text.strip())
+    return _compiled(_IN_TIME, text, text)
+
+
+def compile_over_signals(text: str) -> Program:
+    """Compile an expression over signals; whether there are these signals is not known here.
+
+    Raises
+    ------
+    UsageError
+        If the text is no expression of the language; as from :func:`compile_expression`.
+    """
+    return _compiled(_OVER_SIGNALS, text, text)
+
+
+def compile_condition(text: str) -> ConditionProgram:
+    """Compile a condition; whether there are its signals is not known here.
+
+    Raises
+    ------
+    UsageError
+        If the text is no condition of the language; as from :func:`compile_expression`.
+    """
+    condition = text
+    duration_ns = 0
+    *_, last = (None, *_FOR.finditer(text))
+    if last is not None and _NOT_IN_DURATION.isdisjoint(text[last.end() :]):
+        condition = text[: last.start()]
+        duration_ns = _duration_ns(text, text[last.end() :])
+    program = _compiled(_CONDITION, text, condition)
+    return ConditionProgram(text, program, duration_ns)
+
+
+def _duration_ns(text: str, duration: str) -> int:
+    """Return a duration in nanoseconds.
+
+    Raises
+    ------
+    UsageError
+        If it is none, not positive, or no whole number of nanoseconds.
+    """
+    found = f"condition {quoted(text)}: found {quoted(duration.strip())} behind 'for'"
+    needed = "needed a duration, such as 10 ms, 1 s, or 0.5 in seconds"
+    match = _DURATION.fullmatch(duration.strip())
+    if match is None:
+        raise UsageError(f"{found}; {needed}")
+    unit = match["unit"] or "s"
+    if unit not in UNITS:
+        raise UsageError(f"{found}: unknown unit {unit!r}; {nearest(unit, UNITS)}")
+    ns = Decimal(match["number"]) * UNITS[unit]
+    if not 0 < ns <= _LONGEST_NS:
+        raise UsageError(f"{found}; needed a positive duration of less than 292 years")
+    if ns != int(ns):
+        raise UsageError(f"{found}; needed a whole number of nanoseconds")
+    return int(ns)
+
+
+def _compiled(form: _Form, text: str, source: str) -> Program:
+    """Compile the part of a text that is an expression, or a condition at an instant."""
+    tree = _parse(form, text, source)
+    compiler = _Compiler(form, text, source.strip())
+    start = _start(form, text)
     try:
-        depth = compiler.emit(tree)
+        depth = compiler.emit_condition(tree) if form.is_condition else compiler.emit(tree)
     except RecursionError as error:
         raise UsageError(
-            f"expression {quoted(text)}: nested too deep to be read; write it with fewer terms"
+            f"{start}: nested too deep to be read; write it with fewer terms"
         ) from error
     if depth > _STACK:
-        raise UsageError(f"expression {quoted(text)}: nested {depth} deep, at most {_STACK}")
+        raise UsageError(f"{start}: nested {depth} deep, at most {_STACK}")
     code = np.array(compiler.code, np.int32)
     constants = np.array(
         compiler.constants or [0.0], np.float64
     )  # never empty: C takes its address
-    return Program(text, code, constants)
+    return Program(text, code, constants, tuple(compiler.signals))
+
+
+def _start(form: _Form, text: str) -> str:
+    """Return the start of a message about a text."""
+    _, name = form.name.split()
+    return f"{name} {quoted(text)}"
 
 
 def parse(text: str) -> ast.expr:
-    """Return the syntax tree of a text that looks like an expression.
+    """Return the syntax tree of a text that looks like an expression in t.
 
     Raises
     ------
     UsageError
         If it does not, or is too long.
     """
+    return _parse(_IN_TIME, text, text)
+
+
+def _parse(form: _Form, text: str, source: str) -> ast.expr:
+    """Return the syntax tree of the part of a text that should have a form."""
+    start = _start(form, text)
     if len(text) > MOST_TEXT:
-        raise UsageError(
-            f"expression {quoted(text)}: has {len(text)} characters; needed at most {MOST_TEXT}"
-        )
+        raise UsageError(f"{start}: has {len(text)} characters; needed at most {MOST_TEXT}")
     try:
         with ignored_warnings():  # of "1or 2" and the like, which the compiler refuses
-            return ast.parse(text.strip(), mode="eval").body
+            return ast.parse(source.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         column = error.offset if isinstance(error, SyntaxError) else None
         place = f" at column {column}" if column else ""
         raise UsageError(
-            f"expression {quoted(text)}: not an expression{place}; needed something like "
-            "'1.35 + 0.25*sin(1.7*t)'"
+            f"{start}: not {form.name}{place}; needed something like {form.example}"
         ) from error
 
 
 class _Compiler:
-    """The code and constants of one expression; each method returns the stack depth it needs."""
+    """The code and constants of one text; each method returns the stack depth it needs.
 
-    def __init__(self, text: str) -> None:
-        self.text = text
+    Parameters
+    ----------
+    form : _Form
+    text, source : str
+        As it was written, and the part of it that is compiled.
+    """
+
+    def __init__(self, form: _Form, text: str, source: str) -> None:
+        self._form = form
+        self._text = text
+        self._written = source
         self.code: list[int] = []
         self.constants: list[float] = []
+        self.signals: dict[str, int] = {}  # number of each
 
     def emit(self, node: ast.expr) -> int:
-        """Append the code of a node."""
+        """Append the code of a number."""
         match node:
+            case ast.Constant(value=str(name)) if self._form.over_signals:
+                return self._signal(name)
             case ast.Constant(value=value):
                 return self._literal(value)
             case ast.Name(id=name):
@@ -145,11 +349,55 @@ class _Compiler:
                 return self._operation(_BINARY[type(operator)], [left, right])
             case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
                 return self._call(name, arguments)
-        raise self._refusal(quoted(ast.get_source_segment(self.text, node)), _ALLOWED)
+            case ast.Attribute() | ast.Subscript() if self._form.over_signals and _is_written(node):
+                return self._signal("".join(self._source(node).split()))
+        raise self._refusal(quoted(self._source(node)), self._form.allowed)
+
+    def emit_condition(self, node: ast.expr, *, negated: bool = False) -> int:
+        """Append the code of a condition, or of its negation: 1 where it is true, else 0."""
+        match node:
+            case ast.UnaryOp(op=ast.Not(), operand=operand):
+                return self.emit_condition(operand, negated=not negated)
+            case ast.BoolOp(op=operator, values=values):
+                is_and = isinstance(operator, ast.And) is not negated
+                parts = [partial(self.emit_condition, value, negated=negated) for value in values]
+                return self._joined("min" if is_and else "max", parts)
+            case ast.Compare(left=left, ops=operators, comparators=others) if all(
+                type(operator) in _COMPARISONS for operator in operators
+            ):
+                pairs = zip(operators, pairwise([left, *others]), strict=True)
+                parts = [partial(self._comparison, *pair, negated) for pair in pairs]
+                return self._joined("max" if negated else "min", parts)
+        raise self._refusal(quoted(self._source(node)), _COMPARISON_NEEDED)
+
+    def _comparison(
+        self, operator: ast.cmpop, operands: tuple[ast.expr, ast.expr], negated: bool
+    ) -> int:
+        kind = type(operator)
+        operation, is_exchanged = _COMPARISONS[_OPPOSITES[kind] if negated else kind]
+        ordered = reversed(operands) if is_exchanged else operands
+        return self._operation(operation, list(ordered))
+
+    def _joined(self, operation: str, parts: Sequence[Callable[[], int]]) -> int:
+        """Append the code of conditions, and that of an operation between each two."""
+        depth = parts[0]()
+        for part in parts[1:]:
+            depth = max(depth, 1 + part())
+            self.code.append(_CODE[operation])
+        return depth
+
+    def _signal(self, name: str) -> int:
+        composed = unicodedata.normalize("NFC", name)
+        number = self.signals.setdefault(composed, len(self.signals))
+        self.code.append(-1 - number)
+        return 1
+
+    def _source(self, node: ast.expr) -> str:
+        return ast.get_source_segment(self._written, node) or ""
 
     def _literal(self, value: object) -> int:
         if value is ...:
-            raise self._refusal("'...'", _ALLOWED)
+            raise self._refusal("'...'", self._form.allowed)
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise self._refusal(quoted(value), "needed a real number")
         return self._constant(value)
@@ -160,6 +408,11 @@ class _Compiler:
             return 1
         if name not in _CONSTANTS:
             nearest_name = nearest(name, ["t", *_CONSTANTS, *FUNCTIONS, "min", "max"])
+            if self._form.over_signals:
+                nearest_name += (
+                    "; a signal is COMPONENT.SIGNAL, in quotes where a name has other characters "
+                    "than letters, digits and '_'"
+                )
             raise self._refusal(f"unknown name {quoted(name)}", nearest_name)
         return self._constant(_CONSTANTS[name])
 
@@ -190,4 +443,18 @@ class _Compiler:
         return max(depths)
 
     def _refusal(self, found: str, needed: str) -> UsageError:
-        return UsageError(f"expression {quoted(self.text)}: found {found}; {needed}")
+        return UsageError(f"{_start(self._form, self._text)}: found {found}; {needed}")
+
+
+def _is_written(node: ast.expr) -> bool:
+    """Return whether a node is the name of a signal, perhaps with elements: ``plant.x[0]``."""
+    match node:
+        case ast.Name():
+            return True
+        case ast.Attribute(value=inner):
+            return _is_written(inner)
+        case ast.Subscript(value=inner, slice=index):
+            parts = [part for part in ast.walk(index) if isinstance(part, ast.expr)]
+            allowed = (ast.Constant, ast.Slice, ast.Tuple)
+            return _is_written(inner) and all(isinstance(part, allowed) for part in parts)
+    return False

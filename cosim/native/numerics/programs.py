@@ -1,17 +1,17 @@
-"""Compiled expressions in t, evaluated: ``expression.c``."""
+"""Compiled expressions, evaluated: ``expression.c``."""
 
 from __future__ import annotations
 
 import ctypes
 from collections.abc import Sequence
-from ctypes import POINTER, byref, c_double, c_int32, c_void_p
+from ctypes import POINTER, byref, c_double, c_int32, c_int64, c_void_p
 
 import numpy as np
 
 from cosim.arrays import Matrix, Vector
 from cosim.native.library import address, declare, library, pointer
 from cosim.native.numerics.expression import Program
-from cosim.native.step import NativeStep
+from cosim.native.step import DOUBLE, NativeStep
 
 
 class ProgramStruct(ctypes.Structure):
@@ -26,7 +26,15 @@ class ExpressionStruct(ctypes.Structure):
     _fields_ = (("count", c_int32), ("programs", c_void_p))
 
 
-declare({"cosim_evaluate": (c_double, (POINTER(ProgramStruct), c_double))})
+declare(
+    {
+        "cosim_evaluate": (c_double, (POINTER(ProgramStruct), c_double)),
+        "cosim_evaluate_rows": (
+            None,
+            (POINTER(ProgramStruct), c_int64, c_void_p, c_void_p, c_int64, c_void_p),
+        ),
+    }
+)
 
 
 def program_struct(program: Program) -> ProgramStruct:
@@ -59,6 +67,40 @@ def evaluate_at(programs: Sequence[Program], t: Vector) -> Matrix:
     no_inputs = np.zeros((len(t) + 1, 0))
     ends_of_steps = np.concatenate([[0.0], t])  # where the first one begins does not matter
     return step.advance(ends_of_steps, 0.0, no_inputs)
+
+
+class RowProgram:
+    """A program over the columns of rows.
+
+    Parameters
+    ----------
+    program : Program
+        With columns (:meth:`Program.with_columns`) that the rows have.
+    """
+
+    def __init__(self, program: Program) -> None:
+        self._program = program
+        self._struct = program_struct(program)
+
+    def evaluate(self, t: Vector, rows: Matrix) -> Vector:
+        """Return the values at instants ``t (N,)`` [s] with rows ``(N, width)``, shape ``(N,)``.
+
+        Rows may be strided, the elements of a row may not.
+        """
+        values = np.empty(len(t))
+        if not len(t):
+            return values
+        assert t.flags.c_contiguous
+        assert rows.strides[1] == DOUBLE
+        library.cosim_evaluate_rows(
+            byref(self._struct),
+            len(t),
+            t.ctypes.data,
+            rows.ctypes.data,
+            rows.strides[0] // DOUBLE,
+            values.ctypes.data,
+        )
+        return values
 
 
 def expression_step(programs: Sequence[Program]) -> NativeStep:
