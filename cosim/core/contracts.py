@@ -32,12 +32,12 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Nanoseconds, Vector
 from cosim.core.port import Port
-from cosim.core.signals import Channel, Interface, Layout
+from cosim.core.signals import Channel, FaultKind, Interface, Layout
 from cosim.errors import LogError, RunError
 from cosim.native.step import NativeStep
 
 Design: TypeAlias = Mapping[str, NDArray[np.float64]]
-EventCause: TypeAlias = Literal["override", "release", "follow"]
+EventCause: TypeAlias = FaultKind | Literal["override", "release", "follow"]
 MessageLevel: TypeAlias = Literal["debug", "info", "warning", "error", "fatal"]
 # a signal or elements of it, or several that are stacked
 SignalNames: TypeAlias = str | Port | Sequence[str | Port]
@@ -290,18 +290,21 @@ class SignalEvent(NamedTuple):
     Parameters
     ----------
     time_ns : int
-    cause : {"override", "release", "follow"}
-        An input was overridden, or released; or the signal followed one that was.
+    cause : EventCause
+        An input was overridden, has a fault, or was released; or the signal followed one that did.
     signal : str
-        ``component.signal``; of an override or a release also elements of one.
+        ``component.signal``; but for one that followed also elements of one.
     values : tuple of float
         Of its elements.
+    parameters : tuple of float
+        Of a fault, one element's behind the other's; see :mod:`cosim.core.stages.faults`.
     """
 
     time_ns: int
     cause: EventCause
     signal: str
     values: tuple[float, ...]
+    parameters: tuple[float, ...] = ()
 
 
 @runtime_checkable

@@ -18,7 +18,10 @@ SignalType = Literal["real", "integer", "boolean"]
 Role = Literal["input", "output", "state", "estimate"]
 Causality = Literal["input", "output"]
 Need = Literal["required", "optional", "forbidden"]
+FaultKind = Literal["freeze", "offset", "gain", "drift", "noise", "drop", "delay"]
 Dependencies: TypeAlias = Mapping[str, tuple[str, ...] | None]  # input names by output name
+
+LARGEST_WHOLE: Final = 2.0**53  # up to here every integer is a float64
 
 _CHOICES: Final[Mapping[str, tuple[str, ...]]] = {
     "variability": get_args(Variability),

@@ -17,9 +17,11 @@ end of every step until it is released.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from ctypes import addressof, c_char
 from numbers import Integral
 from threading import get_ident
+from time import perf_counter
 from typing import Any, Final, final
 
 import numpy as np
@@ -30,10 +32,13 @@ from cosim.core.clock import Clock
 from cosim.core.contracts import Block, Plan, Recorder
 from cosim.core.graph import Graph
 from cosim.core.recorders import Nothing, end_of_run, error_text
+from cosim.core.signals import FaultKind
 from cosim.core.stages.coupling import Cut
 from cosim.core.stages.engine import Engine
 from cosim.core.stages.native_stage import NativeStage
 from cosim.core.stages.overrides import OverrideValue
+from cosim.core.stages.pacing import PIECE_WORK
+from cosim.core.stepping.fault_injection import VaryingFaults, faults_of
 from cosim.core.stepping.jump_events import events_of
 from cosim.core.stepping.jumps import Jumps
 from cosim.core.stepping.right_limits import NOTHING_GIVEN, GivenOutputs
@@ -97,6 +102,7 @@ class Simulation:
         self._columns = SignalColumns(graph.layout, clock)
         self._states = States(graph, clock, plan, identity)
         self._jumps = Jumps(graph, are_recorded=self._is_recorded)
+        self._varying = VaryingFaults(graph, clock.step)
         self._width = graph.layout.width
         self._h = clock.step
         self._thread = get_ident()
@@ -117,6 +123,7 @@ class Simulation:
         self._compiled = compiled if is_compiled else []
         row = self._engine.first_row
         self._jumps.stand_at(row)
+        self._varying.find()
         self._look_ahead(1)
         self._recorder.write(self._block(0), row[np.newaxis])
 
@@ -208,7 +215,7 @@ class Simulation:
         if self._jumps.changes or self._jumps.waiting:
             self.complete_jumps()
         signals = self._rows_behind(count)
-        if count == 1 and self._compiled:
+        if count == 1 and self._compiled and not self._varying.are_there:
             reached, error = self._pass_one(signals)
         else:
             reached, error = self._pass_through(self._block(count), signals)
@@ -262,7 +269,7 @@ class Simulation:
         """Fill and record rows 1 to K; return the last one that is complete, and what stopped."""
         reached = 0
         try:
-            for part, rows in self._engine.advance(block, signals):
+            for part, rows in self._pieces(block, signals):
                 if part.steps:
                     self._recorder.write(part, rows)
                     reached += part.steps
@@ -270,6 +277,34 @@ class Simulation:
             self._break_off(signals[: reached + 1], raised)
             raise
         return reached, self._engine.error
+
+    def _pieces(self, block: Block, signals: Matrix) -> Iterator[tuple[Block, Matrix]]:
+        """Advance; yield what is completed: of steps that are taken one by one, many at once."""
+        if not self._varying.are_there:
+            yield from self._engine.advance(block, signals)
+            return
+        first = 0
+        reached = 0
+        deadline = perf_counter() + PIECE_WORK
+        error: RunError | None = None
+        while reached < block.steps and error is None:
+            try:
+                reached += self._take_step(block.part(reached, reached + 1), signals[reached:])
+            except BaseException:
+                yield block.part(first, reached), signals[first : reached + 1]
+                raise
+            error = self._engine.error
+            if perf_counter() > deadline:
+                yield block.part(first, reached), signals[first : reached + 1]
+                first = reached
+                deadline = perf_counter() + PIECE_WORK
+        yield block.part(first, reached), signals[first : reached + 1]
+
+    def _take_step(self, step: Block, signals: Matrix) -> int:
+        """Determine faults at the next point, and advance to it; return 0 if that failed."""
+        self._varying.determine(step.index + 1, signals[0])
+        parts = self._engine.advance(step, signals[:2])
+        return sum(part.steps for part, _ in parts)
 
     def _break_off(self, signals: Matrix, raised: BaseException) -> None:
         """Stand at the last row that is recorded, and end: components may be ahead of it."""
@@ -425,9 +460,37 @@ class Simulation:
         values = overridden.checked(value)
         self._check_ready("override")
         self._jumps.override(overridden, values)
+        if self._varying.are_there:
+            self._varying.find()
+
+    def inject(self, to: str, kind: FaultKind, parameters: Sequence[float] = ()) -> None:
+        """Inject a fault into an input, or elements of it, from the time reached on.
+
+        Parameters
+        ----------
+        to : str
+        kind : FaultKind
+        parameters : sequence of float
+            Of the fault of every element, one behind the other; see
+            :mod:`cosim.core.stages.faults`.
+
+        Raises
+        ------
+        GraphError
+            If there is no such input, or the fault does not fit it.
+        UsageError
+            If the simulation has ended, or is that of another thread.
+        """
+        overridden = self._jumps.input(to)
+        faults = faults_of(overridden.end, kind, parameters)
+        self._check_ready("inject")
+        self._jumps.inject(overridden, faults, index=self.index, h=self._h)
+        self._varying.find()
 
     def release(self, to: str) -> None:
-        """Release an override, of an input or of elements of it: its connection drives it again.
+        """Release an override or a fault, of an input or of elements of it.
+
+        Its connection drives it again.
 
         Raises
         ------
@@ -439,6 +502,8 @@ class Simulation:
         released = self._jumps.input(to)
         self._check_ready("release")
         self._jumps.release(released)
+        if self._varying.are_there:
+            self._varying.find()
 
     @property
     def overrides(self) -> dict[str, float]:
@@ -512,6 +577,7 @@ class Simulation:
         self._states.restore(state)
         self.index = state.index
         self._jumps.stand_at(state.row.copy())
+        self._varying.find()
         self.error = None
         self._ended = ""
 

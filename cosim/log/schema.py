@@ -11,18 +11,19 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from functools import cache
-from typing import Any
+from typing import Any, get_args
 
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
 
 from cosim.core.contracts import EventCause, MessageLevel, SignalEvent
+from cosim.core.signals import FaultKind
 from cosim.errors import quoted
 
 # foxglove.Log.Level 1 to 5
 LEVELS: tuple[MessageLevel, ...] = ("debug", "info", "warning", "error", "fatal")
 LOG_SCHEMA = "foxglove.Log"
 EVENT_SCHEMA = "cosim_event.SignalEvent"
-CAUSES: tuple[EventCause, ...] = ("override", "release", "follow")
+CAUSES: tuple[EventCause, ...] = ("override", *get_args(FaultKind), "release", "follow")
 
 _LEGAL = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _ILLEGAL = re.compile(r"[^A-Za-z0-9_]+")
@@ -164,7 +165,9 @@ def event_schema() -> bytes:
 
 def encode_event(event: SignalEvent) -> bytes:
     """Serialize the jump of a signal, but for its time, which is that of its record."""
-    message = _event_message()(cause=event.cause, signal=event.signal, values=event.values)
+    message = _event_message()(
+        cause=event.cause, signal=event.signal, values=event.values, parameters=event.parameters
+    )
     return bytes(message.SerializeToString(deterministic=True))
 
 
@@ -183,7 +186,8 @@ def decode_event(time_ns: int, data: bytes) -> SignalEvent:
         raise ValueError(f"no {EVENT_SCHEMA} message: {error}") from error
     for cause in CAUSES:
         if message.cause == cause:
-            return SignalEvent(time_ns, cause, message.signal, tuple(message.values))
+            values = tuple(message.values)
+            return SignalEvent(time_ns, cause, message.signal, values, tuple(message.parameters))
     raise ValueError(f"an event has the cause {quoted(message.cause)}; needed one of {CAUSES}")
 
 
@@ -204,5 +208,8 @@ def _event_descriptors() -> descriptor_pb2.FileDescriptorSet:
         event.field.add(
             name=name, number=number, type=_FIELD.TYPE_STRING, label=_FIELD.LABEL_OPTIONAL
         )
-    event.field.add(name="values", number=3, type=_FIELD.TYPE_DOUBLE, label=_FIELD.LABEL_REPEATED)
+    for number, name in enumerate(("values", "parameters"), start=3):
+        event.field.add(
+            name=name, number=number, type=_FIELD.TYPE_DOUBLE, label=_FIELD.LABEL_REPEATED
+        )
     return descriptor_pb2.FileDescriptorSet(file=[file])

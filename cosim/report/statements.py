@@ -222,7 +222,7 @@ def _event_bits(run: Log | Memory) -> list[tuple[Any, ...]]:
     """Return the jumps by overrides, values to the last bit; NaN is equal to itself so."""
     events: list[tuple[Any, ...]] = []
     for event in run.events():
-        values = tuple(value.hex() for value in event.values)
+        values = tuple(value.hex() for value in (*event.values, *event.parameters))
         events.append((event.time_ns, event.cause, event.signal, values))
     return events
 

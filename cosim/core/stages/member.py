@@ -102,6 +102,14 @@ class Member:
         if self.overrides:
             self.overrides.copy(signals, rows)
 
+    def driven(self, row: Vector) -> Vector:
+        """Return a row with the inputs that their sources give, whatever overrides them."""
+        rows = row[np.newaxis].copy()
+        for wire in self.wires:
+            wire.copy(rows, slice(0, 1))
+        driven: Vector = rows[0]
+        return driven
+
 
 def driving_groups(groups: Sequence[Sequence[Member]]) -> list[set[int]]:
     """Return for each group of components the numbers of the groups that drive it."""

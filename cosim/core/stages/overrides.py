@@ -1,30 +1,61 @@
-"""Inputs that are overridden: their values, and what these must be.
+"""Inputs that are overridden, with values of their own or by faults.
 
-There are as many values as elements, and each is one that its input takes.
+An override has as many values as its input has elements, and each is one that the input takes. A
+fault gives an element a gain and a value anew at every communication point; see
+:mod:`cosim.core.stages.faults`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Any, Final, TypeAlias
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Matrix
 from cosim.core.arguments import kind_of
-from cosim.core.signals import Signal
+from cosim.core.signals import LARGEST_WHOLE, Signal
+from cosim.core.stages.faults import Fault, FaultInstant
 from cosim.core.structure.ports import ConnectionEnd
 from cosim.errors import GraphError
-
-LARGEST_WHOLE: Final = 2.0**53  # up to here every integer is a float64
 
 OverrideValue: TypeAlias = float | Sequence[float] | NDArray[np.float64]
 
 
+@dataclass(frozen=True, slots=True)
+class ActiveFault:
+    """The fault of an element, and the number of the communication point at which it began."""
+
+    fault: Fault
+    begin: int
+
+    def copy(self) -> ActiveFault:
+        """Return one that goes on from here on its own."""
+        return ActiveFault(self.fault.copy(), self.begin)
+
+
+@dataclass(frozen=True, slots=True)
+class SavedOverrides:
+    """The overrides of a component at a communication point.
+
+    Parameters
+    ----------
+    values : dict of column to float
+    faults : dict of column to ActiveFault
+    table : dict of column to (gain, value)
+        Of these faults.
+    """
+
+    values: dict[int, float]
+    faults: dict[int, ActiveFault]
+    table: dict[int, tuple[float, float]]
+
+
 class Overrides:
-    """Inputs of a component that have values of their own, whatever drives them.
+    """Inputs of a component that are overridden, whatever drives them.
 
     They stand where compiled code reads them, too.
 
@@ -32,13 +63,21 @@ class Overrides:
     ----------
     n_u : int
         Number of input elements.
+
+    Attributes
+    ----------
+    faults : dict of column to ActiveFault
+        Of those elements that have no value of their own.
     """
 
     def __init__(self, n_u: int) -> None:
+        self.faults: dict[int, ActiveFault] = {}
         self._places: dict[int, int] = {}  # of columns
         self._columns = np.zeros(n_u + 1, np.int32)  # how many, then the columns
+        self._gains = np.zeros(n_u + 1)
         self._values = np.zeros(n_u + 1)
         self.columns_address = self._columns.ctypes.data
+        self.gains_address = self._gains.ctypes.data
         self.values_address = self._values.ctypes.data
 
     def __bool__(self) -> bool:
@@ -48,34 +87,89 @@ class Overrides:
         return column in self._places
 
     def __setitem__(self, column: int, value: float) -> None:
+        """Override an element with a value."""
+        place = self._place(column)
+        self._gains[place] = 0.0
+        self._values[place] = value
+        if self.faults:
+            self.faults.pop(column, None)
+
+    def __delitem__(self, column: int) -> None:
+        left = self.save()
+        left.values.pop(column, None)
+        left.faults.pop(column, None)
+        self.restore(left)
+
+    def _place(self, column: int) -> int:
+        """Return the place of a column, which it may not have had."""
         place = self._places.get(column)
         if place is None:
             place = len(self._places)
             self._places[column] = place
             self._columns[place + 1] = column
             self._columns[0] = place + 1
+        return place
+
+    def _set(self, column: int, gain: float, value: float) -> None:
+        place = self._place(column)
+        self._gains[place] = gain
         self._values[place] = value
 
-    def __delitem__(self, column: int) -> None:
-        left = self.values()
-        del left[column]
-        self.clear()
-        for other, value in left.items():
-            self[other] = value
+    def add_fault(self, column: int, active: ActiveFault, instant: FaultInstant) -> None:
+        """Override an element by a fault."""
+        self.faults[column] = active
+        self._set(column, *active.fault.at(instant))
+
+    def vary(self, column: int, instant: FaultInstant) -> None:
+        """Determine the fault of an element at the next communication point."""
+        self._set(column, *self.faults[column].fault.at(instant))
+
+    @property
+    def varies(self) -> bool:
+        """Whether a fault is determined anew at every communication point."""
+        return any(active.fault.varies for active in self.faults.values())
 
     def clear(self) -> None:
         """Release all of them."""
         self._places.clear()
+        self.faults.clear()
         self._columns[0] = 0
 
     def values(self) -> dict[int, float]:
-        """Return the values by column."""
-        return {column: float(self._values[place]) for column, place in self._places.items()}
+        """Return the values by column, of those that have values of their own."""
+        own = self._places.items()
+        return {column: float(self._values[i]) for column, i in own if column not in self.faults}
 
     def copy(self, signals: Matrix, rows: slice) -> None:
-        """Fill the columns of some rows."""
+        """Fill the columns of some rows, behind what their sources gave."""
         for column, place in self._places.items():
-            signals[rows, column] = self._values[place]
+            gain = self._gains[place]
+            if gain == 0.0:
+                signals[rows, column] = self._values[place]
+            else:
+                signals[rows, column] = gain * signals[rows, column] + self._values[place]
+
+    def save(self) -> SavedOverrides:
+        """Copy all of them."""
+        faults = {column: active.copy() for column, active in self.faults.items()}
+        return SavedOverrides(self.values(), faults, self._table(self.faults))
+
+    def _table(self, columns: Iterable[int]) -> dict[int, tuple[float, float]]:
+        """Return gain and value by column."""
+        table = {}
+        for column in columns:
+            place = self._places[column]
+            table[column] = (float(self._gains[place]), float(self._values[place]))
+        return table
+
+    def restore(self, saved: SavedOverrides) -> None:
+        """Go back to saved ones."""
+        self.clear()
+        for column, value in saved.values.items():
+            self[column] = value
+        for column, active in saved.faults.items():
+            self.faults[column] = active.copy()
+            self._set(column, *saved.table[column])
 
 
 def checked_values(to: str, value: OverrideValue, end: ConnectionEnd) -> list[float]:

@@ -97,6 +97,7 @@ def _fill(struct: MemberStruct, member: Member, step: NativeStep | None) -> None
     struct.n_y = member.outputs.stop - member.outputs.start
     struct.seconds = member.component.native_seconds_address
     struct.overridden = member.overrides.columns_address
+    struct.gains = member.overrides.gains_address
     struct.overrides = member.overrides.values_address
 
 

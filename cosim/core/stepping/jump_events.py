@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from cosim.core.contracts import EventCause, SignalEvent
 from cosim.core.port import Port
 from cosim.core.signals import Layout
+from cosim.core.stages.overrides import ActiveFault
 from cosim.core.stepping.jumps import Jumps, OverridableInput, overridden_columns
 
 
 def events_of(jumps: Jumps, layout: Layout, t_ns: int) -> list[SignalEvent]:
-    """Return the jumps at ``t_ns`` [ns]: overrides and releases, then what followed."""
+    """Return the jumps at ``t_ns`` [ns]: overrides, faults, releases, then what followed."""
     events = _own_events(jumps, t_ns)
     own = {jumps.input(event.signal).whole for event in events}
     for channel in layout.channels:
@@ -38,7 +41,8 @@ def _own_events(jumps: Jumps, t_ns: int) -> list[SignalEvent]:
     for whole, changes in by_input.items():
         changed, cause = changes[0]
         before = jumps.overridden_before[whole]
-        if len(changes) > 1 or (cause == "release" and not before.issuperset(changed.numbers)):
+        is_partly = cause == "release" and not before.keys() >= set(changed.numbers)
+        if len(changes) > 1 or is_partly:
             events += _net_events(jumps, t_ns, changed, before)
         else:
             events.append(_event(jumps, t_ns, cause, changed))
@@ -46,13 +50,18 @@ def _own_events(jumps: Jumps, t_ns: int) -> list[SignalEvent]:
 
 
 def _net_events(
-    jumps: Jumps, t_ns: int, changed: OverridableInput, before: frozenset[int]
+    jumps: Jumps,
+    t_ns: int,
+    changed: OverridableInput,
+    before: Mapping[int, ActiveFault | None],
 ) -> list[SignalEvent]:
     """Return the events of an input by its elements, or as a whole where they are alike."""
     now = overridden_columns(changed)
-    same = {c for c in now & before if _keeps(jumps, c)}
-    causes: dict[int, EventCause] = dict.fromkeys(sorted(before - now), "release")
-    causes.update(dict.fromkeys(sorted(now - same), "override"))
+    causes: dict[int, EventCause] = dict.fromkeys(sorted(before.keys() - now.keys()), "release")
+    for column, active in now.items():
+        is_same = column in before and before[column] is active
+        if not is_same or (active is None and not _keeps(jumps, column)):
+            causes[column] = "override" if active is None else active.fault.kind
     whole = jumps.input(str(changed.whole))
     if len(causes) == len(whole.numbers) and len(set(causes.values())) == 1:
         return [_event(jumps, t_ns, causes[whole.numbers[0]], whole)]
@@ -71,4 +80,9 @@ def _keeps(jumps: Jumps, column: int) -> bool:
 
 def _event(jumps: Jumps, t_ns: int, cause: EventCause, changed: OverridableInput) -> SignalEvent:
     values = tuple(jumps.row[changed.columns].tolist())
-    return SignalEvent(t_ns, cause, changed.name, values)
+    parameters: list[float] = []
+    for column in changed.numbers:
+        active = changed.member.overrides.faults.get(column)
+        if active is not None:
+            parameters += active.fault.parameters
+    return SignalEvent(t_ns, cause, changed.name, values, tuple(parameters))

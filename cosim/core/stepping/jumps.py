@@ -1,8 +1,8 @@
-"""Inputs that are overridden by hand, and the jumps at the communication point that is reached.
+"""Inputs that are overridden, and the jumps at the communication point that is reached.
 
-An override takes effect at that point. Of the point there are two rows: the left limits, which were
-recorded, and the right limits, from which the next step starts. What follows an input at once is
-evaluated where somebody reads it, at the latest before the next step.
+An override takes effect at that point, and so does a fault. Of the point there are two rows: the
+left limits, which were recorded, and the right limits, from which the next step starts. What
+follows an input at once is evaluated where somebody reads it, at the latest before the next step.
 """
 
 from __future__ import annotations
@@ -17,8 +17,9 @@ from cosim.arrays import Vector
 from cosim.core.contracts import EventCause
 from cosim.core.graph import Graph
 from cosim.core.port import Port
+from cosim.core.stages.faults import Fault, FaultInstant
 from cosim.core.stages.member import Member
-from cosim.core.stages.overrides import OverrideValue, checked_values
+from cosim.core.stages.overrides import ActiveFault, OverrideValue, checked_values
 from cosim.core.stepping.right_limits import END, NOTHING_GIVEN, GivenOutputs, RightLimits
 from cosim.core.structure.ports import ConnectionEnd
 from cosim.errors import GraphError, listing
@@ -95,8 +96,8 @@ class Jumps:
         Inputs that have jumped since then.
     changes : dict of OverridableInput to EventCause
         Inputs whose jumps are still to be recorded, the last change last.
-    overridden_before : dict of Port to frozenset of int
-        Of the inputs that have jumped, the columns that were overridden before.
+    overridden_before : dict of Port to dict of column to ActiveFault or None
+        Of the inputs that have jumped, the columns that were overridden before; None: with a value.
     left_row : Vector, shape (width,)
         The left limits; the same array as the right ones where nothing has jumped.
     """
@@ -105,7 +106,7 @@ class Jumps:
         self._are_recorded = are_recorded
         self.waiting: set[Port] = set()
         self.changes: dict[OverridableInput, EventCause] = {}
-        self.overridden_before: dict[Port, frozenset[int]] = {}
+        self.overridden_before: dict[Port, dict[int, ActiveFault | None]] = {}
         self._graph = graph
         self._inputs: dict[str | Port, OverridableInput] = {}
         self._right_limits = RightLimits(graph)
@@ -155,6 +156,33 @@ class Jumps:
         for column, element in zip(overridden.numbers, values, strict=True):
             overrides[column] = element
             self.row[column] = element
+        if overridden.follows:
+            self._let_follow(overridden)
+
+    def inject(
+        self, overridden: OverridableInput, faults: Sequence[Fault], *, index: int, h: float
+    ) -> None:
+        """Override an input by faults of its elements, from the communication point reached on.
+
+        Parameters
+        ----------
+        overridden : OverridableInput
+        faults : sequence of Fault
+            Of one kind, one for each element.
+        index : int
+            Number of the communication point.
+        h : float
+            Communication step [s].
+        """
+        self._start(overridden, faults[0].kind)
+        member = overridden.member
+        driven = member.driven(self.left_row)
+        for column, fault in zip(overridden.numbers, faults, strict=True):
+            kept = float(self.left_row[column])
+            instant = FaultInstant(0, h, float(driven[column]), kept)
+            member.overrides.add_fault(column, ActiveFault(fault, index), instant)
+        with np.errstate(over="ignore", invalid="ignore"):  # the check of the next row names it
+            member.gather(self.row[np.newaxis], END)
         if overridden.follows:
             self._let_follow(overridden)
 
@@ -229,7 +257,8 @@ class Jumps:
         self._right_limits.evaluate(t, self.row, jumped, given)
 
 
-def overridden_columns(changed: OverridableInput) -> frozenset[int]:
-    """Return the columns of the whole input that are overridden."""
+def overridden_columns(changed: OverridableInput) -> dict[int, ActiveFault | None]:
+    """Return the columns of the whole input that are overridden; None: with a value."""
     overrides = changed.member.overrides
-    return frozenset(column for column in changed.of_whole if column in overrides)
+    columns = [column for column in changed.of_whole if column in overrides]
+    return {column: overrides.faults.get(column) for column in columns}

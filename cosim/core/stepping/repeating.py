@@ -1,4 +1,4 @@
-"""Run a graph again with the overrides of its recording, each at its instant."""
+"""Run a graph again with the overrides and faults of its recording, each at its instant."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def _point(clock: Clock, time_ns: int) -> int:
 def _apply(
     simulation: Simulation, jumps: Iterable[SignalEvent], graph: Graph, recorded: Collection[str]
 ) -> None:
-    """Override and release inputs as they were, and let the rest follow."""
+    """Override inputs as they were, inject faults, release, and let the rest follow."""
     given: dict[str, list[tuple[slice, Vector]]] = {}
     try:
         for jump in jumps:
@@ -84,6 +84,8 @@ def _apply(
                 simulation[jump.signal] = jump.values
             elif jump.cause == "release":
                 simulation.release(jump.signal)
+            elif jump.cause != "follow":
+                simulation.inject(jump.signal, jump.cause, jump.parameters)
             else:
                 port = Port.parse(jump.signal)
                 if port.component in recorded:

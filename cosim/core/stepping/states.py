@@ -13,6 +13,7 @@ from cosim.arrays import Vector
 from cosim.core.clock import Clock
 from cosim.core.contracts import Plan
 from cosim.core.graph import Graph
+from cosim.core.stages.overrides import SavedOverrides
 from cosim.errors import UsageError, listing
 
 
@@ -28,8 +29,8 @@ class SimulationState:
         Number of the communication point.
     row : Vector, shape (width,)
         All signals there, behind the jumps.
-    overrides : mapping of column to float
-        Of inputs.
+    overrides : mapping of component name to SavedOverrides
+        Of their inputs, where there are any.
     components : mapping of component name to its state
         What delays and filters hold, the states of random generators, and so on.
     origin : object
@@ -39,7 +40,7 @@ class SimulationState:
     graph: str
     index: int
     row: Vector
-    overrides: Mapping[int, float]
+    overrides: Mapping[str, SavedOverrides]
     components: Mapping[str, Any]
     origin: object = field(default=None, repr=False)
 
@@ -115,10 +116,11 @@ class States:
         RunError
             If a component raises what is no error of cosim.
         """
-        overrides: dict[int, float] = {}
+        overrides = {}
         components = {}
         for name, member in self._graph.members.items():
-            overrides.update(member.overrides.values())
+            if member.overrides:
+                overrides[name] = member.overrides.save()
             components[name] = member.component.save()
         row = row.copy()
         row.flags.writeable = False
@@ -158,9 +160,8 @@ class States:
         for name, member in self._graph.members.items():
             member.component.restore(state.components[name])
             member.overrides.clear()
-            for column, value in state.overrides.items():
-                if member.inputs.start <= column < member.inputs.stop:
-                    member.overrides[column] = value
+            if name in state.overrides:
+                member.overrides.restore(state.overrides[name])
 
 
 def graph_hash(graph: Graph, clock: Clock, plan: Plan, identity: str | None) -> str:

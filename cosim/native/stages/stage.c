@@ -44,13 +44,26 @@ static void add_up(cosim_stage *s, const cosim_sum *sum, double *row)
     row[sum->to] = value;
 }
 
+/* Give inputs that are overridden their values, behind what their sources gave. */
+static void override(cosim_stage *s, const cosim_member *m, double *row)
+{
+    for (int32_t i = 0; i < *m->overridden; ++i) {
+        double *u = row + m->overridden[1 + i];
+        if (m->gains[i] == 0.0) {
+            *u = m->overrides[i];
+            continue;
+        }
+        *u = m->gains[i] * *u + m->overrides[i];
+        s->suspicious |= !is_finite(*u);
+    }
+}
+
 /* Fill inputs that are no copies. */
 RARE static void gather_others(cosim_stage *s, const cosim_member *m, double *row)
 {
     for (int32_t i = 0; i < m->n_sums; ++i)
         add_up(s, m->sums + i, row);
-    for (int32_t i = 0; i < *m->overridden; ++i)
-        row[m->overridden[1 + i]] = m->overrides[i];
+    override(s, m, row);
 }
 
 /* Fill the inputs from their sources. */

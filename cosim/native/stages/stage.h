@@ -47,9 +47,10 @@ typedef struct {
     const cosim_sum *sums;
     const uint8_t *optional; /* (n_u + n_y) where NaN means "no value yet" */
     double *seconds;         /* wall time of its calls is added to it; NULL: it is not measured */
-    /* inputs that have values of their own: how many, then their columns; and these values */
+    /* inputs that are overridden: how many, then their columns; and gain and value of each. Where
+     * the gain is 0 it has the value; else the gain times what its source gives, plus the value. */
     const int32_t *overridden;
-    const double *overrides;
+    const double *gains, *overrides;
 } cosim_member;
 
 /* What an operation does to a member, the last one to `count` of them: */

@@ -45,7 +45,7 @@ class MemberStruct(Structure):
         *((name, c_void_p) for name in ("advance", "outputs", "self")),
         *((name, c_int32) for name in ("u", "n_u", "y", "n_y", "n_copies", "n_sums")),
         *((name, c_void_p) for name in ("copies", "sums")),
-        *((name, c_void_p) for name in ("optional", "seconds", "overridden", "overrides")),
+        *((name, c_void_p) for name in ("optional", "seconds", "overridden", "gains", "overrides")),
     )
 
 
