@@ -6,7 +6,7 @@ whole block in one call. Feedthrough orders only the inside of loops and the ini
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from itertools import chain
 from typing import Literal
@@ -22,6 +22,7 @@ from cosim.core.port import Port
 from cosim.core.signals import Channel, Signal, Variability
 from cosim.core.stages.coupling import Cascade, Loop, Stage
 from cosim.core.stages.member import Member, first_non_finite
+from cosim.core.stages.torn_inputs import TornInputs
 from cosim.core.stages.wires import Wire, constant_wires, wires_of
 from cosim.core.structure.connection_checks import (
     check_connections,
@@ -29,16 +30,16 @@ from cosim.core.structure.connection_checks import (
     unit_warnings,
 )
 from cosim.core.structure.cycles import groups_in_order
-from cosim.core.structure.order import order_loop
+from cosim.core.structure.feedthrough import extrapolation_text
+from cosim.core.structure.order import Coupling, order_loop
 from cosim.core.structure.ports import Ports, layout_of, undriven_parts
 from cosim.core.structure.variability import Variabilities
-from cosim.errors import GraphError, nearest
+from cosim.errors import GraphError, listing, nearest
 from cosim.units import Conversion
 
-Coupling = Literal["gauss-seidel", "jacobi"]
 InputInterpolation = Literal["linear", "zero-order"]
 THREADS = (1, 2)
-COUPLINGS: tuple[str, ...] = ("gauss-seidel", "jacobi")
+COUPLINGS: tuple[str, ...] = ("gauss-seidel", "jacobi", "newton")
 INTERPOLATIONS: tuple[str, ...] = ("linear", "zero-order")
 
 
@@ -51,8 +52,9 @@ class Graph:
     connections : mapping of ``component.input`` to Connection, or to what it takes as its source
         An input is connected as a whole, or by elements: ``component.input[1]``,
         ``component.input[0:2]``, each driven once.
-    coupling : {"gauss-seidel", "jacobi"}
-        How the components of a loop advance.
+    coupling : {"gauss-seidel", "jacobi", "newton"}
+        How the components of a loop advance: one after the other, together, or again and again
+        until all inputs at the end of a step are what drives them then (second order).
     input_interpolation : {"linear", "zero-order"}
         "linear": continuous signals are interpolated linearly inside a step. "zero-order": every
         input holds its value from the start of the step, as in most masters; first order only.
@@ -87,7 +89,7 @@ class Graph:
     GraphError
         All problems together: unknown names, unconnected inputs, sizes, units.
     AlgebraicLoopError
-        If outputs are known to feed through to each other in a cycle.
+        If there is a discrete signal in a cycle of outputs that feed through to each other.
     """
 
     def __init__(
@@ -229,6 +231,9 @@ class Graph:
             If an initial value is not finite.
         """
         self.initializations += 1
+        for stage in self.stages:
+            if stage.torn is not None:
+                stage.torn.solver.reset()
         for member in self._members.values():
             member.overrides.clear()
         origins = self._initial_values.find(t, row)
@@ -422,10 +427,16 @@ class Graph:
         interfaces = {name: self.layout[name].interface for name in names}
         sources = {name: self._sources[name] for name in names}
         held = self._variabilities.held_connections(names)
-        order = order_loop(interfaces, sources, jacobi=self.coupling == "jacobi", held=held)
+        order = order_loop(interfaces, sources, coupling=self.coupling, held=held)
         members = [self._members[name] for name in names]
         operations = [(kind, self._members[name]) for kind, name in order.operations]
         warnings = [(unknown.component, str(unknown)) for unknown in order.unknown]
+        if order.algebraic and not order.torn:
+            warnings.append((order.algebraic[0].component, extrapolation_text(order.algebraic)))
+        torn = None
+        if order.torn:
+            _check_rollback(members)
+            torn = TornInputs(order.torn, members, self.ports)
         return Loop(
             self.coupling,
             tuple(members),
@@ -433,6 +444,24 @@ class Graph:
             order.extrapolated,
             order.broken,
             tuple(warnings),
+            torn,
+        )
+
+
+def _check_rollback(members: Sequence[Member]) -> None:
+    """Check that the components of a loop that iterates can go back to the start of a step.
+
+    Raises
+    ------
+    GraphError
+        If some cannot.
+    """
+    names = [member.name for member in members if not member.channel.interface.rollback]
+    if names:
+        raise GraphError(
+            f"coupling: found 'newton', which takes a step several times; {listing(names)} in this "
+            "loop cannot go back to its start (rollback is not declared; of an FMU: "
+            "canGetAndSetFMUstate); needed 'gauss-seidel' or 'jacobi'"
         )
 
 

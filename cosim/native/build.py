@@ -22,6 +22,7 @@ HERE = Path(__file__).resolve().parent
 SOURCES = (
     "stages/cascade.c",
     "stages/stage.c",
+    "stages/loop_solver.c",
     "numerics/linear.c",
     "numerics/elementary.c",
     "numerics/expression.c",

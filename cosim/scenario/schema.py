@@ -106,9 +106,10 @@ class Settings(TomlTable):
     start_time: Number = Field(0.0, description="start of the run [s], 0 or later")
     stop: Number = Field(description="end of the run, an instant [s]")
     step: Number = Field(description="communication step [s]")
-    coupling: Literal["gauss-seidel", "jacobi"] = Field(
+    coupling: Literal["gauss-seidel", "jacobi", "newton"] = Field(
         "gauss-seidel",
-        description='how the components of a loop advance: "gauss-seidel" or "jacobi"',
+        description='how the components of a loop advance: "gauss-seidel", "jacobi", or "newton", '
+        "which solves for the inputs at the end of each step (second order)",
     )
     input_interpolation: Literal["linear", "zero-order"] = Field(
         "linear",

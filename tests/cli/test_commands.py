@@ -701,7 +701,7 @@ def test_a_refused_run_leaves_the_old_log_as_it_was(call, tmp_path):
     call("run", "academic", *SHORT, "--out", "a.mcap")
     before = (tmp_path / "a.mcap").read_bytes()
     head = '[scenario]\nname = "x"\nstop = 1.0\nstep = 0.1\n'
-    loop = '[components.x]\nkind = "gain"\nK = 2.0\n[connections]\n"x.u" = "x.y"\n'
+    loop = '[components.x]\nkind = "gain"\nK = 1.0\n[connections]\n"x.u" = "x.y"\n'
     chase = (
         '[components.x]\nkind = "lag"\ntime_constant = 1.0\n'
         '[connections]\n"x.u" = { from = "x.y", offset = 1.0 }\n'

@@ -145,7 +145,7 @@ def test_gauss_seidel_extrapolates_as_few_inputs_as_possible():
         "sum": {"r": (Port("out", "y"),), "u": (Port("gain", "y"),)},
         "lag": {"u": (Port("sum", "y"),)},
     }
-    order = order_loop(interfaces, sources, jacobi=False)
+    order = order_loop(interfaces, sources, coupling="gauss-seidel")
     assert order.operations == (("advance", "lag"), ("advance", "gain"), ("advance", "sum"))
     assert order.extrapolated == {"lag": {"u"}, "gain": set(), "sum": set()}
 
@@ -157,7 +157,7 @@ def test_an_output_is_evaluated_again_when_an_extrapolated_input_feeds_through()
     """
     interfaces = {"plant": interface(["u"], v=(), y=("u",)), "gain": interface(["u"], y=("u",))}
     sources = {"plant": {"u": (Port("gain", "y"),)}, "gain": {"u": (Port("plant", "v"),)}}
-    order = order_loop(interfaces, sources, jacobi=False)
+    order = order_loop(interfaces, sources, coupling="gauss-seidel")
     assert order.operations == (("advance", "plant"), ("advance", "gain"), ("refresh", "plant"))
     assert order.extrapolated == {"plant": {"u"}, "gain": set()}
 
@@ -177,7 +177,7 @@ def test_jacobi_extrapolates_every_input_from_inside():
         "sum": {"r": (Port("out", "y"),), "u": (Port("gain", "y"),)},
         "lag": {"u": (Port("sum", "y"),)},
     }
-    order = order_loop(interfaces, sources, jacobi=True)
+    order = order_loop(interfaces, sources, coupling="jacobi")
     assert order.operations == (
         ("advance", "gain"),
         ("advance", "lag"),
@@ -199,7 +199,7 @@ def test_the_unknown_feedthrough_of_a_component_are_one_sentence():
         "plant": {f"u{i}": (Port("gain", f"y{i}"),) for i in range(8)} | {"w": (Port("out", "y"),)},
         "gain": {f"u{i}": (Port("plant", "y"),) for i in range(8)},
     }
-    (unknown,) = order_loop(interfaces, sources, jacobi=False).unknown
+    (unknown,) = order_loop(interfaces, sources, coupling="gauss-seidel").unknown
     assert unknown == UnknownFeedthrough("plant", ("y",), tuple(names))
     assert str(unknown).startswith(
         "plant.y may depend directly on plant.u0, plant.u1, plant.u2, plant.u3, plant.u4, "
@@ -234,10 +234,10 @@ def test_unknown_feedthrough_counts_where_it_closes_no_cycle():
     """
     interfaces = {"plant": interface(["u"], y=None), "lag": interface(["u"], y=())}
     sources = {"plant": {"u": (Port("lag", "y"),)}, "lag": {"u": (Port("plant", "y"),)}}
-    order = order_loop(interfaces, sources, jacobi=False)
+    order = order_loop(interfaces, sources, coupling="gauss-seidel")
     assert order.operations == (("advance", "lag"), ("advance", "plant"))
     assert (order.extrapolated, order.unknown) == ({"lag": {"u"}, "plant": set()}, ())
-    order = order_loop(interfaces, sources, jacobi=True)
+    order = order_loop(interfaces, sources, coupling="jacobi")
     assert order.operations == (("advance", "lag"), ("advance", "plant"), ("refresh", "plant"))
     assert (order.extrapolated, order.unknown) == ({"plant": {"u"}, "lag": {"u"}}, ())
 
@@ -254,11 +254,11 @@ def test_unknown_feedthrough_that_closes_a_cycle_is_taken_as_not_there():
         "gain": {"u": (Port("plant", "y"),)},
         "lag": {"u": (Port("plant", "y"),)},
     }
-    order = order_loop(interfaces, sources, jacobi=False)
+    order = order_loop(interfaces, sources, coupling="gauss-seidel")
     assert order.unknown == (UnknownFeedthrough("plant", ("y",), ("u",)),)
     assert order.operations == (("advance", "lag"), ("advance", "plant"), ("advance", "gain"))
     assert order.extrapolated == {"lag": {"u"}, "plant": {"u"}, "gain": set()}
-    order = order_loop(interfaces, sources, jacobi=True)
+    order = order_loop(interfaces, sources, coupling="jacobi")
     assert order.unknown == (UnknownFeedthrough("plant", ("y",), ("u",)),)
     assert [operation for operation in order.operations if operation[0] == "refresh"] == [
         ("refresh", "plant"),

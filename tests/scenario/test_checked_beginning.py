@@ -135,7 +135,7 @@ JUMPING = {
 }
 OVERFLOW = {"a": CONSTANT, "K": 1e300, "more": ""}
 BEGINNINGS = {
-    "an algebraic loop": (LOOP, "connections"),
+    "an algebraic loop": (LOOP, BEGINNING),
     "an alpha that jumps": (JUMPING, "components.d"),
     "an initial value that is not finite": (OVERFLOW, BEGINNING),
 }

@@ -109,18 +109,6 @@ def test_the_same_mistake_of_two_components_is_told_of_both():
     assert "components.b: 'rate' is missing" in lines[1]
 
 
-def test_a_loop_is_reported_beside_other_mistakes():
-    """An algebraic loop too, where only what does not belong to it is wrong."""
-    text = edited(
-        ('"plant.u" = "u.y"', '"plant.u" = "k.y"\n"k.u" = "plant.y"'),
-        ("[connections]", '[components.k]\nkind = "gain"\nK = 0.5\n\n[connections]'),
-        ('"observer.delta" = "delta.y"', '"observer.dleta" = "delta.y"'),
-    )
-    lines = report(text)
-    assert len(lines) == 2
-    assert "feeds through" in "".join(lines)
-
-
 OBSERVER_Y = '"observer.y" = "plant.y"'
 
 

@@ -5,6 +5,12 @@ whose order is fixed before the run (:mod:`cosim.core.structure.order`). At each
 component from one that has not reached the end of the step yet is *extrapolated*: it keeps its
 value from the start of the step (first order). Outputs that feed through from it are evaluated
 again as soon as it is known.
+
+A loop that iterates extrapolates nothing: the inputs at which it is torn are unknowns. Its
+components advance with what is tried for these, go back, and advance again, until it is what their
+sources give (:mod:`cosim.core.stages.torn_inputs`). Every input then follows its source through the
+step (second order), and an algebraic loop is solved with it. The row keeps what the components were
+given, which is as far from the outputs of the sources as the residual.
 """
 
 from __future__ import annotations
@@ -20,8 +26,10 @@ from numpy.typing import NDArray
 from cosim.arrays import Matrix, Vector, read_only
 from cosim.core.contracts import Block, Stopped
 from cosim.core.stages.member import Member, NonFinite, driving_groups, first_non_finite
+from cosim.core.stages.torn_inputs import END, TornInputs
 from cosim.core.structure.order import OperationKind
 from cosim.errors import RunError
+from cosim.native.stages.loop_solver import SOLVED, SWEEP
 
 OperationName: TypeAlias = Literal["keep", "gather", "advance", "refresh", "check"]
 ProgramOperation: TypeAlias = tuple[OperationName, tuple[Member, ...]]
@@ -100,6 +108,11 @@ class Stage(Advancing, Protocol):
         """Whether its components advance step by step."""
         ...
 
+    @property
+    def torn(self) -> TornInputs | None:
+        """The unknowns that it solves for; None: it does not iterate."""
+        ...
+
 
 @dataclass(frozen=True, slots=True)
 class Cascade:
@@ -110,6 +123,7 @@ class Cascade:
     warnings: tuple[tuple[str, str], ...] = ()
     is_first_order: bool = False
     is_loop: bool = False
+    torn: None = None
 
     @property
     def members(self) -> tuple[Member, ...]:
@@ -153,6 +167,7 @@ class Loop:
     extrapolated: Mapping[str, frozenset[str]]
     broken: int
     warnings: tuple[tuple[str, str], ...]
+    torn: TornInputs | None
     is_loop: bool = True
 
     @property
@@ -162,10 +177,15 @@ class Loop:
 
     @property
     def description(self) -> str:
-        """The operations in order, for the log; in parentheses: outputs are evaluated again."""
+        """The operations in order, for the log.
+
+        In parentheses: outputs are evaluated again; in brackets: inputs that are solved for.
+        """
         words = [self.coupling]
         for kind, member in self.operations:
             words.append(member.name if kind == "advance" else f"({member.name})")
+        if self.torn is not None:
+            words.append(f"[{', '.join(self.torn.labels)}]")
         if not self.is_first_order:
             words.append("(second order)")
         return " ".join(words)
@@ -217,7 +237,8 @@ class Loop:
         for k in range(block.steps):
             step = slice(k, k + 2)
             results: list[tuple[Member, Vector]] = []
-            stop = self._step(block.time[step], block.h, signals[step], known[step], results)
+            rows = signals[step]
+            stop = self._solve(block.time[step], block.h, rows, known[step], results)
             values = signals[k + 1, columns]
             if stop is not None or not math.isfinite(values.dot(values)):  # of all at once, in time
                 origin = _origin(results)
@@ -227,7 +248,36 @@ class Loop:
             if stop is not None:
                 raise Cut(k + stop.steps, stop, self.members[0].name)
 
-    def _step(
+    def _solve(
+        self,
+        time: Vector,
+        h: float,
+        rows: Matrix,
+        known: Matrix,
+        results: list[tuple[Member, Vector]],
+    ) -> Stopped | None:
+        """Sweep until the torn inputs are what their sources give; return as the last sweep did.
+
+        Where no solution is found, that stops it.
+        """
+        if self.torn is None:
+            return self._sweep(time, h, rows, known, results)
+        states = [(member, member.component.save()) for member in self.members]
+        self.torn.begin(rows)
+        while True:
+            results.clear()
+            stop = self._sweep(time, h, rows, known, results)
+            if stop is not None and not stop.steps:
+                return stop
+            status = self.torn.next(rows)
+            if status == SOLVED:
+                return stop
+            if status != SWEEP:
+                return self.torn.stop(status, float(time[1]))
+            for member, state in states:
+                member.component.restore(state)
+
+    def _sweep(
         self,
         time: Vector,
         h: float,
@@ -240,13 +290,12 @@ class Loop:
         ``known`` shows the same rows to the components, which cannot write to it. What each returns
         is appended to ``results``.
         """
-        end = slice(1, 2)
         stopped: Stopped | None = None
         # Extrapolated inputs read row 1 before their source has written it: first, it is row 0.
         for member in self.members:
             rows[1, member.outputs] = rows[0, member.outputs]
         for kind, member in self.operations:
-            member.gather(rows, end)
+            self._gather(member, rows)
             try:
                 y = call(kind, member, time, h, known[:, member.inputs])
             except Stopped as stop:
@@ -258,8 +307,14 @@ class Loop:
             results.append((member, y))
         # What is recorded as applied at the end of the step is what the sources gave there at last.
         for member in self.members:
-            member.gather(rows, end)
+            self._gather(member, rows)
         return stopped
+
+    def _gather(self, member: Member, rows: Matrix) -> None:
+        """Bring the inputs of a component at the end of the step up to date."""
+        member.gather(rows, END)
+        if self.torn is not None:
+            self.torn.put(rows, member)
 
 
 def call(kind: OperationName, member: Member, time: Vector, h: float, u: Matrix) -> Vector:

@@ -43,7 +43,7 @@ def advancing_stages(graph: Graph) -> Sequence[Advancing]:
     steps: dict[str, NativeStep] = {}
     for stage in graph.stages:
         steps_of_stage = _native_steps(stage.members)
-        if steps_of_stage or stage.is_loop:
+        if stage.torn is None and (steps_of_stage or stage.is_loop):
             together.append(stage)
             steps.update(steps_of_stage)
             continue

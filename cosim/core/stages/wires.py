@@ -35,6 +35,19 @@ class Wire:
         numbers: list[int] = self.source.tolist()
         return numbers
 
+    @property
+    def sources_by_column(self) -> dict[int, set[int]]:
+        """The columns that each column of the input follows."""
+        sources = self.source_columns
+        by_column: dict[int, set[int]] = {}
+        for i, column in enumerate(range(self.to.start, self.to.stop)):
+            if self.gain is None:
+                by_column[column] = {sources[i]}
+                continue
+            weighted = zip(sources, self.gain[i], strict=True)
+            by_column[column] = {source for source, gain in weighted if gain != 0.0}
+        return by_column
+
     def copy(self, signals: Matrix, rows: slice) -> None:
         """Fill the input columns of some rows."""
         source = signals[rows, self.source]

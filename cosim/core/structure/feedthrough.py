@@ -1,14 +1,18 @@
 """What feeds through in a loop: known and unknown direct feedthrough, and algebraic loops.
 
-An algebraic loop, that is a cycle of outputs that are known to feed through to each other, is
-refused. Unknown feedthrough counts as there, except where it would close a cycle: there it is taken
+An algebraic loop is a cycle of outputs that feed through to each other. Its connections are found
+here; a coupling that iterates solves them, any other extrapolates one of them
+(:mod:`cosim.core.structure.order`). A loop with a discrete signal in it is refused: neither is an
+approximation of anything there.
+
+Unknown feedthrough counts as there. Where nothing iterates, and it would close a cycle, it is taken
 as not there (:class:`UnknownFeedthrough`). If it is there after all, its output was computed with
 the extrapolated input, the value from the start of the step.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TypeAlias
@@ -21,6 +25,7 @@ from cosim.errors import AlgebraicLoopError
 PortDependencies: TypeAlias = Mapping[Port, Collection[Port]]  # what each port depends on directly
 Feedthrough: TypeAlias = dict[str, tuple[str, ...]]  # the inputs that feed through to each output
 Sources: TypeAlias = Mapping[str, Mapping[str, tuple[Port, ...]]]  # of each input, by component
+Edge: TypeAlias = tuple[Port, Port]  # a connection: the input, and the output that drives it
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,10 +45,30 @@ class UnknownFeedthrough:
         )
 
 
+@dataclass(frozen=True, slots=True)
+class LoopFeedthrough:
+    """What feeds through in a loop.
+
+    Parameters
+    ----------
+    by_component : mapping of component name to Feedthrough
+    algebraic : frozenset of (input Port, source Port)
+        The connections of its algebraic loops.
+    path : tuple of Port
+        One algebraic loop, closed; empty: there is none.
+    unknown : tuple of UnknownFeedthrough
+    """
+
+    by_component: Mapping[str, Feedthrough]
+    algebraic: frozenset[Edge]
+    path: tuple[Port, ...]
+    unknown: tuple[UnknownFeedthrough, ...]
+
+
 def find_feedthrough(
-    interfaces: Mapping[str, Interface], sources: Sources
-) -> tuple[dict[str, Feedthrough], tuple[UnknownFeedthrough, ...]]:
-    """Return what feeds through to each output; where that is unknown, what closes no cycle.
+    interfaces: Mapping[str, Interface], sources: Sources, *, iterates: bool
+) -> LoopFeedthrough:
+    """Return what feeds through to each output, and the algebraic loops that it closes.
 
     Parameters
     ----------
@@ -51,31 +76,94 @@ def find_feedthrough(
         The components of a loop; which unknown feedthrough is taken as not there follows their
         order.
     sources : mapping of component name to mapping of input to tuple of Port
+    iterates : bool
+        Whether the coupling iterates, so that unknown feedthrough may close a cycle.
 
     Raises
     ------
     AlgebraicLoopError
-        If what is known to feed through closes a cycle.
+        If there is a discrete signal in an algebraic loop.
     """
     known: dict[str, Feedthrough] = {}
     possible: dict[str, Feedthrough] = {}
     for name, interface in interfaces.items():
         possible[name] = {output.name: interface.feeds(output.name) for output in interface.outputs}
         known[name] = _known_feedthrough(interface, possible[name])
-    cycle = find_cycle(_dependencies(known, sources))
-    if cycle:
-        raise AlgebraicLoopError(
-            f"{' -> '.join(map(str, cycle))}: every output here feeds through; put a component "
-            "with a state of its own between, such as a lag or a delay"
-        )
+    if iterates:
+        dependencies = _dependencies(possible, sources)
+        algebraic = _algebraic_connections(dependencies, sources)
+        path = tuple(find_cycle(dependencies))
+        _check_continuous(_dependencies(known, sources), interfaces)
+        return LoopFeedthrough(possible, algebraic, path, ())
+    dependencies = _dependencies(known, sources)
+    algebraic = _algebraic_connections(dependencies, sources)
+    path = tuple(find_cycle(dependencies))
+    _check_continuous(dependencies, interfaces)
     unknown = []
-    dependencies = _dependencies(possible, sources)
+    dependencies = _without(_dependencies(possible, sources), algebraic)
     while cycle := find_cycle(dependencies):
         name = _unknown_component(cycle, dependencies, interfaces)
         # Cuts ``possible[name]``: the next cycle is looked for without it.
         unknown.append(_cut_unknown(name, possible[name], interfaces[name], dependencies))
-        dependencies = _dependencies(possible, sources)
-    return possible, tuple(unknown)
+        dependencies = _without(_dependencies(possible, sources), algebraic)
+    return LoopFeedthrough(possible, algebraic, path, tuple(unknown))
+
+
+def extrapolation_text(path: Sequence[Port]) -> str:
+    """Return what becomes of an algebraic loop where nothing iterates."""
+    return (
+        f"{' -> '.join(map(str, path))}: every output here feeds through; this algebraic loop is "
+        "not solved within a step, but with a value of the step before (first order); coupling = "
+        "'newton' solves it"
+    )
+
+
+def _algebraic_connections(dependencies: PortDependencies, sources: Sources) -> frozenset[Edge]:
+    """Return the connections on cycles of ports, as input and source."""
+    cycle_of = strongly_connected(dependencies)
+    edges: set[Edge] = set()
+    for name, inputs in sources.items():
+        for signal in inputs:
+            to = Port(name, signal)
+            for port in dependencies[to]:
+                if cycle_of[port] == cycle_of[to]:
+                    edges.add((to, port))
+    return frozenset(edges)
+
+
+def _without(dependencies: PortDependencies, edges: Collection[Edge]) -> PortDependencies:
+    """Return dependencies without some connections."""
+    left: dict[Port, list[Port]] = {}
+    for to, ports in dependencies.items():
+        left[to] = [port for port in ports if (to, port) not in edges]
+    return left
+
+
+def _check_continuous(dependencies: PortDependencies, interfaces: Mapping[str, Interface]) -> None:
+    """Check that no discrete signal is in an algebraic loop.
+
+    Raises
+    ------
+    AlgebraicLoopError
+        If one is; every port of the loop is named.
+    """
+    cycle_of = strongly_connected(dependencies)
+    by_cycle: dict[Port, list[Port]] = {}
+    for port, cycle in cycle_of.items():
+        by_cycle.setdefault(cycle, []).append(port)
+    for ports in by_cycle.values():
+        if len(ports) == 1:  # a connection has two ends, so that a cycle has two ports
+            continue
+        for port in sorted(ports):
+            signal = interfaces[port.component].by_name[port.signal]
+            if signal.type != "real" or signal.variability == "discrete":
+                inside = {port: [p for p in dependencies[port] if p in ports] for port in ports}
+                path = " -> ".join(map(str, find_cycle(inside)))
+                raise AlgebraicLoopError(
+                    f"{path}: every output here feeds through, and '{port}' is discrete, so that "
+                    "no value between two others can solve it; put a component with a state of "
+                    "its own between, such as a delay"
+                )
 
 
 def _known_feedthrough(interface: Interface, possible: Feedthrough) -> Feedthrough:

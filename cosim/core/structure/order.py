@@ -8,6 +8,12 @@ Which inputs are extrapolated (:mod:`cosim.core.stages.coupling`) is fixed befor
   (:class:`cosim.core.signals.Interface`) or has a zero-order hold, so a delay or a sampled
   controller goes first.
 * Jacobi: all inputs from inside the loop are extrapolated.
+* Newton: the same order as Gauss-Seidel. A connection that would be broken is *torn* instead: what
+  it has at the end of the step is an unknown, which is solved for.
+
+The connections of an algebraic loop feed through and reach each other within the same instant: one
+of them at least is torn. Where nothing solves for it, its input is extrapolated, and the outputs
+that follow it stay as they are: they belong to the value that was extrapolated.
 
 To break the fewest connections is to find a minimum feedback arc set, which is NP-hard. A component
 that breaks none may always advance next: what is known at the end of the step only grows, so it
@@ -29,12 +35,15 @@ from typing import Final, Literal, NamedTuple, TypeAlias
 from cosim.core.port import Port
 from cosim.core.signals import Interface
 from cosim.core.structure.feedthrough import (
+    Edge,
     Feedthrough,
+    LoopFeedthrough,
     Sources,
     UnknownFeedthrough,
     find_feedthrough,
 )
 
+Coupling: TypeAlias = Literal["gauss-seidel", "jacobi", "newton"]
 OperationKind: TypeAlias = Literal["advance", "refresh"]
 Operation: TypeAlias = tuple[OperationKind, str]
 
@@ -51,13 +60,20 @@ class LoopOrder:
     extrapolated : mapping of component name to frozenset of str
         Inputs that are known only after the component has advanced.
     broken : int
-        Connections that are extrapolated though the state behind them follows them.
+        Connections that are extrapolated though the state behind them follows them, or an output
+        that nothing evaluates again.
+    torn : tuple of (input Port, source Port)
+        The connections whose values at the end of a step are unknowns, sorted.
+    algebraic : tuple of Port
+        An algebraic loop, closed; empty: there is none.
     unknown : tuple of UnknownFeedthrough
     """
 
     operations: tuple[Operation, ...]
     extrapolated: Mapping[str, frozenset[str]]
     broken: int
+    torn: tuple[Edge, ...]
+    algebraic: tuple[Port, ...]
     unknown: tuple[UnknownFeedthrough, ...]
 
 
@@ -78,8 +94,8 @@ def order_loop(
     interfaces: Mapping[str, Interface],
     sources: Sources,
     *,
-    jacobi: bool,
-    held: Collection[tuple[Port, Port]] = (),
+    coupling: Coupling,
+    held: Collection[Edge] = (),
 ) -> LoopOrder:
     """Return the order of operations in a loop, and which inputs are extrapolated.
 
@@ -89,26 +105,33 @@ def order_loop(
         The components of the loop.
     sources : mapping of component name to mapping of input to tuple of Port
         What drives each input; ports of components outside the loop are known from the start.
-    jacobi : bool
-        Extrapolate every input from inside the loop.
+    coupling : {"gauss-seidel", "jacobi", "newton"}
     held : collection of (input Port, source Port)
         Connections with a zero-order hold: their value at the end of a step reaches no state.
 
     Raises
     ------
     AlgebraicLoopError
-        If outputs are known to feed through to each other in a cycle; every port of it is named.
+        If a discrete signal is in an algebraic loop; every port of it is named.
     """
     by_name = {name: interfaces[name] for name in sorted(interfaces)}
-    feedthrough, unknown = find_feedthrough(by_name, sources)
-    network = _Network(by_name, feedthrough, sources, held)
-    if jacobi:
+    iterates = coupling == "newton"
+    found = find_feedthrough(by_name, sources, iterates=iterates)
+    network = _Network(by_name, found, sources, held, iterates=iterates)
+    if coupling == "jacobi":
         progress = _Progress(network)
         progress.advance_together()
     else:
         progress = _search(network) or _choose_greedily(network)
-    broken = progress.cost.broken
-    return LoopOrder(tuple(progress.operations), progress.extrapolated, broken, unknown)
+    torn = tuple(sorted(progress.torn)) if iterates else ()
+    return LoopOrder(
+        tuple(progress.operations),
+        progress.extrapolated,
+        0 if iterates else progress.cost.broken,
+        torn,
+        found.path,
+        found.unknown,
+    )
 
 
 class _Network:
@@ -129,6 +152,10 @@ class _Network:
         The outputs that it feeds through to.
     reactive : set of (input Port, source Port)
         The connections that would be broken.
+    tearable : set of (input Port, source Port)
+        Those of them that would be torn.
+    iterates : bool
+        Whether what is torn is solved for.
     size : int
         Number of components and connections.
     """
@@ -136,9 +163,11 @@ class _Network:
     def __init__(
         self,
         interfaces: Mapping[str, Interface],
-        feedthrough: Mapping[str, Feedthrough],
+        found: LoopFeedthrough,
         sources: Sources,
-        held: Collection[tuple[Port, Port]],
+        held: Collection[Edge],
+        *,
+        iterates: bool,
     ) -> None:
         self.names = tuple(interfaces)
         self.inputs: dict[str, list[Port]] = {}
@@ -146,14 +175,16 @@ class _Network:
         self.inside: dict[Port, tuple[Port, ...]] = {}
         self.driven: dict[Port, list[Port]] = {}
         self.fed: dict[Port, list[Port]] = {}
-        self.reactive: set[tuple[Port, Port]] = set()
+        self.reactive: set[Edge] = set(found.algebraic)
+        self.iterates = iterates
         for name, interface in interfaces.items():
             self.outputs[name] = [Port(name, signal.name) for signal in interface.outputs]
             for output in self.outputs[name]:
                 self.driven[output] = []
         for name, interface in interfaces.items():
             self._connect(name, interface, sources[name], held)
-            self._feed(name, feedthrough[name])
+            self._feed(name, found.by_component[name])
+        self.tearable = self.reactive if iterates else set(found.algebraic)
         self.size = len(self.names) + sum(map(len, self.inside.values()))
 
     def _connect(
@@ -161,7 +192,7 @@ class _Network:
         name: str,
         interface: Interface,
         sources: Mapping[str, tuple[Port, ...]],
-        held: Collection[tuple[Port, Port]],
+        held: Collection[Edge],
     ) -> None:
         self.inputs[name] = []
         for signal, ports in sources.items():
@@ -196,6 +227,7 @@ class _Progress:
         Of all components that have advanced.
     waiting : set of str
         The components that have not advanced.
+    torn : set of (input Port, source Port)
     """
 
     def __init__(self, network: _Network) -> None:
@@ -204,6 +236,7 @@ class _Progress:
         self.extrapolated: dict[str, frozenset[str]] = {}
         self.cost = FREE
         self.waiting = set(network.names)
+        self.torn: set[Edge] = set()
         self._missing_sources = {to: len(ports) for to, ports in network.inside.items()}
         self._missing_inputs: dict[Port, int] = {port: 0 for port in network.driven}
         self._broken = dict.fromkeys(network.names, 0)
@@ -240,8 +273,9 @@ class _Progress:
         """Advance a component, then evaluate again what waited for its outputs."""
         cost = self.cost_of(name)
         self.cost = Cost(self.cost.broken + cost.broken, self.cost.waiting + cost.waiting)
-        unknown = [to.signal for to in self.network.inputs[name] if self._missing_sources[to]]
-        self._start(name, unknown)
+        unknown = self._unknown_inputs(name)
+        self._tear(name)
+        self._start(name, self._unknown_inputs(name) if self.network.iterates else unknown)
         # No refresh for these outputs: advance has just computed them with these inputs.
         self._spread(self._computable(name))
 
@@ -249,11 +283,25 @@ class _Progress:
         """Advance all components with the values of the step before (Jacobi)."""
         outputs: list[Port] = []
         for name in self.network.names:
+            self._tear(name)
             self._start(name, [to.signal for to in self.network.inputs[name]])
             # Outputs that no extrapolated input reaches are final already.
             outputs += self._computable(name)
         self.cost = Cost(len(self.network.reactive), 0)
         self._spread(outputs)
+
+    def _unknown_inputs(self, name: str) -> list[str]:
+        """Return the inputs of a component that are not known at the end of the step."""
+        return [to.signal for to in self.network.inputs[name] if self._missing_sources[to]]
+
+    def _tear(self, name: str) -> None:
+        """Tear the connections to a component whose sources are not known, where they may be."""
+        for to in self.network.inputs[name]:
+            for port in self.network.inside[to]:
+                edge = (to, port)
+                if edge in self.network.tearable and port not in self._final:
+                    self.torn.add(edge)
+                    self._complete(edge)
 
     def _start(self, name: str, extrapolated: Iterable[str]) -> None:
         self.waiting.remove(name)
@@ -287,19 +335,28 @@ class _Progress:
         """Make an output known to what it drives; return who can now be evaluated again."""
         stale = []
         for to in self.network.driven[output]:
+            if (to, output) in self.torn:
+                continue
             name = to.component
-            self._broken[name] -= (to, output) in self.network.reactive
-            self._missing_sources[to] -= 1
-            if not self._missing_sources[to]:
-                fed = self.network.fed[to]
-                self._unknown_feeding[name] -= bool(fed)
-                for port in fed:
-                    self._missing_inputs[port] -= 1
-                if fed and name not in self.waiting:
-                    stale.append(name)
+            is_fed = self._complete((to, output))
+            if is_fed and name not in self.waiting:
+                stale.append(name)
             if name in self.waiting and self.cost_of(name) == FREE:
                 heappush(self._free, name)
         return stale
+
+    def _complete(self, edge: Edge) -> bool:
+        """Make the source of an input known; return whether outputs wait for it no longer."""
+        to = edge[0]
+        self._broken[to.component] -= edge in self.network.reactive
+        self._missing_sources[to] -= 1
+        if self._missing_sources[to]:
+            return False
+        fed = self.network.fed[to]
+        self._unknown_feeding[to.component] -= bool(fed)
+        for port in fed:
+            self._missing_inputs[port] -= 1
+        return bool(fed)
 
 
 def _search(network: _Network) -> _Progress | None:

@@ -1,0 +1,130 @@
+"""The unknowns of a loop that iterates: the input elements at which it is torn."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.arrays import Matrix
+from cosim.core.contracts import Stopped
+from cosim.core.stages.member import Member
+from cosim.core.structure.feedthrough import Edge
+from cosim.core.structure.ports import Ports
+from cosim.errors import listing
+from cosim.native.stages.loop_solver import INVALID, UNDECIDED, LoopSolver
+
+END = slice(1, 2)  # of the two rows of a step
+
+
+@final
+class TornInputs:
+    """Input elements whose values at the end of a step are solved for.
+
+    Parameters
+    ----------
+    connections : collection of (input Port, source Port)
+        At least one.
+    members : sequence of Member
+        The components of the loop.
+    ports : Ports
+
+    Attributes
+    ----------
+    columns : tuple of int
+        Of the elements, in the row; ascending by component.
+    members : tuple of Member
+        The components that have some.
+    solver : LoopSolver
+    """
+
+    def __init__(
+        self, connections: Collection[Edge], members: Sequence[Member], ports: Ports
+    ) -> None:
+        columns: list[int] = []
+        self._own: dict[str, tuple[NDArray[np.intp], slice]] = {}
+        with_some = []
+        for member in members:
+            own = _torn_columns(connections, member, ports)
+            if not own:
+                continue
+            with_some.append(member)
+            places = slice(len(columns), len(columns) + len(own))
+            self._own[member.name] = (np.array(own), places)
+            columns += own
+        self.members = tuple(with_some)
+        self.columns = tuple(columns)
+        self.solver = LoopSolver(len(columns))
+        of_members = [np.arange(m.columns.start, m.columns.stop) for m in members]
+        self._of_loop = np.concatenate(of_members)
+        self._w = np.empty(len(columns))
+
+    @property
+    def labels(self) -> list[str]:
+        """The names of the elements."""
+        labels = []
+        for member in self.members:
+            columns, _ = self._own[member.name]
+            labels += [member.label(int(column) - member.columns.start) for column in columns]
+        return labels
+
+    def begin(self, rows: Matrix) -> None:
+        """Begin a step: the guess is what the inputs have at its start."""
+        self.solver.begin(rows[0, list(self.columns)])
+
+    def put(self, rows: Matrix, member: Member) -> None:
+        """Give inputs of a component, at the end of the step, what is tried for them."""
+        own = self._own.get(member.name)
+        if own is not None:
+            columns, places = own
+            rows[1, columns] = self.solver.v[places]
+
+    def next(self, rows: Matrix) -> int:
+        """Look at what a sweep gave; return what is next: ``SOLVED``, ``SWEEP``, ..."""
+        gathered = rows[1:].copy()
+        for member in self.members:
+            columns, places = self._own[member.name]
+            member.gather(gathered, slice(0, 1))
+            self._w[places] = gathered[0, columns]
+        values = np.abs(rows[1, self._of_loop])
+        largest = float(np.fmax.reduce(values))
+        return self.solver.next(self._w, largest)
+
+    def stop(self, status: int, t: float) -> Stopped:
+        """Return why there is no solution at ``t`` [s], the end of a step, as what stops it."""
+        worst, residual, tolerance = self.solver.worst
+        label = self.labels[worst]
+        at = f"residual of {residual:.3g} at {label!r}, needed at most {tolerance:.3g}"
+        if status == INVALID:
+            reason = f"{label!r} becomes {self._w[worst]}, which nothing can solve for"
+        elif status == UNDECIDED:
+            reason = f"they have no solution, or more than one: 1 - dw/dv is singular, with a {at}"
+        else:
+            reason = f"Newton's method ended with a {at}"
+        inputs = listing(self.labels)
+        text = (
+            f"the inputs {inputs} of a loop, which depend on each other, were not solved at t = "
+            f"{t} s: {reason}; needed a smaller step, or a component with a state of its own "
+            "between, such as a lag or a delay"
+        )
+        return Stopped(np.empty((0, 0)), text)
+
+
+def _torn_columns(connections: Collection[Edge], member: Member, ports: Ports) -> list[int]:
+    """Return the columns of a component's inputs that torn connections feed."""
+    sources: dict[str, set[int]] = {}
+    for to, source in connections:
+        if to.component == member.name:
+            columns = ports.output(source).columns
+            sources.setdefault(to.signal, set()).update(range(columns.start, columns.stop))
+    torn: set[int] = set()
+    for signal, torn_sources in sources.items():
+        of_input = member.channel.signal_columns[signal]
+        for wire in member.wires:
+            if of_input.start <= wire.to.start < of_input.stop:
+                for column, own_sources in wire.sources_by_column.items():
+                    if own_sources & torn_sources:
+                        torn.add(column)
+    return sorted(torn)
