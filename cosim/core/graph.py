@@ -6,7 +6,7 @@ whole block in one call. Feedthrough orders only the inside of loops and the ini
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from functools import cached_property
 from itertools import chain
 from typing import Literal
@@ -16,7 +16,7 @@ import numpy as np
 from cosim.arrays import Mask, Vector
 from cosim.core.arguments import check_type, checked_components, kind_of
 from cosim.core.connections import ONE_SOURCE, Connection, SourceText, conversions_of
-from cosim.core.contracts import Component, Design, Plan
+from cosim.core.contracts import Component, Design, Plan, Recording
 from cosim.core.initialization.initial_values import InitialValues
 from cosim.core.port import Port
 from cosim.core.signals import Channel, Signal, Variability
@@ -35,6 +35,7 @@ from cosim.core.structure.order import Coupling, order_loop
 from cosim.core.structure.ports import Ports, layout_of, undriven_parts
 from cosim.core.structure.variability import Variabilities
 from cosim.errors import GraphError, listing, nearest
+from cosim.native.stages.loop_solver import LoopSolver
 from cosim.units import Conversion
 
 InputInterpolation = Literal["linear", "zero-order"]
@@ -231,9 +232,8 @@ class Graph:
             If an initial value is not finite.
         """
         self.initializations += 1
-        for stage in self.stages:
-            if stage.torn is not None:
-                stage.torn.solver.reset()
+        for solver in self.solvers:
+            solver.reset()
         for member in self._members.values():
             member.overrides.clear()
         origins = self._initial_values.find(t, row)
@@ -243,6 +243,21 @@ class Graph:
                 names = {member.name for member in stage.members}
                 inside = [origin for name, origin in origins.items() if name in names]
                 raise (inside or [bad])[-1].error(t)
+
+    def take_solutions(self, recording: Recording, recorded: Collection[str]) -> None:
+        """Take from a recording what was solved for in the loops that have recorded components.
+
+        A recorded component does not answer, so that nothing can be solved for again.
+
+        Parameters
+        ----------
+        recording : Recording
+        recorded : collection of component names
+        """
+        for stage in self.stages:
+            names = {member.name for member in stage.members}
+            if stage.torn is not None and not names.isdisjoint(recorded):
+                stage.torn.take(recording)
 
     def measure(self) -> dict[str, float]:
         """Measure the calls of every component from now on; return its wall time [s] by name.
@@ -262,6 +277,11 @@ class Graph:
             for member in stage.members:
                 members[member.name] = member
         return members
+
+    @property
+    def solvers(self) -> list[LoopSolver]:
+        """What solves for the inputs of loops that iterate, in the order of the stages."""
+        return [stage.torn.solver for stage in self.stages if stage.torn is not None]
 
     @property
     def warnings(self) -> list[tuple[str, str]]:

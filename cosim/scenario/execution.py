@@ -259,6 +259,7 @@ def replay(
         check_changes(experiment, original, wanted)
         designs = valid_designs(experiment, source)
         copied = tuple(recorded_components(experiment.scenario))
+        experiment.graph.take_solutions(source, copied)
         origin = ReplayOrigin(str(source.path), source.recorded_hash, copied)
         events = tuple(source.events())
         experiment = replace(experiment, origin=origin, designs=designs, events=events)

@@ -1,14 +1,22 @@
 """Loops that iterate: order of convergence, algebraic loops, what cannot be solved."""
 
-import numpy as np
-import scipy.linalg
+from dataclasses import replace
 
+import numpy as np
+import pytest
+import scipy.linalg
+import scipy.optimize
+
+from cosim.blocks.replay import Replay
 from cosim.blocks.state_space import controller
 from cosim.core.clock import Clock
 from cosim.core.graph import Graph
 from cosim.core.linear import Linear
 from cosim.core.master import run
 from cosim.core.recorders import Memory
+from cosim.core.signals import Interface, Signal
+from cosim.core.simulation import Simulation
+from cosim.errors import GraphError, NonFiniteError, RunError
 
 
 def state_space(A, B, C, D, x0):
@@ -69,3 +77,163 @@ def test_newton_is_second_order_through_an_algebraic_loop():
     orders = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
     np.testing.assert_allclose(orders, 2.0, atol=0.1)
     assert np.abs(states(record(pair(), step=0.001)) - solution(1.0)).max() < 1e-7
+
+
+def test_a_loop_without_feedthrough_is_second_order():
+    """Of x1' = x2, x2' = -x1, against the cosine; Gauss-Seidel beside it is first order."""
+
+    def error(coupling, step):
+        components = {"p": state_space(0.0, 1.0, 1.0, 0.0, 1.0)}
+        components["v"] = state_space(0.0, -1.0, 1.0, 0.0, 0.0)
+        graph = Graph(components, {"p.u": "v.y", "v.u": "p.y"}, coupling=coupling)
+        memory = record(graph, step=step)
+        return np.abs(memory["p.x"] - np.cos(memory.time("p"))).max()
+
+    steps = 0.01 / 2.0 ** np.arange(6)
+    for coupling, order in (("gauss-seidel", 1.0), ("newton", 2.0)):
+        errors = np.array([error(coupling, step) for step in steps])
+        np.testing.assert_allclose(np.log2(errors[:-1] / errors[1:]), order, atol=0.1)
+
+
+def test_the_bits_do_not_depend_on_blocks_or_compiled_code():
+    """What the solver keeps from step to step goes on from block to block."""
+    whole = record(pair(), stop=0.2)
+    for other in (record(pair(), 0.2, block=3), record(pair(native=False), 0.2)):
+        for signal in ("one.u", "one.x", "two.u", "two.x"):
+            assert whole[signal].tobytes() == other[signal].tobytes()
+
+
+def test_a_state_goes_back_with_what_the_solver_keeps():
+    """The steps behind it have the same bits again."""
+    simulation = Simulation(pair(), Clock(1.0, 0.01))
+    simulation.step(10)
+    saved = simulation.state
+    first = simulation.step(5)["one.u"]
+    simulation.state = saved
+    assert simulation.step(5)["one.u"].tobytes() == first.tobytes()
+
+
+def test_a_loop_with_recorded_components_takes_what_was_solved_for():
+    """A recorded component does not answer: solved again, other inputs would come out."""
+    original = record(pair())
+
+    def again(*, taken):
+        components = {"one": Replay(original, "one"), "two": pair().components["two"]}
+        connections = {"one.u": "two.y", "two.u": "one.y"}
+        graph = Graph(components, connections, coupling="newton")
+        if taken:
+            graph.take_solutions(original, ["one"])
+        return record(graph)
+
+    same = again(taken=True)
+    for signal in ("one.u", "one.y", "two.u", "two.y", "two.x"):
+        assert same[signal].tobytes() == original[signal].tobytes()
+    solved = again(taken=False)["one.u"]
+    assert (solved != original["one.u"]).any()
+    np.testing.assert_allclose(solved, original["one.u"], rtol=1e-10)
+
+
+# --- nonlinear, and what has no solution ---
+
+
+class Function:
+    """y = f(u), which feeds through; ``rollback`` as there is nothing to go back to."""
+
+    def __init__(self, function, n_u=1, *, rollback=True):
+        self.function = function
+        inputs = tuple(Signal(f"u{i}") for i in range(n_u))
+        names = tuple(signal.name for signal in inputs)
+        self.interface = Interface(inputs, (Signal("y"),), {"y": names}, rollback=rollback)
+
+    def initialize(self, t, u):
+        return self.outputs(t, u)
+
+    def outputs(self, t, u):
+        return np.array([self.function(t, *u)])
+
+    def advance(self, t, h, u):
+        return np.array([self.outputs(t1, u1) for t1, u1 in zip(t[1:], u[1:], strict=True)])
+
+    def save(self):
+        return None
+
+    def restore(self, state):
+        pass
+
+
+def functions(**parts):
+    """Return components of functions that take each other's outputs, by name."""
+    components = {}
+    connections = {}
+    for name, (function, *sources) in parts.items():
+        components[name] = Function(function, len(sources))
+        for i, source in enumerate(sources):
+            connections[f"{name}.u{i}"] = f"{source}.y"
+    return Graph(components, connections, coupling="newton")
+
+
+def test_a_nonlinear_loop_that_moves_is_solved_at_every_step():
+    """cos(t + y) = y, against scipy's root finder."""
+    graph = functions(a=(lambda t, y: np.cos(t + y), "b"), b=(lambda t, y: y, "a"))
+    memory = record(graph, step=0.1)
+    for t, y in zip(memory.time("a"), memory["a.y"], strict=True):
+        expected = scipy.optimize.brentq(lambda v, t=t: np.cos(t + v) - v, -1.5, 1.5, xtol=1e-15)
+        assert abs(y - expected) < 1e-12
+
+
+def test_a_loop_without_a_solution_stops_and_names_its_inputs():
+    """y = y^2 + 0.2 + t / 10 has two until 0.2 + t / 10 = 0.25, where they meet."""
+
+    def square(t, y):
+        return y * y + 0.2 + 0.1 * t
+
+    graph = functions(a=(square, "b"), b=(lambda t, y: y, "a"))
+    memory = Memory()
+    expected = (
+        r"the inputs a\.u0 of a loop, which depend on each other, were not solved at t = 0\.\d+ s: "
+        r"(Newton's method ended with a|they have no solution, or more than one: 1 - dw/dv is "
+        r"singular, with a) residual of .* at 'a\.u0', needed at most .*; needed a smaller step"
+    )
+    with pytest.raises(RunError, match=expected):
+        run(graph, Clock(1.0, 0.01), memory)
+    assert 0.45 < memory.time("a")[-1] < 0.55
+
+
+def test_a_component_that_cannot_go_back_is_named_before_the_run():
+    """With what remains."""
+    components = {
+        "a": Function(lambda t, y: 0.5 * y, rollback=False),
+        "b": Function(lambda t, y: y),
+    }
+    expected = (
+        r"coupling: found 'newton', which takes a step several times; a in this loop cannot go "
+        r"back to its start .* needed 'gauss-seidel' or 'jacobi'"
+    )
+    with pytest.raises(GraphError, match=expected):
+        Graph(components, {"a.u0": "b.y", "b.u0": "a.y"}, coupling="newton")
+    Graph(components, {"a.u0": "b.y", "b.u0": "a.y"}, coupling="jacobi")
+
+
+def test_an_infinite_value_is_named_where_it_arose():
+    """Not as an equation without a solution."""
+    graph = functions(
+        a=(lambda t, y: np.inf if t > 0.35 else 0.5 * y, "b"), b=(lambda t, y: y + 1.0, "a")
+    )
+    with pytest.raises(NonFiniteError, match=r"'a\.y' became inf at t = 0\.4 s"):
+        record(graph, step=0.1)
+
+
+def test_unknown_feedthrough_is_solved_with_the_rest():
+    """There is nothing to assume, and to warn of."""
+    component = state_space(-2.0, 1.0, 1.0, 0.5, 0.3)
+    inputs = component.interface.inputs
+    outputs = component.interface.outputs
+    unknown = Interface(inputs, outputs, {o.name: None for o in outputs})
+    component.interface = replace(component.interface, feedthrough=unknown.feedthrough)
+    connections = {"a.u": "b.y", "b.u": "a.y"}
+    parts = {"a": component, "b": state_space(-1.0, 1.0, 1.0, 0.5, 1.0)}
+    graph = Graph(parts, connections, coupling="newton")
+    assert graph.warnings == []
+    memory = record(graph)
+    np.testing.assert_allclose(memory["a.u"], memory["b.y"], rtol=1e-12)
+    np.testing.assert_allclose(memory["a.y"], memory["a.x"] + 0.5 * memory["a.u"], rtol=1e-12)

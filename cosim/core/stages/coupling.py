@@ -263,7 +263,7 @@ class Loop:
         if self.torn is None:
             return self._sweep(time, h, rows, known, results)
         states = [(member, member.component.save()) for member in self.members]
-        self.torn.begin(rows)
+        self.torn.begin(float(time[1]), rows)
         while True:
             results.clear()
             stop = self._sweep(time, h, rows, known, results)

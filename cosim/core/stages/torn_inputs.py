@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Matrix
-from cosim.core.contracts import Stopped
+from cosim.core.contracts import Recording, Stopped
 from cosim.core.stages.member import Member
 from cosim.core.structure.feedthrough import Edge
 from cosim.core.structure.ports import Ports
@@ -70,9 +70,24 @@ class TornInputs:
             labels += [member.label(int(column) - member.columns.start) for column in columns]
         return labels
 
-    def begin(self, rows: Matrix) -> None:
-        """Begin a step: the guess is what the inputs have at its start."""
-        self.solver.begin(rows[0, list(self.columns)])
+    def take(self, recording: Recording) -> None:
+        """Take the values that a run has recorded from now on, and solve for nothing.
+
+        Where it did not record every row of them, they are solved for.
+        """
+        if any(recording.channels[member.name].period != 1 for member in self.members):
+            return
+        parts = []
+        for member in self.members:
+            columns, _ = self._own[member.name]
+            blocks = [rows for _, rows in recording.blocks(member.name)]
+            parts.append(np.concatenate(blocks)[:, columns - member.columns.start])
+        times = recording.time_ns(self.members[0].name) / 1e9
+        self.solver.take(times, np.hstack(parts))
+
+    def begin(self, t1: float, rows: Matrix) -> None:
+        """Begin a step that ends at ``t1`` [s]: the guess is what the inputs have at its start."""
+        self.solver.begin(t1, rows[0, list(self.columns)])
 
     def put(self, rows: Matrix, member: Member) -> None:
         """Give inputs of a component, at the end of the step, what is tried for them."""

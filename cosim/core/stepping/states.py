@@ -33,6 +33,8 @@ class SimulationState:
         Of their inputs, where there are any.
     components : mapping of component name to its state
         What delays and filters hold, the states of random generators, and so on.
+    solvers : tuple of Vector
+        What the loops that iterate keep from step to step.
     origin : object
         The simulation in whose memory component states may lie; not pickled.
     """
@@ -42,12 +44,13 @@ class SimulationState:
     row: Vector
     overrides: Mapping[str, SavedOverrides]
     components: Mapping[str, Any]
+    solvers: tuple[Vector, ...]
     origin: object = field(default=None, repr=False)
 
     def __reduce__(self) -> tuple[Any, ...]:
         self.check_portable()
         values = (self.graph, self.index, self.row, self.overrides, self.components)
-        return SimulationState, values
+        return SimulationState, (*values, self.solvers)
 
     def check_portable(self) -> None:
         """Check that every component's state can leave the simulation that it was taken of.
@@ -124,7 +127,8 @@ class States:
             components[name] = member.component.save()
         row = row.copy()
         row.flags.writeable = False
-        return SimulationState(self.graph_hash, index, row, overrides, components, origin)
+        solvers = tuple(solver.memory.copy() for solver in self._graph.solvers)
+        return SimulationState(self.graph_hash, index, row, overrides, components, solvers, origin)
 
     def check(self, state: SimulationState, simulation: object) -> None:
         """Check that a state can be restored in a simulation.
@@ -157,6 +161,8 @@ class States:
         RunError
             If a component raises what is no error of cosim.
         """
+        for solver, memory in zip(self._graph.solvers, state.solvers, strict=True):
+            solver.memory[:] = memory
         for name, member in self._graph.members.items():
             member.component.restore(state.components[name])
             member.overrides.clear()

@@ -177,8 +177,26 @@ static int32_t accept(Solver *s)
     return COSIM_SOLVED;
 }
 
-void cosim_loop_solver_begin(cosim_loop_solver *s)
+/* v <- the last recorded row that is not behind t. */
+static void take_recorded(Solver *s, double t)
 {
+    int64_t low = 0, high = s->n_rows;
+    while (high - low > 1) {
+        const int64_t middle = low + (high - low) / 2;
+        if (s->times[middle] <= t)
+            low = middle;
+        else
+            high = middle;
+    }
+    memcpy(s->v, s->rows + low * s->n, (size_t)s->n * sizeof *s->v);
+}
+
+void cosim_loop_solver_begin(cosim_loop_solver *s, double t1)
+{
+    if (s->n_rows) {
+        take_recorded(s, t1);
+        return;
+    }
     s->sweeps = 0;
     s->column = -1;
     s->is_new = 0;
@@ -211,6 +229,8 @@ static int32_t judge(Solver *s, const double *w, double largest)
 
 int32_t cosim_loop_solver_next(cosim_loop_solver *s, const double *w, double largest)
 {
+    if (s->n_rows)
+        return COSIM_SOLVED;
     if (s->column < 0)
         return judge(s, w, largest);
     take_column(s, w);

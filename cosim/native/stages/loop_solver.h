@@ -5,8 +5,9 @@
  * in turns with sweeps: it names the next v, the caller answers with w. So it is the same for
  * components in compiled code and in Python.
  *
- * Newton's method; the matrix 1 - dw/dv is taken by differences, a sweep an element, and kept for
- * as long as it converges, over many steps. */
+ * Of a loop that is replayed v is recorded, and nothing is solved for. Else it is Newton's method:
+ * the matrix 1 - dw/dv is taken by differences, a sweep an element, and kept for as long as it
+ * converges, over many steps. */
 #ifndef COSIM_LOOP_SOLVER_H
 #define COSIM_LOOP_SOLVER_H
 
@@ -21,6 +22,9 @@
 
 typedef struct {
     int64_t n;
+    /* recorded v (n_rows, n) and their instants (n_rows); n_rows 0: they are solved for */
+    int64_t n_rows;
+    const double *times, *rows;
     /* what is kept over steps: whether there is a matrix; the largest |v| so far (n); scales of the
      * unknowns (n); the factors of the matrix in these scales (n, n); their order of rows (n) */
     double *memory;
@@ -36,8 +40,8 @@ typedef struct {
     double residual, tolerance;
 } cosim_loop_solver;
 
-/* Begin a step; v is filled: a guess. */
-void cosim_loop_solver_begin(cosim_loop_solver *self);
+/* Begin a step that ends at t1; v is filled: a guess. */
+void cosim_loop_solver_begin(cosim_loop_solver *self, double t1);
 
 /* Take w (n) of the sweep with v; `largest`: of all values involved, for what rounding leaves. */
 int32_t cosim_loop_solver_next(cosim_loop_solver *self, const double *w, double largest);

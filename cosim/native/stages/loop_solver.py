@@ -7,7 +7,7 @@ from typing import Final, final
 
 import numpy as np
 
-from cosim.arrays import Vector
+from cosim.arrays import Matrix, Vector
 from cosim.native.library import declare, library, pointer
 
 SOLVED: Final = 0  # COSIM_SOLVED and so on
@@ -21,8 +21,8 @@ class LoopSolverStruct(Structure):
     """cosim_loop_solver."""
 
     _fields_ = (
-        ("n", c_int64),
-        *((name, c_void_p) for name in ("memory", "v", "point")),
+        *((name, c_int64) for name in ("n", "n_rows")),
+        *((name, c_void_p) for name in ("times", "rows", "memory", "v", "point")),
         *((name, c_int64) for name in ("sweeps", "column", "is_new")),
         ("before", c_double),
         ("worst", c_int64),
@@ -32,7 +32,7 @@ class LoopSolverStruct(Structure):
 
 declare(
     {
-        "cosim_loop_solver_begin": (None, (c_void_p,)),
+        "cosim_loop_solver_begin": (None, (c_void_p, c_double)),
         "cosim_loop_solver_next": (c_int32, (c_void_p, c_void_p, c_double)),
     }
 )
@@ -60,13 +60,26 @@ class LoopSolver:
         self.memory = np.zeros(1 + 3 * n + n * n)
         self._point = np.zeros(2 * n)
         arrays = (pointer(self.memory), pointer(self.v), pointer(self._point))
-        self._struct = LoopSolverStruct(n, *arrays)
+        self._struct = LoopSolverStruct(n, 0, None, None, *arrays)
         self.address = addressof(self._struct)
 
-    def begin(self, v: Vector) -> None:
-        """Begin a step with a guess."""
+    def take(self, times: Vector, rows: Matrix) -> None:
+        """Take recorded values from now on, and solve for nothing.
+
+        Parameters
+        ----------
+        times : Vector, shape (N,)
+            The ends of the steps [s], ascending; at least one.
+        rows : Matrix, shape (N, n)
+        """
+        self._recorded = (np.ascontiguousarray(times), np.ascontiguousarray(rows))
+        self._struct.times, self._struct.rows = map(pointer, self._recorded)
+        self._struct.n_rows = len(rows)
+
+    def begin(self, t1: float, v: Vector) -> None:
+        """Begin a step that ends at ``t1`` [s] with a guess."""
         self.v[:] = v
-        library.cosim_loop_solver_begin(self.address)
+        library.cosim_loop_solver_begin(self.address, t1)
 
     def next(self, w: Vector, largest: float) -> int:
         """Take what a sweep with ``v`` gave; return what is next: ``SOLVED``, ``SWEEP``, ...
