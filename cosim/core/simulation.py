@@ -38,12 +38,13 @@ from cosim.core.stages.engine import Engine
 from cosim.core.stages.native_stage import NativeStage
 from cosim.core.stages.overrides import OverrideValue
 from cosim.core.stages.pacing import PIECE_WORK
+from cosim.core.stepping.actions import Agenda, TimedAction
 from cosim.core.stepping.fault_injection import VaryingFaults, faults_of
 from cosim.core.stepping.jump_events import events_of
 from cosim.core.stepping.jumps import Jumps
 from cosim.core.stepping.right_limits import NOTHING_GIVEN, GivenOutputs
 from cosim.core.stepping.states import SimulationState, States
-from cosim.core.stepping.step_rows import SignalColumns, StepRows
+from cosim.core.stepping.step_rows import SignalColumns, StepRows, joined_rows
 from cosim.errors import Interrupted, RunError, UsageError, steps_text
 
 POINTS: Final = 4096  # communication points whose times are computed at once
@@ -65,6 +66,8 @@ class Simulation:
         Takes the rows and the events. It has begun, and is closed elsewhere.
     identity : str, optional
         What states of this graph are known by, beside its structure; left out: its designs.
+    actions : sequence of TimedAction
+        What happens at communication points, beside what is done by hand.
 
     Attributes
     ----------
@@ -90,6 +93,7 @@ class Simulation:
         *,
         recorder: Recorder | None = None,
         identity: str | None = None,
+        actions: Sequence[TimedAction] = (),
     ) -> None:
         check_type("graph", graph, Graph, UsageError)
         check_type("clock", clock, Clock, UsageError)
@@ -103,6 +107,7 @@ class Simulation:
         self._states = States(graph, clock, plan, identity)
         self._jumps = Jumps(graph, are_recorded=self._is_recorded)
         self._varying = VaryingFaults(graph, clock.step)
+        self._agenda = Agenda(actions)
         self._width = graph.layout.width
         self._h = clock.step
         self._thread = get_ident()
@@ -126,6 +131,7 @@ class Simulation:
         self._varying.find()
         self._look_ahead(1)
         self._recorder.write(self._block(0), row[np.newaxis])
+        self._act()
 
     # --- time ---
 
@@ -201,7 +207,8 @@ class Simulation:
         while self.index < index:
             if self._jumps.changes or self._jumps.waiting:
                 self.complete_jumps()
-            block = self._block(min(self._engine.limit, index - self.index))
+            end = self._agenda.next_point(self.index, index)
+            block = self._block(min(self._engine.limit, end - self.index))
             if self._jumps.are_there:  # row 0 in the memory of a recorder keeps the left limits
                 signals = self._rows_behind(block.steps)
             else:
@@ -211,7 +218,27 @@ class Simulation:
             self._arrive(signals[reached], reached, error)
 
     def _advance(self, count: int) -> StepRows:
-        """Advance over some steps; return their rows."""
+        """Advance over some steps, from one action to the next; return their rows."""
+        end = self.index + count
+        if not self._agenda or self._agenda.next_point(self.index, end) == end:
+            return self._advance_at_once(count)
+        parts: list[StepRows | None] = []
+        try:
+            while self.index < end:
+                self.rows = None
+                here = self.index
+                self._advance_at_once(self._agenda.next_point(here, end) - here)
+                parts.append(self.rows)
+        except BaseException:
+            parts.append(self.rows)  # what was completed before it failed
+            raise
+        finally:
+            self.rows = joined_rows(parts)
+        assert self.rows is not None
+        return self.rows
+
+    def _advance_at_once(self, count: int) -> StepRows:
+        """Advance over some steps without actions between them; return their rows."""
         if self._jumps.changes or self._jumps.waiting:
             self.complete_jumps()
         signals = self._rows_behind(count)
@@ -328,6 +355,14 @@ class Simulation:
         if error is not None:
             self._end_with(error)
             raise error
+        self._act()
+
+    def _act(self) -> None:
+        """Perform the actions at the point reached."""
+        if not self._agenda:
+            return
+        for action in self._agenda.at(self.index):
+            action.perform(self)
 
     def _block(self, count: int) -> Block:
         """Return the next steps."""

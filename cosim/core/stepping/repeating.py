@@ -1,4 +1,4 @@
-"""Run a graph again with the overrides and faults of its recording, each at its instant."""
+"""Run a graph with actions, or again with the events of its recording, each at its instant."""
 
 from __future__ import annotations
 
@@ -13,7 +13,42 @@ from cosim.core.contracts import Design, Plan, Recorder, SignalEvent, Stopped
 from cosim.core.graph import Graph
 from cosim.core.port import Port
 from cosim.core.simulation import Simulation
+from cosim.core.stepping.actions import TimedAction
 from cosim.errors import LogError, UsageError
+
+
+def run_with_actions(
+    graph: Graph,
+    clock: Clock,
+    recorder: Recorder,
+    plan: Plan | None = None,
+    *,
+    actions: Sequence[TimedAction],
+) -> None:
+    """Run a graph from the start of a clock to its stop, with actions on the way.
+
+    Parameters
+    ----------
+    graph, clock, recorder, plan
+        As of :func:`cosim.core.run`.
+    actions : sequence of TimedAction
+
+    Raises
+    ------
+    NonFiniteError, Stopped
+        As from :func:`cosim.core.run`.
+    """
+    try:
+        with recorder:
+            if plan is None:
+                plan = graph.prepare(clock.step_ns)
+            recorder.begin(plan)
+            simulation = Simulation(graph, clock, plan, recorder=recorder, actions=actions)
+            simulation.pass_to(clock.steps)
+            simulation.close()
+    except Stopped as stop:
+        if stop.failed:
+            raise
 
 
 def repeat(

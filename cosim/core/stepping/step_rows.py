@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import final
+
+import numpy as np
 
 from cosim.arrays import Matrix, Nanoseconds
 from cosim.core.clock import Clock
@@ -97,6 +99,12 @@ class StepRows(Mapping[str, Matrix]):
     def __repr__(self) -> str:
         return f"<{self.steps} communication steps of {len(self)} signals>"
 
+    def joined(self, others: Sequence[StepRows]) -> StepRows:
+        """Return these rows and those of the next steps."""
+        signals = np.concatenate([self._signals, *(rows._signals[1:] for rows in others)])
+        signals.flags.writeable = False
+        return StepRows(self._columns, signals, self._index)
+
     @property
     def steps(self) -> int:
         """Number of communication steps."""
@@ -106,3 +114,9 @@ class StepRows(Mapping[str, Matrix]):
     def time_ns(self) -> Nanoseconds:
         """The instants of the rows [ns], shape (steps,)."""
         return self._columns.clock.block_at(self._index, self.steps).time_ns[1:]
+
+
+def joined_rows(parts: Iterable[StepRows | None]) -> StepRows | None:
+    """Return the rows of steps that follow each other; None: there are none."""
+    given = [rows for rows in parts if rows is not None]
+    return given[0].joined(given[1:]) if given else None
