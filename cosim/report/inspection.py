@@ -16,6 +16,7 @@ from cosim.core.graph import Graph
 from cosim.core.port import Port
 from cosim.core.recorded import RunMessage
 from cosim.core.signals import Channel, Signal
+from cosim.scenario.action_tables import effect_of, signals_of
 from cosim.scenario.build import DescribedScenario, describe
 from cosim.scenario.document import find
 from cosim.scenario.field_file import read_field_data
@@ -25,6 +26,7 @@ from cosim.scenario.recorded_metadata import (
     replay_origin,
     run_metadata,
 )
+from cosim.scenario.schema import ActionTable
 
 if TYPE_CHECKING:
     from cosim.fmi.description import Description
@@ -92,19 +94,24 @@ def _event_counts(events: Sequence[SignalEvent]) -> str:
 
 
 def _overrides(events: Sequence[SignalEvent]) -> Section:
-    """Return the first overrides and releases, and how many there are beyond those shown."""
+    """Return the first overrides, faults and releases, and how many more there are."""
     overrides = [event for event in events if event.cause != "follow"]
     rows: list[Section] = []
     for event in overrides[:MOST_OVERRIDES]:
-        values = " ".join(f"{value:.6g}" for value in event.values)
         t = event.time_ns / 1e9
-        rows.append({"t": t, "signal": event.signal, "cause": event.cause, "values": values})
+        cause = f"{event.cause} {_numbers(event.parameters)}".rstrip()
+        values = _numbers(event.values)
+        rows.append({"t": t, "signal": event.signal, "cause": cause, "values": values})
     content: Section = {}
     if rows:
         content["overrides"] = rows
     if len(overrides) > len(rows):
         content["more overrides"] = {"not shown": len(overrides) - len(rows)}
     return content
+
+
+def _numbers(values: Iterable[float]) -> str:
+    return " ".join(f"{value:.6g}" for value in values)
 
 
 def _messages(log: Log) -> tuple[list[Section], int]:
@@ -189,12 +196,24 @@ def describe_scenario(name: str) -> Section:
             signals += _signal_rows(channel, spec.kind)
         else:
             signals.append(_unknown_row(component, spec.kind))
-    return {
+    content = {
         "scenario": about,
         "signals": signals,
         "connections": _connection_rows(described),
         "metadata": dict(described.metadata),
     }
+    actions = [_action_row(action) for action in loaded.actions.values()]
+    if actions:
+        content["actions"] = actions
+    return content
+
+
+def _action_row(action: ActionTable) -> Section:
+    """Return an action as its table has it."""
+    effect = effect_of(action)
+    value = getattr(action, effect)
+    signals = ", ".join(signals_of(action))
+    return {"t": action.at, "signal": signals, "action": effect, "value": value}
 
 
 def _connection_rows(described: DescribedScenario) -> list[Section]:

@@ -18,6 +18,7 @@ from cosim.core.contracts import Component, Design, Plan, Recording, SignalEvent
 from cosim.core.graph import Graph
 from cosim.core.port import Port
 from cosim.core.signals import Interface
+from cosim.core.stepping.actions import TimedAction
 from cosim.core.structure.connection_checks import check_connections
 from cosim.core.structure.ports import Ports, layout_of
 from cosim.errors import CosimError
@@ -89,6 +90,8 @@ class Experiment:
         Of a replay: the log it is made from.
     events : tuple of SignalEvent
         Of a replay: overrides and releases of inputs, and what followed them.
+    actions : tuple of TimedAction
+        What happens at communication points.
     """
 
     scenario: Scenario
@@ -109,6 +112,7 @@ class Experiment:
     messages: Mapping[str, Sequence[Message]] = field(default_factory=dict)
     origin: ReplayOrigin | None = None
     events: tuple[SignalEvent, ...] = ()
+    actions: tuple[TimedAction, ...] = ()
 
 
 class Builder:
@@ -196,6 +200,7 @@ class Builder:
             scenario.file, self.components, self._invalid, self.context.warn
         )
         self.problems += truth_problems
+        self._actions = self._checked_actions()
 
     def _check_times(self) -> set[Key]:
         """Add the problems of the times; return the settings that are then not known."""
@@ -357,6 +362,23 @@ class Builder:
             text += f"; '{to}' takes what '{origin}' does, unless it has a source of its own"
         self.problems.append((key, text))
 
+    def _checked_actions(self) -> tuple[TimedAction, ...]:
+        """Check the actions; a replay follows those that were recorded."""
+        if not self.scenario.actions or self._recording is not None:
+            return ()
+        from cosim.scenario.acting import ActionChecker  # rarely needed
+
+        known = {name: c for name, c in self.components.items() if name not in self._invalid}
+        try:
+            clock = self.context.clock
+        except DependsOnInvalid:
+            clock = None
+        connections = self.scenario.connections
+        checker = ActionChecker(Ports(layout_of(known)), connections, self._invalid, clock)
+        checker.check(self.scenario.actions)
+        self.problems += checker.problems
+        return tuple(checker.timed)
+
     def check(self) -> None:
         """Check that everything could be built.
 
@@ -409,6 +431,7 @@ class Builder:
             identified=context.identified,
             models=context.models,
             given_states=self.given_states,
+            actions=self._actions,
         )
 
     def _jumps(self, graph: Graph) -> list[Problem]:

@@ -16,7 +16,13 @@ from cosim.scenario.problems import Key, Problem
 
 SET = "(set)"  # first part of the key of a problem with a change, which stands in no file
 FLAT = ("connections", "truth")  # tables whose keys are the names of ports
-TABLES = ("scenario", "models", *FLAT)  # what a dotted key may begin with, beside a component
+ACTIONS = "actions"  # a list of tables
+TABLES = (
+    "scenario",
+    "models",
+    *FLAT,
+    ACTIONS,
+)  # what a dotted key may begin with, beside a component
 
 
 def short(key: str) -> str:
@@ -140,6 +146,8 @@ def _flatten(tree: Mapping[str, Any], prefix: Key) -> tuple[dict[str, Any], list
 def change(tree: dict[str, Any], key: str, value: Any) -> str | None:
     """Set a value in the tables; return the problem of that, if there is one."""
     first, *rest = key.split(".")
+    if first == ACTIONS:
+        return _set_action(tree, rest, value)
     if not rest and (first in TABLES or not isinstance(value, dict)):
         example = option("set", "observer.filter_rate", "500")
         return f"found no dot, needed COMPONENT.PARAMETER, such as {example}"
@@ -155,6 +163,25 @@ def change(tree: dict[str, Any], key: str, value: Any) -> str | None:
         return f"there is no component {first!r}; {nearest(first, [*table, *TABLES])}"
     else:
         _set_value(table, [first, *rest], value)
+    return None
+
+
+def _set_action(tree: dict[str, Any], path: list[str], value: Any) -> str | None:
+    """Set all actions, or a key of one; return the problem of that, if there is one."""
+    if not path:
+        tree[ACTIONS] = deepcopy(value)
+        return None
+    actions = tree.get(ACTIONS, [])
+    number, *inner = path
+    if not isinstance(actions, list) or number not in map(str, range(len(actions))):
+        count = len(actions)
+        there_are = f"there are {count}, numbered from 0" if count else "there is none"
+        return f"there is no action {number!r}; {there_are}"
+    table = actions[int(number)]
+    if not inner or not isinstance(table, dict):
+        actions[int(number)] = deepcopy(value)
+    else:
+        _set_value(table, inner, value)
     return None
 
 

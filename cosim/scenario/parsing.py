@@ -14,10 +14,11 @@ from cosim.arguments import mapping_argument
 from cosim.core.connections import ONE_SOURCE, Connection, components_driving
 from cosim.core.port import Port
 from cosim.errors import CosimError, GraphError, nearest, quoted
+from cosim.scenario.action_tables import validate_actions
 from cosim.scenario.document import Document
 from cosim.scenario.kinds import KINDS, Kind
 from cosim.scenario.problems import Key, Problem, TableProblems, problems_of
-from cosim.scenario.schema import ConnectionTable, File
+from cosim.scenario.schema import ActionTable, ConnectionTable, File
 from cosim.scenario.swap import MapEntry, PortNames, ports_in, resolve_maps
 
 if TYPE_CHECKING:
@@ -59,6 +60,8 @@ class Scenario:
     invalid : frozenset of Key
         The tables and their entries that are wrong, so that they are missing in ``file`` or have
         values that stand for others; what rests on them cannot be checked.
+    actions : mapping of number to ActionTable
+        Those of [[actions]] whose tables are right.
     starter : callable or None
         Starts the scenario (:mod:`cosim.scenario.starting`); None: it is only read here.
     """
@@ -72,6 +75,7 @@ class Scenario:
     tree: Mapping[str, Any]
     parse: Callable[[Document], Scenario] = field(repr=False, compare=False)
     invalid: frozenset[Key] = frozenset()
+    actions: Mapping[int, ActionTable] = field(default_factory=dict)
     starter: Starter | None = field(default=None, repr=False, compare=False)
 
     def __repr__(self) -> str:
@@ -225,9 +229,20 @@ def read(
     connection_problems += given_twice
     for key, _ in connection_problems:
         invalid.add(key)
+    actions, action_problems = validate_actions(file.actions)
     problems += file_problems + map_problems + component_problems + connection_problems
+    problems += action_problems
     scenario = Scenario(
-        document, file, specs, connections, implied, maps, valid_tree, parse, frozenset(invalid)
+        document,
+        file,
+        specs,
+        connections,
+        implied,
+        maps,
+        valid_tree,
+        parse,
+        frozenset(invalid),
+        actions,
     )
     return scenario, problems
 

@@ -135,17 +135,20 @@ def run_into(
 
 
 def _run(experiment: Experiment, recorder: Recorder) -> None:
-    """Run the graph; with the events of its recording, where it is a replay of such."""
+    """Run the graph; with its actions, or with the events of its recording."""
     graph = experiment.graph
     clock = experiment.clock
     plan = experiment.plan
     designs = experiment.designs
-    if not experiment.events:
+    if not (experiment.events or experiment.actions):
         run_graph(graph, clock, recorder, plan, designs=designs)
         return
     # Most runs need none of it.
-    from cosim.core.stepping.repeating import repeat
+    from cosim.core.stepping.repeating import repeat, run_with_actions
 
+    if experiment.actions:
+        run_with_actions(graph, clock, recorder, plan, actions=experiment.actions)
+        return
     copied = () if experiment.origin is None else experiment.origin.copied
     repeat(
         graph,
@@ -172,7 +175,7 @@ def log_recorder(
         kinds=kinds,
         metadata=metadata,
         attachments=attachments,
-        events=events or bool(experiment.events),
+        events=events or bool(experiment.events or experiment.actions),
     )
 
 

@@ -19,7 +19,7 @@ from cosim.log import Log
 from cosim.log.metadata import json_table
 from cosim.scenario.build import Builder, Experiment, fingerprint, parse
 from cosim.scenario.document import Document
-from cosim.scenario.edits import short
+from cosim.scenario.edits import ACTIONS, short
 from cosim.scenario.kinds import KINDS, Kind
 from cosim.scenario.parsing import Scenario, read
 from cosim.scenario.recorded_metadata import (
@@ -121,6 +121,12 @@ def replay_changes(source: CompleteRecording, wanted: Mapping[str, Any]) -> dict
             f"scenario.start_time: found {changes['scenario.start_time']} s, a replay keeps the "
             "recorded one; run the scenario to change it"
         )
+    for key in changes:
+        if key.partition(".")[0] == ACTIONS:
+            raise UsageError(
+                f"{option('set', key)}: a replay follows the actions that were recorded; run the "
+                "scenario to change them"
+            )
     _check_end(source)
     recorded_end = source.end_ns / 1e9
     stop = changes.setdefault("scenario.stop", recorded_end)

@@ -181,8 +181,44 @@ class SwapTable(TomlTable):
     )
 
 
+class ActionTable(TomlTable):
+    """An entry of [[actions]]: what happens to signals at an instant.
+
+    Values are in the unit of the input. One for all elements, or one for each.
+    """
+
+    at: Number | None = Field(None, description="when [s], a communication point of the run")
+    signal: str | list[str] | None = Field(
+        None, description="the input, or elements of it, or several; all get the same"
+    )
+    override: Flag | Number | NumberRow | None = Field(
+        None, description="value in place of what its source gives"
+    )
+    freeze: Flag | None = Field(None, description="true: it keeps the value that it has")
+    offset: Number | NumberRow | None = Field(None, description="added to what its source gives")
+    gain: Number | NumberRow | None = Field(None, description="multiplied by what its source gives")
+    drift: Number | NumberRow | None = Field(
+        None, description="slope of a ramp that is added, and begins at 0 [1/s]"
+    )
+    noise: Number | NumberRow | None = Field(
+        None,
+        description="standard deviation of Gaussian noise that is added, anew at every "
+        "communication point",
+    )
+    drop: Flag | Number | None = Field(
+        None,
+        description="probability that a sample is lost, or true: all are; no value where the input "
+        "may have none, else the last one that arrived",
+    )
+    delay: Number | None = Field(
+        None, description="how late the source arrives [s], whole communication steps"
+    )
+    seed: Whole | None = Field(None, ge=0, description="of noise, or of what is lost; default: 0")
+    release: Flag | None = Field(None, description="true: its source drives it again")
+
+
 class File(TomlTable):
-    """The content of a scenario file; its components are validated by their kinds."""
+    """The content of a scenario file; components and actions are validated each on its own."""
 
     scenario: Settings
     models: dict[str, ModelTable] = {}
@@ -190,6 +226,7 @@ class File(TomlTable):
     connections: dict[str, str | list[str] | ConnectionTable] = {}
     truth: dict[str, str | tuple[str, ...] | Number | NumberRow] = {}
     swap: dict[str, SwapTable] = {}
+    actions: tuple[dict[str, Any], ...] = ()
 
 
 def truth_ports(truth: Any) -> list[str]:

@@ -64,7 +64,14 @@ def _begun(experiment: Experiment, identity: str, recorder: MessageRecorder | No
         plan = graph.prepare(experiment.clock.step_ns)
     if recorder is not None:
         recorder.begin(plan)
-    return Simulation(graph, experiment.clock, plan, recorder=recorder, identity=identity)
+    return Simulation(
+        graph,
+        experiment.clock,
+        plan,
+        recorder=recorder,
+        identity=identity,
+        actions=experiment.actions,
+    )
 
 
 def _terminate(experiment: Experiment) -> None:

@@ -27,7 +27,7 @@ def print_catalog(*, as_json: bool) -> None:
     from cosim.scenario.installed_kinds import installed_classes
     from cosim.scenario.kinds import KINDS
     from cosim.scenario.kinds.parameters import parameters_of
-    from cosim.scenario.schema import ModelTable, Settings
+    from cosim.scenario.schema import ActionTable, ModelTable, Settings
 
     scenarios = {}
     for name in shipped():
@@ -37,10 +37,12 @@ def print_catalog(*, as_json: bool) -> None:
         kinds = {name: _plain(kind) for name, kind in KINDS.items()}
         settings = _plain_parameters(parameters_of(Settings))
         models = _plain_parameters(parameters_of(ModelTable))
+        actions = _plain_parameters(parameters_of(ActionTable))
         entries = {
             "scenarios": scenarios,
             "settings": settings,
             "models": models,
+            "actions": actions,
             "kinds": kinds,
             "installed": _plain_installed(),
         }
@@ -52,6 +54,7 @@ def print_catalog(*, as_json: bool) -> None:
     print_table(table)
     print_table(_parameters_table("keys of [scenario]", parameters_of(Settings)))
     print_table(_parameters_table("keys of a table of [models]", parameters_of(ModelTable)))
+    print_table(_parameters_table("keys of an entry of [[actions]]", parameters_of(ActionTable)))
     table = new_table(KINDS_TITLE, ("kind", "ports", "parameters", "description"))
     for name, kind in KINDS.items():
         table.add_row(name, kind.ports, _names(parameters_of(kind)), _description(kind))
