@@ -19,7 +19,7 @@ import numpy as np
 from cosim.arrays import NAN, Mask, Matrix, Vector, read_only
 from cosim.blocks.regressor import Regressor
 from cosim.core.clock import nanoseconds, seconds
-from cosim.core.contracts import Component, Design, Native, Rollback, State, prepare
+from cosim.core.contracts import Component, Design, Native, Rollback, State, linearized, prepare
 from cosim.core.stages.calls import result_problem
 from cosim.native.numerics.expression import compile_expression
 from cosim.native.numerics.linear import first_order_hold
@@ -92,6 +92,8 @@ def check_component(
             _check_held_inputs(bench, held, expected)
         if bench.interface.native:
             _check_native(bench, held, expected)
+        if bench.interface.linearizable:
+            _check_linearized(bench, held, expected)
     if bench.interface.rollback:
         _check_rollback(bench, bench.masks()[0])
 
@@ -494,8 +496,9 @@ def _check_declared(bench: _Bench) -> None:
         "save": bench.interface.rollback,
         "restore": bench.interface.rollback,
         "native": bench.interface.native,
+        "linearized": bench.interface.linearizable,
     }
-    flags = {"prepare": "prepares", "native": "native"}
+    flags = {"prepare": "prepares", "native": "native", "linearized": "linearizable"}
     for method, needed in declared.items():
         flag = flags.get(method, "rollback")
         if needed and not callable(getattr(component, method, None)):
@@ -620,6 +623,20 @@ def _check_held_inputs(bench: _Bench, held: Mask, expected: Matrix) -> None:
         corrected = bench.outputs(component, k)
         law = "the state ignores a held input at the end of the step"
         bench.compare(law, corrected, expected[k], k)
+
+
+def _check_linearized(bench: _Bench, held: Mask, expected: Matrix) -> None:
+    """Require that a linearization fits the interface, and that to make one changes nothing."""
+    component = bench.prepared(held)
+    first = bench.start_outputs(component)
+    found = linearized(component, bench.start, read_only(bench.u[0].copy()))
+    if found is not None and found.D.shape != (bench.n_y, bench.n_u):
+        raise AssertionError(
+            f"linearized fits the interface: D has shape {found.D.shape}, "
+            f"needed ({bench.n_y}, {bench.n_u})"
+        )
+    rows = np.vstack([first, bench.advance(component, 0, bench.steps)])
+    bench.compare("linearized changes nothing", rows, expected)
 
 
 def _check_native(bench: _Bench, held: Mask, expected: Matrix) -> None:

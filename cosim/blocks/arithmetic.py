@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from cosim.arrays import Matrix
 from cosim.blocks.static import CompiledStatic
 from cosim.core.signals import Interface, Signal
@@ -31,7 +33,8 @@ def sum_of(signs: Sequence[float], *, size: int = 1, unit: str | None = None) ->
     names = [f"u{i}" for i in range(1, len(signs) + 1)]
     inputs = [Signal(name, size, unit) for name in names]
     interface = _with_feedthrough(inputs, size, unit)
-    return CompiledStatic(interface, sum_step(signs, size))
+    signed = np.hstack([sign * np.eye(size) for sign in signs])
+    return CompiledStatic(interface, sum_step(signs, size), gain=signed)
 
 
 def gain(K: Matrix, *, unit: str | None = None) -> CompiledStatic:
@@ -39,7 +42,7 @@ def gain(K: Matrix, *, unit: str | None = None) -> CompiledStatic:
     n_y, n_u = K.shape
     u = Signal("u", n_u)
     interface = _with_feedthrough([u], n_y, unit)
-    return CompiledStatic(interface, gain_step(K))
+    return CompiledStatic(interface, gain_step(K), gain=K)
 
 
 def limit(*, lower: float, upper: float, size: int = 1, unit: str | None = None) -> CompiledStatic:

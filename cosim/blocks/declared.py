@@ -7,7 +7,8 @@ from dataclasses import replace
 from typing import cast, final
 
 from cosim.arrays import Mask, Matrix, Vector
-from cosim.core.contracts import Component, Design, Native, Rollback, prepare
+from cosim.core.contracts import Component, Design, Native, Rollback, linearized, prepare
+from cosim.core.linearization import Linearized
 from cosim.core.signals import Interface, Signal
 from cosim.errors import GraphError, nearest
 from cosim.native.step import NativeStep
@@ -91,6 +92,10 @@ class Declared:
     def native(self) -> NativeStep | None:
         """Return the compiled step of the component."""
         return cast(Native, self._component).native()
+
+    def linearized(self, t: float, u: Vector) -> Linearized | None:
+        """Linearize the component."""
+        return linearized(self._component, t, u)
 
     def save(self) -> object:
         """Copy the state of the component."""

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from cosim.arrays import Matrix, Vector
 from cosim.core.linear import LinearModel
+from cosim.core.linearization import Linearized, static
 from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
 from cosim.native.numerics.linear import delay_step
@@ -108,9 +110,16 @@ class Delay:
         y = Signal("y", size, unit, "inherited")
         initial_feedthrough = {"y": ("u",)} if initial is None else {}
         self.interface = Interface(
-            (u,), (y,), initial=initial_feedthrough, delayed=("u",), rollback=True, native=True
+            (u,),
+            (y,),
+            initial=initial_feedthrough,
+            delayed=("u",),
+            rollback=True,
+            native=True,
+            linearizable=True,
         )
         self._size = size
+        self._steps = steps
         self._step = delay_step(steps, size)
 
     def initialize(self, t: float, u: Vector) -> Vector:
@@ -132,6 +141,10 @@ class Delay:
     def native(self) -> NativeStep:
         """Return the compiled step."""
         return self._step
+
+    def linearized(self, t: float, u: Vector) -> Linearized:
+        """Return the delay."""
+        return replace(static(np.eye(self._size)), delay=self._steps)
 
     def save(self) -> Vector:
         """Copy the line."""

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Design
+from cosim.core.linearization import Linearized
 from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
 from cosim.native.blocks.control import LARGEST_NUMBER, integrator_step
@@ -55,7 +58,9 @@ class LimitedIntegrator:
         self.initial = initial
         u = Signal("u", size)
         y = Signal("y", size, unit, role="state")
-        self.interface = Interface((u,), (y,), prepares=True, rollback=True, native=True)
+        self.interface = Interface(
+            (u,), (y,), prepares=True, rollback=True, native=True, linearizable=True
+        )
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Take which inputs are held; there is nothing to record."""
@@ -78,6 +83,14 @@ class LimitedIntegrator:
     def native(self) -> NativeStep:
         """Return the compiled step."""
         return self._step
+
+    def linearized(self, t: float, u: Vector) -> Linearized:
+        """Return the integrator; at a limit that u points out of, nothing integrates."""
+        y = self._step.memory
+        stays = ((y >= self.upper) & (u > 0.0)) | ((y <= self.lower) & (u < 0.0))
+        n = len(y)
+        B = np.diag(np.where(stays, 0.0, 1.0))
+        return Linearized(np.zeros((n, n)), B, np.eye(n), np.zeros((n, n)))
 
     def save(self) -> Vector:
         """Copy the state."""

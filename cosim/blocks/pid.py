@@ -23,8 +23,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Design
+from cosim.core.linearization import Linearized
 from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
 from cosim.native.blocks.control import LARGEST_NUMBER, PidConstants, PidStep
@@ -169,18 +172,24 @@ class Pid:
         self, parameters: PidParameters, *, period: float | None = None, unit: str | None = None
     ) -> None:
         self.constants = parameters.constants(period)
-        self._sampled = period is not None
+        self._period = period
         inputs = (Signal("setpoint", role="input"), Signal("measurement", role="input"))
         y = Signal("y", 1, unit)
         integral = Signal("integral", 1, unit, role="state")
         feedthrough = {"y": _feeding(self.constants)}
         self.interface = Interface(
-            inputs, (y, integral), feedthrough, prepares=True, rollback=True, native=True
+            inputs,
+            (y, integral),
+            feedthrough,
+            prepares=True,
+            rollback=True,
+            native=True,
+            linearizable=True,
         )
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Take which inputs are held; there is nothing to record."""
-        self._kernel = PidStep(self.constants, held, sampled=self._sampled)
+        self._kernel = PidStep(self.constants, held, sampled=self._period is not None)
         return recorded
 
     def initialize(self, t: float, u: Vector) -> Vector:
@@ -199,6 +208,32 @@ class Pid:
     def native(self) -> NativeStep:
         """Return the compiled step."""
         return self._kernel.step
+
+    def linearized(self, t: float, u: Vector) -> Linearized:
+        """Return the controller between its limits; states are I and what D lacks of its input.
+
+        At the start a limit may be reached that is left at once, so that it would say little.
+        """
+        numbers = self.constants
+        proportional = numbers.gain * np.array([numbers.setpoint_weight, -1.0])
+        of_error = numbers.integral_gain * np.array([1.0, -1.0])
+        derivative = numbers.derivative_gain * np.array([numbers.derivative_weight, -1.0])
+        decay = -numbers.filter_rate
+        if self._period is not None:
+            of_error = of_error * self._period
+            decay = 1.0 / (1.0 + numbers.filter_rate * self._period) - 1.0
+        A = np.diag([0.0, decay])
+        B = np.vstack([of_error, decay * derivative])
+        C = np.array([[1.0, 1.0], [1.0, 0.0]])
+        D = np.vstack([proportional + derivative, np.zeros(2)])
+        changes = B.any(axis=1)  # a part that there is none of would be a state that stays
+        A = A[np.ix_(changes, changes)]
+        B = B[changes]
+        C = C[:, changes]
+        if self._period is None:
+            return Linearized(A, B, C, D)
+        A = A + np.eye(len(A))
+        return Linearized(A, B, C, D, input_use="start", is_discrete=True, own_steps=1)
 
     def save(self) -> Vector:
         """Copy the state."""

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Vector
+from cosim.core.linearization import Linearized
 from cosim.core.signals import Causality, Dependencies, Interface, Signal
 from cosim.native.blocks.wrapping import ElementSource
 from cosim.units import Conversion, conversion
@@ -176,6 +177,19 @@ class PortMap:
         inward = _factors(self._inward)
         shown: Matrix = outward[:, np.newaxis] * picked * inward
         return shown
+
+    def shown_linearized(self, own: Linearized) -> Linearized:
+        """Return a linearization between shown ports for that of the component."""
+        from_shown = np.eye(len(self._input_columns))[self._shown_columns]
+        from_shown = _factors(self._inward)[:, np.newaxis] * from_shown
+        outward = _factors(self._outward)[:, np.newaxis]
+        return replace(
+            own,
+            B=own.B @ from_shown,
+            C=outward * own.C[self._output_columns],
+            D=outward * own.D[self._output_columns] @ from_shown,
+            corrected=own.follows[self._output_columns],
+        )
 
     @property
     def keeps_places(self) -> bool:

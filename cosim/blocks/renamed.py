@@ -7,7 +7,16 @@ from typing import cast, final
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.blocks.port_map import PortMap
-from cosim.core.contracts import Component, Design, Native, Rollback, Stopped, prepare
+from cosim.core.contracts import (
+    Component,
+    Design,
+    Native,
+    Rollback,
+    Stopped,
+    linearized,
+    prepare,
+)
+from cosim.core.linearization import Linearized
 from cosim.native.blocks.wrapping import ports_step
 from cosim.native.step import NativeStep
 
@@ -61,6 +70,11 @@ class Renamed:
         if step is None or self._ports.keeps_places:
             return step
         return ports_step(step, self._ports.input_elements(), self._ports.output_elements())
+
+    def linearized(self, t: float, u: Vector) -> Linearized | None:
+        """Linearize the component, between the shown ports."""
+        own = linearized(self._component, t, self._ports.component_inputs(u))
+        return None if own is None else self._ports.shown_linearized(own)
 
     def save(self) -> object:
         """Copy the state of the component."""

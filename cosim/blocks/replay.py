@@ -52,7 +52,9 @@ class Replay:
         if inputs:
             signals = tuple(_shown(recording, component, signal) for signal in recorded.inputs)
             shown = replace(recorded, inputs=signals)
-        self.interface = replace(shown, prepares=True, rollback=True, native=True)
+        self.interface = replace(
+            shown, prepares=True, rollback=True, native=True, linearizable=False
+        )
         blocks = [rows[:, recorded.n_u :] for _, rows in recording.blocks(component)]
         self._rows = blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
         self._time = time_ns / 1e9

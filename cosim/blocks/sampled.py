@@ -9,7 +9,16 @@ import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.clock import NANOSECONDS
-from cosim.core.contracts import Component, Design, Native, Rollback, Stopped, prepare
+from cosim.core.contracts import (
+    Component,
+    Design,
+    Native,
+    Rollback,
+    Stopped,
+    linearized,
+    prepare,
+)
+from cosim.core.linearization import Linearized
 from cosim.core.signals import Interface
 from cosim.errors import ClockError, RunError
 from cosim.native.blocks.wrapping import (
@@ -118,6 +127,11 @@ class Sampled:
                 raise Stopped(rows[:k], str(error)) from error
         return rows
 
+    def linearized(self, t: float, u: Vector) -> Linearized | None:
+        """Linearize the component, with steps of its own."""
+        inner = linearized(self._component, t, u)
+        return None if inner is None else inner.sampled(self._n, hold=self._hold)
+
     def save(self) -> SampledState:
         """Copy the state, and that of the component, which can go back too."""
         component = cast(Rollback[Any], self._component).save()
@@ -223,6 +237,11 @@ class Decimated:
         if stopped is not None:
             raise Stopped(rows, str(stopped), failed=stopped.failed) from stopped
         return rows
+
+    def linearized(self, t: float, u: Vector) -> Linearized | None:
+        """Linearize the component, with outputs that hold."""
+        inner = linearized(self._component, t, u)
+        return None if inner is None else inner.decimated(self._n)
 
     def save(self) -> DecimatedState:
         """Copy the state, and that of the component, which can go back too."""

@@ -9,6 +9,7 @@ import numpy as np
 from cosim.arrays import Matrix, Vector
 from cosim.blocks.plant import linear_model
 from cosim.core.linear import LinearModel, feedthrough_of
+from cosim.core.linearization import Linearized
 from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
 from cosim.native.numerics.linear import DiscretizedDynamics, affine, linear_step
@@ -133,7 +134,9 @@ class DiscreteStateSpace:
         self.system = system
         u, y, x = system.signals(unit)
         feedthrough = feedthrough_of(Interface((u,), (y, x)), system.D)
-        self.interface = Interface((u,), (y, x), feedthrough, rollback=True, native=True)
+        self.interface = Interface(
+            (u,), (y, x), feedthrough, rollback=True, native=True, linearizable=True
+        )
         self._step = linear_step(self.dynamics, system.C, system.D)
 
     @property
@@ -162,6 +165,19 @@ class DiscreteStateSpace:
     def native(self) -> NativeStep:
         """Return the compiled step."""
         return self._step
+
+    def linearized(self, t: float, u: Vector) -> Linearized:
+        """Return the matrices."""
+        system = self.system
+        return Linearized(
+            system.A,
+            system.B,
+            system.C,
+            system.D,
+            input_use="start",
+            is_discrete=True,
+            own_steps=1,
+        )
 
     def save(self) -> Vector:
         """Copy the state."""

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
 from cosim.arrays import Matrix, Vector
 from cosim.core.contracts import Stopped
+from cosim.core.linearization import Linearized, static
 from cosim.core.signals import Interface
 from cosim.errors import RunError
 from cosim.native.step import NativeStep
+
+RELATIVE: Final = 2.0**-17  # steps of central differences: near the cube root of the rounding
 
 
 class CompiledStatic:
@@ -25,14 +29,22 @@ class CompiledStatic:
         Of a component without memory; it declines where the function is not defined.
     reason : callable
         From inputs, shape (n_u,), that it declines, to the reason.
+    gain : Matrix, shape (n_y, n_u), optional
+        D, where ``g(u) = D u``.
     """
 
     def __init__(
-        self, interface: Interface, step: NativeStep, reason: Callable[[Vector], str] = str
+        self,
+        interface: Interface,
+        step: NativeStep,
+        reason: Callable[[Vector], str] = str,
+        *,
+        gain: Matrix | None = None,
     ) -> None:
-        self.interface = replace(interface, rollback=True, native=True)
+        self.interface = replace(interface, rollback=True, native=True, linearizable=True)
         self._step = step
         self._reason = reason
+        self._gain = gain
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Return y(t)."""
@@ -68,6 +80,12 @@ class CompiledStatic:
         """Return the compiled step."""
         return self._step
 
+    def linearized(self, t: float, u: Vector) -> Linearized:
+        """Return D, where it is not known by central differences."""
+        if self._gain is not None:
+            return static(self._gain)
+        return static(_differences(lambda changed: self.outputs(t, changed), u, self.interface))
+
     def save(self) -> None:
         """Copy nothing: there is no state."""
 
@@ -95,13 +113,17 @@ class Static:
         function: Callable[[Matrix], Matrix],
         first_refused: Callable[[Matrix], tuple[int, str] | None] = lambda u: None,
     ) -> None:
-        self.interface = replace(interface, rollback=True)
+        self.interface = replace(interface, rollback=True, linearizable=True)
         self._function = function
         self._first_refused = first_refused
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Return y(t)."""
         return self.outputs(t, u)
+
+    def linearized(self, t: float, u: Vector) -> Linearized:
+        """Return D by central differences."""
+        return static(_differences(lambda changed: self.outputs(t, changed), u, self.interface))
 
     def save(self) -> None:
         """Copy nothing: there is no state."""
@@ -139,3 +161,23 @@ class Static:
             first, reason = refused
             raise Stopped(self._function(rows[:first]), reason)
         return self._function(rows)
+
+
+def _differences(function: Callable[[Vector], Vector], u: Vector, interface: Interface) -> Matrix:
+    """Return the derivatives of a function, shape (n_y, n_u), by central differences.
+
+    By integers and Booleans, which do not change by little, they are zero.
+    """
+    is_real: list[bool] = []
+    for signal in interface.inputs:
+        is_real += [signal.type == "real"] * signal.size
+    D = np.zeros((interface.n_y, len(u)))
+    for i in np.flatnonzero(is_real):
+        # a power of two, so that the difference of the inputs has no rounding of its own
+        step = RELATIVE * 2.0 ** np.ceil(np.log2(max(1.0, abs(u[i]))))
+        above = u.copy()
+        above[i] += step
+        below = u.copy()
+        below[i] -= step
+        D[:, i] = (function(above) - function(below)) / (2.0 * step)
+    return D

@@ -5,6 +5,7 @@ In the order in which to read it::
     contracts, signals, port   what a component, a signal, a recorder is
     clock, connections, graph  a network of components on a grid of communication points
       structure/               what checks and orders it, once
+      gain/                    how much the coupling of a loop multiplies an error
       initialization/          its initial values
     master                     run and simulate: the pseudocode of a run
       stages/                  the engine under it: components in their places, cascades and loops,
@@ -13,7 +14,7 @@ In the order in which to read it::
     simulation                 the same engine, step by step
       stepping/                jumps of inputs, states, rows
     ensemble                   many members of one graph
-    linear                     linear models with their exact solver
+    linear, linearization      linear models with their exact solver; components near a point
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
         Block,
         Component,
         Design,
+        Linearizable,
         MessageLevel,
         Model,
         Native,
@@ -45,6 +47,7 @@ if TYPE_CHECKING:
     from cosim.core.ensemble import EnsembleRows, run_members
     from cosim.core.graph import Graph
     from cosim.core.linear import Linear, LinearModel
+    from cosim.core.linearization import Linearized
     from cosim.core.master import run, simulate
     from cosim.core.port import Port
     from cosim.core.recorded import RunMessage
@@ -69,6 +72,8 @@ _HOMES = {
     "Interface": "cosim.core.signals",
     "Layout": "cosim.core.signals",
     "Linear": "cosim.core.linear",
+    "Linearizable": "cosim.core.contracts",
+    "Linearized": "cosim.core.linearization",
     "LinearModel": "cosim.core.linear",
     "Memory": "cosim.core.recorders",
     "MessageLevel": "cosim.core.contracts",
@@ -109,6 +114,8 @@ __all__ = [
     "Layout",
     "Linear",
     "LinearModel",
+    "Linearizable",
+    "Linearized",
     "Memory",
     "MessageLevel",
     "Model",

@@ -109,6 +109,7 @@ def _methods(interface: Any) -> list[str]:
         methods += ["prepare"] * interface.prepares
         methods += ["save", "restore"] * interface.rollback
         methods += ["native"] * interface.native
+        methods += ["linearized"] * interface.linearizable
     return methods
 
 

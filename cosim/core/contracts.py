@@ -2,9 +2,9 @@
 
 A component has an interface and three methods; ``h`` is the same in all calls. Order of the calls:
 ``prepare`` once, where its interface declares it; ``initialize`` one or more times; then
-``outputs`` and ``advance`` in any order, and ``save`` and ``restore`` where its interface declares
-them. An output that depends on an input at the same instant is declared as feedthrough: ``outputs``
-computes it for the inputs given, ``advance`` uses ``u[k + 1]`` for it.
+``outputs`` and ``advance`` in any order, and ``save``, ``restore`` and ``linearized`` where its
+interface declares them. An output that depends on an input at the same instant is declared as
+feedthrough: ``outputs`` computes it for the inputs given, ``advance`` uses ``u[k + 1]`` for it.
 
 The arrays that a component is handed, ``t`` and ``u``, cannot be written to. They are views of rows
 that are used again, so they are valid during the call only: copy what is kept.
@@ -31,6 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Nanoseconds, Vector
+from cosim.core.linearization import Linearized
 from cosim.core.port import Port
 from cosim.core.signals import Channel, FaultKind, Interface, Layout
 from cosim.errors import LogError, RunError
@@ -158,11 +159,29 @@ class Native(Protocol):
         ...
 
 
+class Linearizable(Protocol):
+    """For components that can be linearized; their interface declares ``linearizable``."""
+
+    def linearized(self, t: float, u: Vector) -> Linearized | None:
+        """Linearize at the state, for inputs ``u`` at ``t``, the time reached; change nothing.
+
+        Called before the run, after ``initialize``. None: it cannot be linearized here.
+        """
+        ...
+
+
 def prepare(component: Component, h: float, held: Mask, recorded: Design) -> Design:
     """Prepare a component whose interface declares it; return its design, empty for all others."""
     if not component.interface.prepares:
         return {}
     return cast(Preparable, component).prepare(h, held, recorded)
+
+
+def linearized(component: Component, t: float, u: Vector) -> Linearized | None:
+    """Linearize a component; None: it cannot be, or its interface does not declare it."""
+    if not component.interface.linearizable:
+        return None
+    return cast(Linearizable, component).linearized(t, u)
 
 
 def check_design(recorded: Design, shapes: Mapping[str, tuple[int, ...]]) -> None:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Design, check_design
+from cosim.core.linearization import Linearized
 from cosim.core.signals import Interface
 from cosim.errors import GraphError
 from cosim.native.numerics.linear import DiscretizedDynamics, affine, first_order_hold, linear_step
@@ -125,7 +126,9 @@ class Linear:
 
     def __init__(self, model: LinearModel) -> None:
         self.model = model
-        self.interface = replace(model.interface, prepares=True, rollback=True, native=True)
+        self.interface = replace(
+            model.interface, prepares=True, rollback=True, native=True, linearizable=True
+        )
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Discretize, or take the recorded matrices."""
@@ -165,6 +168,11 @@ class Linear:
     def native(self) -> NativeStep:
         """Return the compiled step."""
         return self._step
+
+    def linearized(self, t: float, u: Vector) -> Linearized:
+        """Return the matrices of the model."""
+        arrays = self._arrays
+        return Linearized(arrays["A"], arrays["B"], arrays["C"], arrays["D"])
 
     def save(self) -> Vector:
         """Copy the state."""

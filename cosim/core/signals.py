@@ -193,6 +193,8 @@ class Interface:
         Whether the component has ``save`` and ``restore`` (:class:`cosim.core.contracts.Rollback`).
     native : bool
         Whether the component has ``native`` (:class:`cosim.core.contracts.Native`).
+    linearizable : bool
+        Whether the component has ``linearized`` (:class:`cosim.core.contracts.Linearizable`).
 
     Raises
     ------
@@ -208,6 +210,7 @@ class Interface:
     prepares: bool = False
     rollback: bool = False
     native: bool = False
+    linearizable: bool = False
 
     def __post_init__(self) -> None:
         # What is declared must not change later: copies, and nothing that can be written to.
@@ -230,7 +233,8 @@ class Interface:
         feedthrough = dict(self.feedthrough)
         initial = dict(self.initial)
         values = (self.inputs, self.outputs, feedthrough, initial, self.delayed)
-        return Interface, (*values, self.prepares, self.rollback, self.native)
+        methods = (self.prepares, self.rollback, self.native, self.linearizable)
+        return Interface, (*values, *methods)
 
     def _dependencies(self, key: str, declared: Dependencies) -> dict[str, tuple[str, ...] | None]:
         """Return a copy of declared dependencies, after a check of the names."""

@@ -30,7 +30,9 @@ class InPython:
     """A component without its compiled step."""
 
     def __init__(self, component):
-        self.interface = replace(component.interface, rollback=False, native=False)
+        self.interface = replace(
+            component.interface, rollback=False, native=False, linearizable=False
+        )
         self._component = component
         self.prepare = component.prepare
         self.initialize = component.initialize

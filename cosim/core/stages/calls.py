@@ -16,7 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Vector, read_only
-from cosim.core.contracts import Component, Design, Native, Preparable, Rollback, Stopped, prepare
+from cosim.core.contracts import (
+    Component,
+    Design,
+    Native,
+    Preparable,
+    Rollback,
+    Stopped,
+    linearized,
+    prepare,
+)
+from cosim.core.linearization import Linearized
 from cosim.core.signals import Channel
 from cosim.errors import AssumptionError, CosimError, GraphError, LogError, RunError
 from cosim.native.step import NativeStep
@@ -225,6 +235,21 @@ class GuardedComponent:
             return None
         return cast(Native, self._component).native()
 
+    def linearized(self, t: float, u: Vector) -> Linearized | None:
+        """Return the component linearized at its state, with numbers that can be relied on.
+
+        None: it cannot be linearized, or raises what says so. The run does not need it.
+        """
+        try:
+            found = linearized(self._component, t, read_only(u))
+        except RAISED:
+            return None
+        if type(found) is not Linearized:
+            return None
+        is_finite = all(np.isfinite(M).all() for M in (found.A, found.B, found.C, found.D))
+        fits = found.D.shape == (self._n_y, len(u))
+        return found if fits and is_finite else None
+
     def _check_stop(self, stop: Stopped, steps: int) -> None:
         """Check the rows that a component completed before it stopped; none are of any width."""
         rows = stop.outputs
@@ -284,6 +309,10 @@ class Timed:
         """Pass on."""
         with self._measured():
             return self._component.advance(t, h, u)
+
+    def linearized(self, t: float, u: Vector) -> Linearized | None:
+        """Pass on."""
+        return linearized(self._component, t, u)
 
     def save(self) -> Any:
         """Pass on."""

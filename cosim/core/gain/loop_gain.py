@@ -1,0 +1,209 @@
+"""How much the coupling of a loop multiplies an error over a run.
+
+A loop is linearized where it starts. Its gain rho is the spectral radius of its one-step map
+(:mod:`cosim.core.gain.loop_map`). The coupled system itself grows by exp(h r) in a step, r the
+largest real part of its poles (:mod:`cosim.core.gain.system`), and an undamped one by 1. What is
+beyond that is the coupling's: over N steps it multiplies an error by::
+
+    (rho / max(1, exp(h r)))^N
+
+More than ``REFUSED`` is no result any more; more than ``NOTED`` is worth a warning.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Final, Literal, TypeAlias
+
+import numpy as np
+
+from cosim.arrays import Vector
+from cosim.core.clock import NANOSECONDS, Clock
+from cosim.core.gain.loop_map import LoopModel, loop_model, one_step_maps, product
+from cosim.core.gain.radius import spectral_radius
+from cosim.core.gain.system import connect, sampled_map
+from cosim.core.graph import Graph
+from cosim.core.linearization import Linearized
+from cosim.core.stages.coupling import Stage
+
+REFUSED: Final = 10.0
+NOTED: Final = 1.01
+NO_SOLUTION: Final = "its algebraic loop has no one solution at the start"
+
+GainVerdict: TypeAlias = Literal["fine", "noted", "refused", "unknown"]
+
+
+@dataclass(frozen=True, slots=True)
+class LoopGain:
+    """The gain of a loop.
+
+    Parameters
+    ----------
+    components : tuple of str
+    coupling : str
+        How they are coupled.
+    h : float
+        Communication step [s].
+    steps : int
+        Of the run.
+    rho : float or None
+        In a step; None: not known.
+    rate : float or None
+        At which the coupled system itself grows [1/s]: the largest real part of its poles.
+    unknown : tuple of str
+        The components that cannot be linearized.
+    reason : str
+        Why else the gain is not known.
+    """
+
+    components: tuple[str, ...]
+    coupling: str
+    h: float
+    steps: int
+    rho: float | None = None
+    rate: float | None = None
+    unknown: tuple[str, ...] = ()
+    reason: str = ""
+
+    @property
+    def exponent(self) -> float:
+        """The natural logarithm of what the coupling multiplies an error by over the run."""
+        if self.rho is None or self.rate is None:
+            return math.nan
+        if self.rho == 0.0:
+            return -math.inf
+        return self.steps * (math.log(self.rho) - max(0.0, self.h * self.rate))
+
+    @property
+    def verdict(self) -> GainVerdict:
+        """What follows for the run."""
+        exponent = self.exponent
+        if math.isnan(exponent):
+            return "unknown"
+        if exponent > math.log(REFUSED):
+            return "refused"
+        return "noted" if exponent > math.log(NOTED) else "fine"
+
+    @property
+    def is_unstable(self) -> bool:
+        """Whether the coupled system itself multiplies an error by more than 10 over the run."""
+        if self.rate is None:
+            return False
+        return self.steps * self.h * self.rate > math.log(REFUSED)
+
+
+@dataclass(frozen=True, slots=True)
+class LinearizedLoops:
+    """The loops of a graph, linearized where it starts.
+
+    Parameters
+    ----------
+    graph : Graph
+        Prepared and initialized.
+    clock : Clock
+    linearized : mapping of component name to Linearized
+        Those that can be linearized.
+    """
+
+    graph: Graph
+    clock: Clock
+    linearized: Mapping[str, Linearized] = field(default_factory=dict)
+
+    @staticmethod
+    def of(graph: Graph, clock: Clock, row: Vector) -> LinearizedLoops:
+        """Linearize the components of loops at the first row, with which the graph begins."""
+        linearized = {}
+        for stage in graph.stages:
+            if not stage.is_loop:
+                continue
+            for member in stage.members:
+                found = member.component.linearized(clock.start_time, row[member.inputs])
+                if found is not None:
+                    linearized[member.name] = found
+        return LinearizedLoops(graph, clock, linearized)
+
+    def gains(self) -> tuple[LoopGain, ...]:
+        """Return the gain of every loop."""
+        return tuple(self._gain(loop) for loop in self.graph.stages if loop.is_loop)
+
+    def step_for(self, number: int) -> int | None:
+        """Return a communication step [ns] at which a loop would not be refused; None: none found.
+
+        It divides the present one, so that it divides all that the present one does. Of such the
+        largest is looked for by bisection; the gain is computed at the one that is returned.
+        """
+        model = self._model(self._loops()[number])
+        step_ns = self.clock.step_ns
+        parts = [count for count in _divisors(step_ns) if count > 1]
+        lower = 0
+        upper = len(parts)
+        while lower < upper:
+            middle = (lower + upper) // 2
+            if self._is_right(model, parts[middle]):
+                upper = middle
+            else:
+                lower = middle + 1
+        return step_ns // parts[lower] if lower < len(parts) else None
+
+    def with_coupling(self, graph: Graph) -> LinearizedLoops:
+        """Return the same loops in a graph of the same components with another coupling."""
+        return LinearizedLoops(graph, self.clock, self.linearized)
+
+    def _loops(self) -> list[Stage]:
+        return [stage for stage in self.graph.stages if stage.is_loop]
+
+    def _model(self, loop: Stage) -> LoopModel:
+        width = self.graph.layout.width
+        h = self.clock.step_ns / NANOSECONDS
+        return loop_model(loop, self.linearized, self.graph.held, h=h, width=width)
+
+    def _gain(self, loop: Stage) -> LoopGain:
+        names = tuple(member.name for member in loop.members)
+        unknown = tuple(name for name in names if name not in self.linearized)
+        coupling = self.graph.coupling
+        h = self.clock.step_ns / NANOSECONDS
+        if unknown:
+            return LoopGain(names, coupling, h, self.clock.steps, unknown=unknown)
+        model = self._model(loop)
+        return _gain_of(model, names, coupling, self.clock.steps)
+
+    def _is_right(self, model: LoopModel, parts: int) -> bool:
+        gain = _gain_of(model.refined(parts), (), "", self.clock.steps * parts)
+        return gain.verdict in ("fine", "noted")
+
+
+def _gain_of(model: LoopModel, names: tuple[str, ...], coupling: str, steps: int) -> LoopGain:
+    if model.is_too_large:
+        reason = "its one-step map is too large to look at before a run"
+        return LoopGain(names, coupling, model.h, steps, reason=reason)
+    period = model.period
+    with np.errstate(over="ignore", invalid="ignore"):  # a map that is not finite has no radius
+        maps = one_step_maps(model)
+        rate = _rate(model)
+        if maps is None or rate is None:
+            return LoopGain(names, coupling, model.h, steps, reason=NO_SOLUTION)
+        rho = spectral_radius(product(maps)) ** (1.0 / period)
+    return LoopGain(names, coupling, model.h, steps, rho, rate)
+
+
+def _rate(model: LoopModel) -> float | None:
+    """Return the rate at which the coupled system itself grows [1/s]; None: it is not one."""
+    system = connect(model)
+    if system is None:
+        return None
+    if all(member.is_continuous for member in model.members):
+        return max((pole.real for pole in system.poles), default=-math.inf)
+    exact = sampled_map(model, system)
+    if exact is None:
+        return None
+    radius = spectral_radius(exact)
+    return math.log(radius) / (model.period * model.h) if radius > 0.0 else -math.inf
+
+
+def _divisors(number: int) -> list[int]:
+    """Return the divisors of a whole number in order."""
+    small = [divisor for divisor in range(1, math.isqrt(number) + 1) if number % divisor == 0]
+    large = [number // divisor for divisor in small if divisor * divisor != number]
+    return small + large[::-1]

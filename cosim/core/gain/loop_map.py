@@ -1,0 +1,260 @@
+"""The one-step map of a loop: what a step does to small deviations of everything it hands on.
+
+Handed on are the states of all components, and the outputs of the row that the next step reads. The
+map is found by the very operations of the loop (:class:`cosim.core.stages.coupling.Loop`), applied
+to linearized components and to all unit vectors at once. Where a loop iterates, its torn inputs are
+what their sources give for them: what a *sweep* of the operations gives is linear in what it takes
+for them, so that they are found by one solution of equations.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import reduce
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+
+from cosim.arrays import Mask, Matrix
+from cosim.core.gain.member_step import MemberStep, Phase, member_step, phase_of
+from cosim.core.linearization import Linearized
+from cosim.core.stages.coupling import OperationName, Stage
+from cosim.core.stages.member import Member
+
+LARGEST: Final = 400  # rows of a map, up to which its eigenvalues take little time
+SINGULAR: Final = 1e-12  # relative; equations closer to that have no solution to rely on
+LONGEST: Final = 4096  # communication steps after which the steps of components repeat
+
+
+@dataclass(frozen=True, slots=True)
+class LoopModel:
+    """A loop of linearized components.
+
+    Parameters
+    ----------
+    members : tuple of Linearized
+    wiring : tuple of Matrix, shapes (n_u, n_y of all)
+        The inputs of each component, by the outputs of all, one behind the other.
+    held : tuple of Mask, shapes (n_u,)
+        Which inputs have a zero-order hold.
+    operations : tuple of (OperationName, int)
+        Of a step, with numbers of components; those that change outputs.
+    h : float
+        Communication step [s].
+    torn : tuple of (int, int)
+        The inputs that are solved for: component and element.
+    """
+
+    members: tuple[Linearized, ...]
+    wiring: tuple[Matrix, ...]
+    held: tuple[Mask, ...]
+    operations: tuple[tuple[OperationName, int], ...]
+    h: float
+    torn: tuple[tuple[int, int], ...] = ()
+
+    @property
+    def outputs(self) -> list[slice]:
+        """Where the outputs of each component stand among those of all."""
+        return slices([len(member.D) for member in self.members])
+
+    @property
+    def period(self) -> int:
+        """Communication steps after which the steps of all components repeat."""
+        return math.lcm(*(member.period for member in self.members))
+
+    @property
+    def size(self) -> int:
+        """Number of rows of the map."""
+        steps = self.steps(0)
+        n_y: int = self.outputs[-1].stop
+        return sum(step.n_s for step in steps) + n_y
+
+    @property
+    def is_too_large(self) -> bool:
+        """Whether its map, or its period, is too large to look at before a run."""
+        delayed = sum(member.delay * member.D.shape[1] for member in self.members)
+        return delayed > LARGEST or self.period > LONGEST or self.size > LARGEST
+
+    def phases(self, number: int) -> tuple[Phase, ...]:
+        """Return where each component is in a step of its own, at a communication step."""
+        return tuple(phase_of(member, number) for member in self.members)
+
+    def steps(self, number: int) -> list[MemberStep]:
+        """Return the steps of the components at a communication step."""
+        steps = []
+        parts = zip(self.members, self.held, self.phases(number), strict=True)
+        for member, held, phase in parts:
+            steps.append(member_step(member, self.h, held, phase))
+        return steps
+
+    def refined(self, parts: int) -> LoopModel:
+        """Return the loop with communication steps that are some times shorter."""
+        members = tuple(member.refined(parts) for member in self.members)
+        return replace(self, members=members, h=self.h / parts)
+
+
+def loop_model(
+    loop: Stage,
+    linearized: Mapping[str, Linearized],
+    held: Mapping[str, Mask],
+    *,
+    h: float,
+    width: int,
+) -> LoopModel:
+    """Return the model of a loop whose components are all linearized; ``width`` is of a row."""
+    numbers = {member.name: number for number, member in enumerate(loop.members)}
+    operations: list[tuple[OperationName, int]] = []
+    for kind, members in loop.program:
+        if kind in ("advance", "refresh"):
+            operations += [(kind, numbers[member.name]) for member in members]
+    return LoopModel(
+        tuple(linearized[member.name] for member in loop.members),
+        _wiring(loop.members, width),
+        tuple(held[member.name] for member in loop.members),
+        tuple(operations),
+        h,
+        _torn(loop),
+    )
+
+
+def _torn(loop: Stage) -> tuple[tuple[int, int], ...]:
+    """Return the inputs of a loop that are solved for, as component and element."""
+    columns = () if loop.torn is None else loop.torn.columns
+    torn = []
+    for number, member in enumerate(loop.members):
+        first = member.inputs.start
+        own = [column for column in columns if first <= column < member.inputs.stop]
+        torn += [(number, column - first) for column in own]
+    return tuple(torn)
+
+
+def _wiring(members: Sequence[Member], width: int) -> tuple[Matrix, ...]:
+    """Return the inputs of each component by the outputs of all: what their wires do to units."""
+    columns = np.concatenate([np.arange(m.outputs.start, m.outputs.stop) for m in members])
+    rows = np.zeros((len(columns) + 1, width))
+    rows[np.arange(len(columns)), columns] = 1.0
+    for member in members:
+        for wire in member.wires:
+            wire.copy(rows, slice(None))
+    # The last row is what the wires give for no outputs: their offsets.
+    return tuple((rows[:-1, member.inputs] - rows[-1, member.inputs]).T for member in members)
+
+
+def one_step_maps(model: LoopModel) -> list[Matrix] | None:
+    """Return the maps of the steps of one period; None: a step has no one solution."""
+    by_phases: dict[tuple[Phase, ...], Matrix] = {}
+    maps = []
+    for number in range(model.period):
+        phases = model.phases(number)
+        if phases not in by_phases:
+            found = _one_step_map(model, model.steps(number))
+            if found is None:
+                return None
+            by_phases[phases] = found
+        maps.append(by_phases[phases])
+    return maps
+
+
+def _one_step_map(model: LoopModel, steps: Sequence[MemberStep]) -> Matrix | None:
+    states = slices([step.n_s for step in steps])
+    size = states[-1].stop + model.outputs[-1].stop
+    units = np.eye(size)
+    sweep = _Sweep(model, steps, [units[part] for part in states], units[states[-1].stop :])
+    torn = sweep.solution()
+    if torn is None:
+        return None
+    state, row = sweep(torn)
+    return np.vstack([*state, row])
+
+
+class _Sweep:
+    """The operations of a step, for many starts at once.
+
+    Parameters
+    ----------
+    model : LoopModel
+    steps : sequence of MemberStep
+        Of the components, at this communication step.
+    state : sequence of Matrix, shapes (n_s, k)
+        Of the components at the start.
+    row : Matrix, shape (n_y of all, k)
+        The outputs at the start.
+    """
+
+    def __init__(
+        self,
+        model: LoopModel,
+        steps: Sequence[MemberStep],
+        state: Sequence[Matrix],
+        row: Matrix,
+    ) -> None:
+        self._model = model
+        self._steps = steps
+        self._state = state
+        self._row = row
+
+    def __call__(self, torn: Matrix) -> tuple[list[Matrix], Matrix]:
+        """Return states and outputs at the end, for torn inputs there, shape (n_torn, k)."""
+        model = self._model
+        outputs = model.outputs
+        state = list(self._state)
+        end = self._row.copy()  # what extrapolated inputs read
+        for kind, number in model.operations:
+            u1 = self._inputs(number, end, torn)
+            if kind == "advance":
+                u0 = model.wiring[number] @ self._row
+                state[number], y = self._steps[number].advance(state[number], u0, u1)
+            else:
+                before = end[outputs[number]]
+                y = self._steps[number].refresh(state[number], u1, before)
+            end[outputs[number]] = y
+        return state, end
+
+    def _inputs(self, number: int, end: Matrix, torn: Matrix) -> Matrix:
+        u: Matrix = self._model.wiring[number] @ end
+        for place, (component, element) in enumerate(self._model.torn):
+            if component == number:
+                u[element] = torn[place]
+        return u
+
+    def solution(self) -> Matrix | None:
+        """Return the torn inputs that are what their sources give; None: there is no one."""
+        count = len(self._model.torn)
+        width = self._row.shape[1]
+        given = self._given(np.zeros((count, width)))
+        if not count:
+            return given
+        nothing = [np.zeros((len(state), count)) for state in self._state]
+        no_row = np.zeros((len(self._row), count))
+        J = _Sweep(self._model, self._steps, nothing, no_row)._given(np.eye(count))
+        return solved(np.eye(count) - J, given)
+
+    def _given(self, torn: Matrix) -> Matrix:
+        """Return what the sources of torn inputs give for them."""
+        _, end = self(torn)
+        rows = np.zeros(torn.shape)
+        for place, (component, element) in enumerate(self._model.torn):
+            rows[place] = self._model.wiring[component][element] @ end
+        return rows
+
+
+def solved(M: Matrix, right: Matrix) -> Matrix | None:
+    """Return the solution of equations; None: they have none to rely on."""
+    values = np.linalg.svd(M, compute_uv=False)
+    if not values[-1] > SINGULAR * values[0]:
+        return None
+    return np.asarray(np.linalg.solve(M, right), np.float64)
+
+
+def product(maps: Sequence[Matrix]) -> Matrix:
+    """Return the map of several steps, the first one first."""
+    return reduce(lambda before, after: after @ before, maps)
+
+
+def slices(sizes: Sequence[int]) -> list[slice]:
+    """Return parts of these sizes, one behind the other."""
+    ends = np.cumsum([0, *sizes]).tolist()
+    return [slice(start, stop) for start, stop in pairwise(ends)]
