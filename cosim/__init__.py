@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from cosim.fmi.linearizing.linearize import linearize
     from cosim.log.diff import diff
     from cosim.log.reader import open_log
+    from cosim.report.certificate import certificate
     from cosim.report.comparing import compare
     from cosim.report.estimator_comparison import compare_estimators
     from cosim.scenario.assumptions.report import check_assumptions
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from cosim.scenario.models import model_table
 
 _HOMES = {
+    "certificate": "cosim.report.certificate",
     "check_assumptions": "cosim.scenario.assumptions.report",
     "compare": "cosim.report.comparing",
     "compare_estimators": "cosim.report.estimator_comparison",
@@ -42,6 +44,7 @@ _HOMES = {
 
 __all__ = [
     "__version__",
+    "certificate",
     "check_assumptions",
     "compare",
     "compare_estimators",

@@ -69,6 +69,15 @@ ProfileOption = Annotated[
     bool, typer.Option("--profile", help="Show the wall time of each component.")
 ]
 
+CertifyOption = Annotated[
+    bool,
+    typer.Option(
+        "--certify",
+        help="Run with half the step and a quarter, too, and show how large the error of the step "
+        "is, signal by signal: seven times the work.",
+    ),
+]
+
 DryRunOption = Annotated[
     bool,
     typer.Option(
@@ -93,6 +102,7 @@ def run(
     as_json: JsonOption = False,
     quiet: QuietOption = False,
     profile: ProfileOption = False,
+    certify: CertifyOption = False,
     dry_run: DryRunOption = False,
 ) -> None:
     """Run a scenario and record every signal to an MCAP log."""
@@ -130,6 +140,7 @@ def run(
             progress=progress,
             notice=None if quiet else print_notice,
             profile=seconds,
+            certify=certify,
         )
     wall = {"imports": imported - BEGAN, "run": perf_counter() - imported}
     if plot is not None:

@@ -16,6 +16,9 @@ from cosim.core.graph import Graph
 from cosim.core.port import Port
 from cosim.core.recorded import RunMessage
 from cosim.core.signals import Channel, Signal
+from cosim.report.certificate import certificate_of
+from cosim.report.summary import summarize
+from cosim.report.tables.certificate import notes, share_text
 from cosim.scenario.action_tables import effect_of, signals_of
 from cosim.scenario.build import DescribedScenario, describe
 from cosim.scenario.document import find
@@ -78,12 +81,45 @@ def describe_log(path: str) -> Section:
             metadata[name] = entry
     content = {"run": about, "signals": signals, "metadata": metadata, "differences": differences}
     content |= _overrides(events)
+    content |= _certificate(log)
     messages, more = _messages(log)
     if messages:
         content["messages"] = messages
     if more:
         content["more messages"] = {"not shown": more}
     return content
+
+
+def _certificate(log: Log) -> Section:
+    """Return the certificate of the run, where it has one."""
+    certificate = certificate_of(log, summarize(log))
+    if certificate is None:
+        return {}
+    about: Section = {
+        "step": f"{certificate.step:g} s",
+        "others": ", ".join(f"{step:g} s" for step in certificate.finer_steps),
+        "problem": certificate.problem or None,
+    }
+    for share in certificate.shares:
+        about[share.estimate] = share_text(share)
+    for number, note in enumerate(notes(certificate), start=1):
+        about[f"note {number}"] = note
+    rows: list[Section] = []
+    for signal in certificate.signals:
+        row = {
+            "signal": signal.signal,
+            "largest": _digits(signal.largest),
+            "t": signal.time,
+            "at the end": _digits(signal.last),
+            "order": _digits(signal.order),
+            "no estimate": signal.reason or None,
+        }
+        rows.append(row)
+    return {"certificate": about, "error of the step": rows}
+
+
+def _digits(value: float | None) -> float | None:
+    return None if value is None else float(f"{value:.3g}")
 
 
 def _event_counts(events: Sequence[SignalEvent]) -> str:

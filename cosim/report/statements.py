@@ -13,8 +13,8 @@ compared:
 
 Eigenvalues, and times computed from them, are compared to 1 %; estimates and intervals to 1e-6.
 
-A replay takes the rest as it stands, and nothing here is said of it: designs, the metadata and
-messages of what it copies, why the run ended, the machine.
+A replay takes the rest as it stands, and nothing here is said of it: designs, certificates, the
+metadata and messages of what it copies, why the run ended, the machine.
 """
 
 from __future__ import annotations
@@ -51,7 +51,9 @@ from cosim.scenario.replaying import recorded_stop
 COMPARED = (
     "truth, connections, schedule, times, component tables, overrides, warnings, last row, verdicts"
 )
-NOT_COMPARED = "designs, why the run ended, its machine, what FMUs and files say of themselves"
+NOT_COMPARED = (
+    "designs, certificates, why the run ended, its machine, what FMUs and files say of themselves"
+)
 
 # An n-fold eigenvalue moves by eps**(1/n) with the last bits of its matrix, which depend on the
 # processor: by 1e-2 for n = 8.

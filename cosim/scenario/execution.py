@@ -20,7 +20,15 @@ from cosim.scenario.building import build_experiment
 from cosim.scenario.document import Document, find
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.recorded_metadata import ReplayOrigin
-from cosim.scenario.recording import Notice, Progress, Target, check_target, record, run_into
+from cosim.scenario.recording import (
+    Beside,
+    Notice,
+    Progress,
+    Target,
+    check_target,
+    record,
+    run_into,
+)
 from cosim.scenario.replaying import (
     check_changes,
     rebuilt,
@@ -75,6 +83,7 @@ def run(
     progress: Progress | None = None,
     notice: Notice | None = None,
     profile: dict[str, float] | None = None,
+    certify: bool = False,
     recorder: None = None,
 ) -> Log | Memory: ...
 
@@ -89,6 +98,7 @@ def run(
     block: int | None = None,
     progress: Progress | None = None,
     profile: dict[str, float] | None = None,
+    certify: bool = False,
     recorder: OwnRecorder,
 ) -> OwnRecorder: ...
 
@@ -106,6 +116,7 @@ def run(
     progress: Progress | None = None,
     notice: Notice | None = None,
     profile: dict[str, float] | None = None,
+    certify: bool = False,
     recorder: Recorder | None = None,
 ) -> Log | Memory | Recorder:
     """Run a scenario.
@@ -139,6 +150,9 @@ def run(
         than the disk has room for.
     profile : dict, optional
         Filled with wall seconds by component.
+    certify : bool
+        Run with half the step and with a quarter, too, and record the certificate of this run: how
+        large the error of its step is, signal by signal; see :func:`cosim.certificate`.
     recorder : Recorder, optional
         One's own recorder, instead of ``out`` and what is about it: it takes the rows of the run,
         its messages and its results as they are computed. Nothing else is kept, and nothing is
@@ -156,6 +170,7 @@ def run(
     """
     force = truth_argument("force", force)
     numbered = truth_argument("numbered", numbered)
+    certify = truth_argument("certify", certify)
     block = whole_argument("block", block)
     callable_argument("progress", progress)
     callable_argument("notice", notice)
@@ -166,13 +181,23 @@ def run(
     check_target(out, force=force, numbered=numbered)
     loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
     edited = loaded.edit(swap=swap, map=map, set=set)
+    beside = _certifying(edited, progress) if certify else None
     with ExitStack() as resources:
         experiment = build_experiment(edited, resources, block)
         if recorder is not None:
-            run_into(recorder, experiment, progress=progress, profile=profile)
+            taking = recorder if beside is None else beside(recorder)
+            run_into(taking, experiment, progress=progress, profile=profile)
             return recorder
         target = Target(out, force, numbered, notice)
-        return record(experiment, target, progress=progress, profile=profile)
+        return record(experiment, target, progress=progress, profile=profile, beside=beside)
+
+
+def _certifying(scenario: Scenario, progress: Progress | None) -> Beside:
+    """Run a scenario with smaller steps; return what adds the certificate to a recorder."""
+    # Most runs need none of it.
+    from cosim.scenario.certification.certificate import certifier_of
+
+    return certifier_of(scenario, progress).beside
 
 
 def _check_profile(profile: object) -> None:

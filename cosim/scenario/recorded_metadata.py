@@ -6,7 +6,7 @@ A log may come from anywhere: what is read here has the types that the reports r
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Final, TypeVar
 
 import numpy as np
 from pydantic import (
@@ -238,6 +238,31 @@ class IdentificationRecord(_Record):
     problem: Text = ""
 
 
+class StepErrorRecord(_Record):
+    """What a log says of the error of the step in one element of a signal.
+
+    See :class:`cosim.theory.richardson.StepError`.
+    """
+
+    largest: Number | None = None
+    time: Number | None = None
+    last: Number | None = None
+    order: Number | None = None
+    reason: Text = ""
+    grows: bool = False
+
+
+class CertificateRecord(_Record):
+    """The certificate of a run: its step, the others, and what they show by element of a signal."""
+
+    step: Number
+    finer_steps: NumberRow
+    every: Whole
+    problem: Text = ""
+    solvers: tuple[Text, ...] = ()
+    signals: dict[Text, StepErrorRecord] = {}
+
+
 class ModelRecord(_Record):
     """A model that was read from a file: its path, its hash and its matrices."""
 
@@ -296,6 +321,8 @@ _STATE_CHANGES: TypeAdapter[dict[str, tuple[StateChangeRecord, ...]]] = TypeAdap
     dict[str, tuple[StateChangeRecord, ...]], config=_DEFERRED
 )
 _COMPONENT: TypeAdapter[ComponentRecord] = TypeAdapter(ComponentRecord)  # deferred by its config
+_CERTIFICATE: TypeAdapter[CertificateRecord] = TypeAdapter(CertificateRecord)  # the same
+CERTIFICATE: Final = "certificate"  # its key among the results of a run
 _OF_IDENTIFIERS = ("start_time", "P0")
 _TIMES = ("T_obs", "T_f", "D_max", "T_id")
 
@@ -391,6 +418,21 @@ def recorded_identification(recording: Recording) -> dict[str, IdentificationRec
     """
     results = recording.results.get("identification", {})
     return _checked(_IDENTIFICATION, results, "results of the identification")
+
+
+def recorded_certificate(recording: Recording) -> CertificateRecord | None:
+    """Return the certificate of a run; None: it has none.
+
+    Raises
+    ------
+    LogError
+        If it cannot be understood.
+    """
+    content = recording.results.get(CERTIFICATE)
+    if content is None:
+        return None
+    record: CertificateRecord = _checked(_CERTIFICATE, content, CERTIFICATE)
+    return record
 
 
 def recorded_models(recording: Recording) -> dict[str, ModelRecord]:

@@ -23,6 +23,7 @@ from cosim.scenario.records import MessageRecorder, attachments_of, metadata_of
 
 Progress = Callable[[float, float], None]  # simulated time, end [s]
 Notice = Callable[[str], None]
+Beside = Callable[[Recorder], Recorder]  # adds something to what a recorder takes
 _LARGE = 10**9  # bytes of a log that are worth a word
 
 
@@ -65,13 +66,26 @@ def record(
     *,
     progress: Progress | None,
     profile: dict[str, float] | None = None,
+    beside: Beside | None = None,
 ) -> Log | Memory:
-    """Run an experiment and return its recording: the log file if a path is given."""
+    """Run an experiment and return its recording: the log file if a path is given.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    target : Target
+    progress : callable or None
+    profile : dict, optional
+        Filled with wall seconds by component.
+    beside : callable, optional
+        Returns what takes the run and passes it on to the recorder of the recording.
+    """
     out = target.out
     if out is None:
         attachments = {file.name: file.data for file in attachments_of(experiment)}
         memory = Memory(metadata_of(experiment), attachments)
-        run_into(memory, experiment, progress=progress, profile=profile)
+        taking = memory if beside is None else beside(memory)
+        run_into(taking, experiment, progress=progress, profile=profile)
         return memory
     is_read = Path(os.path.realpath(out)) in experiment.files
     if is_read and not target.numbered:
@@ -82,8 +96,9 @@ def record(
         if target.notice is not None:
             announce_size(log, experiment.clock.steps, target.notice)
 
+    taking = log if beside is None else beside(log)
     try:
-        run_into(log, experiment, progress=progress, profile=profile, began=began)
+        run_into(taking, experiment, progress=progress, profile=profile, began=began)
     except RunError as error:
         with suppress(LogError):  # nothing was written
             recorded = log.recorded()

@@ -12,6 +12,7 @@ from rich.table import Table
 from cosim.core.contracts import Recording
 from cosim.errors import flag
 from cosim.log import Log
+from cosim.report.certificate import certificate_of
 from cosim.report.guaranteed import interval_text, reach_text
 from cosim.report.recorded_rows import signal_of
 from cosim.report.summary import (
@@ -24,6 +25,7 @@ from cosim.report.summary import (
     span,
     summarize,
 )
+from cosim.report.tables.certificate import certificate_table
 from cosim.report.tables.console import new_table, print_json, print_line, print_table
 from cosim.scenario.initial_states import change_text
 from cosim.scenario.recorded_metadata import (
@@ -62,8 +64,11 @@ def print_summary(
     if quiet and not as_json:
         return
     summary = summarize(recording)
+    certificate = certificate_of(recording, summary)
     if as_json:
         content: dict[str, Any] = summary.to_dict()
+        if certificate is not None:
+            content["certificate"] = certificate.to_dict()
         content["wall"] = dict(wall)
         content["log"] = None if path is None else str(path)
         if profile is not None:
@@ -80,6 +85,8 @@ def print_summary(
     if path is not None:
         table.add_row("log", "", "", str(path))
     print_table(table)
+    if certificate is not None:
+        print_table(certificate_table(certificate))
     if profile is not None:
         print_table(_profile_table(profile))
 

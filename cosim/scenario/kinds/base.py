@@ -312,6 +312,29 @@ class Kind(TomlTable):
         """Whether it has inputs; if not, connections to them are left out."""
         return True
 
+    @property
+    def draws_every_step(self) -> bool:
+        """Whether it draws random numbers at every communication step: another step, others."""
+        return False
+
+    def decided(
+        self, table: Mapping[str, Any], metadata: Mapping[str, Any], step_ns: int
+    ) -> Mapping[str, Any]:
+        """Return the table with what the communication step has decided.
+
+        With a smaller step it is the same then: an instant of a communication point, for example.
+
+        Parameters
+        ----------
+        table : Mapping
+            Of the component, as the scenario has it.
+        metadata : Mapping
+            That it has recorded while it was built.
+        step_ns : int
+            Communication step [ns] that it was built with.
+        """
+        return table
+
     def samples_of(self, output: str) -> str | None:
         """Return the output with another output's samples at times of their own; None: none."""
         return None

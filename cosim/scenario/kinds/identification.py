@@ -153,6 +153,12 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         "recorded; a loop of the scenario's own connections is seen without it",
     )
 
+    def decided(
+        self, table: Mapping[str, Any], metadata: Mapping[str, Any], step_ns: int
+    ) -> Mapping[str, Any]:
+        """Return the table with T_id, which was computed and put on a communication point."""
+        return {**table, "start": metadata["start_time"]}
+
     def with_period(self, component: Component, n: int) -> Component:
         return component if n == 1 else Decimated(component, n)
 

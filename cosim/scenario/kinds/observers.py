@@ -182,6 +182,19 @@ class UnknownInputObserverKind(ExportableKind):
         "processor, so that a replay takes the observer's outputs from the log",
     )
 
+    def decided(
+        self, table: Mapping[str, Any], metadata: Mapping[str, Any], step_ns: int
+    ) -> Mapping[str, Any]:
+        """Return the table with the window that was chosen."""
+        if self.filter != "auto":
+            return table
+        window = metadata["choice"]["result"]
+        of_auto = ("noise", "noise_from", "amplitude", "bandwidth")
+        kept = {key: value for key, value in table.items() if key not in of_auto}
+        half_width = window["half_width_steps"] * step_ns / NANOSECONDS
+        chosen = {"filter": "savitzky-golay", "half_width": half_width, "order": window["order"]}
+        return {**kept, **chosen}
+
     @property
     def computable(self) -> bool:
         """Designs on the way need the FMU, and linear algebra that is not the same everywhere."""

@@ -89,6 +89,12 @@ class SensorKind(PeriodicKind):
         return samples_of(output) if output == "y" and self._offers_samples else None
 
     @property
+    def draws_every_step(self) -> bool:
+        noise = self.noise if isinstance(self.noise, tuple) else (self.noise,)
+        is_random = any(noise) or bool(self.jitter) or self.dropout is not None
+        return is_random and self.period is None
+
+    @property
     def samples_at_points(self) -> bool:
         return not self.time_stamps
 

@@ -12,6 +12,7 @@ from pydantic import Field
 from cosim.arrays import Matrix, Vector
 from cosim.blocks import source
 from cosim.blocks.regressor import alpha_signals
+from cosim.blocks.sampled import Sampled
 from cosim.core.connections import Connection
 from cosim.core.contracts import Component
 from cosim.core.port import Port
@@ -21,7 +22,7 @@ from cosim.native.blocks.functions import LinearResponse
 from cosim.native.estimation.alphas import Alpha, AlphaSignal
 from cosim.native.numerics.expression import FUNCTIONS, compile_expression
 from cosim.scenario.kinds.alphas import ALPHA, alpha_connections, alphas_of, naming
-from cosim.scenario.kinds.base import BuildContext, ImpliedConnection, Kind
+from cosim.scenario.kinds.base import BuildContext, ImpliedConnection, Kind, PeriodicKind
 from cosim.scenario.kinds.jumps import (
     check_continuous,
     check_sampled,
@@ -242,14 +243,21 @@ class TableKind(Kind):
         return table.column(self.time), table.columns(names)
 
 
-class NoiseKind(Kind):
-    """y = Gaussian noise, a new value at every communication point."""
+class NoiseKind(PeriodicKind):
+    """y = Gaussian noise, a new value in every period, which holds over it."""
 
     ports: ClassVar[str] = "-> y"
     kind: Literal["noise"]
     deviation: Number = Field(ge=0.0, description="standard deviation")
     seed: Whole = Field(ge=0, description="seed of the generator")
     size: Size = Field(1, description="number of elements")
+
+    @property
+    def draws_every_step(self) -> bool:
+        return self.period is None and self.deviation > 0.0
+
+    def with_period(self, component: Component, n: int) -> Component:
+        return component if n == 1 else Sampled(component, n)
 
     def build(self, name: str, context: BuildContext) -> Component:
         return source.Noise(

@@ -1,0 +1,156 @@
+"""The certificate of a run, from its recording: what is the error of the step, and what not."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from cosim.core.contracts import Recording
+from cosim.core.signals import Channel
+from cosim.errors import LogError, command, flag
+from cosim.report.summary import Summary, ValueOutcome, summarize
+from cosim.scenario.recorded_metadata import (
+    CertificateRecord,
+    StepErrorRecord,
+    recorded_certificate,
+)
+
+
+@dataclass(frozen=True)
+class SignalCertificate:
+    """The error of the step in one element of an output, as :class:`StepError` has it."""
+
+    signal: str
+    unit: str | None
+    largest: float | None
+    time: float | None
+    last: float | None
+    order: float | None
+    reason: str
+    grows: bool
+
+
+@dataclass(frozen=True)
+class CouplingShare:
+    """How much of the error of an estimate at the end of a run is the error of the step.
+
+    Parameters
+    ----------
+    estimate : str
+    error : float
+        The estimate less the truth.
+    coupling : float or None
+        Of that, the error of the step; None: there is no estimate of it.
+    """
+
+    estimate: str
+    error: float
+    coupling: float | None
+
+
+@dataclass(frozen=True)
+class StepCertificate:
+    """How large the error of the communication step is in a run, signal by signal.
+
+    Parameters
+    ----------
+    step : float
+        Of the run [s].
+    finer_steps : tuple of float
+        Of the others [s].
+    every : int
+        Every so many communication points were compared.
+    problem : str
+        Why nothing was compared; empty where something was.
+    solvers : tuple of str
+        Components whose own solvers err too: that is in the figures.
+    signals : tuple of SignalCertificate
+        The outputs by their elements.
+    shares : tuple of CouplingShare
+        Of the estimates of which the truth is a number.
+    """
+
+    step: float
+    finer_steps: tuple[float, ...]
+    every: int
+    problem: str
+    solvers: tuple[str, ...]
+    signals: tuple[SignalCertificate, ...]
+    shares: tuple[CouplingShare, ...]
+
+    def __getitem__(self, signal: str) -> SignalCertificate:
+        """Return the element of a signal.
+
+        Raises
+        ------
+        LogError
+            If there is none of that name.
+        """
+        for entry in self.signals:
+            if entry.signal == signal:
+                return entry
+        names = ", ".join(entry.signal for entry in self.signals)
+        raise LogError(f"the certificate has no {signal!r}; it has: {names or 'nothing'}")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return asdict(self)
+
+
+def certificate(recording: Recording) -> StepCertificate:
+    """Return the certificate of a run: the error of its communication step, signal by signal.
+
+    It is Richardson's estimate from runs with half the step and a quarter, where these show one:
+    :mod:`cosim.theory.richardson` and :mod:`cosim.scenario.certification.certificate`.
+
+    Raises
+    ------
+    LogError
+        If the run has none.
+    """
+    found = certificate_of(recording, summarize(recording))
+    if found is None:
+        raise LogError(
+            f"{recording.label} has no certificate; needed {command('run')} with {flag('certify')}"
+        )
+    return found
+
+
+def certificate_of(recording: Recording, summary: Summary) -> StepCertificate | None:
+    """Return the certificate of a run that is summarized already; None: it has none."""
+    record = recorded_certificate(recording)
+    if record is None:
+        return None
+    signals: list[SignalCertificate] = []
+    for channel in recording.channels.values():
+        signals += _outputs(channel, record.signals)
+    shares = () if record.problem else tuple(_shares(summary.values, record))
+    return StepCertificate(
+        record.step,
+        record.finer_steps,
+        record.every,
+        record.problem,
+        record.solvers,
+        tuple(signals),
+        shares,
+    )
+
+
+def _outputs(
+    channel: Channel, records: Mapping[str, StepErrorRecord]
+) -> Iterator[SignalCertificate]:
+    for signal in channel.interface.outputs:
+        for element in signal.elements:
+            label = f"{channel.name}.{element}"
+            if label in records:
+                values = {key: getattr(records[label], key) for key in StepErrorRecord.model_fields}
+                yield SignalCertificate(label, signal.unit, **values)
+
+
+def _shares(values: tuple[ValueOutcome, ...], record: CertificateRecord) -> Iterator[CouplingShare]:
+    for outcome in values:
+        if outcome.value is None or outcome.estimate not in record.signals:
+            continue
+        error = outcome.value - outcome.truth
+        yield CouplingShare(outcome.estimate, error, record.signals[outcome.estimate].last)

@@ -1,0 +1,378 @@
+"""The certificate of a run: the error of its communication step, signal by signal.
+
+The scenario runs with the steps h, h/2 and h/4, and :mod:`cosim.theory.richardson` compares the
+three at the communication points of h. What is given in seconds stays: start, stop, periods,
+delays. So does what the step h has decided: where an identifier starts, the window that an observer
+chose. Noise must not change either, so a source of it needs a period of its own.
+
+What jumps elsewhere than at a communication point has an error that is no power of the step, though
+it may look like one: a jump in the first quarter of a step shows the differences of first order,
+and an error up to twice the true one. So the run at h/4 is watched for jumps, and what follows one
+gets no estimate. One in the last quarter looks like one at the end of the step, where signals that
+hold may jump; of signals that are not known to do so, a jump there counts too. What bends between
+communication points errs by terms of the order of its smooth part, of which an estimate may be a
+third too large.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, replace
+from types import TracebackType
+from typing import Any, Final, Self
+
+import numpy as np
+
+from cosim.arrays import Mask, Matrix
+from cosim.core.clock import NANOSECONDS
+from cosim.core.contracts import Block, MessageLevel, Plan, Recorder, SignalEvent
+from cosim.core.graph import Graph
+from cosim.core.port import Port
+from cosim.core.recorders import end_of_run
+from cosim.core.signals import Layout
+from cosim.errors import CosimError, Interrupted, RunError, UsageError, flag, option
+from cosim.scenario.build import Experiment
+from cosim.scenario.building import build_experiment
+from cosim.scenario.certification.thinned_rows import QUARTERS, JumpWatch, ThinnedRows
+from cosim.scenario.parsing import Scenario
+from cosim.scenario.recorded_metadata import CERTIFICATE
+from cosim.scenario.recording import Progress, run_into
+from cosim.theory.richardson import StepError, step_error
+
+MOST_VALUES: Final = 2**24  # that are kept of a run: 128 MB
+FINER: Final = (2, QUARTERS)  # steps of the other runs in one of this
+SIGNIFICANT_JUMP: Final = 1e-6  # of the range of a signal
+
+
+@dataclass(frozen=True, slots=True)
+class Subject:
+    """What is known of a run before it is certified.
+
+    Parameters
+    ----------
+    step_ns : int
+        Communication step [ns].
+    steps : int
+        Of the whole run.
+    layout : Layout
+    labels : tuple of str
+        By column.
+    may_jump : Mask, shape (width,)
+        Columns that jump with something discrete, as far as that is known.
+    followers : mapping of component name to frozenset of str
+        The components that follow it, itself among them where it has inputs.
+    solvers : tuple of str
+        The components that have solvers of their own: FMUs.
+    changes : mapping of dotted key to value
+        What keeps in the other runs what this step has decided.
+    """
+
+    step_ns: int
+    steps: int
+    layout: Layout
+    labels: tuple[str, ...]
+    may_jump: Mask
+    followers: Mapping[str, frozenset[str]]
+    solvers: tuple[str, ...]
+    changes: Mapping[str, Any]
+
+    @property
+    def every(self) -> int:
+        """Communication steps between two rows that are compared: memory is bounded."""
+        return max(1, math.ceil((self.steps + 1) * self.layout.width / MOST_VALUES))
+
+
+@dataclass(frozen=True, slots=True)
+class FinerRun:
+    """A run with a smaller step, and why it ended early; empty where it did not."""
+
+    rows: ThinnedRows
+    jumps: JumpWatch
+    problem: str
+
+
+def subject_of(scenario: Scenario) -> Subject:
+    """Build a scenario, and return what its certificate needs.
+
+    Raises
+    ------
+    UsageError
+        If a smaller step would be another run: with other noise, or off the nanoseconds.
+    """
+    with ExitStack() as resources:
+        experiment = build_experiment(scenario, resources, None)
+        return _subject(experiment)
+
+
+def _subject(experiment: Experiment) -> Subject:
+    scenario = experiment.scenario
+    graph = experiment.graph
+    step_ns = experiment.clock.step_ns
+    if step_ns % QUARTERS:
+        raise UsageError(
+            f"{flag('certify')}: a quarter of the step {step_ns / NANOSECONDS} s is not a whole "
+            "number of nanoseconds; needed a step of which it is"
+        )
+    _check_noise(scenario, step_ns)
+    changes: dict[str, Any] = {}
+    for name, spec in scenario.specs.items():
+        table = scenario.tree["components"][name]
+        metadata = experiment.metadata.get(name, {})
+        decided = spec.decided(table, metadata, step_ns)
+        if decided != table:
+            changes[f"components.{name}"] = decided
+    return Subject(
+        step_ns,
+        experiment.clock.steps,
+        graph.layout,
+        tuple(graph.labels()),
+        _may_jump(graph),
+        _followers(graph),
+        tuple(experiment.fmus),
+        changes,
+    )
+
+
+def _check_noise(scenario: Scenario, step_ns: int) -> None:
+    """Check that no random number belongs to a communication step.
+
+    Raises
+    ------
+    UsageError
+        If one does; names the components.
+    """
+    names = [name for name, spec in scenario.specs.items() if spec.draws_every_step]
+    if not names:
+        return
+    settings = [option("set", f"{name}.period", f"{step_ns / NANOSECONDS}") for name in names]
+    each = "draw" if len(names) > 1 else "draws"
+    raise UsageError(
+        f"{flag('certify')}: {', '.join(names)} {each} random numbers at every communication step, "
+        "so that a smaller step is a run with other noise; needed a period of its own, such as "
+        f"{' '.join(settings)}"
+    )
+
+
+def _may_jump(graph: Graph) -> Mask:
+    """Return the columns that are known to jump with something discrete."""
+    mask = np.zeros(graph.layout.width, np.bool_)
+    for channel in graph.layout.channels:
+        for signal in channel.interface.outputs:
+            if graph.jumps(Port(channel.name, signal.name)):
+                mask[channel.signal_columns[signal.name]] = True
+    return mask
+
+
+def _followers(graph: Graph) -> dict[str, frozenset[str]]:
+    """Return for every component those that follow it; itself where it has inputs."""
+    driven: dict[str, set[str]] = {name: set() for name in graph.components}
+    for to, connection in graph.connections.items():
+        for source in connection.sources:
+            driven[source.component].add(to.component)
+    followers = {}
+    for name in graph.components:
+        reached = set(driven[name])
+        waiting = list(reached)
+        while waiting:
+            more = driven[waiting.pop()] - reached
+            reached |= more
+            waiting += more
+        if graph.layout[name].interface.n_u:
+            reached.add(name)
+        followers[name] = frozenset(reached)
+    return followers
+
+
+# --- the runs ---
+
+
+def finer_run(
+    scenario: Scenario, subject: Subject, finer: int, progress: Progress | None = None
+) -> FinerRun:
+    """Run a scenario with a step that is smaller by a whole factor; keep its rows.
+
+    Raises
+    ------
+    UsageError
+        If the scenario cannot be built with that step.
+    Interrupted
+        If the user ends it.
+    """
+    step = subject.step_ns / finer / NANOSECONDS
+    jumps = JumpWatch(subject.layout.width)
+    rows = ThinnedRows(subject.every * finer, subject.steps * finer, jumps)
+    problem = ""
+    with ExitStack() as resources:
+        try:
+            changed = scenario.edit(set={**subject.changes, "scenario.step": step})
+            experiment = build_experiment(changed, resources, None)
+        except CosimError as error:
+            raise UsageError(
+                f"{flag('certify')}: the scenario needs to run with {step} s too, and cannot:\n"
+                f"{error}"
+            ) from error
+        experiment = replace(experiment, identified={})
+        try:
+            run_into(rows, experiment, progress=progress, profile=None)
+        except Interrupted:
+            raise
+        except RunError as error:
+            problem = f"the run with steps of {step} s ended early: {error}"
+    return FinerRun(rows, jumps, problem)
+
+
+class Certifier:
+    """Certifies a run by others with smaller steps.
+
+    Parameters
+    ----------
+    subject : Subject
+    half, quarter : FinerRun
+        With half of its step, and a quarter.
+    """
+
+    def __init__(self, subject: Subject, half: FinerRun, quarter: FinerRun) -> None:
+        self._subject = subject
+        self._half = half
+        self._quarter = quarter
+
+    def beside(self, recorder: Recorder) -> Recorder:
+        """Return a recorder that adds the certificate to what another one records."""
+        return _Certified(recorder, self)
+
+    def rows(self) -> ThinnedRows:
+        """Return what keeps the rows of the run."""
+        return ThinnedRows(self._subject.every, self._subject.steps)
+
+    def certificate(self, own: ThinnedRows, problem: str) -> dict[str, Any]:
+        """Return the certificate, as plain values.
+
+        Parameters
+        ----------
+        own : ThinnedRows
+            Of the run.
+        problem : str
+            Why it ended early; empty where it did not.
+        """
+        subject = self._subject
+        step = subject.step_ns / NANOSECONDS
+        content: dict[str, Any] = {
+            "step": step,
+            "finer_steps": [step / finer for finer in FINER],
+            "every": subject.every,
+            "problem": problem or self._half.problem or self._quarter.problem,
+            "solvers": list(subject.solvers),
+            "signals": {},
+        }
+        if not content["problem"]:
+            content["signals"] = {label: asdict(error) for label, error in self.errors(own).items()}
+        return content
+
+    def errors(self, own: ThinnedRows) -> dict[str, StepError]:
+        """Return the error of every element of every signal, by its label."""
+        runs = [own, self._half.rows, self._quarter.rows]
+        times = [run.time_ns for run in runs]
+        count = min(map(len, times))
+        tables: list[Matrix] = [run.rows[:count] for run in runs]
+        t = times[0][:count] / NANOSECONDS
+        reasons = self._reasons()
+        errors = {}
+        for channel in self._subject.layout.channels:
+            for column in range(channel.columns.start, channel.columns.stop):
+                if channel.name in reasons:
+                    error = StepError(reason=reasons[channel.name])
+                else:
+                    coarse, half, quarter = (table[:, column] for table in tables)
+                    error = step_error(t, coarse, half, quarter)
+                errors[self._subject.labels[column]] = error
+        return errors
+
+    def _reasons(self) -> dict[str, str]:
+        """Return why components have no estimate, by their names: what they follow jumps."""
+        subject = self._subject
+        jumps = self._quarter.jumps
+        needed = SIGNIFICANT_JUMP * jumps.ranges
+        within = jumps.within > needed
+        at_ends = (jumps.at_ends > needed) & ~subject.may_jump
+        reasons: dict[str, str] = {}
+        for channel in subject.layout.channels:
+            for column in range(channel.outputs.start, channel.outputs.stop):
+                if not (within[column] or at_ends[column]):
+                    continue
+                instant = jumps.within_ns if within[column] else jumps.at_ends_ns
+                where = "between communication points" if within[column] else "though continuous"
+                text = (
+                    f"{subject.labels[column]} jumps {where}, or a quarter of the step does not "
+                    f"resolve it, at t = {instant[column] / NANOSECONDS:g} s"
+                )
+                for name in subject.followers[channel.name]:
+                    reasons.setdefault(name, text)
+        return reasons
+
+
+def certifier_of(scenario: Scenario, progress: Progress | None = None) -> Certifier:
+    """Run a scenario with half its step, and with a quarter; return what certifies its run.
+
+    Raises
+    ------
+    UsageError
+        If a smaller step would be another run, or the scenario cannot run with one.
+    """
+    subject = subject_of(scenario)
+    runs = [finer_run(scenario, subject, finer, progress) for finer in FINER]
+    return Certifier(subject, *runs)
+
+
+class _Certified:
+    """Passes everything on to another recorder, and at the end the certificate.
+
+    Parameters
+    ----------
+    recorder : Recorder
+    certifier : Certifier
+    """
+
+    def __init__(self, recorder: Recorder, certifier: Certifier) -> None:
+        self._recorder = recorder
+        self._certifier = certifier
+        self._rows = certifier.rows()
+
+    def __enter__(self) -> Self:
+        self._recorder.__enter__()
+        return self
+
+    def __exit__(
+        self,
+        error_type: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        ended = end_of_run(error)
+        problem = "" if ended.status == "complete" else f"the run ended early: {ended.reason}"
+        try:
+            self._recorder.result({CERTIFICATE: self._certifier.certificate(self._rows, problem)})
+        finally:
+            self._recorder.__exit__(error_type, error, trace)
+
+    def begin(self, plan: Plan) -> None:
+        """Pass on."""
+        self._recorder.begin(plan)
+
+    def write(self, block: Block, signals: Matrix) -> None:
+        """Pass on, and keep the rows that are compared."""
+        self._recorder.write(block, signals)
+        self._rows.write(block, signals)
+
+    def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
+        """Pass on."""
+        self._recorder.message(time_ns, level, source, text)
+
+    def event(self, event: SignalEvent) -> None:
+        """Pass on."""
+        self._recorder.event(event)
+
+    def result(self, values: Mapping[str, Any]) -> None:
+        """Pass on."""
+        self._recorder.result(values)

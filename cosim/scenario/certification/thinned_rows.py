@@ -1,0 +1,153 @@
+"""Some rows of a run, and the jumps between them, in memory that does not grow without bound."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import TracebackType
+from typing import Any, Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.arrays import Matrix, Nanoseconds, Vector
+from cosim.core.contracts import Block, MessageLevel, Plan, SignalEvent
+
+JUMP: Final = 4.0  # times as much as the steps before and after it: what changes at once
+QUARTERS: Final = 4  # steps of the finest run in one of the run that is certified
+
+
+class ThinnedRows:
+    """Keeps every n-th row of a run, and the last one that its clock has; a Recorder.
+
+    Parameters
+    ----------
+    every : int
+        Communication steps between two rows that are kept.
+    steps : int
+        Communication steps of the run.
+    jumps : JumpWatch, optional
+        Watches all rows.
+    """
+
+    def __init__(self, every: int, steps: int, jumps: JumpWatch | None = None) -> None:
+        self._every = every
+        self._steps = steps
+        self._jumps = jumps
+        self._rows: list[Matrix] = []
+        self._times: list[Nanoseconds] = []
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        error_type: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None: ...
+
+    def begin(self, plan: Plan) -> None:
+        """Do nothing."""
+
+    def write(self, block: Block, signals: Matrix) -> None:
+        """Keep the rows that are due."""
+        if self._jumps is not None:
+            self._jumps.take(block, signals)
+        first = 0 if block.index == 0 and not self._rows else 1
+        rows = np.arange(first, block.steps + 1)
+        numbers = block.index + rows
+        due = rows[(numbers % self._every == 0) | (numbers == self._steps)]
+        self._rows.append(signals[due])
+        self._times.append(block.time_ns[due])
+
+    def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
+        """Do nothing."""
+
+    def event(self, event: SignalEvent) -> None:
+        """Do nothing."""
+
+    def result(self, values: Mapping[str, Any]) -> None:
+        """Do nothing."""
+
+    @property
+    def rows(self) -> Matrix:
+        """The rows that were kept, shape (N, width)."""
+        return np.concatenate(self._rows)
+
+    @property
+    def time_ns(self) -> Nanoseconds:
+        """Their instants [ns], shape (N,)."""
+        return np.concatenate(self._times)
+
+
+class JumpWatch:
+    """Finds what changes within one step of a run as it does in none beside it.
+
+    A signal whose steps are small enough changes in each about as much as in the one before and the
+    one after. Where it changes more than ``JUMP`` times as much, it jumps, or the step does not
+    resolve what happens.
+
+    Parameters
+    ----------
+    width : int
+        Columns of a row.
+
+    Attributes
+    ----------
+    within, at_ends : Vector, shape (width,)
+        The largest jump of each column: within a step of the run that is certified, and in the last
+        quarter of one, as a jump at its end is.
+    within_ns, at_ends_ns : Nanoseconds, shape (width,)
+        When those were first seen [ns].
+    """
+
+    def __init__(self, width: int) -> None:
+        self.within = np.zeros(width)
+        self.at_ends = np.zeros(width)
+        self.within_ns = np.zeros(width, np.int64)
+        self.at_ends_ns = np.zeros(width, np.int64)
+        self._smallest = np.full(width, np.inf)
+        self._largest = np.full(width, -np.inf)
+        # of the two steps before the next block
+        self._changes = np.zeros((2, width))
+        self._times = np.zeros(2, np.int64)
+        self._numbers = np.ones(2, np.int64)
+
+    @property
+    def ranges(self) -> Vector:
+        """From the smallest to the largest value of each column; 0 where it has none."""
+        with np.errstate(over="ignore"):
+            ranges: Vector = np.maximum(self._largest - self._smallest, 0.0)
+        return ranges
+
+    def take(self, block: Block, signals: Matrix) -> None:
+        """Look at the next rows."""
+        self._smallest = np.fmin(self._smallest, np.fmin.reduce(signals))
+        self._largest = np.fmax(self._largest, np.fmax.reduce(signals))
+        with np.errstate(over="ignore", invalid="ignore"):  # of a run that leaves all bounds
+            changes = np.nan_to_num(np.abs(np.diff(signals, axis=0)))
+        changes = np.vstack([self._changes, changes])
+        times = np.concatenate([self._times, block.time_ns[1:]])
+        numbers = np.concatenate([self._numbers, block.index + np.arange(1, block.steps + 1)])
+        self._changes = changes[-2:]
+        self._times = times[-2:]
+        self._numbers = numbers[-2:]
+        neighbors = np.maximum(changes[:-2], changes[2:])
+        jumps = np.where(changes[1:-1] / JUMP > neighbors, changes[1:-1], 0.0)
+        is_end = numbers[1:-1] % QUARTERS == 0
+        _keep(jumps[~is_end], times[1:-1][~is_end], self.within, self.within_ns)
+        _keep(jumps[is_end], times[1:-1][is_end], self.at_ends, self.at_ends_ns)
+
+
+def _keep(
+    jumps: Matrix, times: NDArray[np.int64], largest: Vector, instants: NDArray[np.int64]
+) -> None:
+    """Keep the largest jump of each column, and its instant."""
+    if not len(jumps):
+        return
+    rows = jumps.argmax(axis=0)
+    columns = np.arange(jumps.shape[1])
+    found = jumps[rows, columns]
+    larger = found > largest
+    largest[larger] = found[larger]
+    instants[larger] = times[rows][larger]

@@ -1,0 +1,67 @@
+"""The certificate of a run as it is shown."""
+
+import json
+
+import pytest
+
+from cosim.cli import main
+from tests.scenario import certified
+from tests.scenario.certified import write
+
+
+def run(capsys, *arguments):
+    """Run a command; return what it prints."""
+    with pytest.raises(SystemExit) as left:
+        main([*map(str, arguments)])
+    assert not left.value.code
+    return capsys.readouterr().out
+
+
+@pytest.fixture
+def log(tmp_path, capsys):
+    """Run a command that certifies an oscillator behind a jump; return the log and the output."""
+    jump = '    jump = { kind = "python", class = "parts:Jump", instant = 1.003 }\n'
+    text = certified.SPRING.replace("[components]\n", f"[components]\n{jump}", 1)
+    text = text.replace('"mass.u" = "speed.y"', '"mass.u" = "speed.y"\n    "late.u" = "jump.y"')
+    lag = '    late = { kind = "lag", time_constant = 1.0 }\n'
+    text = text.replace(jump, jump + lag)
+    text += '\n    [truth]\n    "mass.y" = -0.1455\n'
+    path = tmp_path / "a.mcap"
+    return path, run(capsys, "run", write(tmp_path, text), "--certify", "--out", path)
+
+
+def test_table_has_estimates_and_reasons(log):
+    """cos 2t at 4 s is -0.1455; of the error of first order there, nearly all is the coupling."""
+    _, output = log
+    lines = output.splitlines()
+    title = "error of the step of 0.01 s, by runs with 0.005 s and 0.0025 s"
+    table = lines[lines.index(title) :]
+    assert table[1] == "\tlargest\tat t\tat the end\torder"
+    assert table[2].startswith("mass.y\t0.0337\t3.3 s\t")
+    assert table[2].endswith("\t1.02")
+    reason = "late.y: jump.y jumps between communication points, or a quarter of the step does not"
+    assert any(line.startswith(f"no estimate\t\t\t\t{reason}") for line in table)
+    assert "0\t\t\t\tthe same in all three runs: jump.y" in table
+    (share,) = [line for line in table if "is the coupling" in line]
+    assert share.startswith("mass.y\t\t\t")
+
+
+def test_log_shows_it(log, capsys):
+    path, _ = log
+    shown = run(capsys, "info", path)
+    assert "step\t0.01 s" in shown
+    assert "mass.y\t0.0337\t3.3\t" in shown
+    content = json.loads(run(capsys, "info", path, "--json"))
+    signals = {row["signal"]: row for row in content["error of the step"]}
+    assert signals["mass.y"]["largest"] == 0.0337
+    assert signals["late.y"]["largest"] is None
+    assert "jump.y jumps between" in signals["late.y"]["no estimate"]
+
+
+def test_json_has_it(tmp_path, capsys):
+    path = write(tmp_path, certified.SPRING)
+    output = run(capsys, "run", path, "--certify", "--json", "--out", tmp_path / "a.mcap")
+    found = json.loads(output)["certificate"]
+    assert found["finer_steps"] == [0.005, 0.0025]
+    (mass,) = [row for row in found["signals"] if row["signal"] == "mass.y"]
+    assert mass["order"] == pytest.approx(1.0, abs=0.1)

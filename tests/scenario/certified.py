@@ -1,0 +1,191 @@
+"""Small scenarios with code of users, for certificates."""
+
+from pathlib import Path
+from textwrap import dedent
+
+from cosim.scenario.build import parse
+from cosim.scenario.document import Document
+
+MODULE = '''
+import numpy as np
+
+from cosim.core import Interface, Signal
+
+
+class Jump:
+    """y = sin t, and a jump at an instant that it tells nobody of."""
+
+    interface = Interface((), (Signal("y"),))
+
+    def __init__(self, instant: float):
+        self.instant = instant
+
+    def initialize(self, t, u):
+        return self.outputs(t, u)
+
+    def outputs(self, t, u):
+        return np.array([np.sin(t) + (t >= self.instant)])
+
+    def advance(self, t, h, u):
+        return (np.sin(t[1:]) + (t[1:] >= self.instant))[:, np.newaxis]
+
+
+class Bend(Jump):
+    """y = |t - instant|."""
+
+    def outputs(self, t, u):
+        return np.array([abs(t - self.instant)])
+
+    def advance(self, t, h, u):
+        return np.abs(t[1:] - self.instant)[:, np.newaxis]
+
+
+class Relay:
+    """y = -sign(u): in a loop it switches at every step."""
+
+    interface = Interface((Signal("u"),), (Signal("y"),), feedthrough={"y": ("u",)})
+
+    def initialize(self, t, u):
+        return self.outputs(t, u)
+
+    def outputs(self, t, u):
+        return -np.sign(u)
+
+    def advance(self, t, h, u):
+        return self.outputs(t, u[1:])
+
+
+class Lorenz:
+    """One equation of three: x' = 10 (y - x), y' = x (28 - z) - y, z' = x y - 8/3 z."""
+
+    interface = Interface((Signal("a"), Signal("b")), (Signal("y"),), feedthrough={})
+
+    def __init__(self, number: int):
+        self.number = number
+
+    def initialize(self, t, u):
+        self.x = 1.0 + self.number
+        return self.outputs(t, u)
+
+    def outputs(self, t, u):
+        return np.array([self.x])
+
+    def advance(self, t, h, u):
+        rows = np.empty((len(t) - 1, 1))
+        for k in range(len(rows)):
+            first = self._rate(self.x, u[k])
+            second = self._rate(self.x + h * first, u[k + 1])
+            self.x += 0.5 * h * (first + second)
+            rows[k] = self.x
+        return rows
+
+    def _rate(self, x, u):
+        a, b = u
+        if self.number == 0:
+            return 10.0 * (a - x)
+        if self.number == 1:
+            return a * (28.0 - b) - x
+        return a * b - 8.0 / 3.0 * x
+
+
+class Echo:
+    """y at the end of a step is -1.02 u at its start: a gain a step, whatever the step is."""
+
+    interface = Interface((Signal("u"),), (Signal("y"),), delayed=("u",))
+
+    def initialize(self, t, u):
+        self.y = 1e-3
+        return self.outputs(t, u)
+
+    def outputs(self, t, u):
+        return np.array([self.y])
+
+    def advance(self, t, h, u):
+        rows = -1.02 * u[:-1]
+        self.y = float(rows[-1, 0])
+        return rows
+'''
+
+
+def write(folder, text):
+    """Write a scenario of 4 s beside the module of the classes; return its path."""
+    (folder / "parts.py").write_text(MODULE, encoding="utf-8")
+    path = folder / "small.toml"
+    head = '[scenario]\nname = "small"\nstop = 4.0\nstep = 0.01\n'
+    path.write_text(head + dedent(text), encoding="utf-8")
+    return path
+
+
+def lag_behind(source):
+    """Return a scenario in which a lag of 0.5 s follows a source of our own."""
+    return f"""
+        [components]
+        source = {{ kind = "python", class = "parts:{source[0]}", instant = {source[1]} }}
+        lag = {{ kind = "lag", time_constant = 0.5 }}
+
+        [connections]
+        "lag.u" = "source.y"
+        """
+
+
+LORENZ = """
+    [components]
+    x = { kind = "python", class = "parts:Lorenz", number = 0 }
+    y = { kind = "python", class = "parts:Lorenz", number = 1 }
+    z = { kind = "python", class = "parts:Lorenz", number = 2 }
+
+    [connections]
+    "x.a" = "y.y"
+    "x.b" = "z.y"
+    "y.a" = "x.y"
+    "y.b" = "z.y"
+    "z.a" = "x.y"
+    "z.b" = "y.y"
+    """
+
+RELAY = """
+    [components]
+    relay = { kind = "python", class = "parts:Relay" }
+    mass = { kind = "integrator", initial = 0.1234 }
+
+    [connections]
+    "relay.u" = "mass.y"
+    "mass.u" = "relay.y"
+    """
+
+EXACT = """
+    [components]
+    third = { kind = "constant", value = 0.3333333333333333 }
+    lag = { kind = "lag", time_constant = 0.7, initial = 0.2 }
+
+    [connections]
+    "lag.u" = "third.y"
+    """
+
+ECHO = """
+    [components]
+    echo = { kind = "python", class = "parts:Echo" }
+    gain = { kind = "gain", K = [[1.0]] }
+
+    [connections]
+    "echo.u" = "gain.y"
+    "gain.u" = "echo.y"
+    """
+
+SPRING = """
+    [components]
+    mass = { kind = "integrator", initial = 1.0 }
+    speed = { kind = "integrator" }
+    force = { kind = "gain", K = [[-4.0]] }
+
+    [connections]
+    "mass.u" = "speed.y"
+    "speed.u" = "force.y"
+    "force.u" = "mass.y"
+    """
+
+
+def parsed(text):
+    """Return a scenario of 4 s without code of users."""
+    head = '[scenario]\nname = "small"\nstop = 4.0\nstep = 0.01\n'
+    return parse(Document(head + dedent(text), "small", Path()))

@@ -1,0 +1,279 @@
+"""The certificate of a run: right where it gives a number, and none where it cannot know one."""
+
+import json
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.linalg import block_diag, expm
+
+import cosim
+from cosim.errors import LogError, ScenarioError, UsageError
+from tests.scenario import certified
+from tests.scenario.certified import lag_behind, write
+
+# What the shipped scenarios leave to their defaults, as numbers: the monolithic solutions need it.
+STARTS = {"observer.x_a0": [1.0, 0.0], "observer.q0": [1.0], "identifier.method": "least-squares"}
+
+
+def _signals_of_time():
+    """Return a linear system without inputs whose outputs are sin t and delta, and its state at 0.
+
+    A block (s, c)' = [[sigma, w], [-w, sigma]] (s, c) is e^(sigma t) (sin w t, cos w t).
+    """
+
+    def block(sigma, w):
+        return np.array([[sigma, w], [-w, sigma]])
+
+    S = block_diag(block(0.0, 1.0), -0.1, block(-0.1, 1.7), -0.3, block(-0.3, 2.3))
+    sine = np.array([1.0, 0, 0, 0, 0, 0, 0, 0])
+    delta = np.array([0, 0, 1.35, 0.25, 0, 1.10, 0, 0.20])
+    return S, sine, delta, np.array([0.0, 1, 1, 0, 1, 1, 0, 1])
+
+
+def monolithic(step, steps, *, closed):
+    """Return the exact delta_hat and x_a at the communication points: one matrix exponential.
+
+    Plant, observer (18) and filter (19) with the numbers of C01 in tests/reference/cases.json; in
+    the closed loop an actuator x' = 20 (sin t - K x_a - x) drives the plant, u = x.
+    """
+    A_a = np.array([[-1.0, 1], [-1, -2]])
+    B_1a, B_2a = np.array([-1.0, 1]), np.array([1.0, 0])
+    C3, F, L = np.array([1.0, 0]), np.array([1.0, 0]), np.array([4.0, 0])
+    M_a, N = np.array([[0.0, 0], [-1, -2]]), np.array([0.0, 1])
+    rate = 1e3
+    S, sine, delta, of_time = _signals_of_time()
+    n = 14  # signals of time 8, x_a 2, z 2, q, actuator
+
+    def row(begin, values):
+        whole = np.zeros(n)
+        whole[begin : begin + len(values)] = values
+        return whole
+
+    u = row(13, [1.0]) if closed else row(0, sine)
+    w = row(8, C3)  # y - C4 u
+    x_hat = np.array([row(10, [1.0, 0]), row(10, [0.0, 1])]) + np.outer(F, w)
+    q = row(12, [1.0])
+    A = np.zeros((n, n))
+    A[:8, :8] = S
+    A[8:10, 8:10] = A_a
+    A[8:10] += np.outer(B_1a, u) + np.outer(B_2a, row(0, delta))
+    A[10:12] = (M_a - np.outer(L, C3)) @ x_hat + np.outer(N, u) + np.outer(L, w)
+    A[12] = rate * (w - q)
+    A[13] = 20.0 * (row(0, sine) - np.array([0.5, 0.8]) @ x_hat - row(13, [1.0]))
+    delta_hat = rate * (w - q) - (C3 @ A_a) @ x_hat - (C3 @ B_1a) * u
+    state = np.concatenate([of_time, [1.0, -1.0], [0.0, 0.0], [1.0], [0.0]])
+    transition = expm(A * step)
+    rows = np.empty((steps + 1, 3))
+    for k in range(steps + 1):
+        rows[k] = delta_hat @ state, state[8], state[9]
+        state = transition @ state
+    return rows
+
+
+@cache
+def certified_run(name, stop):
+    """Run a shipped scenario with a certificate."""
+    log = cosim.run(name, set={**STARTS, "scenario.stop": stop}, certify=True)
+    return log, cosim.certificate(log)
+
+
+@pytest.mark.parametrize(("name", "closed"), [("academic", False), ("closed-loop", True)])
+def test_estimate_is_the_difference_from_the_monolithic_solution(name, closed):
+    """The error of the step in delta_hat, and in the states, within 20 % of the true one.
+
+    In the cascade it is that of straight lines, of second order; in the loop that of inputs that
+    are held, of first order in the states.
+    """
+    log, certificate = certified_run(name, 10.0)
+    exact = monolithic(1e-3, 10000, closed=closed)
+    errors = np.column_stack([log["observer.delta"], log["plant.x_a"]]) - exact
+    signals = ("observer.delta", "plant.x_a[0]", "plant.x_a[1]")
+    for signal, error in zip(signals, errors.T, strict=True):
+        found = certificate[signal]
+        assert found.largest == pytest.approx(np.abs(error).max(), rel=0.2), signal
+        assert found.time == pytest.approx(np.abs(error).argmax() * 1e-3, abs=0.05), signal
+        assert found.last == pytest.approx(error[-1], rel=0.2), signal
+        assert found.order == pytest.approx(1.0 if closed and "x_a" in signal else 2.0, abs=0.05)
+
+
+def test_share_of_the_coupling_in_theta_is_that_of_the_run():
+    """Against runs at a hundredth of the work: the same scenario with an eighth of the step."""
+    settings = {"scenario.stop": 20.0}
+    log = cosim.run("academic-as-printed", set=settings, certify=True)
+    fine = {**settings, "scenario.step": 1.25e-4, "identifier.start": 6.461}
+    limit = cosim.run("academic-as-printed", set=fine)["identifier.theta"][-1]
+    shares = cosim.certificate(log).shares
+    assert [share.estimate for share in shares] == ["identifier.theta[0]", "identifier.theta[1]"]
+    for share, value, at_end in zip(shares, log["identifier.theta"][-1], limit, strict=True):
+        # The limit keeps 1/64 of the error.
+        assert share.coupling == pytest.approx(value - at_end, rel=0.2)
+        assert share.error != 0.0
+
+
+def test_rows_and_hash_are_those_of_the_run_without_a_certificate(tmp_path):
+    set_ = {**STARTS, "scenario.stop": 2.0}
+    plain = cosim.run("academic", set=set_, out=tmp_path / "a.mcap")
+    log = cosim.run("academic", set=set_, out=tmp_path / "b.mcap", certify=True)
+    assert log.recorded_hash == plain.recorded_hash
+    assert cosim.certificate(log) == cosim.certificate(
+        cosim.run("academic", set=set_, certify=True)
+    )
+    assert json.loads(log.attachment("result.json"))["certificate"]["step"] == 1e-3
+    with pytest.raises(LogError, match=r"has no certificate; needed cosim.run with certify=True"):
+        cosim.certificate(plain)
+    with pytest.raises(LogError, match=r"the certificate has no 'observer\.x'; it has: u\.y"):
+        cosim.certificate(log)["observer.x"]
+
+
+def test_certificate_does_not_depend_on_blocks():
+    set_ = {**STARTS, "scenario.stop": 1.0}
+    whole = cosim.certificate(cosim.run("academic", set=set_, certify=True))
+    single = cosim.certificate(cosim.run("academic", set=set_, block=1, certify=True))
+    assert whole == single
+
+
+# --- where the confident sentence would be false ---
+
+
+def reasons(path, **changes):
+    """Return what is said of each signal that has no estimate."""
+    certificate = cosim.certificate(cosim.run(path, certify=True, set=changes))
+    return {entry.signal: entry.reason for entry in certificate.signals if entry.largest is None}
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e-3, 2.4e-3, 4e-3, 6e-3, 9e-3])
+def test_what_follows_a_jump_between_points_has_no_estimate(tmp_path, offset):
+    """A jump in the first quarter of a step looks like first order, with twice the true error."""
+    found = reasons(write(tmp_path, lag_behind(("Jump", 1.0 + offset))))
+    assert list(found) == ["lag.y"]
+    assert "source.y jumps" in found["lag.y"]
+
+
+@pytest.mark.parametrize("offset", np.linspace(2e-4, 9.8e-3, 25))
+def test_an_estimate_behind_a_bend_is_at_most_a_third_off(tmp_path, offset):
+    """|t - s| and its straight line enclose the area s' (h - s'), which the lag takes over 0.5 s.
+
+    At s' < h/4 the differences are s' h/2 and s' h/4, which look like first order of s' h: a third
+    more than the area at s' = h/4.
+    """
+    log = cosim.run(write(tmp_path, lag_behind(("Bend", 1.0 + offset))), certify=True)
+    found = cosim.certificate(log)["lag.y"]
+    area = offset * (1e-2 - offset)
+    if found.largest is not None:
+        # The lag's own decay over the step is 2 %.
+        assert 0.9 * area / 0.5 < found.largest < 1.34 * area / 0.5
+
+
+def test_chaos_has_no_estimate(tmp_path):
+    path = write(tmp_path, certified.LORENZ)
+    found = reasons(path, **{"scenario.stop": 30.0})
+    assert list(found) == ["x.y", "y.y", "z.y"]
+
+
+def test_a_relay_that_switches_at_every_step_has_no_estimate(tmp_path):
+    assert list(reasons(write(tmp_path, certified.RELAY))) == ["relay.y", "mass.y"]
+
+
+@pytest.mark.parametrize("limit", [0.2, 0.5, 0.9, 1.3])
+def test_an_estimate_of_a_loop_that_saturates_is_right_or_there_is_none(limit):
+    """A PID at its limits against a hundredth of the step."""
+    document = f"""
+        [components]
+        reference = {{ kind = "sine", rate = 2.0 }}
+        pid = {{ kind = "pid", gain = 3.0, integral_time = 0.7, lower = -{limit}, upper = {limit} }}
+        plant = {{ kind = "lag", time_constant = 0.5, initial = 0.0 }}
+
+        [connections]
+        "pid.setpoint" = "reference.y"
+        "pid.measurement" = "plant.y"
+        "plant.u" = "pid.y"
+        """
+    scenario = certified.parsed(document)
+    log = cosim.run(scenario, certify=True)
+    limit_run = cosim.run(scenario, set={"scenario.step": 1e-4})
+    found = cosim.certificate(log)["plant.y"]
+    true = np.abs(log["plant.y"] - limit_run["plant.y"][::100]).max()
+    if found.largest is not None:
+        assert found.largest == pytest.approx(true, rel=1.0 / 3.0)
+
+
+def test_what_is_exact_has_no_estimate_but_rounding(tmp_path):
+    found = reasons(write(tmp_path, certified.EXACT))
+    assert "at the level of rounding" in found["lag.y"]
+
+
+def test_a_coupling_that_is_unstable_at_every_step_is_named(tmp_path):
+    """It multiplies by -1.02 a step: twice the steps are the square of that."""
+    found = reasons(write(tmp_path, certified.ECHO))
+    assert "the differences grow as the step is halved" in found["echo.y"]
+
+
+def test_a_coupled_oscillator_is_estimated(tmp_path):
+    """y'' = -4 y from 1 is cos 2t; the inputs of the loop are held, which is of first order."""
+    log = cosim.run(write(tmp_path, certified.SPRING), certify=True)
+    t = log.time("mass")
+    found = cosim.certificate(log)["mass.y"]
+    true = np.abs(log["mass.y"] - np.cos(2.0 * t)).max()
+    assert found.largest == pytest.approx(true, rel=0.1)
+    assert found.order == pytest.approx(1.0, abs=0.1)
+
+
+# --- noise, and what cannot be certified ---
+
+
+def test_noise_of_every_step_is_refused_by_name():
+    with pytest.raises(UsageError, match="certify=True: sensor draws random numbers at every") as e:
+        cosim.run("academic-noisy", certify=True)
+    assert "set={'sensor.period': '0.001'}" in str(e.value)
+
+
+def test_noise_with_a_period_stays(tmp_path):
+    """A lag behind held noise is exact; one behind a sine has the error of its straight lines."""
+    scenario = certified.parsed("""
+        [components]
+        noise = { kind = "noise", deviation = 1.0, seed = 1, period = 0.04 }
+        sine = { kind = "sine", rate = 1.0 }
+        a = { kind = "lag", time_constant = 0.5, initial = 0.0 }
+        b = { kind = "lag", time_constant = 0.5, initial = 0.0 }
+
+        [connections]
+        "a.u" = "noise.y"
+        "b.u" = "sine.y"
+        """)
+    log = cosim.run(scenario, certify=True)
+    certificate = cosim.certificate(log)
+    assert certificate["noise.y"].largest == 0.0
+    assert "at the level of rounding" in certificate["a.y"].reason
+    assert certificate["b.y"].order == pytest.approx(2.0, abs=0.01)
+    assert len(np.unique(log["noise.y"])) == 101
+
+
+def test_a_step_without_a_quarter_is_refused():
+    scenario = certified.parsed(certified.SPRING)
+    with pytest.raises(UsageError, match=r"a quarter of the step 2e-09 s is not a whole number"):
+        cosim.run(scenario, set={"scenario.step": 2e-9, "scenario.stop": 1e-7}, certify=True)
+
+
+def test_a_recorded_component_is_refused_by_its_log(tmp_path):
+    """A recording has the rows of its own step alone."""
+    cosim.run("academic", set={**STARTS, "scenario.stop": 1.0}, out=tmp_path / "a.mcap")
+    swap = {"plant": tmp_path / "a.mcap"}
+    with pytest.raises(
+        (UsageError, ScenarioError), match=r"(?s)needs to run with 0.0005 s too.*a.mcap"
+    ):
+        cosim.run("academic", set={**STARTS, "scenario.stop": 1.0}, swap=swap, certify=True)
+
+
+def test_a_run_that_fails_has_no_figures(tmp_path):
+    """Also where only the finer one does: values of 1e300 come with twice the steps."""
+    path = write(tmp_path, certified.ECHO)
+    log = cosim.run(path, set={"scenario.stop": 200.0}, certify=True)
+    certificate = cosim.certificate(log)
+    assert "the run with steps of 0.005 s ended early" in certificate.problem
+    assert certificate.signals == ()
+
+
+def test_certify_is_true_or_false():
+    with pytest.raises(UsageError, match="certify: found 1; needed True or False"):
+        cosim.run("academic", certify=1)
