@@ -228,6 +228,39 @@ def test_noise_of_every_step_is_refused_by_name():
     assert "set={'sensor.period': '0.001'}" in str(e.value)
 
 
+ACTION = """
+    [components]
+    sine = { kind = "sine", rate = 1.0 }
+    gain = { kind = "gain", K = [[2.0]] }
+    lag = { kind = "lag", time_constant = 0.5, initial = 0.0 }
+
+    [connections]
+    "gain.u" = "sine.y"
+    "lag.u" = "gain.y"
+
+    [[actions]]
+    at = 1.0
+    signal = "gain.u"
+    """
+
+
+def test_jumps_by_actions_at_their_instants_are_none_between_points():
+    """The right limit begins the next step of every run: the lag errs by straight lines alone.
+
+    By h^2/12 of -2 sin t, and the jump of its second derivative leaves nothing: order 2.
+    """
+    log = cosim.run(certified.parsed(ACTION + "offset = 0.5"), certify=True)
+    found = cosim.certificate(log)
+    assert found["gain.y"].largest == 0.0
+    assert found["lag.y"].order == pytest.approx(2.0, abs=0.05)
+
+
+@pytest.mark.parametrize("effect", ["noise = 0.1", "drop = 0.5"])
+def test_noise_by_actions_is_refused(effect):
+    with pytest.raises(UsageError, match=r"certify=True: the action at 1.0 s draws random numbers"):
+        cosim.run(certified.parsed(ACTION + effect), certify=True)
+
+
 def test_noise_with_a_period_stays(tmp_path):
     """A lag behind held noise is exact; one behind a sine has the error of its straight lines."""
     scenario = certified.parsed("""

@@ -143,6 +143,14 @@ def _check_noise(scenario: Scenario, step_ns: int) -> None:
     UsageError
         If one does; names the components.
     """
+    for action in scenario.actions.values():
+        is_random = action.noise is not None or type(action.drop) in (int, float)
+        if is_random:
+            raise UsageError(
+                f"{flag('certify')}: the action at {action.at} s draws random numbers at every "
+                "communication step, so that a smaller step is a run with other noise; needed a "
+                "scenario without it, or a sensor with noise and a period"
+            )
     names = [name for name, spec in scenario.specs.items() if spec.draws_every_step]
     if not names:
         return

@@ -9,7 +9,7 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.arrays import Matrix, Nanoseconds, Vector
+from cosim.arrays import Mask, Matrix, Nanoseconds, Vector
 from cosim.core.contracts import Block, MessageLevel, Plan, SignalEvent
 
 JUMP: Final = 4.0  # times as much as the steps before and after it: what changes at once
@@ -64,7 +64,9 @@ class ThinnedRows:
         """Do nothing."""
 
     def event(self, event: SignalEvent) -> None:
-        """Do nothing."""
+        """Note the instant: signals jump there as they should."""
+        if self._jumps is not None:
+            self._jumps.expected_ns.add(event.time_ns)
 
     def result(self, values: Mapping[str, Any]) -> None:
         """Do nothing."""
@@ -99,6 +101,10 @@ class JumpWatch:
         quarter of one, as a jump at its end is.
     within_ns, at_ends_ns : Nanoseconds, shape (width,)
         When those were first seen [ns].
+    expected_ns : set of int
+        Instants [ns] at which signals jump by actions. The row there has the values before, so that
+        the jump is in the step that follows; at a communication point of the run that is certified
+        it is none that such a run could miss.
     """
 
     def __init__(self, width: int) -> None:
@@ -108,6 +114,7 @@ class JumpWatch:
         self.at_ends_ns = np.zeros(width, np.int64)
         self._smallest = np.full(width, np.inf)
         self._largest = np.full(width, -np.inf)
+        self.expected_ns: set[int] = set()
         # of the two steps before the next block
         self._changes = np.zeros((2, width))
         self._times = np.zeros(2, np.int64)
@@ -134,9 +141,17 @@ class JumpWatch:
         self._numbers = numbers[-2:]
         neighbors = np.maximum(changes[:-2], changes[2:])
         jumps = np.where(changes[1:-1] / JUMP > neighbors, changes[1:-1], 0.0)
+        if self.expected_ns:
+            jumps[self._is_expected(times[:-2], numbers[1:-1])] = 0.0
         is_end = numbers[1:-1] % QUARTERS == 0
         _keep(jumps[~is_end], times[1:-1][~is_end], self.within, self.within_ns)
         _keep(jumps[is_end], times[1:-1][is_end], self.at_ends, self.at_ends_ns)
+
+    def _is_expected(self, starts_ns: Nanoseconds, numbers: Nanoseconds) -> Mask:
+        """Return which steps begin with jumps by actions, by their starts and numbers."""
+        begin_step = numbers % QUARTERS == 1
+        expected: Mask = begin_step & np.isin(starts_ns, list(self.expected_ns))
+        return expected
 
 
 def _keep(
