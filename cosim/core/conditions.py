@@ -6,7 +6,7 @@ are recorded; where an input jumps at a communication point, that is its left li
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from decimal import Decimal
 from typing import final
 
@@ -14,7 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
-from cosim.core.clock import NANOSECONDS, whole_steps
+from cosim.core.arguments import check_type
+from cosim.core.clock import NANOSECONDS, Clock, whole_steps
+from cosim.core.contracts import Stopped
 from cosim.core.recorded import find_signal
 from cosim.core.signals import Layout
 from cosim.errors import ClockError, UnknownSignalError, UsageError, quoted
@@ -94,6 +96,100 @@ class Condition:
         numbers = np.arange(len(rows))
         breaks = np.where(holds, -1 - self.held, numbers)
         return numbers - np.maximum.accumulate(breaks)
+
+
+@final
+class RunConditions:
+    """The conditions that a run looks for.
+
+    Parameters
+    ----------
+    until : Condition, optional
+        Ends the run where it comes true.
+    others : sequence of Condition
+        Interrupt it there.
+
+    Attributes
+    ----------
+    came_true : tuple of Condition
+        Those that came true at the last row that was passed.
+    """
+
+    def __init__(self, until: Condition | None = None, others: Sequence[Condition] = ()) -> None:
+        self.came_true: tuple[Condition, ...] = ()
+        self._until = until
+        self._conditions = (*(() if until is None else (until,)), *others)
+
+    def __bool__(self) -> bool:
+        return bool(self._conditions)
+
+    def begin(self, t: float, row: Vector) -> None:
+        """Pass the first row of a run, at ``t`` [s], and nothing before it."""
+        for condition in self._conditions:
+            condition.held = 0
+        self.pass_over(np.array([t]), row[np.newaxis])
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the run ends at the last row that was passed."""
+        return self._until is not None and self._until.is_true
+
+    def end_at(self, t: float) -> Stopped | None:
+        """Return the stop at ``t`` [s], of the last row passed; None: the run goes on."""
+        if self._until is None or not self._until.is_true:
+            return None
+        reason = f"until {quoted(self._until.text)}: came true at t = {t} s"
+        return Stopped(np.empty((0, 0)), reason, failed=False)
+
+    @property
+    def held(self) -> dict[str, int]:
+        """For how many rows each condition has held; to go back, set it to what it was."""
+        return {condition.text: condition.held for condition in self._conditions}
+
+    @held.setter
+    def held(self, held: Mapping[str, int]) -> None:
+        self.came_true = ()
+        for condition in self._conditions:
+            condition.held = held.get(condition.text, 0)
+
+    def pass_over(self, time: Vector, rows: Matrix) -> int:
+        """Go on over the next rows, up to the first one at which a condition comes true.
+
+        Parameters
+        ----------
+        time : Vector, shape (N,)
+            Instants of the rows [s].
+        rows : Matrix, shape (N, width)
+            Behind the last one that was passed.
+
+        Returns
+        -------
+        int
+            How many rows were passed.
+        """
+        found = [condition.comes_true(time, rows) for condition in self._conditions]
+        first = min((row for row in found if row is not None), default=None)
+        count = len(rows) if first is None else first + 1
+        self.came_true = ()
+        for condition, row in zip(self._conditions, found, strict=True):
+            condition.pass_over(time[:count], rows[:count])
+            if row is not None and row == first:
+                self.came_true += (condition,)
+        return count
+
+
+def conditions_until(until: str | None, layout: Layout, clock: Clock) -> RunConditions:
+    """Return what a run looks for that ends where a condition comes true; None: nothing.
+
+    Raises
+    ------
+    UsageError
+        As from :class:`Condition`; also if it is no text.
+    """
+    if until is None:
+        return RunConditions()
+    check_type("until", until, str, UsageError)
+    return RunConditions(Condition(until, layout, clock.step_ns))
 
 
 def signal_columns(signals: Sequence[str], layout: Layout, start: str) -> list[int]:

@@ -10,6 +10,7 @@
                 stage.advance(block, signals)   # a cascade: all at once; a loop: step by step
                 a stage that stops early cuts the block for all
                 so does the first value that is not finite, before anything downstream sees it
+                and the first row where ``until`` is true: stages that are ahead go back to it
             yield block, signals                # run: recorder.write(block, signals)
         end there, if something stopped
         row 0 <- the last row
@@ -22,6 +23,7 @@ from collections.abc import Iterator, Mapping
 from cosim.arrays import Matrix
 from cosim.core.arguments import check_recorder, check_type
 from cosim.core.clock import Clock
+from cosim.core.conditions import RunConditions, conditions_until
 from cosim.core.contracts import Block, Design, Plan, Recorder, Stopped
 from cosim.core.graph import Graph
 from cosim.core.recorders import Nothing
@@ -36,6 +38,7 @@ def run(
     plan: Plan | None = None,
     *,
     designs: Mapping[str, Design] | None = None,
+    until: str | None = None,
 ) -> None:
     """Run a graph from ``clock.start_time`` to ``clock.stop``.
 
@@ -50,6 +53,8 @@ def run(
         What ``graph.prepare`` returned; left out, the graph is prepared here.
     designs : mapping of component name to Design, optional
         Recorded designs to use where the graph is prepared here.
+    until : str, optional
+        A condition (:mod:`cosim.core.conditions`): where it comes true the run ends, regularly.
 
     Raises
     ------
@@ -64,6 +69,7 @@ def run(
     """
     _check(graph, clock, plan)
     check_recorder(recorder)
+    conditions = conditions_until(until, graph.layout, clock)
     if plan is not None and designs is not None:
         raise UsageError("found both a plan and designs; needed one of them: a plan has designs")
     try:
@@ -71,7 +77,7 @@ def run(
             if plan is None:
                 plan = graph.prepare(clock.step_ns, designs)
             recorder.begin(plan)
-            for block, signals in _advance(graph, clock, recorder, divide=True):
+            for block, signals in _advance(graph, clock, recorder, conditions, divide=True):
                 recorder.write(block, signals)
     except Stopped as stop:
         if stop.failed:
@@ -107,7 +113,7 @@ def simulate(
     _check(graph, clock, plan)
     if plan is None:
         graph.prepare(clock.step_ns)
-    yield from _advance(graph, clock, Nothing(), divide=clock.block is None)
+    yield from _advance(graph, clock, Nothing(), RunConditions(), divide=clock.block is None)
 
 
 def _check(graph: Graph, clock: Clock, plan: Plan | None) -> None:
@@ -124,10 +130,10 @@ def _check(graph: Graph, clock: Clock, plan: Plan | None) -> None:
 
 
 def _advance(
-    graph: Graph, clock: Clock, recorder: Recorder, *, divide: bool
+    graph: Graph, clock: Clock, recorder: Recorder, conditions: RunConditions, *, divide: bool
 ) -> Iterator[tuple[Block, Matrix]]:
     """Initialize a prepared graph, and yield its blocks; those that take long in pieces."""
-    engine = Engine(graph, clock, recorder, divide=divide)
+    engine = Engine(graph, clock, recorder, divide=divide, conditions=conditions)
     row = engine.first_row
     for block in clock.blocks(engine.limit, engine.work):
         signals = engine.rows(block, row)

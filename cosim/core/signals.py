@@ -195,6 +195,9 @@ class Interface:
         Whether the component has ``native`` (:class:`cosim.core.contracts.Native`).
     linearizable : bool
         Whether the component has ``linearized`` (:class:`cosim.core.contracts.Linearizable`).
+    restarts : bool
+        Whether ``save`` starts the component anew where it is, as a solver whose memory cannot be
+        copied does: what follows has other bits than without it.
 
     Raises
     ------
@@ -211,6 +214,7 @@ class Interface:
     rollback: bool = False
     native: bool = False
     linearizable: bool = False
+    restarts: bool = False
 
     def __post_init__(self) -> None:
         # What is declared must not change later: copies, and nothing that can be written to.
@@ -234,7 +238,7 @@ class Interface:
         initial = dict(self.initial)
         values = (self.inputs, self.outputs, feedthrough, initial, self.delayed)
         methods = (self.prepares, self.rollback, self.native, self.linearizable)
-        return Interface, (*values, *methods)
+        return Interface, (*values, *methods, self.restarts)
 
     def _dependencies(self, key: str, declared: Dependencies) -> dict[str, tuple[str, ...] | None]:
         """Return a copy of declared dependencies, after a check of the names."""

@@ -29,6 +29,7 @@ import numpy as np
 from cosim.arrays import Matrix, Vector
 from cosim.core.arguments import check_type, kind_of
 from cosim.core.clock import Clock
+from cosim.core.conditions import conditions_until
 from cosim.core.contracts import Block, Plan, Recorder
 from cosim.core.graph import Graph
 from cosim.core.recorders import Nothing, end_of_run, error_text
@@ -68,6 +69,8 @@ class Simulation:
         What states of this graph are known by, beside its structure; left out: its designs.
     actions : sequence of TimedAction
         What happens at communication points, beside what is done by hand.
+    until : str, optional
+        A condition (:mod:`cosim.core.conditions`): where it comes true the simulation ends.
 
     Attributes
     ----------
@@ -94,6 +97,7 @@ class Simulation:
         recorder: Recorder | None = None,
         identity: str | None = None,
         actions: Sequence[TimedAction] = (),
+        until: str | None = None,
     ) -> None:
         check_type("graph", graph, Graph, UsageError)
         check_type("clock", clock, Clock, UsageError)
@@ -108,6 +112,7 @@ class Simulation:
         self._jumps = Jumps(graph, are_recorded=self._is_recorded)
         self._varying = VaryingFaults(graph, clock.step)
         self._agenda = Agenda(actions)
+        self._conditions = conditions_until(until, graph.layout, clock)
         self._width = graph.layout.width
         self._h = clock.step
         self._thread = get_ident()
@@ -117,21 +122,24 @@ class Simulation:
     def _begin(self) -> None:
         """Initialize the graph; the row of the start is recorded."""
         self._ended = "its initialization failed"
-        self._engine = Engine(self._graph, self._clock, self._recorder, divide=True)
+        self._engine = Engine(
+            self._graph, self._clock, self._recorder, divide=True, conditions=self._conditions
+        )
         self._ended = ""
         self.index = 0
         self.error: RunError | None = None
         self.rows: StepRows | None = None
         stages = self._engine.stages
         compiled = [stage for stage in stages if isinstance(stage, NativeStage)]
-        is_compiled = len(compiled) == len(stages) and not self._is_recorded
+        is_compiled = len(compiled) == len(stages) and not (self._is_recorded or self._conditions)
         self._compiled = compiled if is_compiled else []
         row = self._engine.first_row
         self._jumps.stand_at(row)
         self._varying.find()
         self._look_ahead(1)
         self._recorder.write(self._block(0), row[np.newaxis])
-        self._act()
+        if not self._conditions.is_over:
+            self._act()
 
     # --- time ---
 
@@ -321,6 +329,8 @@ class Simulation:
                 yield block.part(first, reached), signals[first : reached + 1]
                 raise
             error = self._engine.error
+            if self._conditions.came_true:
+                break
             if perf_counter() > deadline:
                 yield block.part(first, reached), signals[first : reached + 1]
                 first = reached
@@ -588,7 +598,7 @@ class Simulation:
         self._states.check_rollback()
         if self._jumps.waiting:
             self._evaluate()
-        return self._states.save(self.index, self._jumps.row, origin=self)
+        return self._states.save(self.index, self._jumps.row, self._conditions.held, origin=self)
 
     @state.setter
     def state(self, state: SimulationState) -> None:
@@ -610,6 +620,7 @@ class Simulation:
         self._states.check(state, self)
         self._ended = "its state could not be set"
         self._states.restore(state)
+        self._conditions.held = state.conditions
         self.index = state.index
         self._jumps.stand_at(state.row.copy())
         self._varying.find()

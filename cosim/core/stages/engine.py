@@ -7,6 +7,7 @@
         until the end of the block, or where something stopped:
             every stage advances, by some steps at once (:mod:`cosim.core.stages.pacing`)
             yield the steps that all stages have completed
+        with conditions: up to where one comes true (:mod:`cosim.core.stages.looking_ahead`)
 """
 
 from __future__ import annotations
@@ -18,9 +19,11 @@ import numpy as np
 
 from cosim.arrays import Matrix, Vector
 from cosim.core.clock import Clock
-from cosim.core.contracts import Block, Recorder
+from cosim.core.conditions import RunConditions
+from cosim.core.contracts import Block, Recorder, Stopped
 from cosim.core.graph import Graph
 from cosim.core.recorders import memory_of
+from cosim.core.stages.looking_ahead import LookingAhead
 from cosim.core.stages.native_stage import advancing_stages
 from cosim.core.stages.pacing import Pacer
 from cosim.errors import RunError, UsageError
@@ -40,6 +43,8 @@ class Engine:
         Rows are computed in its memory, where it has any.
     divide : bool
         Whether blocks that take long come in pieces.
+    conditions : RunConditions, optional
+        Where one comes true a block ends.
 
     Attributes
     ----------
@@ -49,6 +54,7 @@ class Engine:
         As they advance, in their order.
     limit : int
         The most steps of a block.
+    conditions : RunConditions
 
     Raises
     ------
@@ -56,7 +62,15 @@ class Engine:
         If an initial value is not finite.
     """
 
-    def __init__(self, graph: Graph, clock: Clock, recorder: Recorder, *, divide: bool) -> None:
+    def __init__(
+        self,
+        graph: Graph,
+        clock: Clock,
+        recorder: Recorder,
+        *,
+        divide: bool,
+        conditions: RunConditions | None = None,
+    ) -> None:
         width = graph.layout.width
         self.first_row = np.zeros(width)
         graph.initialize(clock.start_time, self.first_row)
@@ -64,7 +78,11 @@ class Engine:
         self.limit = max(1, BLOCK_BYTES // (8 * width + 8))
         self._graph = graph
         self._initialization = graph.initializations
-        self._pacer = Pacer(self.stages, divide=divide)
+        self.conditions = RunConditions() if conditions is None else conditions
+        self.conditions.begin(clock.start_time, self.first_row)
+        self._pacer = Pacer(self.stages, divide=divide and not self.conditions)
+        self._looking_ahead = LookingAhead(graph, self._pacer, self.conditions, clock.block)
+        self._end: Stopped | None = None
         self._recorder = recorder
         self._steps = clock.steps
         self._rows = np.empty((min(self.limit, clock.steps) + 1, width))  # used again
@@ -76,8 +94,8 @@ class Engine:
 
     @property
     def error(self) -> RunError | None:
-        """What stopped the graph in the last block."""
-        return self._pacer.error
+        """What stopped the graph in the last block; a condition does before all else."""
+        return self._end or self._pacer.error
 
     def check_current(self) -> None:
         """Check that the components have the state of this engine.
@@ -119,6 +137,9 @@ class Engine:
         UsageError
             If the components are those of another simulation since the last piece.
         """
+        if self.conditions:
+            yield from self._advance_watched(block, signals)
+            return
         pacer = self._pacer
         pacer.begin(block)
         reached = -1
@@ -127,3 +148,20 @@ class Engine:
             begin = max(reached, 0)
             reached = pacer.advance(block, signals)
             yield block.part(begin, reached), signals[begin : reached + 1]
+
+    def _advance_watched(self, block: Block, signals: Matrix) -> Iterator[tuple[Block, Matrix]]:
+        """Advance up to where a condition comes true; yield the initial values by themselves."""
+        if block.index == 0:
+            yield block.part(0, 0), signals[:1]
+        self._end = self.conditions.end_at(float(block.time[0]))
+        reached = 0
+        while reached < block.steps and self._end is None:
+            self.check_current()
+            rest = block.part(reached, block.steps)
+            steps = self._looking_ahead.advance(rest, signals[reached:])
+            first = reached
+            reached += steps
+            self._end = self.conditions.end_at(float(block.time[reached]))
+            yield block.part(first, reached), signals[first : reached + 1]
+            if self._pacer.error is not None or self.conditions.came_true:
+                break

@@ -24,12 +24,13 @@ def run_with_actions(
     plan: Plan | None = None,
     *,
     actions: Sequence[TimedAction],
+    until: str | None = None,
 ) -> None:
     """Run a graph from the start of a clock to its stop, with actions on the way.
 
     Parameters
     ----------
-    graph, clock, recorder, plan
+    graph, clock, recorder, plan, until
         As of :func:`cosim.core.run`.
     actions : sequence of TimedAction
 
@@ -43,7 +44,9 @@ def run_with_actions(
             if plan is None:
                 plan = graph.prepare(clock.step_ns)
             recorder.begin(plan)
-            simulation = Simulation(graph, clock, plan, recorder=recorder, actions=actions)
+            simulation = Simulation(
+                graph, clock, plan, recorder=recorder, actions=actions, until=until
+            )
             simulation.pass_to(clock.steps)
             simulation.close()
     except Stopped as stop:

@@ -35,6 +35,8 @@ class SimulationState:
         What delays and filters hold, the states of random generators, and so on.
     solvers : tuple of Vector
         What the loops that iterate keep from step to step.
+    conditions : mapping of condition to int
+        For how many rows each has held, where the run looks for any.
     origin : object
         The simulation in whose memory component states may lie; not pickled.
     """
@@ -45,12 +47,13 @@ class SimulationState:
     overrides: Mapping[str, SavedOverrides]
     components: Mapping[str, Any]
     solvers: tuple[Vector, ...]
+    conditions: Mapping[str, int]
     origin: object = field(default=None, repr=False)
 
     def __reduce__(self) -> tuple[Any, ...]:
         self.check_portable()
         values = (self.graph, self.index, self.row, self.overrides, self.components)
-        return SimulationState, (*values, self.solvers)
+        return SimulationState, (*values, self.solvers, self.conditions)
 
     def check_portable(self) -> None:
         """Check that every component's state can leave the simulation that it was taken of.
@@ -111,7 +114,9 @@ class States:
                 "components that can, or reset() and the same steps again"
             )
 
-    def save(self, index: int, row: Vector, origin: object) -> SimulationState:
+    def save(
+        self, index: int, row: Vector, conditions: Mapping[str, int], origin: object
+    ) -> SimulationState:
         """Save the state at a communication point; ``origin`` is the simulation.
 
         Raises
@@ -128,7 +133,8 @@ class States:
         row = row.copy()
         row.flags.writeable = False
         solvers = tuple(solver.memory.copy() for solver in self._graph.solvers)
-        return SimulationState(self.graph_hash, index, row, overrides, components, solvers, origin)
+        values = (index, row, overrides, components, solvers, conditions)
+        return SimulationState(self.graph_hash, *values, origin)
 
     def check(self, state: SimulationState, simulation: object) -> None:
         """Check that a state can be restored in a simulation.

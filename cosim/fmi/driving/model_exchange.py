@@ -103,6 +103,7 @@ class ModelExchange:
             prepares=True,
             rollback=self._capabilities.saves_state,
             native=self.solver == "exact" or self._addresses is not None,
+            restarts=self.solver == "CVode",
         )
         self._exact: ExactSolver | None = None
         self._compiled: CompiledIntegrator | None = None
