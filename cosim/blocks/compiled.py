@@ -84,6 +84,7 @@ class CompiledFunction:
             memory=self._memory,
             keep=(flags, scratch, self._keep),
             outputs=address("cosim_held_outputs"),
+            memory_is_state=True,
         )
         return {}
 

@@ -34,6 +34,17 @@ declare(
     }
 )
 
+
+class RollbackStruct(ctypes.Structure):
+    """cosim_rollback of ``stage.h``."""
+
+    _fields_ = (
+        *((name, c_void_p) for name in ("save", "restore", "memory", "saved")),
+        ("count", c_int64),
+        ("is_saved", c_int32),
+    )
+
+
 # cosim_outputs of stage.h
 _OUTPUTS: Final = ctypes.CFUNCTYPE(c_int32, c_void_p, c_double, c_void_p, c_void_p)
 
@@ -71,7 +82,7 @@ class NativeStep:
     n_y : int
         Number of outputs that it writes.
     memory : Vector
-        All of its changing state.
+        Its changing state.
     keep : sequence of object
         Arrays that ``state`` points into; they live as long as the step.
     outputs : int
@@ -79,6 +90,10 @@ class NativeStep:
         0: there is none.
     guard : Guard or None
         Of foreign code.
+    rollback : callable, optional
+        Returns how compiled code goes back; left out: by a copy of ``memory``.
+    memory_is_state : bool
+        Whether ``memory`` is all of the state, so that a copy of it is one.
 
     Attributes
     ----------
@@ -96,7 +111,11 @@ class NativeStep:
         keep: Sequence[object] = (),
         outputs: int = 0,
         guard: Guard | None = None,
+        rollback: Callable[[], RollbackStruct | None] | None = None,
+        memory_is_state: bool = False,
     ) -> None:
+        self._rollback = rollback
+        self._memory_is_state = memory_is_state
         self.function = function
         self.guard = guard
         self.outputs = outputs
@@ -190,6 +209,20 @@ class NativeStep:
             yield
         finally:
             self.guard.end(t)
+
+    def rollback(self) -> RollbackStruct | None:
+        """Return how compiled code copies the state and puts it back, in memory of its own.
+
+        None: it cannot.
+        """
+        if self._rollback is not None:
+            return self._rollback()
+        if not self._memory_is_state:
+            return None
+        copy = np.zeros(max(1, len(self.memory)))
+        self._keep = (*self._keep, copy)
+        addresses = (pointer(self.memory), pointer(copy))
+        return RollbackStruct(None, None, *addresses, len(self.memory), 0)
 
     def save(self) -> Vector:
         """Copy the state."""

@@ -15,7 +15,7 @@ import pytest
 from cosim.native import build
 
 DRIVER = Path(__file__).parent / "c" / "stage_driver.c"
-SOURCES = ("stage.c", "linear.c")
+SOURCES = ("stage.c", "loop_solver.c", "linear.c")
 LAGS = 20
 STEPS = 500
 

@@ -31,7 +31,9 @@ from cosim.core.structure.order import OperationKind
 from cosim.errors import RunError
 from cosim.native.stages.loop_solver import SOLVED, SWEEP
 
-OperationName: TypeAlias = Literal["keep", "gather", "advance", "refresh", "check"]
+OperationName: TypeAlias = Literal[
+    "keep", "gather", "advance", "refresh", "check", "save", "begin", "restore", "solve"
+]
 ProgramOperation: TypeAlias = tuple[OperationName, tuple[Member, ...]]
 StageProgram: TypeAlias = tuple[ProgramOperation, ...]
 
@@ -192,7 +194,18 @@ class Loop:
 
     @property
     def program(self) -> StageProgram:
-        """What :meth:`_step` does, without copies that nothing reads or that change nothing."""
+        """What :meth:`_solve` does, without copies that nothing reads or that change nothing."""
+        check: ProgramOperation = ("check", self.members)
+        if self.torn is None:
+            return (*self._sweep_program, check)
+        program: list[ProgramOperation] = [("save", (member,)) for member in self.members]
+        program.append(("begin", self.members))
+        program += [("restore", (member,)) for member in self.members]
+        return (*program, *self._sweep_program, ("solve", self.members), check)
+
+    @property
+    def _sweep_program(self) -> StageProgram:
+        """What :meth:`_sweep` does."""
         sources = self._sources()
         read_early: set[str] = set()
         gathered: dict[str, int] = {}  # number of the last operation
@@ -211,7 +224,6 @@ class Loop:
             last = gathered[member.name]
             if any(written[source] >= last for source in sources[member.name]):
                 program.append(("gather", (member,)))
-        program.append(("check", self.members))
         return tuple(program)
 
     def _sources(self) -> dict[str, set[str]]:

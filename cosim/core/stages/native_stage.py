@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import nullcontext
 from ctypes import addressof, c_double
+from typing import Any
 
 import numpy as np
 
@@ -25,6 +26,7 @@ from cosim.core.stages.member import Member, NonFinite, first_non_finite
 from cosim.core.stages.stage_structs import NativeSteps, StageStructs
 from cosim.errors import NonFiniteError
 from cosim.native.library import library
+from cosim.native.stages.loop_solver import SOLVED
 from cosim.native.stages.stage import DONE, HERE, OVER
 from cosim.native.step import NativeStep
 
@@ -43,7 +45,7 @@ def advancing_stages(graph: Graph) -> Sequence[Advancing]:
     steps: dict[str, NativeStep] = {}
     for stage in graph.stages:
         steps_of_stage = _native_steps(stage.members)
-        if stage.torn is None and (steps_of_stage or stage.is_loop):
+        if steps_of_stage or stage.is_loop:
             together.append(stage)
             steps.update(steps_of_stage)
             continue
@@ -119,6 +121,8 @@ class NativeStage:
         own_steps = [steps[member.name] for member in self._members if member.name in steps]
         guards = [step.guard for step in own_steps if step.guard is not None]
         self._guard = guards[0].joined(guards[1:]) if guards else None
+        self._saved: dict[str, Any] = {}  # states by component, where compiled code has none
+        self._stopped = Stopped(np.empty((0, 0)), "")  # the last component that did, in a loop
         self._measured = [m.component for m in self._members if m.component.is_measured]
 
     def advance(self, block: Block, signals: Matrix) -> None:
@@ -170,9 +174,17 @@ class NativeStage:
             try:
                 if kind == "check":
                     raise self._non_finite(signals[k + 1], member).error(float(block.time[k + 1]))
+                if kind == "solve":
+                    raise self._unsolved(member, float(block.time[k + 1]))
                 with self._calls:
-                    y = call(kind, member, block.time[rows], block.h, known[rows, member.inputs])
-                signals[k + 1, member.outputs] = y
+                    if kind == "save":
+                        self._saved[member.name] = member.component.save()
+                    elif kind == "restore":
+                        self._restore(member, float(block.time[k + 1]))
+                    else:
+                        signals[k + 1, member.outputs] = self._call(
+                            kind, member, block.time[rows], block.h, known[rows, member.inputs]
+                        )
                 left = library.cosim_stage_run(self._address, end, DONE)
             except (NonFiniteError, Stopped) as error:
                 cut = self._cut(error, k, member, block=block, signals=signals)
@@ -182,6 +194,46 @@ class NativeStage:
                 left = library.cosim_stage_run(self._address, end, DONE if end > k else OVER)
         if first is not None:
             raise first
+
+    def _call(
+        self, kind: OperationName, member: Member, time: Vector, h: float, u: Matrix
+    ) -> Vector:
+        """Advance or refresh a component; a stop in a sweep waits until the loop is solved.
+
+        Raises
+        ------
+        Stopped
+            As from :func:`call`.
+        """
+        try:
+            return call(kind, member, time, h, u)
+        except Stopped as stop:
+            unknowns = self._structs.unknowns.get(self._stage_of[member.name].members[0].name)
+            if unknowns is None or not stop.steps:
+                raise
+            unknowns.stopped = 1
+            self._stopped = stop
+            y: Vector = stop.outputs[0]
+            return y
+
+    def _restore(self, member: Member, t: float) -> None:
+        """Go back to what was saved here; or raise why compiled code could not."""
+        if member.name in self._saved:
+            member.component.restore(self._saved[member.name])
+            return
+        raise Stopped(np.empty((0, 0)), "its state could not be put back").at(member.name, t)
+
+    def _is_iterated(self, member: Member) -> bool:
+        return self._stage_of[member.name].torn is not None
+
+    def _unsolved(self, member: Member, t: float) -> Stopped:
+        """Return what ends a loop at ``t`` [s]: it is not solved, or a component has stopped."""
+        stage = self._stage_of[member.name]
+        status = self._structs.unknowns[stage.members[0].name].status
+        if status == SOLVED:
+            return self._stopped
+        assert stage.torn is not None
+        return stage.torn.stop(status, t)
 
     def _cut(
         self,
@@ -196,7 +248,8 @@ class NativeStage:
         if isinstance(error, NonFiniteError):
             return Cut(k, error, member.name)
         if error.steps:
-            signals[k + 1, member.outputs] = error.outputs[0]
+            if not self._is_iterated(member):  # there the row is that of the solution
+                signals[k + 1, member.outputs] = error.outputs[0]
             return Cut(k + 1, error, member.name)
         origin = self._origin(signals[k + 1])
         if origin is None:

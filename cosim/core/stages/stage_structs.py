@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from cosim.core.signals import Layout
 from cosim.core.stages.coupling import Stage, StageProgram
 from cosim.core.stages.member import Member
+from cosim.core.stages.torn_inputs import TornInputs
 from cosim.core.stages.wires import Wire
-from cosim.native.library import pointer
+from cosim.native.library import int32, pointer
 from cosim.native.stages.stage import (
     KINDS,
     CopyStruct,
@@ -23,6 +24,7 @@ from cosim.native.stages.stage import (
     StageStruct,
     SumStruct,
     TermStruct,
+    UnknownsStruct,
 )
 from cosim.native.step import NativeStep
 
@@ -49,6 +51,8 @@ class StageStructs:
     ----------
     stage : StageStruct
         All else hangs on it.
+    unknowns : dict of component name to UnknownsStruct
+        Of the loops that iterate, by their first components.
     """
 
     def __init__(
@@ -64,17 +68,28 @@ class StageStructs:
         optional = _optional(layout)
         structs = (MemberStruct * len(members))()
         addresses: dict[str, int] = {}
+        by_name: dict[str, MemberStruct] = {}
         wires = []
         for struct, member in zip(structs, members, strict=True):
             _fill(struct, member, steps.get(member.name))
             struct.optional = pointer(optional) + member.columns.start
             wires.append(_add_wires(struct, member))
             addresses[member.name] = addressof(struct)
+            by_name[member.name] = struct
         operations = _operations(programs, addresses)
         segments = _segments(stages, programs, operations)
+        self.unknowns: dict[str, UnknownsStruct] = {}
+        torn = []
+        for stage, program, segment in zip(stages, programs, segments, strict=True):
+            if stage.torn is None:
+                continue
+            unknowns = _unknowns(program, stage.torn)
+            segment.unknowns = addressof(unknowns)
+            self.unknowns[stage.members[0].name] = unknowns
+            torn.append(_tear(by_name, stage, steps))
         tile = max(1, min(TILE_STEPS, TILE_BYTES // (8 * layout.width + 8)))
         self.stage = StageStruct(addressof(segments), len(segments), layout.width, tile)
-        self._keep = (structs, optional, wires, operations, segments, steps)
+        self._keep = (structs, optional, wires, operations, segments, steps, torn)
 
 
 def _optional(layout: Layout) -> NDArray[np.uint8]:
@@ -123,6 +138,35 @@ def _segments(
         segments.append(SegmentStruct(address, len(program), first, int(not stage.is_loop)))
         first += len(program)
     return (SegmentStruct * len(segments))(*segments)
+
+
+def _unknowns(program: StageProgram, torn: TornInputs) -> UnknownsStruct:
+    """Return what a loop solves for, and where its sweeps are in its program."""
+    kinds = [kind for kind, _ in program]
+    first = kinds.index("restore")
+    behind = first + kinds.count("restore")
+    return UnknownsStruct(torn.solver.address, pointer(torn.answer), behind, first)
+
+
+def _tear(structs: Mapping[str, MemberStruct], stage: Stage, steps: NativeSteps) -> object:
+    """Tear the inputs of members of a loop, and let them go back; return the memory of that."""
+    assert stage.torn is not None
+    keep: list[object] = []
+    for member in stage.members:
+        struct = structs[member.name]
+        columns, values = stage.torn.inputs_of(member)
+        numbers = int32(columns)
+        struct.n_torn = len(numbers)
+        struct.torn = pointer(numbers)
+        struct.tried = pointer(values)
+        keep += [numbers, values]
+        step = steps.get(member.name)
+        if step is not None:
+            rollback = step.rollback()
+            if rollback is not None:
+                struct.rollback = addressof(rollback)
+                keep.append(rollback)
+    return keep
 
 
 def _add_wires(struct: MemberStruct, member: Member) -> object:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from typing import final
+from typing import Final, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.arrays import Matrix
+from cosim.arrays import Matrix, Vector
 from cosim.core.contracts import Recording, Stopped
 from cosim.core.stages.member import Member
 from cosim.core.structure.feedthrough import Edge
@@ -16,7 +16,8 @@ from cosim.core.structure.ports import Ports
 from cosim.errors import listing
 from cosim.native.stages.loop_solver import INVALID, UNDECIDED, LoopSolver
 
-END = slice(1, 2)  # of the two rows of a step
+END: Final = slice(1, 2)  # of the two rows of a step
+NOTHING_TORN: Final = (np.empty(0, np.intp), slice(0, 0))
 
 
 @final
@@ -38,6 +39,8 @@ class TornInputs:
     members : tuple of Member
         The components that have some.
     solver : LoopSolver
+    answer : Vector, shape (n,)
+        What the last sweep gave for the elements.
     """
 
     def __init__(
@@ -59,7 +62,7 @@ class TornInputs:
         self.solver = LoopSolver(len(columns))
         of_members = [np.arange(m.columns.start, m.columns.stop) for m in members]
         self._of_loop = np.concatenate(of_members)
-        self._w = np.empty(len(columns))
+        self.answer = np.empty(len(columns))
 
     @property
     def labels(self) -> list[str]:
@@ -89,6 +92,11 @@ class TornInputs:
         """Begin a step that ends at ``t1`` [s]: the guess is what the inputs have at its start."""
         self.solver.begin(t1, rows[0, list(self.columns)])
 
+    def inputs_of(self, member: Member) -> tuple[NDArray[np.intp], Vector]:
+        """Return the columns of a component's elements, and what is tried for them, to be read."""
+        columns, places = self._own.get(member.name, NOTHING_TORN)
+        return columns, self.solver.v[places]
+
     def put(self, rows: Matrix, member: Member) -> None:
         """Give inputs of a component, at the end of the step, what is tried for them."""
         own = self._own.get(member.name)
@@ -102,10 +110,10 @@ class TornInputs:
         for member in self.members:
             columns, places = self._own[member.name]
             member.gather(gathered, slice(0, 1))
-            self._w[places] = gathered[0, columns]
+            self.answer[places] = gathered[0, columns]
         values = np.abs(rows[1, self._of_loop])
         largest = float(np.fmax.reduce(values))
-        return self.solver.next(self._w, largest)
+        return self.solver.next(self.answer, largest)
 
     def stop(self, status: int, t: float) -> Stopped:
         """Return why there is no solution at ``t`` [s], the end of a step, as what stops it."""
@@ -113,7 +121,7 @@ class TornInputs:
         label = self.labels[worst]
         at = f"residual of {residual:.3g} at {label!r}, needed at most {tolerance:.3g}"
         if status == INVALID:
-            reason = f"{label!r} becomes {self._w[worst]}, which nothing can solve for"
+            reason = f"{label!r} becomes {self.answer[worst]}, which nothing can solve for"
         elif status == UNDECIDED:
             reason = f"they have no solution, or more than one: 1 - dw/dv is singular, with a {at}"
         else:

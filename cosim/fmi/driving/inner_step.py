@@ -52,10 +52,14 @@ class InnerStep:
         Which elements of the outputs to watch.
     n_u : int
         Number of input elements.
+
+    Attributes
+    ----------
+    columns : array of int
     """
 
     def __init__(self, columns: NDArray[np.intp], n_u: int) -> None:
-        self._columns = columns
+        self.columns = columns
         self._outputs = np.zeros(len(columns))
         self._inputs = np.zeros(n_u)
         self._outputs_before = np.zeros(len(columns))
@@ -71,7 +75,7 @@ class InnerStep:
 
     def reset(self) -> None:
         """Forget the history."""
-        self.history = StepHistory() if len(self._columns) else None
+        self.history = StepHistory() if len(self.columns) else None
 
     @property
     def history(self) -> StepHistory | None:

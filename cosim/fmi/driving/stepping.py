@@ -36,6 +36,7 @@ go back shows its outputs after the event and goes back; one that cannot is left
 from __future__ import annotations
 
 import math
+from ctypes import addressof
 from dataclasses import dataclass
 from typing import Final, final
 
@@ -57,11 +58,12 @@ from cosim.native.fmi.co_simulation import (
     SLOPES_FAILED,
     STEPPED,
     UNREAD,
+    CoSimulationCopyStruct,
     CoSimulationStruct,
 )
-from cosim.native.library import address
+from cosim.native.library import address, pointer
 from cosim.native.memory import place, place_struct
-from cosim.native.step import NativeStep
+from cosim.native.step import NativeStep, RollbackStruct
 
 PARTS: Final = 1000  # of one communication step, by early returns and time events
 HALVINGS: Final = 10  # of a step that is discarded
@@ -165,6 +167,7 @@ class Stepper:
             capabilities.interpolates_inputs and self._interpolated_inputs.size > 0
         )
         self._addresses: Addresses | None = None
+        self._copy: tuple[object, ...] | None = None  # the memory behind that of compiled code
         n_u = len(discrete)
         self._inner_step = InnerStep(_watched(description), n_u)
         self.inner_steps = 0
@@ -226,7 +229,23 @@ class Stepper:
             memory=np.zeros(0),
             keep=(self, addresses, feedthrough),
             outputs=address("cosim_co_simulation_outputs"),
+            rollback=self._rollback if self._capabilities.saves_state else None,
         )
+
+    def _rollback(self) -> RollbackStruct:
+        """Return how compiled code goes back; the memory of its copy is kept here."""
+        addresses = self._addresses
+        assert addresses is not None
+        self._instance.may_go_back = True
+        state = self._instance.get_fmu_state()
+        n_inner = 2 * len(self._inner_step.columns) + len(self.inputs)
+        values = np.zeros(len(self.outputs) + len(self.inputs) + len(self._event_values) + n_inner)
+        calls = (addresses.call("GetFMUState"), addresses.call("SetFMUState"))
+        copy = CoSimulationCopyStruct(*calls, addresses.state(state), pointer(values))
+        self._struct.copy = addressof(copy)
+        self._copy = (copy, state, values)
+        functions = ("cosim_co_simulation_save", "cosim_co_simulation_restore")
+        return RollbackStruct(*map(address, functions))
 
     def _keep_fmu_state(self, state: object | None) -> None:
         """Keep a state of the FMU whose memory is used again."""
@@ -282,6 +301,8 @@ class Stepper:
         )
         self._can_interpolate = False
         self._keep_fmu_state(None)
+        if self._copy is not None:
+            self._rollback()  # with a state of the new instance
         self.begin(u, y)
 
     def leave_initialization(self, t: float) -> None:

@@ -57,7 +57,15 @@ def integrator_step(lower: float, upper: float, held: Mask) -> NativeStep:
     state = IntegratorStruct(width, lower, upper, pointer(flags), pointer(memory))
     function = address("cosim_integrator_step")
     outputs = address("cosim_integrator_refresh")
-    return NativeStep(function, state, n_y=width, memory=memory, keep=(flags,), outputs=outputs)
+    return NativeStep(
+        function,
+        state,
+        n_y=width,
+        memory=memory,
+        keep=(flags,),
+        outputs=outputs,
+        memory_is_state=True,
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +124,13 @@ class PidStep:
         function = address("cosim_sampled_pid_step" if sampled else "cosim_pid_step")
         outputs = address("cosim_pid_refresh")
         self.step = NativeStep(
-            function, state, n_y=2, memory=memory, keep=(flags,), outputs=outputs
+            function,
+            state,
+            n_y=2,
+            memory=memory,
+            keep=(flags,),
+            outputs=outputs,
+            memory_is_state=True,
         )
 
     def initialize(self, u: Vector) -> None:

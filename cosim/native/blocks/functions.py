@@ -149,6 +149,7 @@ def _instant_step(function: str, state: Structure, n_y: int, *keep: object) -> N
         memory=no_memory,
         keep=(state, *keep),
         outputs=address("cosim_instant_outputs"),
+        memory_is_state=True,
     )
 
 

@@ -98,7 +98,15 @@ class WindowStep:
         keep = (*matrices, *increments)
         function = address("cosim_window_step")
         outputs = address("cosim_window_refresh")
-        self.step = NativeStep(function, state, n_y=n_y, memory=memory, keep=keep, outputs=outputs)
+        self.step = NativeStep(
+            function,
+            state,
+            n_y=n_y,
+            memory=memory,
+            keep=keep,
+            outputs=outputs,
+            memory_is_state=True,
+        )
 
     def start(self, x0: Vector) -> None:
         """Begin with the state ``x0`` and an empty window."""

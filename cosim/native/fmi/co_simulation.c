@@ -10,6 +10,7 @@
 
 typedef cosim_co_simulation Component;
 typedef int (*get_state_function)(void *instance, void **state);
+typedef int (*set_state_function)(void *instance, void *state);
 
 /* The inputs over one communication step. */
 typedef struct {
@@ -257,4 +258,69 @@ int32_t cosim_co_simulation_outputs(void *self, double t, const double *u, doubl
         return COSIM_DECLINED;
     const int32_t status = corrected_outputs(c, u, y);
     return status == COSIM_OK ? COSIM_OK : leave(c, COSIM_FAILED);
+}
+
+typedef enum { TO_COPY, FROM_COPY } Direction;
+
+static double *move(double *copy, double *values, int32_t count, Direction direction)
+{
+    const size_t size = (size_t)count * sizeof *values;
+    if (direction == TO_COPY)
+        memcpy(copy, values, size);
+    else
+        memcpy(values, copy, size);
+    return copy + count;
+}
+
+/* Copy the arrays of the state, or put their copy back. */
+static void move_values(Component *c, Direction direction)
+{
+    const cosim_inner_step *inner = c->inner_step;
+    double *copy = c->copy->values;
+    copy = move(copy, c->outputs, c->n_y, direction);
+    copy = move(copy, c->inputs, c->n_u, direction);
+    copy = move(copy, c->event_inputs, c->n_event, direction);
+    if (!inner->watches)
+        return;
+    copy = move(copy, inner->outputs, inner->n, direction);
+    copy = move(copy, inner->inputs, inner->n_u, direction);
+    move(copy, inner->outputs_before, inner->n, direction);
+}
+
+int32_t cosim_co_simulation_save(void *self)
+{
+    Component *c = self;
+    cosim_co_simulation_copy *copy = c->copy;
+    c->note = COSIM_NOTHING;
+    if (!can_step(c))
+        return COSIM_DECLINED;
+    const get_state_function get = (get_state_function)copy->get->function;
+    if (cosim_fmu_check(c->fmu, copy->get, get(c->fmu->instance, copy->fmu_state)) != COSIM_OK)
+        return leave(c, COSIM_FAILED);
+    copy->interpolates = c->interpolates;
+    copy->stepped = c->stepped;
+    copy->ended = c->ended;
+    copy->next_event = c->next_event;
+    copy->inner_steps = c->inner_steps;
+    copy->inner_step = *c->inner_step;
+    move_values(c, TO_COPY);
+    return COSIM_OK;
+}
+
+int32_t cosim_co_simulation_restore(void *self)
+{
+    Component *c = self;
+    const cosim_co_simulation_copy *copy = c->copy;
+    c->note = COSIM_NOTHING;
+    const set_state_function set = (set_state_function)copy->set->function;
+    if (cosim_fmu_check(c->fmu, copy->set, set(c->fmu->instance, *copy->fmu_state)) != COSIM_OK)
+        return leave(c, COSIM_FAILED);
+    c->interpolates = copy->interpolates;
+    c->stepped = copy->stepped;
+    c->ended = copy->ended;
+    c->next_event = copy->next_event;
+    c->inner_steps = copy->inner_steps;
+    *c->inner_step = copy->inner_step;
+    move_values(c, FROM_COPY);
+    return COSIM_OK;
 }

@@ -17,6 +17,19 @@
 #define COSIM_FAILED 4        /* a call failed, which the FMU remembers */
 #define COSIM_SLOPES_FAILED 5 /* that call was one for the slopes of inputs */
 
+/* A copy of the state of a component. */
+typedef struct {
+    cosim_fmu_call *get, *set; /* GetFMUState, SetFMUState */
+    void **fmu_state;          /* where the FMU's own is copied to; allocated */
+    /* as in the component: outputs, inputs, event_inputs; outputs, inputs and outputs_before of
+     * inner_step */
+    double *values;
+    int32_t interpolates, stepped, ended;
+    double next_event;
+    int64_t inner_steps;
+    cosim_inner_step inner_step;
+} cosim_co_simulation_copy;
+
 typedef struct {
     /* what every step reads, first */
     cosim_fmu *fmu; /* NULL: all is left to the methods */
@@ -41,11 +54,16 @@ typedef struct {
     const uint8_t *ramped; /* (n_u) has its value, not its mean, where slopes are set */
     const intptr_t *event_columns; /* (n_event) inputs that are set in events */
     double *scratch;               /* (3 n_u + n_y) */
+    cosim_co_simulation_copy *copy;
 } cosim_co_simulation;
 
 /* A cosim_step and a cosim_outputs. */
 int32_t cosim_co_simulation_step(void *self, double t0, double t1, double h, const double *u0,
                                  const double *u1, double *y);
 int32_t cosim_co_simulation_outputs(void *self, double t, const double *u, double *y);
+
+/* Copy the state, which an FMU that is still in its initialization declines; put the copy back. */
+int32_t cosim_co_simulation_save(void *self);
+int32_t cosim_co_simulation_restore(void *self);
 
 #endif

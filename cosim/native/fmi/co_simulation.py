@@ -27,6 +27,18 @@ class InnerStepStruct(Structure):
     )
 
 
+class CoSimulationCopyStruct(Structure):
+    """cosim_co_simulation_copy."""
+
+    _fields_ = (
+        *((name, c_void_p) for name in ("get", "set", "fmu_state", "values")),
+        *((name, c_int32) for name in ("interpolates", "stepped", "ended")),
+        ("next_event", c_double),
+        ("inner_steps", c_int64),
+        ("inner_step", InnerStepStruct),
+    )
+
+
 class CoSimulationStruct(Structure):
     """cosim_co_simulation."""
 
@@ -44,7 +56,7 @@ class CoSimulationStruct(Structure):
         ("do_step", StepStruct),
         ("slopes", SlopesStruct),
         *((name, c_void_p) for name in ("fmu_state", "unknowns", "knowns")),
-        *((name, c_void_p) for name in ("ramped", "event_columns", "scratch")),
+        *((name, c_void_p) for name in ("ramped", "event_columns", "scratch", "copy")),
     )
 
 

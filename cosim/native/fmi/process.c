@@ -273,3 +273,15 @@ int32_t cosim_guarded_outputs(void *self, double t, const double *u, double *y)
     cosim_guarded *guarded = self;
     return put_back(guarded, t, guarded->outputs(guarded->self, t, u, y));
 }
+
+int32_t cosim_guarded_save(void *self)
+{
+    cosim_guarded *guarded = self;
+    return put_back(guarded, guarded->time, guarded->save(guarded->self));
+}
+
+int32_t cosim_guarded_restore(void *self)
+{
+    cosim_guarded *guarded = self;
+    return put_back(guarded, guarded->time, guarded->restore(guarded->self));
+}

@@ -32,6 +32,8 @@ typedef struct {
     const void *process; /* the state before the first of many steps */
     cosim_step step;
     cosim_outputs outputs; /* NULL: there are none */
+    /* how the component goes back; NULL: it does not, in compiled code */
+    int32_t (*save)(void *self), (*restore)(void *self);
     void *self;
     /* what was put back and is not reported yet: bits, and the time of the first change [s] */
     int32_t changes;
@@ -44,5 +46,7 @@ typedef struct {
 int32_t cosim_guarded_step(void *self, double t0, double t1, double h, const double *u0,
                            const double *u1, double *y);
 int32_t cosim_guarded_outputs(void *self, double t, const double *u, double *y);
+int32_t cosim_guarded_save(void *self);
+int32_t cosim_guarded_restore(void *self);
 
 #endif

@@ -7,7 +7,7 @@ from typing import Final
 
 from cosim.native.library import address, declare, library
 from cosim.native.memory import place_struct
-from cosim.native.step import NativeStep
+from cosim.native.step import NativeStep, RollbackStruct
 
 declare(
     {
@@ -26,7 +26,7 @@ class GuardedStruct(Structure):
     """cosim_guarded."""
 
     _fields_ = (
-        *((name, c_void_p) for name in ("process", "step", "outputs", "self")),
+        *((name, c_void_p) for name in ("process", "step", "outputs", "save", "restore", "self")),
         ("changes", c_int32),
         ("time", c_double),
         ("distrusted", c_int32),
@@ -43,6 +43,16 @@ def guarded_step(step: NativeStep) -> tuple[NativeStep, GuardedStruct]:
     struct.step = step.function
     struct.outputs = step.outputs
     struct.self = step.address
+
+    def rollback() -> RollbackStruct | None:
+        inner = step.rollback()
+        if inner is None:
+            return None
+        struct.save = inner.save
+        struct.restore = inner.restore
+        functions = ("cosim_guarded_save", "cosim_guarded_restore")
+        return RollbackStruct(*map(address, functions))
+
     guarded = NativeStep(
         address("cosim_guarded_step"),
         struct,
@@ -50,5 +60,6 @@ def guarded_step(step: NativeStep) -> tuple[NativeStep, GuardedStruct]:
         memory=step.memory,
         keep=(step,),
         outputs=address("cosim_guarded_outputs") if step.outputs else 0,
+        rollback=rollback,
     )
     return guarded, struct

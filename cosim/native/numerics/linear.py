@@ -162,7 +162,15 @@ def linear_step(discrete: DiscretizedDynamics, C: Matrix, D: Matrix) -> NativeSt
     state = LinearStruct(n, m, n_y, *map(pointer, arrays))
     function = address("cosim_linear_step")
     outputs = address("cosim_linear_outputs")
-    return NativeStep(function, state, n_y=n_y, memory=memory, keep=arrays, outputs=outputs)
+    return NativeStep(
+        function,
+        state,
+        n_y=n_y,
+        memory=memory,
+        keep=arrays,
+        outputs=outputs,
+        memory_is_state=True,
+    )
 
 
 def delay_step(steps: int, width: int) -> NativeStep:
@@ -174,7 +182,9 @@ def delay_step(steps: int, width: int) -> NativeStep:
     state = DelayStruct(steps, width, pointer(memory))
     function = address("cosim_delay_step")
     outputs = address("cosim_delay_refresh")
-    return NativeStep(function, state, n_y=width, memory=memory, outputs=outputs)
+    return NativeStep(
+        function, state, n_y=width, memory=memory, outputs=outputs, memory_is_state=True
+    )
 
 
 def _contiguous(values: NDArray[Any]) -> NDArray[np.float64]:

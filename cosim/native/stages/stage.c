@@ -1,10 +1,13 @@
 #include "stage.h"
 
+#include <math.h>
 #include <stdbool.h>
 #include <string.h>
 #include <time.h>
 
 #define RARE __attribute__((noinline))
+
+#define GO_ON (-1) /* the cursor shows where */
 
 static double convert(const cosim_sum *sum, double value)
 {
@@ -58,12 +61,20 @@ static void override(cosim_stage *s, const cosim_member *m, double *row)
     }
 }
 
+/* Give inputs that a loop solves for what is tried for them. */
+static void put_tried(const cosim_member *m, double *row)
+{
+    for (int32_t i = 0; i < m->n_torn; ++i)
+        row[m->torn[i]] = m->tried[i];
+}
+
 /* Fill inputs that are no copies. */
 RARE static void gather_others(cosim_stage *s, const cosim_member *m, double *row)
 {
     for (int32_t i = 0; i < m->n_sums; ++i)
         add_up(s, m->sums + i, row);
     override(s, m, row);
+    put_tried(m, row);
 }
 
 /* Fill the inputs from their sources. */
@@ -72,7 +83,7 @@ static inline void gather(cosim_stage *s, const cosim_member *m, double *row)
     const cosim_copy *c = m->copies, *end = c + m->n_copies;
     for (; c < end; ++c)
         copy(row + c->to, row + c->from, c->count);
-    if (m->n_sums | *m->overridden)
+    if (m->n_sums | m->n_torn | *m->overridden)
         gather_others(s, m, row);
 }
 
@@ -136,6 +147,13 @@ static inline void trace(cosim_stage *s, const cosim_member *m, const double *ro
         }
 }
 
+/* Begin to do the operations of a step, or of another sweep. */
+static inline void begin_step(cosim_stage *s)
+{
+    s->suspicious = 0;
+    s->origin = -1;
+}
+
 static double seconds(void)
 {
     struct timespec now;
@@ -191,6 +209,105 @@ RARE static int32_t check(const cosim_operation *operation, const double *row)
     return has_bad(operation->members, operation->count, row) ? COSIM_NO_VALUE : COSIM_OK;
 }
 
+RARE static int32_t save(const cosim_member *m)
+{
+    cosim_rollback *r = m->rollback;
+    if (!r)
+        return COSIM_NO_VALUE;
+    r->is_saved = 0;
+    if (r->save) {
+        if (r->save(m->self) != COSIM_OK)
+            return COSIM_NO_VALUE;
+    } else {
+        memcpy(r->saved, r->memory, (size_t)r->count * sizeof *r->saved);
+    }
+    r->is_saved = 1;
+    return COSIM_OK;
+}
+
+RARE static int32_t restore(const cosim_member *m)
+{
+    const cosim_rollback *r = m->rollback;
+    if (!r || !r->is_saved)
+        return COSIM_NO_VALUE;
+    if (r->restore)
+        return r->restore(m->self);
+    memcpy(r->memory, r->saved, (size_t)r->count * sizeof *r->memory);
+    return COSIM_OK;
+}
+
+/* Go on with another operation of the segment. */
+static int32_t jump(cosim_stage *s, int64_t operation)
+{
+    s->operation = operation;
+    return GO_ON;
+}
+
+RARE static int32_t begin(cosim_stage *s, const cosim_operation *operation, const Step *step)
+{
+    cosim_unknowns *unknowns = s->segments[s->segment].unknowns;
+    double *v = unknowns->solver->v;
+    for (int32_t i = 0; i < operation->count; ++i) {
+        const cosim_member *m = operation->members + i;
+        for (int32_t j = 0; j < m->n_torn; ++j)
+            *v++ = step->before[m->torn[j]];
+    }
+    unknowns->stopped = 0;
+    cosim_loop_solver_begin(unknowns->solver, step->t[1]);
+    return jump(s, unknowns->sweep);
+}
+
+/* What the sources give for the torn inputs of a member; the row stays as it is. */
+static double *answer(cosim_stage *s, const cosim_member *m, double *row, double *w)
+{
+    cosim_member untorn = *m;
+    untorn.n_torn = 0;
+    gather(s, &untorn, row);
+    for (int32_t j = 0; j < m->n_torn; ++j)
+        *w++ = row[m->torn[j]];
+    put_tried(m, row);
+    return w;
+}
+
+static double largest_of(const cosim_member *m, const double *row, double largest)
+{
+    for (int32_t j = m->u; j < m->u + m->n_u + m->n_y; ++j)
+        largest = fmax(largest, fabs(row[j]));
+    return largest;
+}
+
+RARE static int32_t solve(cosim_stage *s, const cosim_operation *operation, const Step *step)
+{
+    cosim_unknowns *unknowns = s->segments[s->segment].unknowns;
+    double *w = unknowns->w, largest = 0.0;
+    for (int32_t i = 0; i < operation->count; ++i) {
+        const cosim_member *m = operation->members + i;
+        if (m->n_torn)
+            w = answer(s, m, step->row, w);
+        largest = largest_of(m, step->row, largest);
+    }
+    unknowns->status = cosim_loop_solver_next(unknowns->solver, unknowns->w, largest);
+    if (unknowns->status != COSIM_SWEEP)
+        return unknowns->status == COSIM_SOLVED && !unknowns->stopped ? COSIM_OK : COSIM_NO_VALUE;
+    unknowns->stopped = 0;
+    begin_step(s);
+    return jump(s, unknowns->restore);
+}
+
+RARE static int32_t iterate(cosim_stage *s, const cosim_operation *operation, const Step *step)
+{
+    switch (operation->kind) {
+    case COSIM_SAVE:
+        return save(operation->members);
+    case COSIM_BEGIN:
+        return begin(s, operation, step);
+    case COSIM_RESTORE:
+        return restore(operation->members);
+    default:
+        return solve(s, operation, step);
+    }
+}
+
 static inline int32_t perform(cosim_stage *s, const cosim_operation *operation, const Step *step)
 {
     const cosim_member *m = operation->members;
@@ -205,16 +322,11 @@ static inline int32_t perform(cosim_stage *s, const cosim_operation *operation, 
         return COSIM_OK;
     case COSIM_REFRESH:
         return refresh(s, m, step);
-    default: /* inputs are sums, or copies of outputs with the same need of a value */
+    case COSIM_CHECK: /* inputs are sums, or copies of outputs with the same need of a value */
         return s->suspicious ? check(operation, step->row) : COSIM_OK;
+    default:
+        return iterate(s, operation, step);
     }
-}
-
-/* Begin to do the operations of a step. */
-static inline void begin_step(cosim_stage *s)
-{
-    s->suspicious = 0;
-    s->origin = -1;
 }
 
 /* Do the steps of the segment up to `end`, from the cursor on; or return the number of the
@@ -227,11 +339,16 @@ static int64_t run_segment(cosim_stage *s, int64_t end)
         const Step step = {s->t + s->step, before, before + s->width};
         if (s->operation == 0)
             begin_step(s);
-        for (int64_t i = s->operation; i < segment->count; ++i)
-            if (perform(s, segment->operations + i, &step) != COSIM_OK) {
+        for (int64_t i = s->operation; i < segment->count; ++i) {
+            const int32_t status = perform(s, segment->operations + i, &step);
+            if (status == COSIM_OK)
+                continue;
+            if (status != GO_ON) {
                 s->operation = i;
                 return segment->first + i + 1;
             }
+            i = s->operation - 1;
+        }
         s->operation = 0;
     }
     return 0;
@@ -277,7 +394,9 @@ static void next_segment(cosim_stage *s)
 static void pass(cosim_stage *s)
 {
     const cosim_segment *segment = s->segments + s->segment;
-    trace(s, segment->operations[s->operation].members, s->rows + (s->step + 1) * s->width);
+    const cosim_operation *operation = segment->operations + s->operation;
+    if (operation->kind == COSIM_ADVANCE || operation->kind == COSIM_REFRESH)
+        trace(s, operation->members, s->rows + (s->step + 1) * s->width);
     ++s->operation;
 }
 

@@ -13,6 +13,7 @@
 #define COSIM_STAGE_H
 
 #include "cosim.h"
+#include "loop_solver.h"
 
 /* Outputs at t, the time reached, for inputs u; changes no state. 0: fine. */
 typedef int32_t (*cosim_outputs)(void *self, double t, const double *u, double *y);
@@ -36,13 +37,25 @@ typedef struct {
     double factor1, offset1, offset2, factor2;
 } cosim_sum;
 
+/* Copies and puts back the state of a component; 0: done. */
+typedef int32_t (*cosim_rollback_call)(void *self);
+
+/* How a component goes back to the start of a step: by its functions, or, where these are NULL, as
+ * its state is all in one memory. */
+typedef struct {
+    cosim_rollback_call save, restore;
+    double *memory, *saved; /* (count) */
+    int64_t count;
+    int32_t is_saved; /* here; else by the caller */
+} cosim_rollback;
+
 /* A component in its place. */
 typedef struct {
     cosim_step advance;    /* NULL: left to the caller */
     cosim_outputs outputs; /* NULL: left to the caller */
     void *self;
     int32_t u, n_u, y, n_y;  /* first column and number of its inputs, and of its outputs */
-    int32_t n_copies, n_sums; /* what feeds its inputs */
+    int32_t n_copies, n_sums, n_torn; /* what feeds its inputs */
     const cosim_copy *copies;
     const cosim_sum *sums;
     const uint8_t *optional; /* (n_u + n_y) where NaN means "no value yet" */
@@ -51,6 +64,10 @@ typedef struct {
      * the gain is 0 it has the value; else the gain times what its source gives, plus the value. */
     const int32_t *overridden;
     const double *gains, *overrides;
+    /* inputs that a loop solves for (n_torn): their columns, and what is tried for them */
+    const int32_t *torn;
+    const double *tried;
+    cosim_rollback *rollback; /* NULL: left to the caller */
 } cosim_member;
 
 /* What an operation does to a member, the last one to `count` of them: */
@@ -59,11 +76,25 @@ typedef struct {
 #define COSIM_ADVANCE 2 /* gather; outputs <- advance */
 #define COSIM_REFRESH 3 /* gather; outputs <- outputs for the inputs that are there now */
 #define COSIM_CHECK 4   /* left to the caller where a value of the new row is not finite */
+/* and in a loop that iterates: */
+#define COSIM_SAVE 5    /* copy the state */
+#define COSIM_BEGIN 6   /* begin to solve for the torn inputs: on to `sweep` */
+#define COSIM_RESTORE 7 /* put the copied state back */
+#define COSIM_SOLVE 8   /* on behind it, or to `restore` for another sweep; or left to the caller */
 
 typedef struct {
     const cosim_member *members;
     int32_t kind, count;
 } cosim_operation;
+
+/* What a loop solves for. */
+typedef struct {
+    cosim_loop_solver *solver;
+    double *w;              /* (n) what a sweep gave */
+    int64_t sweep, restore; /* the operations with which a sweep begins, and going back */
+    int32_t status;         /* what the solver said last */
+    int32_t stopped;        /* whether a component has stopped in the sweep, with its row */
+} cosim_unknowns;
 
 /* Operations that follow each other: one component outside every loop, or a loop. None of them
  * reads what a later segment writes at the same step or before it. */
@@ -71,6 +102,7 @@ typedef struct {
     const cosim_operation *operations;
     int64_t count, first; /* of them, and the number of the first one */
     int64_t cascade;      /* one component outside every loop: advance and check */
+    cosim_unknowns *unknowns; /* NULL: it does not iterate */
 } cosim_segment;
 
 typedef struct {

@@ -8,7 +8,17 @@ from typing import Final
 from cosim.arrays import Matrix, Vector
 from cosim.native.library import declare, library, pointer
 
-KINDS: Final = {"keep": 0, "gather": 1, "advance": 2, "refresh": 3, "check": 4}
+KINDS: Final = {
+    "keep": 0,
+    "gather": 1,
+    "advance": 2,
+    "refresh": 3,
+    "check": 4,
+    "save": 5,
+    "begin": 6,
+    "restore": 7,
+    "solve": 8,
+}
 """COSIM_KEEP and so on."""
 HERE: Final = 0  # COSIM_HERE and so on
 DONE: Final = 1
@@ -43,9 +53,10 @@ class MemberStruct(Structure):
 
     _fields_ = (
         *((name, c_void_p) for name in ("advance", "outputs", "self")),
-        *((name, c_int32) for name in ("u", "n_u", "y", "n_y", "n_copies", "n_sums")),
+        *((name, c_int32) for name in ("u", "n_u", "y", "n_y", "n_copies", "n_sums", "n_torn")),
         *((name, c_void_p) for name in ("copies", "sums")),
         *((name, c_void_p) for name in ("optional", "seconds", "overridden", "gains", "overrides")),
+        *((name, c_void_p) for name in ("torn", "tried", "rollback")),
     )
 
 
@@ -61,6 +72,17 @@ class SegmentStruct(Structure):
     _fields_ = (
         ("operations", c_void_p),
         *((name, c_int64) for name in ("count", "first", "cascade")),
+        ("unknowns", c_void_p),
+    )
+
+
+class UnknownsStruct(Structure):
+    """cosim_unknowns."""
+
+    _fields_ = (
+        *((name, c_void_p) for name in ("solver", "w")),
+        *((name, c_int64) for name in ("sweep", "restore")),
+        *((name, c_int32) for name in ("status", "stopped")),
     )
 
 

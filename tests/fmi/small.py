@@ -1,0 +1,64 @@
+"""The FMUs of ``c/small2.c``: linear systems of first order, and the parts of a nonlinear loop."""
+
+import zipfile
+from pathlib import Path
+
+from cosim.fmi.platforms import SUFFIX, folders
+from tests.fmi.compiled import compile_fmu
+
+NAMES = ("u", "v", "x", "y", "z", "A", "B", "C", "D", "KIND")
+CAN = {
+    "state": 'canGetAndSetFMUstate="true"',
+    "slopes": 'canInterpolateInputs="true"',
+    "D": 'providesDirectionalDerivative="true"',
+    "steps": 'canHandleVariableCommunicationStepSize="true"',
+}
+
+
+def compiled(folder: Path) -> Path:
+    """Compile the FMU, which can do nothing; :func:`able` makes one that can."""
+    return compile_fmu(folder / "small.fmu", xml(), "small2.c")
+
+
+def able(fmu: Path, target: Path, *can: str, **values: float) -> Path:
+    """Copy it with capabilities of ``CAN`` and start values, such as ``A=-1.0``, ``x=1.0``."""
+    member = f"binaries/{folders('2.0')[0]}/model{SUFFIX}"
+    with zipfile.ZipFile(fmu) as source, zipfile.ZipFile(target, "w") as archive:
+        archive.writestr("modelDescription.xml", xml(*can, **values))
+        archive.writestr(member, source.read(member))
+    return target
+
+
+def xml(*can: str, **values: float) -> str:
+    """Describe it; a linear system has u and y, the others their own inputs and outputs."""
+    kind = values.get("KIND", 0.0)
+    inputs = {0.0: "u", 1.0: "u", 2.0: "uv"}[kind]
+    outputs = {0.0: "xy", 1.0: "yz", 2.0: "y"}[kind]
+    scalars = []
+    unknowns = []
+    numbers = " ".join(str(1 + NAMES.index(name)) for name in inputs)
+    for i, name in enumerate(NAMES):
+        start = f'start="{values.get(name, 0.0)!r}"'
+        roles = 'causality="parameter" variability="fixed" initial="exact"'
+        if name in inputs:
+            roles = 'causality="input" variability="continuous"'
+        elif name in outputs:
+            causality = 'causality="output" variability="continuous"'
+            roles = f'{causality} initial="{"exact" if name == "x" else "calculated"}"'
+            start = start if name == "x" else ""
+            depends = "" if name == "x" else numbers
+            unknowns.append(f'<Unknown index="{i + 1}" dependencies="{depends}"/>')
+        elif name.islower():
+            roles = 'causality="local" variability="continuous" initial="calculated"'
+            start = ""
+        attributes = f'name="{name}" valueReference="{i}" {roles}'
+        scalars.append(f"<ScalarVariable {attributes}><Real {start}/></ScalarVariable>")
+    abilities = " ".join(CAN[key] for key in can)
+    return (
+        '<?xml version="1.0" encoding="UTF-8"?>'
+        '<fmiModelDescription fmiVersion="2.0" modelName="small" guid="small">'
+        f'<CoSimulation modelIdentifier="model" {abilities}/>'
+        f"<ModelVariables>{''.join(scalars)}</ModelVariables>"
+        f"<ModelStructure><Outputs>{''.join(unknowns)}</Outputs></ModelStructure>"
+        "</fmiModelDescription>"
+    )
