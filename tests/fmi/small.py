@@ -36,7 +36,8 @@ def xml(*can: str, **values: float) -> str:
     outputs = {0.0: "xy", 1.0: "yz", 2.0: "y"}[kind]
     scalars = []
     unknowns = []
-    numbers = " ".join(str(1 + NAMES.index(name)) for name in inputs)
+    feeds = kind != 0.0 or values.get("D", 1.0) != 0.0
+    numbers = " ".join(str(1 + NAMES.index(name)) for name in inputs) if feeds else ""
     for i, name in enumerate(NAMES):
         start = f'start="{values.get(name, 0.0)!r}"'
         roles = 'causality="parameter" variability="fixed" initial="exact"'

@@ -15,6 +15,11 @@
 
 typedef cosim_loop_solver Solver;
 
+static inline double larger(double a, double b)
+{
+    return a > b ? a : b;
+}
+
 static double *largest_of(const Solver *s)
 {
     return s->memory + 1;
@@ -43,8 +48,8 @@ static double measure(Solver *s, const double *w, double largest)
     s->residual = 0.0;
     for (int64_t i = 0; i < s->n; ++i) {
         const double residual = fabs(w[i] - s->v[i]);
-        const double size = fmax(fabs(s->v[i]), fabs(w[i]));
-        const double tolerance = fmax(GOAL * size + ROUNDING * largest, DBL_MIN);
+        const double size = larger(fabs(s->v[i]), fabs(w[i]));
+        const double tolerance = larger(GOAL * size + ROUNDING * largest, DBL_MIN);
         if (!(residual <= DBL_MAX)) {
             s->worst = i;
             s->residual = residual;
@@ -64,7 +69,7 @@ static double measure(Solver *s, const double *w, double largest)
 static double scale_of(const Solver *s, int64_t i)
 {
     const double *v = s->point, *w = v + s->n;
-    const double size = fmax(fmax(fabs(v[i]), fabs(w[i])), largest_of(s)[i]);
+    const double size = larger(larger(fabs(v[i]), fabs(w[i])), largest_of(s)[i]);
     int exponent = 0;
     frexp(size, &exponent);
     return size > 0.0 ? ldexp(1.0, exponent) : 1.0;
@@ -116,7 +121,7 @@ static bool factorize(Solver *s)
         if (pivot != k)
             swap_rows(matrix, n, k, pivot);
         for (int64_t j = 0; j < n; ++j)
-            row_size = fmax(row_size, fabs(matrix[k * n + j]));
+            row_size = larger(row_size, fabs(matrix[k * n + j]));
         if (!(fabs(matrix[k * n + k]) > SINGULAR * row_size))
             return false;
         for (int64_t i = k + 1; i < n; ++i) {
@@ -173,7 +178,7 @@ static int32_t accept(Solver *s)
 {
     double *largest = largest_of(s);
     for (int64_t i = 0; i < s->n; ++i)
-        largest[i] = fmax(largest[i], fabs(s->v[i]));
+        largest[i] = larger(largest[i], fabs(s->v[i]));
     return COSIM_SOLVED;
 }
 

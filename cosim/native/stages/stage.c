@@ -69,20 +69,30 @@ static void put_tried(const cosim_member *m, double *row)
 }
 
 /* Fill inputs that are no copies. */
-RARE static void gather_others(cosim_stage *s, const cosim_member *m, double *row)
+static inline void gather_driven(cosim_stage *s, const cosim_member *m, double *row)
 {
     for (int32_t i = 0; i < m->n_sums; ++i)
         add_up(s, m->sums + i, row);
     override(s, m, row);
+}
+
+RARE static void gather_others(cosim_stage *s, const cosim_member *m, double *row)
+{
+    gather_driven(s, m, row);
     put_tried(m, row);
+}
+
+static inline void gather_copies(const cosim_member *m, double *row)
+{
+    const cosim_copy *c = m->copies, *end = c + m->n_copies;
+    for (; c < end; ++c)
+        copy(row + c->to, row + c->from, c->count);
 }
 
 /* Fill the inputs from their sources. */
 static inline void gather(cosim_stage *s, const cosim_member *m, double *row)
 {
-    const cosim_copy *c = m->copies, *end = c + m->n_copies;
-    for (; c < end; ++c)
-        copy(row + c->to, row + c->from, c->count);
+    gather_copies(m, row);
     if (m->n_sums | m->n_torn | *m->overridden)
         gather_others(s, m, row);
 }
@@ -260,9 +270,8 @@ RARE static int32_t begin(cosim_stage *s, const cosim_operation *operation, cons
 /* What the sources give for the torn inputs of a member; the row stays as it is. */
 static double *answer(cosim_stage *s, const cosim_member *m, double *row, double *w)
 {
-    cosim_member untorn = *m;
-    untorn.n_torn = 0;
-    gather(s, &untorn, row);
+    gather_copies(m, row);
+    gather_driven(s, m, row);
     for (int32_t j = 0; j < m->n_torn; ++j)
         *w++ = row[m->torn[j]];
     put_tried(m, row);
@@ -272,7 +281,7 @@ static double *answer(cosim_stage *s, const cosim_member *m, double *row, double
 static double largest_of(const cosim_member *m, const double *row, double largest)
 {
     for (int32_t j = m->u; j < m->u + m->n_u + m->n_y; ++j)
-        largest = fmax(largest, fabs(row[j]));
+        largest = fabs(row[j]) > largest ? fabs(row[j]) : largest; /* not NaN */
     return largest;
 }
 
