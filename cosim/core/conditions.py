@@ -138,7 +138,7 @@ class RunConditions:
         """Return the stop at ``t`` [s], of the last row passed; None: the run goes on."""
         if self._until is None or not self._until.is_true:
             return None
-        reason = f"until {quoted(self._until.text)}: came true at t = {t} s"
+        reason = f"{until_text(self._until.text)}: came true at t = {t} s"
         return Stopped(np.empty((0, 0)), reason, failed=False)
 
     @property
@@ -190,6 +190,11 @@ def conditions_until(until: str | None, layout: Layout, clock: Clock) -> RunCond
         return RunConditions()
     check_type("until", until, str, UsageError)
     return RunConditions(Condition(until, layout, clock.step_ns))
+
+
+def until_text(text: str) -> str:
+    """Return how messages name the condition that ends a run."""
+    return f"until {quoted(text)}"
 
 
 def signal_columns(signals: Sequence[str], layout: Layout, start: str) -> list[int]:

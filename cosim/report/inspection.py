@@ -56,6 +56,7 @@ def describe_log(path: str) -> Section:
     about: Section = {
         "scenario": run.get("scenario", ""),
         "status": log.status,
+        "until": run.get("until"),
         "stop reason": log.reason or None,
         "end": f"{since}{end} s in {log.steps} steps of {step} s",
         "content hash": log.recorded_hash,
@@ -223,6 +224,7 @@ def describe_scenario(name: str) -> Section:
         "name": settings.name,
         "description": settings.description or None,
         "clock": f"{since}{settings.stop} s in {steps} steps of {settings.step} s",
+        "until": settings.until,
         "schedule": ", ".join(stages) or "not known, as the ports of some components are not",
     }
     signals: list[Section] = []

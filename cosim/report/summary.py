@@ -36,6 +36,7 @@ from cosim.scenario.recorded_metadata import (
     replay_origin,
     run_metadata,
     truth_of,
+    until_came_true,
 )
 from cosim.scenario.schema import truth_ports
 from cosim.theory.assessment.consistency import NOTHING_ELSE
@@ -177,6 +178,10 @@ class Summary:
         Initial states that are others than the scenario gives.
     copied_code : mapping of component name to str
         Of a replay: components of users' classes that it took from the log, and these classes.
+    until : str or None
+        The condition that ends the run before its stop; None: the run looked for none.
+    until_came_true : bool or None
+        Whether it did.
     """
 
     scenario: str
@@ -194,6 +199,8 @@ class Summary:
     loops: tuple[str, ...] = ()
     changed_states: tuple[StateChange, ...] = ()
     copied_code: Mapping[str, str] = field(default_factory=dict)
+    until: str | None = None
+    until_came_true: bool | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
@@ -234,6 +241,7 @@ def summarize(recording: Recording) -> Summary:
             true_values = np.atleast_1d(np.array(true, dtype=np.float64))
             values += _value_outcomes(recording, estimate, true_values, unknown)
     last = {} if truth else _last_values(recording)
+    came_true = until_came_true(recording)
     return Summary(
         scenario=run.get("scenario", ""),
         start=recorded_start(recording),
@@ -250,6 +258,8 @@ def summarize(recording: Recording) -> Summary:
         loops=tuple(first_order_loops(recording)),
         changed_states=tuple(_changed_states(recording)),
         copied_code=_copied_code(recording),
+        until=run.get("until") if came_true is not None else None,
+        until_came_true=came_true,
     )
 
 

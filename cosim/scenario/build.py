@@ -37,6 +37,7 @@ from cosim.scenario.models import form_problems
 from cosim.scenario.parsing import Scenario, read
 from cosim.scenario.problems import Key, Problem, TableProblems
 from cosim.scenario.recorded_metadata import ReplayOrigin, component_record
+from cosim.scenario.stopping import check_until, until_warnings
 from cosim.scenario.swap import MapEntry, ports_in, unknown_ports
 from cosim.scenario.truth import check_truth
 
@@ -92,6 +93,8 @@ class Experiment:
         Of a replay: overrides and releases of inputs, and what followed them.
     actions : tuple of TimedAction
         What happens at communication points.
+    until : str or None
+        The condition where it ends before its stop.
     """
 
     scenario: Scenario
@@ -113,6 +116,7 @@ class Experiment:
     origin: ReplayOrigin | None = None
     events: tuple[SignalEvent, ...] = ()
     actions: tuple[TimedAction, ...] = ()
+    until: str | None = None
 
 
 class Builder:
@@ -201,6 +205,7 @@ class Builder:
         )
         self.problems += truth_problems
         self._actions = self._checked_actions()
+        self._check_until()
 
     def _check_times(self) -> set[Key]:
         """Add the problems of the times; return the settings that are then not known."""
@@ -362,6 +367,19 @@ class Builder:
             text += f"; '{to}' takes what '{origin}' does, unless it has a source of its own"
         self.problems.append((key, text))
 
+    def _check_until(self) -> None:
+        """Add the problem of the condition that ends the run."""
+        until = self.scenario.file.scenario.until
+        known = {name: c for name, c in self.components.items() if name not in self._invalid}
+        if until is None or not known:
+            return
+        unknown = self._names() - known.keys()
+        try:
+            step_ns = self.context.step_ns
+        except DependsOnInvalid:
+            return
+        self.problems += check_until(until, known, unknown, step_ns)
+
     def _checked_actions(self) -> tuple[TimedAction, ...]:
         """Check the actions; a replay follows those that were recorded."""
         if not self.scenario.actions or self._recording is not None:
@@ -432,6 +450,7 @@ class Builder:
             models=context.models,
             given_states=self.given_states,
             actions=self._actions,
+            until=self.scenario.file.scenario.until,
         )
 
     def _jumps(self, graph: Graph) -> list[Problem]:
@@ -465,7 +484,9 @@ class Builder:
                 held[signal] = bool(mask[columns].any())
             for text in spec.advice(name, self.context, held=held, h=h):
                 self.context.warn(name, text)
-        for name, text in (*graph.warnings, *self._held_disturbances(graph)):
+        until = self.scenario.file.scenario.until
+        more = (*self._held_disturbances(graph), *until_warnings(until, graph))
+        for name, text in (*graph.warnings, *more):
             self.context.warn(name, text)
 
     def _held_disturbances(self, graph: Graph) -> Iterator[tuple[str, str]]:

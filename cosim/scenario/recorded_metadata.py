@@ -474,6 +474,12 @@ def first_order_loops(recording: Recording) -> list[str]:
     return _of_run(recording, "first_order_loops", "[]", _LOOPS)
 
 
+def until_came_true(recording: Recording) -> bool | None:
+    """Return whether the condition came true that ends a run; None: the run looked for none."""
+    came_true = recording.results.get("until")
+    return came_true if isinstance(came_true, bool) else None
+
+
 def replay_origin(recording: Recording) -> ReplayOrigin:
     """Return what a replay was made from.
 

@@ -155,14 +155,15 @@ def _run(experiment: Experiment, recorder: Recorder) -> None:
     clock = experiment.clock
     plan = experiment.plan
     designs = experiment.designs
+    until = experiment.until
     if not (experiment.events or experiment.actions):
-        run_graph(graph, clock, recorder, plan, designs=designs)
+        run_graph(graph, clock, recorder, plan, designs=designs, until=until)
         return
     # Most runs need none of it.
     from cosim.core.stepping.repeating import repeat, run_with_actions
 
     if experiment.actions:
-        run_with_actions(graph, clock, recorder, plan, actions=experiment.actions)
+        run_with_actions(graph, clock, recorder, plan, actions=experiment.actions, until=until)
         return
     copied = () if experiment.origin is None else experiment.origin.copied
     repeat(
@@ -173,6 +174,7 @@ def _run(experiment: Experiment, recorder: Recorder) -> None:
         events=experiment.events,
         recorded=copied,
         designs=designs,
+        until=until,
     )
 
 

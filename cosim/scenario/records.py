@@ -10,6 +10,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 from cosim.arrays import Matrix, Vector
+from cosim.core.conditions import until_text
 from cosim.core.connections import Connection
 from cosim.core.contracts import Block, MessageLevel, Plan, Recorder, SignalEvent, Stopped
 from cosim.core.recorders import end_of_run, error_text
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from cosim.fmi.binary.messages import Message
 
 SCENARIO_FILE = "scenario.toml"
+UNTIL = "until"
 
 
 class MessageRecorder:
@@ -82,14 +84,31 @@ class MessageRecorder:
         self._record_messages(self._reached_ns + self._experiment.clock.step_ns)
         if error is not None:
             self._recorder.message(self._reached_ns, _level(error), "run", error_text(error))
+        self._record_until(error)
         if self._last is not None:
             labels = self._experiment.graph.labels()
             last = {}
             for label, value in zip(labels, self._last.tolist(), strict=True):
                 last[label] = value if math.isfinite(value) else None
             self._recorder.result({"last": last})
-            if error is None and self._experiment.identified:
+            is_regular = error is None or self._came_true(error)
+            if is_regular and self._experiment.identified:
                 self._recorder.result({IDENTIFICATION: self._assessor.results()})
+
+    def _came_true(self, error: BaseException | None) -> bool:
+        """Return whether the condition came true that ends the run, by what it ended with."""
+        until = self._experiment.until
+        return until is not None and end_of_run(error).reason.startswith(until_text(until))
+
+    def _record_until(self, error: BaseException | None) -> None:
+        """Record whether the condition came true that ends the run, where it looked for one."""
+        until = self._experiment.until
+        if until is None:
+            return
+        self._recorder.result({UNTIL: self._came_true(error)})
+        if error is None:
+            text = f"{until_text(until)}: never came true"
+            self._recorder.message(self._reached_ns, "info", "run", text)
 
     def begin(self, plan: Plan) -> None:
         """Pass on, then record what is known before the run.
@@ -200,6 +219,8 @@ def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:
         "first_order_loops": json.dumps(loops),
         "warnings": json.dumps(experiment.warnings),
     }
+    if settings.until is not None:
+        run["until"] = settings.until
     if experiment.models:
         run["models"] = json.dumps(experiment.models)
     if experiment.origin is not None:

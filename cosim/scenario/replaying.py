@@ -188,6 +188,8 @@ def rebuilt(
     )
     experiment = builder.experiment()
     check_clock(experiment.clock, source)
+    if "scenario.until" not in changes:  # it ends where the recording does
+        experiment = replace(experiment, until=None)
     return experiment
 
 

@@ -120,6 +120,11 @@ class Settings(TomlTable):
         description="that advance branches which do not depend on each other, where that is "
         "faster: 1, or 2, also for FMUs; left out: 2 for cosim's own components",
     )
+    until: str | None = Field(
+        None,
+        description="condition where the run ends before its stop, at a communication point, such "
+        'as "abs(observer.delta - delta.y) < 1e-3 for 1 s"',
+    )
     description: str = Field("", description="one line for 'cosim list' and reports")
 
 

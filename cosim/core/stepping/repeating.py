@@ -63,12 +63,13 @@ def repeat(
     events: Sequence[SignalEvent],
     recorded: Collection[str] = (),
     designs: Mapping[str, Design] | None = None,
+    until: str | None = None,
 ) -> None:
     """Run a graph from the start of a clock to its stop, and apply recorded events on the way.
 
     Parameters
     ----------
-    graph, clock, recorder, plan, designs
+    graph, clock, recorder, plan, designs, until
         As of :func:`cosim.core.run`.
     events : sequence of SignalEvent
         In order of time; those behind the stop are left out.
@@ -87,7 +88,7 @@ def repeat(
             if plan is None:
                 plan = graph.prepare(clock.step_ns, designs)
             recorder.begin(plan)
-            simulation = Simulation(graph, clock, plan, recorder=recorder)
+            simulation = Simulation(graph, clock, plan, recorder=recorder, until=until)
             for time_ns, jumps in groupby(events, key=lambda event: event.time_ns):
                 index = _point(clock, time_ns)
                 if index > clock.steps:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from rich.table import Table
 
 from cosim.core.contracts import Recording
-from cosim.errors import flag
+from cosim.errors import flag, quoted
 from cosim.log import Log
 from cosim.report.certificate import certificate_of
 from cosim.report.guaranteed import interval_text, reach_text
@@ -112,6 +112,9 @@ def _summary_table(summary: Summary, recording: Recording) -> Table:
         table = _last_value_table(title, summary, recording)
     if summary.reason:
         table.add_row("stop reason", "", "", summary.reason)
+    if summary.until_came_true is False:
+        text = f"{quoted(summary.until)} never came true up to the end of the run"
+        table.add_row("until", "", "", text)
     for change in summary.changed_states:
         text = f"x0 has {change.before:.6g}; consistent with u and delta at the start"
         label = f"{change.component}.{change.entry}"

@@ -1,0 +1,62 @@
+"""The condition that ends a run: ``[scenario] until``."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+
+from cosim.core.conditions import Condition
+from cosim.core.contracts import Component
+from cosim.core.graph import Graph
+from cosim.core.port import Port
+from cosim.core.stages.looking_ahead import bound_to_steps
+from cosim.core.structure.ports import layout_of
+from cosim.errors import CosimError, UsageError
+from cosim.native.numerics.expression import compile_condition
+from cosim.scenario.problems import Problem
+
+UNTIL = ("scenario", "until")
+
+
+def check_until(
+    text: str | None, components: Mapping[str, Component], unknown: Collection[str], step_ns: int
+) -> Iterator[Problem]:
+    """Yield the problem of the condition that ends a run, if it has one.
+
+    Parameters
+    ----------
+    text : str or None
+        None: there is none.
+    components : mapping of component name to Component
+    unknown : collection of str
+        Components whose signals are not known.
+    step_ns : int
+        Communication step [ns].
+    """
+    if text is None:
+        return
+    try:
+        names = compile_condition(text).program.signals
+        if not any(_component_of(name) in unknown for name in names):
+            Condition(text, layout_of(dict(components)), step_ns)
+    except UsageError as error:
+        yield UNTIL, str(error)
+
+
+def _component_of(name: str) -> str:
+    """Return the component of a signal; the name itself where it has none."""
+    try:
+        return Port.parse(name).component
+    except CosimError:
+        return name
+
+
+def until_warnings(text: str | None, graph: Graph) -> Iterator[tuple[str, str]]:
+    """Yield (component, text) where a condition costs time."""
+    if text is None:
+        return
+    for name in bound_to_steps(graph):
+        yield (
+            name,
+            "cannot go back from behind the row where 'until' comes true, so that the run advances "
+            "by single steps, which takes longer",
+        )

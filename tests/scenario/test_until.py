@@ -1,0 +1,252 @@
+"""``[scenario] until``: where a run ends, what its log and reports say, what is refused."""
+
+import json
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.core.contracts import Stopped
+from cosim.errors import ScenarioError
+from cosim.report.inspection import describe_log, describe_scenario
+from cosim.report.summary import summarize
+from cosim.report.verification import verify
+from tests.scenario.user_modules import RELAY, THERMOSTAT, write
+
+BASE = """
+[scenario]
+name = "ended"
+stop = 4.0
+step = 0.1
+{until}
+
+[components.s]
+kind = "sine"
+rate = 1.0
+
+[components.x]
+kind = "lag"
+time_constant = 0.5
+
+[components.z]
+kind = "lag"
+time_constant = 0.5
+
+[connections]
+"x.u" = "s.y"
+"z.u" = "x.y"
+"""
+HALF = 'until = "x.y > 0.5 for 300 ms"'
+
+
+def file(folder, until, more=""):
+    path = folder / "ended.toml"
+    path.write_text(BASE.format(until=until) + more)
+    return path
+
+
+def end_of(folder):
+    """Return the row where x.y was above 0.5 at four rows, by a run without a condition."""
+    (folder / "whole").mkdir(exist_ok=True)
+    above = cosim.run(file(folder / "whole", ""))["x.y"] > 0.5
+    for row in range(3, len(above)):
+        if above[row - 3 : row + 1].all():
+            return row
+    raise AssertionError
+
+
+def test_a_run_ends_where_its_condition_came_true(tmp_path):
+    """The last row is that one, whatever the blocks; the log says why, and when."""
+    end = end_of(tmp_path)
+    path = file(tmp_path, HALF)
+    reason = f"until 'x.y > 0.5 for 300 ms': came true at t = {end / 10} s"
+    hashes = set()
+    for block in (1, 3, 1000, None):
+        log = cosim.run(path, out=tmp_path / "a.mcap", force=True, block=block)
+        assert (log.steps, log.status, log.reason) == (end, "complete", reason)
+        messages = [tuple(message) for message in log.messages() if message.source == "run"]
+        assert messages == [(end * 10**8, "info", "run", reason)]
+        hashes.add(log.content_hash())
+    short = cosim.run(path, set={"scenario.stop": end / 10, "scenario.until": "t < 0"})
+    assert cosim.diff(log, short).equal
+    assert len(hashes) == 1
+    summary = summarize(log)
+    assert (summary.until, summary.until_came_true) == ("x.y > 0.5 for 300 ms", True)
+    assert describe_log(str(log.path))["run"]["until"] == "x.y > 0.5 for 300 ms"
+    assert describe_scenario(str(path))["scenario"]["until"] == "x.y > 0.5 for 300 ms"
+
+
+def test_a_replay_goes_to_the_recorded_end(tmp_path):
+    """It does not look for the condition; what it is told to look for it does."""
+    log = cosim.run(file(tmp_path, HALF), out=tmp_path / "a.mcap")
+    again = cosim.replay(log.path, out=tmp_path / "b.mcap")
+    assert again.steps == log.steps
+    assert again.content_hash() == log.content_hash()
+    assert (again.status, again.reason) == ("complete", "")
+    assert summarize(again).until_came_true is None
+    verification = verify(log, again)
+    assert verification.passed, verification.problems
+    changed = cosim.replay(log.path, set={"scenario.until": "x.y > 0.2"})
+    assert changed.reason.startswith("until 'x.y > 0.2': came true at t = ")
+    assert 0 < changed.steps < log.steps
+    later = cosim.replay(log.path, set={"x.time_constant": 5.0})
+    assert later.steps == log.steps
+
+
+def test_a_log_that_names_another_condition_contradicts_its_scenario(tmp_path):
+    """What a log says of its condition is compared with its scenario."""
+    log = cosim.run(file(tmp_path, HALF), out=tmp_path / "a.mcap")
+    again = cosim.replay(log.path)
+    log.metadata["cosim.run"]["until"] = "x.y > 0.6"
+    problems = verify(log, again).problems
+    assert any("until: found 'x.y > 0.6', the replay has 'x.y > 0.5 for" in p for p in problems)
+
+
+def test_a_condition_that_never_comes_true_is_said(tmp_path, call):
+    """In the log, in the table after the run, and as JSON; the run is complete."""
+    path = file(tmp_path, 'until = "x.y > 5"')
+    log = cosim.run(path, out=tmp_path / "a.mcap")
+    assert (log.steps, log.status, log.reason) == (40, "complete", "")
+    last = log.messages()[-1]
+    assert tuple(last) == (4 * 10**9, "info", "run", "until 'x.y > 5': never came true")
+    code, out, _ = call("run", path, "--out", tmp_path / "b.mcap")
+    assert code == 0
+    assert "'x.y > 5' never came true up to the end of the run" in out
+    _, out, _ = call("run", path, "--out", tmp_path / "c.mcap", "--json")
+    assert json.loads(out)["until_came_true"] is False
+    _, out, _ = call("run", file(tmp_path, ""), "--out", tmp_path / "d.mcap", "--json")
+    assert json.loads(out)["until_came_true"] is None
+
+
+def test_a_condition_that_is_true_at_the_start_leaves_the_first_row(tmp_path):
+    log = cosim.run(file(tmp_path, 'until = "x.y < 5"'), out=tmp_path / "a.mcap")
+    assert (log.steps, len(log["x.y"]), log.status) == (0, 1, "complete")
+    assert log.reason == "until 'x.y < 5': came true at t = 0.0 s"
+
+
+def test_a_session_stops_where_its_condition_came_true(tmp_path):
+    """As at a component's end; its log is that of the run."""
+    end = end_of(tmp_path)
+    path = file(tmp_path, HALF)
+    log = cosim.run(path, out=tmp_path / "a.mcap")
+    with cosim.load(path).start(out=tmp_path / "b.mcap") as sim:
+        sim.step(3)
+        with pytest.raises(Stopped, match=r"came true at t = ") as stop:
+            sim.step(30)
+        assert not stop.value.failed
+        assert sim.t_ns == end * 10**8
+        assert sim.rows.steps == end - 3
+    other = cosim.open_log(tmp_path / "b.mcap")
+    assert (other.status, other.reason) == (log.status, log.reason)
+    assert other.content_hash() == log.content_hash()
+    with cosim.load(path).start() as sim, pytest.raises(Stopped):
+        sim.step(40)
+
+
+def test_a_session_that_goes_on_to_its_stop_says_so(tmp_path):
+    """One that is closed before says nothing of the condition but that it did not come true."""
+    path = file(tmp_path, 'until = "x.y > 5"')
+    with cosim.load(path).start(out=tmp_path / "a.mcap") as sim:
+        sim.step(40)
+    assert cosim.open_log(tmp_path / "a.mcap").messages()[-1].text.endswith("never came true")
+    with cosim.load(path).start(out=tmp_path / "b.mcap") as sim:
+        sim.step(4)
+    log = cosim.open_log(tmp_path / "b.mcap")
+    assert log.reason.startswith("the session was closed at t = 0.4 s")
+    assert summarize(log).until_came_true is False
+
+
+def test_what_has_no_value_ends_no_run(tmp_path):
+    """theta_hat has none at first: then it is neither below 0 nor not above it."""
+    for until in ("identifier.theta[0] < 0", "not identifier.theta[0] >= 0"):
+        run = cosim.run("academic", set={"scenario.stop": 10.0, "scenario.until": until})
+        theta = run["identifier.theta"][:, 0]
+        assert run.reason.startswith(f"until {until!r}: came true at t = ")
+        assert run.steps > 100
+        assert np.isnan(theta[0])
+        assert not (theta[:-1] < 0.0).any()
+        assert theta[-1] < 0.0
+
+
+def test_verdicts_are_those_of_a_run_with_that_stop():
+    """A run that its condition ends is complete, and its data are judged.
+
+    The stop of the scenario scales the fit, and so decides last digits, as of other processors.
+    """
+    verdicts = []
+    for change in ({"scenario.until": "t >= 8"}, {"scenario.stop": 8.0}):
+        results = cosim.run("academic", set=change).results["identification"]
+        verdicts.append(results["identifier"]["parameters"])
+    for ended, stopped in zip(*verdicts, strict=True):
+        assert ended["verdict"] == stopped["verdict"] == "IDENTIFIABLE"
+        assert ended["value"] == pytest.approx(stopped["value"], rel=1e-6)
+
+
+def test_actions_go_on_up_to_the_end(tmp_path):
+    """Those before it are in the log; a replay follows them, and passes."""
+    more = '\n[[actions]]\nat = {}\nsignal = "z.u"\noverride = 3.0\n'
+    text = more.format(0.5) + more.replace("override = 3.0", "release = true").format(3.5)
+    path = file(tmp_path, HALF, text)
+    log = cosim.run(path, out=tmp_path / "a.mcap")
+    assert log.steps == end_of(tmp_path)
+    assert [event.cause for event in log.events()] == ["override"]
+    for block in (1, 7):
+        assert cosim.diff(log, cosim.run(path, block=block)).equal
+    assert verify(log, cosim.replay(log.path)).passed
+
+
+def test_a_component_that_cannot_go_back_is_named(tmp_path, monkeypatch):
+    """The run takes single steps then, which a warning says; else there is none."""
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path, relay=RELAY)
+    (tmp_path / "thermostat.toml").write_text(THERMOSTAT)
+    runs = []
+    for block in (1, 1000):
+        until = {"scenario.until": "room.y > 20.2"}
+        runs.append(cosim.run("thermostat.toml", set=until, block=block))
+    assert cosim.diff(*runs).equal
+    texts = [m.text for m in runs[0].messages() if (m.source, m.level) == ("relay", "warning")]
+    assert texts == [
+        "cannot go back from behind the row where 'until' comes true, so that the run advances by "
+        "single steps, which takes longer"
+    ]
+    without = cosim.run("thermostat.toml", set={"scenario.stop": 1.0})
+    assert "single steps" not in str(without.messages())
+    run = cosim.run(file(tmp_path, HALF))
+    assert "single steps" not in str(run.messages())
+
+
+REFUSED = {
+    "x.y > 0.5 for 150 ms": "for: 0.15 s is not a whole number of 0.1 s steps; nearest: 0.2 s",
+    "x.v > 0.5": "the graph has no 'x.v': 'x' has no signal 'v'; there is: u, y",
+    "xx.y > 0.5": "the graph has no component 'xx'; did you mean 'x'? There is: s, x, z",
+    "x.y": "found 'x.y'; needed a comparison",
+    "x.y > limit": "found unknown name 'limit'",
+    "open('x') > 1": "found unknown function 'open'",
+    "x.y[1] > 1": "'x.y' has 1 element, numbered from 0",
+}
+
+
+@pytest.mark.parametrize("until", REFUSED)
+def test_a_condition_that_is_wrong_is_refused_with_its_line(until, tmp_path):
+    """Once, beside the other problems of the file."""
+    path = file(tmp_path, f'until = "{until}"')
+    for more in ("", '\n[components.w]\nkind = "lagg"\n'):
+        path = file(tmp_path, f'until = "{until}"', more)
+        with pytest.raises(ScenarioError) as error:
+            cosim.load(path).start()
+        lines = [line for line in str(error.value).splitlines() if "scenario.until" in line]
+        assert len(lines) == 1
+        assert lines[0].startswith(f"{path}:6: scenario.until: condition {until!r}: ")
+        assert REFUSED[until] in lines[0]
+
+
+def test_what_rests_on_another_problem_is_not_refused_twice(tmp_path):
+    """A signal of a component that is wrong is not known."""
+    path = file(tmp_path, 'until = "w.y > 1"', '\n[components.w]\nkind = "lag"\n')
+    with pytest.raises(ScenarioError) as error:
+        cosim.load(path)
+    assert "scenario.until" not in str(error.value)
+    path = file(tmp_path, "until = 5")
+    with pytest.raises(ScenarioError, match=r"ended.toml:6: scenario.until: found 5"):
+        cosim.load(path)
