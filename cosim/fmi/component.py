@@ -321,9 +321,7 @@ def _choose_interface_type(archive: Archive, wanted: InterfaceType | None) -> In
         interface_type for interface_type in INTERFACE_TYPES if interface_type in capabilities
     ]
     if not available:
-        raise FmuError(
-            f"{archive.path}: neither model exchange nor co-simulation; needed one of them"
-        )
+        raise FmuError(f"{archive.path}: {archive.description.missing_interface}")
     if wanted is None:
         return available[0]
     if wanted not in INTERFACE_TYPES:

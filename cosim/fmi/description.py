@@ -140,6 +140,8 @@ class Description:
         Names of the inputs whose ``start`` was set instead of the FMU's own.
     dae : Dae or None
         Its residual form, where it has one.
+    scheduled_execution : bool
+        Whether it has the interface type Scheduled Execution (FMI 3), which is not supported.
     """
 
     name: str
@@ -162,6 +164,7 @@ class Description:
     tool: str = ""
     set_inputs: frozenset[str] = frozenset()
     dae: Dae | None = None
+    scheduled_execution: bool = False
     _named: dict[str, Variable] = field(init=False, repr=False, compare=False)
     _ports: dict[str, PortVariables] = field(
         init=False, repr=False, compare=False
@@ -224,6 +227,16 @@ class Description:
     def references_of(self, names: Iterable[str]) -> ReferenceMap:
         """Return variables with their value references, by name."""
         return ReferenceMap.of(self[name] for name in names)
+
+    @property
+    def missing_interface(self) -> str:
+        """What to say where there is neither model exchange nor co-simulation."""
+        if self.scheduled_execution:
+            return (
+                "scheduled execution only (FMI 3.0 section 5), which is not supported; needed "
+                "model exchange or co-simulation"
+            )
+        return "neither model exchange nor co-simulation; needed one of them"
 
     @property
     def discrete_inputs(self) -> Mask:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from fractions import Fraction
 from typing import Final, Literal, TypeAlias
 
 from cosim.core.signals import SignalType
@@ -27,7 +28,32 @@ VariableType: TypeAlias = Literal[
     "Binary",
     "Clock",
 ]
+IntervalVariability: TypeAlias = Literal[
+    "constant", "fixed", "tunable", "changing", "countdown", "triggered"
+]
 LARGEST_EXACT: Final = 2**53  # integers beyond it are not all float64
+
+
+@dataclass(frozen=True, slots=True)
+class ClockTiming:
+    """When a clock ticks (FMI 3.0 section 2.4.7.5, ClockType).
+
+    Parameters
+    ----------
+    variability : IntervalVariability
+        ``triggered``: whoever triggers it decides; any other: it is based on time.
+    interval : Fraction or None
+        From one tick to the next [s], as the file says it; None: the FMU says it when it runs.
+    shift : Fraction
+        From the start of the run to the first tick [s], where the file has an interval.
+    supports_fraction : bool
+        Whether the FMU gives intervals and shifts as fractions.
+    """
+
+    variability: IntervalVariability
+    interval: Fraction | None = None
+    shift: Fraction = Fraction(0)
+    supports_fraction: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +91,11 @@ class Variable:
         derivative).
     alias_of : str or None
         The variable whose other name it is (FMI 3); it is no signal of its own.
+    timing : ClockTiming or None
+        Of a clock (FMI 3).
+    clocks : tuple of str
+        Names of the clocks that it belongs to (FMI 3): it may be set and read only in an event in
+        which one of them is active, and in Initialization Mode. Empty: it belongs to none.
     doc : str
         What it is, for people.
     """
@@ -88,6 +119,8 @@ class Variable:
     items: Mapping[str, int] = field(default_factory=dict)
     inside_steps: bool = True
     alias_of: str | None = None
+    timing: ClockTiming | None = None
+    clocks: tuple[str, ...] = ()
     doc: str = ""
 
     @property

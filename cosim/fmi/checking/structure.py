@@ -366,8 +366,10 @@ def _check_value_references(root: Element, description: Description) -> Iterator
 def _check_support(description: Description) -> Iterator[Finding]:
     """Yield what limits a run of the FMU here."""
     if not description.capabilities:
-        text = "neither model exchange nor co-simulation; needed one of them"
-        yield Finding("error", "XML", text)
+        yield Finding("error", "XML", description.missing_interface)
+    elif description.scheduled_execution:
+        text = "scheduled execution, which is not supported, beside what is"
+        yield Finding("note", "XML", text)
     undeclared = _undeclared_feedthrough(description)
     has_inputs = any(variable.causality == "input" for variable in description.variables)
     if undeclared and has_inputs:

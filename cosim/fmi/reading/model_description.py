@@ -176,6 +176,7 @@ def describe_root(
         default_tolerance=default_tolerance,
         tool=root.get("generationTool", ""),
         dae=dae,
+        scheduled_execution=root.find("ScheduledExecution") is not None,
     )
     return description, definitions
 

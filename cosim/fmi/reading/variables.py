@@ -16,6 +16,7 @@ from typing import Final, NamedTuple, cast
 from xml.etree.ElementTree import Element
 
 from cosim.errors import listing
+from cosim.fmi.reading.clocks import read_timing, with_clocks
 from cosim.fmi.reading.markup import Attributes, Value, flag
 from cosim.fmi.variable import LARGEST_EXACT, Initial, Variable, VariableType
 from cosim.units import BASE, BaseUnit, base_unit
@@ -141,6 +142,7 @@ def read_variables(
     if version == 3:
         # All variables come before the first size, which may be a structural parameter's value.
         variables = _with_sizes(variables, elements, attributes)
+        variables = with_clocks(variables, reader.clocks, attributes)
     elif version == 1:
         pairs = zip(variables, elements, strict=True)
         variables = [v for v, element in pairs if element.get("alias") != "negatedAlias"]
@@ -169,11 +171,14 @@ class _VariableReader:
     ----------
     derivatives : dict of position to int
         The attribute ``derivative`` of the variables that have it, by their positions from 0.
+    clocks : dict of position to tuple of int
+        The attribute ``clocks`` (FMI 3), likewise.
     version : int
     """
 
     def __init__(self, version: int, definitions: Definitions, attributes: Attributes) -> None:
         self.derivatives: dict[int, int] = {}
+        self.clocks: dict[int, tuple[int, ...]] = {}
         self.version = version
         self._definitions = definitions
         self._attributes = attributes
@@ -191,12 +196,20 @@ class _VariableReader:
         derivative = attributes.integer(typed, "derivative", where)
         if derivative is not None and version > 1:
             self.derivatives[self._count] = derivative
+        if version == 3:
+            clocks = attributes.integers(element, "clocks", where)
+            if clocks:
+                self.clocks[self._count] = clocks
         self._count += 1
         start = None
         text = None
+        timing = None
         if roles.type in ("String", "Binary"):
             text = self._text(typed, roles.type, where)
-        elif roles.type != "Clock":
+        elif roles.type == "Clock":
+            declared = self._declared(element)
+            timing = read_timing(element, declared, attributes, where)
+        else:
             start = self._start(typed, roles, where)
         return Variable(
             name=name,
@@ -214,6 +227,7 @@ class _VariableReader:
             nominal=roles.nominal,
             items=roles.items,
             inside_steps=version < 3 or flag(element, "intermediateUpdate"),
+            timing=timing,
             doc=element.get("description", ""),
         )
 
@@ -237,8 +251,7 @@ class _VariableReader:
         known_type = (TYPES_3 if version == 3 else TYPES).get(typed.tag)
         if known_type is None:
             self._attributes.problems.append(f"{where}: its type is none of FMI {version}")
-        declared_type = typed.get("declaredType", "")
-        declared = self._definitions.types.get(declared_type, Element("none"))
+        declared = self._declared(typed)
         minimum = self._limit(typed, declared, "min", where)
         maximum = self._limit(typed, declared, "max", where)
         unit = typed.get("unit", declared.get("unit"))
@@ -256,6 +269,10 @@ class _VariableReader:
             nominal=self._limit(typed, declared, "nominal", where),
             items=self._items(declared) if typed.tag == "Enumeration" else {},
         )
+
+    def _declared(self, typed: Element) -> Element:
+        """Return the type that a variable declares; an empty one where it declares none."""
+        return self._definitions.types.get(typed.get("declaredType", ""), Element("none"))
 
     def _limit(self, typed: Element, declared: Element, key: str, where: str) -> float | None:
         """Return min, max or nominal; one that is no number is left out, with a warning."""
