@@ -213,6 +213,7 @@ def option(name: str, key: str | None = None, value: str | None = None) -> str:
     ``--set plant.x``, ``--map plant.u=force``.
     """
     if _in_shell.get():
+        name = name.replace("_", "-")
         entry = "" if key is None else f" {shortened(key)}"
         return f"--{name}{entry}" if value is None else f"--{name}{entry}={value}"
     if key is None:

@@ -109,6 +109,21 @@ def read_unique_pairs(texts: list[str] | None, name: str) -> dict[str, str]:
     return pairs
 
 
+def read_tolerances(texts: list[str] | None) -> dict[str, float] | None:
+    """Read the pairs of --find-step; None: there are none."""
+    if not texts:
+        return None
+    tolerances = {}
+    for signal, text in read_unique_pairs(texts, "find-step").items():
+        try:
+            tolerances[signal] = float(text)
+        except ValueError as error:
+            raise UsageError(
+                f"{option('find-step', signal)}: found {quoted(text)}, needed a number"
+            ) from error
+    return tolerances
+
+
 def read_edits(
     texts: list[str] | None, options: Mapping[str, float | None] | None = None
 ) -> dict[str, Any]:

@@ -28,6 +28,7 @@ from cosim.cli.options import (
     print_notice,
     prints_to_stderr,
     read_edits,
+    read_tolerances,
     read_unique_pairs,
 )
 from cosim.errors import UsageError
@@ -78,6 +79,16 @@ CertifyOption = Annotated[
     ),
 ]
 
+FindStepOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--find-step",
+        metavar="SIGNAL=TOLERANCE",
+        help="Run with the largest step with which the error of the step in a signal is within a "
+        "tolerance, in its unit, such as observer.delta=1e-4; implies --certify. Repeatable.",
+    ),
+]
+
 DryRunOption = Annotated[
     bool,
     typer.Option(
@@ -103,6 +114,7 @@ def run(
     quiet: QuietOption = False,
     profile: ProfileOption = False,
     certify: CertifyOption = False,
+    find_step: FindStepOption = None,
     dry_run: DryRunOption = False,
 ) -> None:
     """Run a scenario and record every signal to an MCAP log."""
@@ -130,6 +142,7 @@ def run(
         raise UsageError("--force replaces the log at --out; needed both, or neither")
     path = out or Path("logs") / f"{edited.name}.mcap"
     check_plot(plot, out)
+    tolerances = read_tolerances(find_step)
     seconds: dict[str, float] | None = {} if profile else None
     with show_progress(quiet or as_json) as progress, prints_to_stderr():
         log = run_scenario(
@@ -141,6 +154,7 @@ def run(
             notice=None if quiet else print_notice,
             profile=seconds,
             certify=certify,
+            find_step=tolerances,
         )
     wall = {"imports": imported - BEGAN, "run": perf_counter() - imported}
     if plot is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from cosim.core.contracts import Recording
@@ -29,6 +29,7 @@ class SignalCertificate:
     order: float | None
     reason: str
     grows: bool
+    is_rounding: bool
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,14 @@ class CouplingShare:
     estimate: str
     error: float
     coupling: float | None
+
+
+@dataclass(frozen=True)
+class StepTrial:
+    """A step that was tried [s], and why it was not taken; empty where it was fine."""
+
+    step: float
+    failure: str
 
 
 @dataclass(frozen=True)
@@ -69,6 +78,10 @@ class StepCertificate:
         The outputs by their elements.
     shares : tuple of CouplingShare
         Of the estimates of which the truth is a number.
+    tolerances : mapping of signal to float
+        Of the search for the step; empty where the scenario gives it.
+    trials : tuple of StepTrial
+        Of that search.
     """
 
     step: float
@@ -78,6 +91,8 @@ class StepCertificate:
     solvers: tuple[str, ...]
     signals: tuple[SignalCertificate, ...]
     shares: tuple[CouplingShare, ...]
+    tolerances: Mapping[str, float] = field(default_factory=dict)
+    trials: tuple[StepTrial, ...] = ()
 
     def __getitem__(self, signal: str) -> SignalCertificate:
         """Return the element of a signal.
@@ -126,6 +141,11 @@ def certificate_of(recording: Recording, summary: Summary) -> StepCertificate | 
     for channel in recording.channels.values():
         signals += _outputs(channel, record.signals)
     shares = () if record.problem else tuple(_shares(summary.values, record))
+    tolerances: Mapping[str, float] = {}
+    trials: tuple[StepTrial, ...] = ()
+    if record.search is not None:
+        tolerances = record.search.tolerances
+        trials = tuple(StepTrial(trial.step, trial.failure) for trial in record.search.trials)
     return StepCertificate(
         record.step,
         record.finer_steps,
@@ -134,6 +154,8 @@ def certificate_of(recording: Recording, summary: Summary) -> StepCertificate | 
         record.solvers,
         tuple(signals),
         shares,
+        tolerances,
+        trials,
     )
 
 

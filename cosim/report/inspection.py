@@ -18,7 +18,7 @@ from cosim.core.recorded import RunMessage
 from cosim.core.signals import Channel, Signal
 from cosim.report.certificate import certificate_of
 from cosim.report.summary import summarize
-from cosim.report.tables.certificate import notes, share_text
+from cosim.report.tables.certificate import notes, search_rows, share_text
 from cosim.scenario.action_tables import effect_of, signals_of
 from cosim.scenario.build import DescribedScenario, describe
 from cosim.scenario.document import find
@@ -101,6 +101,7 @@ def _certificate(log: Log) -> Section:
         "others": ", ".join(f"{step:g} s" for step in certificate.finer_steps),
         "problem": certificate.problem or None,
     }
+    about |= dict(search_rows(certificate))
     for share in certificate.shares:
         about[share.estimate] = share_text(share)
     for number, note in enumerate(notes(certificate), start=1):

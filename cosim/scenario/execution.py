@@ -84,6 +84,7 @@ def run(
     notice: Notice | None = None,
     profile: dict[str, float] | None = None,
     certify: bool = False,
+    find_step: Mapping[str, float] | None = None,
     recorder: None = None,
 ) -> Log | Memory: ...
 
@@ -99,6 +100,7 @@ def run(
     progress: Progress | None = None,
     profile: dict[str, float] | None = None,
     certify: bool = False,
+    find_step: Mapping[str, float] | None = None,
     recorder: OwnRecorder,
 ) -> OwnRecorder: ...
 
@@ -117,6 +119,7 @@ def run(
     notice: Notice | None = None,
     profile: dict[str, float] | None = None,
     certify: bool = False,
+    find_step: Mapping[str, float] | None = None,
     recorder: Recorder | None = None,
 ) -> Log | Memory | Recorder:
     """Run a scenario.
@@ -153,6 +156,10 @@ def run(
     certify : bool
         Run with half the step and with a quarter, too, and record the certificate of this run: how
         large the error of its step is, signal by signal; see :func:`cosim.certificate`.
+    find_step : mapping of signal to float, optional
+        Run with the largest step with which the errors of the step in these signals are within
+        these tolerances, each in the unit of its signal, and certify that run. The step divides
+        all times that the scenario gives; its own is one of those that do.
     recorder : Recorder, optional
         One's own recorder, instead of ``out`` and what is about it: it takes the rows of the run,
         its messages and its results as they are computed. Nothing else is kept, and nothing is
@@ -181,7 +188,13 @@ def run(
     check_target(out, force=force, numbered=numbered)
     loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
     edited = loaded.edit(swap=swap, map=map, set=set)
-    beside = _certifying(edited, progress) if certify else None
+    beside = None
+    if find_step is not None:
+        edited, beside = _with_found_step(
+            edited, mapping_argument("find_step", find_step), progress
+        )
+    elif certify:
+        beside = _certifying(edited, progress)
     with ExitStack() as resources:
         experiment = build_experiment(edited, resources, block)
         if recorder is not None:
@@ -198,6 +211,17 @@ def _certifying(scenario: Scenario, progress: Progress | None) -> Beside:
     from cosim.scenario.certification.certificate import certifier_of
 
     return certifier_of(scenario, progress).beside
+
+
+def _with_found_step(
+    scenario: Scenario, tolerances: Mapping[str, float], progress: Progress | None
+) -> tuple[Scenario, Beside]:
+    """Return a scenario with the step that keeps tolerances, and what adds its certificate."""
+    # Most runs need none of it.
+    from cosim.scenario.certification.step_search import find_step
+
+    found = find_step(scenario, tolerances, progress)
+    return scenario.edit(set={"scenario.step": found.step}), found.certifier.beside
 
 
 def _check_profile(profile: object) -> None:

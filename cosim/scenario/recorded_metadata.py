@@ -250,6 +250,22 @@ class StepErrorRecord(_Record):
     order: Number | None = None
     reason: Text = ""
     grows: bool = False
+    is_rounding: bool = False
+
+
+class TrialRecord(_Record):
+    """A step that was tried: the errors of the signals with tolerances, or why it failed."""
+
+    step: Number
+    largest: dict[Text, Number | None] = {}
+    failure: Text = ""
+
+
+class SearchRecord(_Record):
+    """How a step was found."""
+
+    tolerances: dict[Text, Number] = {}
+    trials: tuple[TrialRecord, ...] = ()
 
 
 class CertificateRecord(_Record):
@@ -261,6 +277,7 @@ class CertificateRecord(_Record):
     problem: Text = ""
     solvers: tuple[Text, ...] = ()
     signals: dict[Text, StepErrorRecord] = {}
+    search: SearchRecord | None = None
 
 
 class ModelRecord(_Record):

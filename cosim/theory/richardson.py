@@ -33,6 +33,7 @@ from cosim.arrays import Vector
 STEADY: Final = 0.3  # by which an order may differ from a whole number, and over time
 MOST_RESIDUAL: Final = 2.0**STEADY - 1.0  # of d1 - 2^p d2, over d1: the same in amplitudes
 HIGHEST_ORDER: Final = 4
+GROWN_ROUNDING: Final = 1e-8  # of the largest value: what grows with the number of steps
 GROWTH: Final = -1.0 + STEADY  # orders below it: the differences grow at least as 1/h
 PARTS: Final = 8  # of a run
 SMALL: Final = 0.05  # part of the largest difference
@@ -58,7 +59,9 @@ class StepError:
     reason : str
         Why there is no estimate; empty where there is one.
     grows : bool
-        The differences grow as the step is made smaller.
+        The differences grow as the step is made smaller, by more than rounding does.
+    is_rounding : bool
+        The differences are those of rounding: a smaller step shows no more.
     """
 
     largest: float | None = None
@@ -67,6 +70,7 @@ class StepError:
     order: float | None = None
     reason: str = ""
     grows: bool = False
+    is_rounding: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +97,7 @@ class _Differences:
         second = _rms(self.second)
         if first == 0.0 or second == 0.0:
             return math.inf if second == 0.0 else -math.inf
-        return math.log2(first / second)
+        return math.log2(first) - math.log2(second)  # no ratio that under- or overflows
 
     def largest(self, factor: float) -> float:
         """Return the largest of the first, and of the second times a factor."""
@@ -141,13 +145,15 @@ def _of_differences(differences: _Differences, scale: float) -> StepError:
     if largest == 0.0:
         return StepError(0.0, float(differences.t[0]), 0.0)
     if largest <= ROUNDING * scale:
-        return StepError(reason=f"the differences, {largest:.2g}, are at the level of rounding")
+        return _rounding(largest)
     if len(differences.t) < FEWEST:
         return StepError(
             reason=f"it has values at {len(differences.t)} instants; needed {FEWEST} to see "
             "whether the ratio of the differences is steady"
         )
     order = differences.order
+    if order < GROWTH and largest <= GROWN_ROUNDING * scale:
+        return _rounding(largest)
     shown = order if math.isfinite(order) else None
     last = _last(differences.parts[-1], scale)
     p = _whole(order)
@@ -164,6 +170,11 @@ def _of_differences(differences: _Differences, scale: float) -> StepError:
         )
         return StepError(last=last, order=order, reason=reason)
     return StepError(float(abs(error[worst])), float(differences.t[worst]), last, order)
+
+
+def _rounding(largest: float) -> StepError:
+    reason = f"the differences, {largest:.2g}, are at the level of rounding"
+    return StepError(reason=reason, is_rounding=True)
 
 
 def _whole(order: float) -> int:

@@ -65,3 +65,20 @@ def test_json_has_it(tmp_path, capsys):
     assert found["finer_steps"] == [0.005, 0.0025]
     (mass,) = [row for row in found["signals"] if row["signal"] == "mass.y"]
     assert mass["order"] == pytest.approx(1.0, abs=0.1)
+
+
+def test_table_and_log_have_the_steps_that_were_tried(tmp_path, capsys):
+    path = tmp_path / "a.mcap"
+    scenario = write(tmp_path, certified.SPRING)
+    output = run(capsys, "run", scenario, "--find-step", "mass.y=0.02", "--out", path)
+    fine = "within mass.y 0.02: the largest step that is, of those that divide all given times"
+    assert f"step 0.005 s\t\t\t\t{fine}" in output.splitlines()
+    assert "step 0.00625 s\t\t\t\tthe error of mass.y is 0.02" in output
+    assert f"step 0.005 s\t{fine}" in run(capsys, "info", path)
+
+
+def test_a_tolerance_that_is_no_number_is_refused(tmp_path, capsys):
+    with pytest.raises(SystemExit) as left:
+        main(["run", str(write(tmp_path, certified.SPRING)), "--find-step", "mass.y=small"])
+    assert left.value.code == 2
+    assert "--find-step mass.y: found 'small', needed a number" in capsys.readouterr().err

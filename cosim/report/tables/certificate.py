@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from rich.table import Table
 
 from cosim.report.certificate import CouplingShare, SignalCertificate, StepCertificate
@@ -13,6 +15,8 @@ def certificate_table(certificate: StepCertificate) -> Table:
     finer = " and ".join(f"{step:g} s" for step in certificate.finer_steps)
     title = f"error of the step of {certificate.step:g} s, by runs with {finer}"
     table = new_table(title, ("", "largest", "at t", "at the end", "order"))
+    for step, text in search_rows(certificate):
+        table.add_row(step, "", "", "", text)
     if certificate.problem:
         table.add_row("no estimate", "", "", "", certificate.problem)
         return table
@@ -34,6 +38,18 @@ def certificate_table(certificate: StepCertificate) -> Table:
     for note in notes(certificate):
         table.add_row("note", "", "", "", note)
     return table
+
+
+def search_rows(certificate: StepCertificate) -> Iterator[tuple[str, str]]:
+    """Yield the steps that were tried, and what was found."""
+    wanted = ", ".join(f"{signal} {value:g}" for signal, value in certificate.tolerances.items())
+    for trial in certificate.trials:
+        text = trial.failure
+        if not text:
+            text = f"within {wanted}"
+            if trial.step == certificate.step:
+                text += ": the largest step that is, of those that divide all given times"
+        yield f"step {trial.step:g} s", text
 
 
 def _add_estimate(table: Table, signal: SignalCertificate) -> None:

@@ -32,7 +32,7 @@ from cosim.core.graph import Graph
 from cosim.core.port import Port
 from cosim.core.recorders import end_of_run
 from cosim.core.signals import Layout
-from cosim.errors import CosimError, Interrupted, RunError, UsageError, flag, option
+from cosim.errors import CosimError, Interrupted, RunError, UsageError, option
 from cosim.scenario.build import Experiment
 from cosim.scenario.building import build_experiment
 from cosim.scenario.certification.thinned_rows import QUARTERS, JumpWatch, ThinnedRows
@@ -112,7 +112,7 @@ def _subject(experiment: Experiment) -> Subject:
     step_ns = experiment.clock.step_ns
     if step_ns % QUARTERS:
         raise UsageError(
-            f"{flag('certify')}: a quarter of the step {step_ns / NANOSECONDS} s is not a whole "
+            f"certificate: a quarter of the step {step_ns / NANOSECONDS} s is not a whole "
             "number of nanoseconds; needed a step of which it is"
         )
     _check_noise(scenario, step_ns)
@@ -147,7 +147,7 @@ def _check_noise(scenario: Scenario, step_ns: int) -> None:
         is_random = action.noise is not None or type(action.drop) in (int, float)
         if is_random:
             raise UsageError(
-                f"{flag('certify')}: the action at {action.at} s draws random numbers at every "
+                f"certificate: the action at {action.at} s draws random numbers at every "
                 "communication step, so that a smaller step is a run with other noise; needed a "
                 "scenario without it, or a sensor with noise and a period"
             )
@@ -157,7 +157,7 @@ def _check_noise(scenario: Scenario, step_ns: int) -> None:
     settings = [option("set", f"{name}.period", f"{step_ns / NANOSECONDS}") for name in names]
     each = "draw" if len(names) > 1 else "draws"
     raise UsageError(
-        f"{flag('certify')}: {', '.join(names)} {each} random numbers at every communication step, "
+        f"certificate: {', '.join(names)} {each} random numbers at every communication step, "
         "so that a smaller step is a run with other noise; needed a period of its own, such as "
         f"{' '.join(settings)}"
     )
@@ -197,7 +197,7 @@ def _followers(graph: Graph) -> dict[str, frozenset[str]]:
 
 
 def finer_run(
-    scenario: Scenario, subject: Subject, finer: int, progress: Progress | None = None
+    scenario: Scenario, subject: Subject, finer: int, progress: Progress | None
 ) -> FinerRun:
     """Run a scenario with a step that is smaller by a whole factor; keep its rows.
 
@@ -218,8 +218,7 @@ def finer_run(
             experiment = build_experiment(changed, resources, None)
         except CosimError as error:
             raise UsageError(
-                f"{flag('certify')}: the scenario needs to run with {step} s too, and cannot:\n"
-                f"{error}"
+                f"certificate: the scenario needs to run with {step} s too, and cannot:\n{error}"
             ) from error
         experiment = replace(experiment, identified={})
         try:
@@ -239,12 +238,30 @@ class Certifier:
     subject : Subject
     half, quarter : FinerRun
         With half of its step, and a quarter.
+    search : mapping, optional
+        How its step was found, in plain values.
     """
 
-    def __init__(self, subject: Subject, half: FinerRun, quarter: FinerRun) -> None:
+    def __init__(
+        self,
+        subject: Subject,
+        half: FinerRun,
+        quarter: FinerRun,
+        search: Mapping[str, Any] | None = None,
+    ) -> None:
         self._subject = subject
         self._half = half
         self._quarter = quarter
+        self._search = search
+
+    def with_search(self, search: Mapping[str, Any]) -> Certifier:
+        """Return the same that tells how its step was found."""
+        return Certifier(self._subject, self._half, self._quarter, search)
+
+    @property
+    def problem(self) -> str:
+        """Why a run with a smaller step ended early; empty where none did."""
+        return self._half.problem or self._quarter.problem
 
     def beside(self, recorder: Recorder) -> Recorder:
         """Return a recorder that adds the certificate to what another one records."""
@@ -270,10 +287,12 @@ class Certifier:
             "step": step,
             "finer_steps": [step / finer for finer in FINER],
             "every": subject.every,
-            "problem": problem or self._half.problem or self._quarter.problem,
+            "problem": problem or self.problem,
             "solvers": list(subject.solvers),
             "signals": {},
         }
+        if self._search is not None:
+            content["search"] = dict(self._search)
         if not content["problem"]:
             content["signals"] = {label: asdict(error) for label, error in self.errors(own).items()}
         return content
@@ -320,7 +339,7 @@ class Certifier:
         return reasons
 
 
-def certifier_of(scenario: Scenario, progress: Progress | None = None) -> Certifier:
+def certifier_of(scenario: Scenario, progress: Progress | None) -> Certifier:
     """Run a scenario with half its step, and with a quarter; return what certifies its run.
 
     Raises
@@ -329,8 +348,8 @@ def certifier_of(scenario: Scenario, progress: Progress | None = None) -> Certif
         If a smaller step would be another run, or the scenario cannot run with one.
     """
     subject = subject_of(scenario)
-    runs = [finer_run(scenario, subject, finer, progress) for finer in FINER]
-    return Certifier(subject, *runs)
+    half, quarter = (finer_run(scenario, subject, finer, progress) for finer in FINER)
+    return Certifier(subject, half, quarter)
 
 
 class _Certified:
