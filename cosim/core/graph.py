@@ -40,7 +40,7 @@ from cosim.units import Conversion
 
 InputInterpolation = Literal["linear", "zero-order"]
 THREADS = (1, 2)
-COUPLINGS: tuple[str, ...] = ("gauss-seidel", "jacobi", "newton")
+COUPLINGS: tuple[Coupling, ...] = ("gauss-seidel", "jacobi", "newton")
 INTERPOLATIONS: tuple[str, ...] = ("linear", "zero-order")
 
 
@@ -259,6 +259,26 @@ class Graph:
             if stage.torn is not None and not names.isdisjoint(recorded):
                 stage.torn.take(recording)
 
+    def with_coupling(self, coupling: Coupling) -> Graph:
+        """Return a graph of the same components and connections with another coupling.
+
+        One of the two may run.
+
+        Raises
+        ------
+        GraphError
+            If the components cannot be coupled so.
+        """
+        return Graph(
+            self.components,
+            self.connections,
+            coupling=coupling,
+            input_interpolation=self.input_interpolation,
+            periods=self.periods,
+            threads=self.threads,
+            native=self.native,
+        )
+
     def measure(self) -> dict[str, float]:
         """Measure the calls of every component from now on; return its wall time [s] by name.
 
@@ -443,6 +463,18 @@ class Graph:
                 stages.append(self._loop(names))
         return tuple(stages)
 
+    def _loop_note(self, name: str, loop: Sequence[str]) -> str:
+        """Return which loop a component is in, and by which connections."""
+        driving = []
+        for part, connection in self.connections.items():
+            inside = [str(port) for port in connection.sources if port.component in loop]
+            if part.component == name and inside:
+                driving.append(f"{', '.join(inside)} -> {part}")
+        return (
+            f"it is in the loop of {listing(loop)}, by {'; '.join(driving)}, coupled by "
+            f"'{self.coupling}'"
+        )
+
     def _loop(self, names: list[str]) -> Loop:
         interfaces = {name: self.layout[name].interface for name in names}
         sources = {name: self._sources[name] for name in names}
@@ -457,6 +489,8 @@ class Graph:
         if order.torn:
             _check_rollback(members)
             torn = TornInputs(order.torn, members, self.ports)
+        for member in members:
+            member.note = self._loop_note(member.name, names)
         return Loop(
             self.coupling,
             tuple(members),

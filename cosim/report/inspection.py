@@ -21,10 +21,12 @@ from cosim.report.summary import summarize
 from cosim.report.tables.certificate import notes, search_rows, share_text
 from cosim.scenario.action_tables import effect_of, signals_of
 from cosim.scenario.build import DescribedScenario, describe
+from cosim.scenario.coupling_check import described_gains, gain_values
 from cosim.scenario.document import find
 from cosim.scenario.field_file import read_field_data
 from cosim.scenario.recorded_metadata import (
     component_table,
+    recorded_loop_gains,
     recorded_start,
     replay_origin,
     run_metadata,
@@ -80,7 +82,13 @@ def describe_log(path: str) -> Section:
             differences[name] = _differences(report)
         if entry:
             metadata[name] = entry
-    content = {"run": about, "signals": signals, "metadata": metadata, "differences": differences}
+    content = {
+        "run": about,
+        "loops": [gain_values(gain) for gain in recorded_loop_gains(log)],
+        "signals": signals,
+        "metadata": metadata,
+        "differences": differences,
+    }
     content |= _overrides(events)
     content |= _certificate(log)
     messages, more = _messages(log)
@@ -235,8 +243,10 @@ def describe_scenario(name: str) -> Section:
             signals += _signal_rows(channel, spec.kind)
         else:
             signals.append(_unknown_row(component, spec.kind))
+    gains = () if graph is None else described_gains(graph, described.clock)
     content = {
         "scenario": about,
+        "loops": [gain_values(gain) for gain in gains],
         "signals": signals,
         "connections": _connection_rows(described),
         "metadata": dict(described.metadata),

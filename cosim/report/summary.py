@@ -13,6 +13,7 @@ import numpy as np
 
 from cosim.arrays import Matrix, Vector, as_columns
 from cosim.core.contracts import Recording
+from cosim.core.gain.loop_gain import LoopGain
 from cosim.errors import LogError
 from cosim.report.recorded_rows import (
     beside_truth,
@@ -31,6 +32,7 @@ from cosim.scenario.recorded_metadata import (
     component_record,
     first_order_loops,
     recorded_identification,
+    recorded_loop_gains,
     recorded_start,
     recorded_state_changes,
     replay_origin,
@@ -174,6 +176,8 @@ class Summary:
         Only where there is no truth.
     loops : tuple of str
         Stages that advance step by step, with an error of first order in the step.
+    gains : tuple of LoopGain
+        Of all loops, as they were before the run.
     changed_states : tuple of StateChange
         Initial states that are others than the scenario gives.
     copied_code : mapping of component name to str
@@ -197,6 +201,7 @@ class Summary:
     compensations: tuple[CompensationSummary, ...] = ()
     last: Mapping[str, float | list[float]] = field(default_factory=dict)
     loops: tuple[str, ...] = ()
+    gains: tuple[LoopGain, ...] = ()
     changed_states: tuple[StateChange, ...] = ()
     copied_code: Mapping[str, str] = field(default_factory=dict)
     until: str | None = None
@@ -256,6 +261,7 @@ def summarize(recording: Recording) -> Summary:
         compensations=tuple(compensations),
         last=last,
         loops=tuple(first_order_loops(recording)),
+        gains=recorded_loop_gains(recording),
         changed_states=tuple(_changed_states(recording)),
         copied_code=_copied_code(recording),
         until=run.get("until") if came_true is not None else None,

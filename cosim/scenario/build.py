@@ -15,6 +15,7 @@ from cosim.blocks.declared import with_units
 from cosim.blocks.replay import Replay
 from cosim.core.clock import Clock, start_nanoseconds
 from cosim.core.contracts import Component, Design, Plan, Recording, SignalEvent
+from cosim.core.gain.loop_gain import LoopGain
 from cosim.core.graph import Graph
 from cosim.core.port import Port
 from cosim.core.signals import Interface
@@ -83,6 +84,8 @@ class Experiment:
         Initial states that the run may have to change.
     plan : Plan or None
         Of the graph, where it was prepared already.
+    gains : tuple of LoopGain
+        Of its loops; of a replay as they were recorded.
     designs : mapping of component name to Design, or None
         Of a replay: the recorded designs that it takes.
     messages : mapping of component name to list of Message
@@ -111,6 +114,7 @@ class Experiment:
     models: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     given_states: Mapping[str, GivenStates] = field(default_factory=dict)
     plan: Plan | None = None
+    gains: tuple[LoopGain, ...] = ()
     designs: Mapping[str, Design] | None = None
     messages: Mapping[str, Sequence[Message]] = field(default_factory=dict)
     origin: ReplayOrigin | None = None

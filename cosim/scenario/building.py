@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from cosim.scenario.build import Builder, Experiment
+from cosim.scenario.coupling_check import with_loop_gains
 from cosim.scenario.parsing import Scenario
 
 if TYPE_CHECKING:
@@ -19,14 +20,14 @@ def build_experiment(scenario: Scenario, resources: ExitStack, block: int | None
     Raises
     ------
     ScenarioError
-        With every problem of the file.
+        With every problem of the file; or if the coupling of a loop is refused.
     """
     if not scenario.file.swap:
-        return Builder(scenario, resources, block=block).experiment()
+        return with_loop_gains(Builder(scenario, resources, block=block).experiment())
     from cosim.scenario.swap_comparison import build_swapped  # rarely needed
 
     experiment, reports = build_swapped(scenario, resources, block)
-    return _with_reports(experiment, reports)
+    return with_loop_gains(_with_reports(experiment, reports))
 
 
 def _with_reports(experiment: Experiment, reports: SwapReports) -> Experiment:

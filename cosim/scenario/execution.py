@@ -19,7 +19,7 @@ from cosim.scenario.build import parse
 from cosim.scenario.building import build_experiment
 from cosim.scenario.document import Document, find
 from cosim.scenario.parsing import Scenario
-from cosim.scenario.recorded_metadata import ReplayOrigin
+from cosim.scenario.recorded_metadata import ReplayOrigin, recorded_loop_gains
 from cosim.scenario.recording import (
     Beside,
     Notice,
@@ -311,6 +311,7 @@ def replay(
         experiment.graph.take_solutions(source, copied)
         origin = ReplayOrigin(str(source.path), source.recorded_hash, copied)
         events = tuple(source.events())
-        experiment = replace(experiment, origin=origin, designs=designs, events=events)
+        gains = () if wanted else recorded_loop_gains(source)
+        experiment = replace(experiment, origin=origin, designs=designs, events=events, gains=gains)
         target = Target(out, force, notice=notice)
         return record(experiment, target, progress=progress, profile=profile)

@@ -20,6 +20,7 @@ from pydantic import (
 
 from cosim.arrays import Matrix
 from cosim.core.contracts import Recording
+from cosim.core.gain.loop_gain import LoopGain
 from cosim.core.recorded import find_signal
 from cosim.errors import LogError
 from cosim.log.metadata import read_json
@@ -123,6 +124,33 @@ class CompensationRecord(_Record):
     internal_model: bool
     interval: NumberRows
     largest_error: Number
+
+
+class LoopGainRecord(_Record):
+    """The gain of a loop, as it was before the run."""
+
+    components: tuple[Text, ...]
+    coupling: Text
+    h: Annotated[Number, Field(gt=0.0)]
+    steps: Annotated[Whole, Field(ge=1)]
+    rho: Annotated[Number, Field(ge=0.0)] | None = None
+    rate: Number | None = None
+    unknown: tuple[Text, ...] = ()
+    reason: Text = ""
+
+    @property
+    def gain(self) -> LoopGain:
+        """The gain itself."""
+        return LoopGain(
+            self.components,
+            self.coupling,
+            self.h,
+            self.steps,
+            self.rho,
+            self.rate,
+            self.unknown,
+            self.reason,
+        )
 
 
 class CodeRecord(_Record):
@@ -329,6 +357,7 @@ _WARNINGS: TypeAdapter[list[tuple[str, str]]] = TypeAdapter(
     list[tuple[Text, Text]], config=_DEFERRED
 )
 _LOOPS: TypeAdapter[list[str]] = TypeAdapter(list[Text], config=_DEFERRED)
+_GAINS: TypeAdapter[list[LoopGainRecord]] = TypeAdapter(list[LoopGainRecord], config=_DEFERRED)
 _TIME: TypeAdapter[float] = TypeAdapter(Number, config=_DEFERRED)
 _IDENTIFICATION: TypeAdapter[dict[str, IdentificationRecord]] = TypeAdapter(
     dict[str, IdentificationRecord], config=_DEFERRED
@@ -495,6 +524,18 @@ def until_came_true(recording: Recording) -> bool | None:
     """Return whether the condition came true that ends a run; None: the run looked for none."""
     came_true = recording.results.get("until")
     return came_true if isinstance(came_true, bool) else None
+
+
+def recorded_loop_gains(recording: Recording) -> tuple[LoopGain, ...]:
+    """Return the gains of the loops of a run, as they were before it.
+
+    Raises
+    ------
+    LogError
+        If they cannot be understood.
+    """
+    records = _of_run(recording, "loop_gains", "[]", _GAINS)
+    return tuple(record.gain for record in records)
 
 
 def replay_origin(recording: Recording) -> ReplayOrigin:

@@ -221,6 +221,8 @@ def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:
     }
     if settings.until is not None:
         run["until"] = settings.until
+    if experiment.gains:
+        run["loop_gains"] = json.dumps([asdict(gain) for gain in experiment.gains])
     if experiment.models:
         run["models"] = json.dumps(experiment.models)
     if experiment.origin is not None:

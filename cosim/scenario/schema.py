@@ -111,6 +111,11 @@ class Settings(TomlTable):
         description='how the components of a loop advance: "gauss-seidel", "jacobi", or "newton", '
         "which solves for the inputs at the end of each step (second order)",
     )
+    coupling_check: Literal["refuse", "warn"] = Field(
+        "refuse",
+        description="where the coupling of a loop multiplies an error by more than 10 over the "
+        'run, "refuse" it, or "warn" of it',
+    )
     input_interpolation: Literal["linear", "zero-order"] = Field(
         "linear",
         description='inputs inside a step: "linear" interpolation, or "zero-order" hold',

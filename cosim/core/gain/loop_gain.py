@@ -24,12 +24,15 @@ from cosim.core.clock import NANOSECONDS, Clock
 from cosim.core.gain.loop_map import LoopModel, loop_model, one_step_maps, product
 from cosim.core.gain.radius import spectral_radius
 from cosim.core.gain.system import connect, sampled_map
-from cosim.core.graph import Graph
+from cosim.core.graph import COUPLINGS, Graph
 from cosim.core.linearization import Linearized
 from cosim.core.stages.coupling import Stage
+from cosim.core.structure.order import Coupling
+from cosim.errors import GraphError
 
 REFUSED: Final = 10.0
 NOTED: Final = 1.01
+TOO_FAST: Final = "it grows beyond all numbers within a step"
 NO_SOLUTION: Final = "its algebraic loop has no one solution at the start"
 
 GainVerdict: TypeAlias = Literal["fine", "noted", "refused", "unknown"]
@@ -51,7 +54,8 @@ class LoopGain:
     rho : float or None
         In a step; None: not known.
     rate : float or None
-        At which the coupled system itself grows [1/s]: the largest real part of its poles.
+        At which the coupled system itself grows [1/s]: the largest real part of its poles; None:
+        not known, or it has none.
     unknown : tuple of str
         The components that cannot be linearized.
     reason : str
@@ -70,11 +74,16 @@ class LoopGain:
     @property
     def exponent(self) -> float:
         """The natural logarithm of what the coupling multiplies an error by over the run."""
-        if self.rho is None or self.rate is None:
+        if self.rho is None:
             return math.nan
         if self.rho == 0.0:
             return -math.inf
-        return self.steps * (math.log(self.rho) - max(0.0, self.h * self.rate))
+        return self.steps * math.log(self.rho) - self.own_exponent
+
+    @property
+    def own_exponent(self) -> float:
+        """The same of what the coupled system itself multiplies it by, undamped at the least."""
+        return 0.0 if self.rate is None else self.steps * max(0.0, self.h * self.rate)
 
     @property
     def verdict(self) -> GainVerdict:
@@ -89,9 +98,7 @@ class LoopGain:
     @property
     def is_unstable(self) -> bool:
         """Whether the coupled system itself multiplies an error by more than 10 over the run."""
-        if self.rate is None:
-            return False
-        return self.steps * self.h * self.rate > math.log(REFUSED)
+        return self.own_exponent > math.log(REFUSED)
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,6 +117,15 @@ class LinearizedLoops:
     graph: Graph
     clock: Clock
     linearized: Mapping[str, Linearized] = field(default_factory=dict)
+
+    @staticmethod
+    def may_be_known(graph: Graph) -> bool:
+        """Return whether there is a loop all of whose components may be linearized."""
+        for stage in graph.stages:
+            declared = [member.channel.interface.linearizable for member in stage.members]
+            if stage.is_loop and all(declared):
+                return True
+        return False
 
     @staticmethod
     def of(graph: Graph, clock: Clock, row: Vector) -> LinearizedLoops:
@@ -147,9 +163,20 @@ class LinearizedLoops:
                 lower = middle + 1
         return step_ns // parts[lower] if lower < len(parts) else None
 
-    def with_coupling(self, graph: Graph) -> LinearizedLoops:
-        """Return the same loops in a graph of the same components with another coupling."""
-        return LinearizedLoops(graph, self.clock, self.linearized)
+    def couplings_for(self, number: int) -> list[Coupling]:
+        """Return the other couplings with which a loop would be fine at the same step."""
+        fine: list[Coupling] = []
+        for coupling in COUPLINGS:
+            if coupling == self.graph.coupling:
+                continue
+            try:
+                graph = self.graph.with_coupling(coupling)
+            except GraphError:  # of components that cannot go back, for example
+                continue
+            gain = LinearizedLoops(graph, self.clock, self.linearized).gains()[number]
+            if gain.verdict == "fine":
+                fine.append(coupling)
+        return fine
 
     def _loops(self) -> list[Stage]:
         return [stage for stage in self.graph.stages if stage.is_loop]
@@ -161,7 +188,9 @@ class LinearizedLoops:
 
     def _gain(self, loop: Stage) -> LoopGain:
         names = tuple(member.name for member in loop.members)
-        unknown = tuple(name for name in names if name not in self.linearized)
+        undeclared = [m.name for m in loop.members if not m.channel.interface.linearizable]
+        missing = [name for name in names if name not in self.linearized]
+        unknown = tuple(undeclared or missing)
         coupling = self.graph.coupling
         h = self.clock.step_ns / NANOSECONDS
         if unknown:
@@ -181,25 +210,19 @@ def _gain_of(model: LoopModel, names: tuple[str, ...], coupling: str, steps: int
     period = model.period
     with np.errstate(over="ignore", invalid="ignore"):  # a map that is not finite has no radius
         maps = one_step_maps(model)
-        rate = _rate(model)
-        if maps is None or rate is None:
+        system = connect(model)
+        exact = None if system is None else sampled_map(model, system)
+        if maps is None or system is None or exact is None:
             return LoopGain(names, coupling, model.h, steps, reason=NO_SOLUTION)
         rho = spectral_radius(product(maps)) ** (1.0 / period)
-    return LoopGain(names, coupling, model.h, steps, rho, rate)
-
-
-def _rate(model: LoopModel) -> float | None:
-    """Return the rate at which the coupled system itself grows [1/s]; None: it is not one."""
-    system = connect(model)
-    if system is None:
-        return None
+        radius = spectral_radius(exact)
     if all(member.is_continuous for member in model.members):
-        return max((pole.real for pole in system.poles), default=-math.inf)
-    exact = sampled_map(model, system)
-    if exact is None:
-        return None
-    radius = spectral_radius(exact)
-    return math.log(radius) / (model.period * model.h) if radius > 0.0 else -math.inf
+        rate = max((pole.real for pole in system.poles), default=-math.inf)
+    else:
+        rate = math.log(radius) / (period * model.h) if radius > 0.0 else -math.inf
+    if not (math.isfinite(rho) and rate < math.inf):
+        return LoopGain(names, coupling, model.h, steps, reason=TOO_FAST)
+    return LoopGain(names, coupling, model.h, steps, rho, None if rate == -math.inf else rate)
 
 
 def _divisors(number: int) -> list[int]:

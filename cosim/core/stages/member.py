@@ -22,19 +22,19 @@ class NonFinite:
     """A value that is infinite, or NaN where NaN does not mean "no value yet".
 
     ``label`` names it; ``column`` is its place in the row of the graph, ``row`` is counted from the
-    first row searched.
+    first row searched. ``note`` is what is to be known of where it is.
     """
 
     label: str
     value: float
     column: int
     row: int = 0
+    note: str = ""
 
     def error(self, t: float) -> NonFiniteError:
         """Return the error that names it, at time ``t`` [s]."""
-        return NonFiniteError(
-            f"{self.label!r} became {self.value} at t = {t} s; everything before is kept"
-        )
+        text = f"{self.label!r} became {self.value} at t = {t} s; everything before is kept"
+        return NonFiniteError("; ".join(filter(None, (text, self.note))))
 
 
 class Member:
@@ -59,6 +59,8 @@ class Member:
         Which elements may have no value (NaN).
     overrides : Overrides
         Of its inputs.
+    note : str
+        What is to be known of it where a value becomes infinite: the loop that it is in.
     """
 
     def __init__(self, channel: Channel, component: Component, wires: tuple[Wire, ...]) -> None:
@@ -71,6 +73,7 @@ class Member:
         self.wires = wires
         self.n_u = channel.interface.n_u
         self.overrides = Overrides(self.n_u)
+        self.note = ""
         optional: list[bool] = []
         for signal in channel.signals:
             optional += [signal.optional] * signal.size
@@ -93,7 +96,7 @@ class Member:
     def non_finite_value(self, column: int, values: Vector, row: int = 0) -> NonFinite:
         """Describe one of its values, numbered from the first input, as not finite."""
         place = self.columns.start + column
-        return NonFinite(self.label(column), float(values[column]), place, row)
+        return NonFinite(self.label(column), float(values[column]), place, row, self.note)
 
     def gather(self, signals: Matrix, rows: slice) -> None:
         """Bring the inputs of some rows up to date."""

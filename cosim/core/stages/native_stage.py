@@ -273,5 +273,7 @@ class NativeStage:
         for member in self._members:
             own_column = int(column) - member.columns.start
             if 0 <= own_column < member.columns.stop - member.columns.start:
-                return NonFinite(member.label(own_column), self._state.origin_value, column)
+                return NonFinite(
+                    member.label(own_column), self._state.origin_value, column, note=member.note
+                )
         raise AssertionError(column)

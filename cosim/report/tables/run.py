@@ -27,6 +27,7 @@ from cosim.report.summary import (
 )
 from cosim.report.tables.certificate import certificate_table
 from cosim.report.tables.console import new_table, print_json, print_line, print_table
+from cosim.scenario.coupling_check import gain_text
 from cosim.scenario.initial_states import change_text
 from cosim.scenario.recorded_metadata import (
     component_record,
@@ -127,13 +128,19 @@ def _summary_table(summary: Summary, recording: Recording) -> Table:
         _add_identification(table, identification, summary.start, single=single)
     for compensation in summary.compensations:
         _add_compensation(table, compensation)
-    for loop in summary.loops:
-        text = "step by step, so with an error of first order in the step; compare with --step"
-        table.add_row("loop", "", "", f"{loop}: {text}")
+    _add_loops(table, summary)
     for component, class_name in summary.copied_code.items():
         text = f"taken from the log; {flag('allow_code')} computes it, which runs {class_name}"
         table.add_row(component, "", "", text)
     return table
+
+
+def _add_loops(table: Table, summary: Summary) -> None:
+    for loop in summary.loops:
+        text = "step by step, so with an error of first order in the step; compare with --step"
+        table.add_row("loop", "", "", f"{loop}: {text}")
+    for gain in summary.gains:
+        table.add_row("loop gain", "", "", f"{', '.join(gain.components)}: {gain_text(gain)}")
 
 
 def _error_table(title: str, summary: Summary) -> Table:

@@ -7,7 +7,9 @@ from typing import Final
 
 import numpy as np
 
+from cosim.arrays import Vector
 from cosim.core.contracts import Design
+from cosim.core.gain.loop_gain import LinearizedLoops
 from cosim.core.graph import Graph
 from cosim.errors import AssumptionError, RunError
 from cosim.scenario.assumptions.attempts import Evidence
@@ -38,6 +40,7 @@ class Beginning:
         self._builder = builder
         self.designs: dict[str, Design] = {}
         self.refused: list[str] = []
+        self._row: Vector | None = None
 
     @cached_property
     def problems(self) -> list[Problem]:
@@ -82,6 +85,7 @@ class Beginning:
             graph.initialize(clock.start_time, row)
         except RunError as error:
             raise AssumptionError(str(error)) from error
+        self._row = row
         count = len(graph.components)
         evidence = (
             f"{count} component(s) are designed for steps of {clock.step_ns / 1e9:g} s and have "
@@ -91,3 +95,9 @@ class Beginning:
         for name, changed in changes.items():
             evidence += f"; {name}: {change_text(changed)}"
         return evidence, {"components": count}
+
+    def loops(self) -> LinearizedLoops | None:
+        """Return the loops as they begin, after the check; None: the run would not begin."""
+        if self._row is None:
+            return None
+        return LinearizedLoops.of(self.graph, self._builder.clock, self._row)

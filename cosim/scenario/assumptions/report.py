@@ -16,7 +16,7 @@ from cosim.arguments import mapping_argument
 from cosim.arrays import Vector
 from cosim.core.contracts import prepare
 from cosim.core.port import Port
-from cosim.errors import AssumptionError, UsageError
+from cosim.errors import AssumptionError, UsageError, listing
 from cosim.scenario.assumptions.attempts import RESTS_ON_INVALID, attempted
 from cosim.scenario.assumptions.beginning import BEGINNING, Beginning
 from cosim.scenario.assumptions.compensation import CompensatorCheck, driven_by
@@ -24,6 +24,7 @@ from cosim.scenario.assumptions.identification import IdentifierCheck, communica
 from cosim.scenario.assumptions.regression import RegressorCheck
 from cosim.scenario.build import Builder
 from cosim.scenario.context import DependsOnInvalid
+from cosim.scenario.coupling_check import COUPLING, gain_text, gain_values, report_on
 from cosim.scenario.execution import load
 from cosim.scenario.kinds.base import Kind
 from cosim.scenario.kinds.compensators import CompensatorKind
@@ -124,11 +125,12 @@ class _Check:
         self._scenario = builder.scenario
         self._context = builder.context
         self._beginning = Beginning(builder)
+        self._of_coupling: list[tuple[str, str]] = []
 
     @property
     def warnings(self) -> tuple[tuple[str, str], ...]:
         """What a run would warn of, after the checks."""
-        return self._beginning.warnings
+        return (*self._beginning.warnings, *self._of_coupling)
 
     def verdicts(self) -> list[tuple[str, AssumptionVerdict]]:
         """Return all verdicts, with what each is of."""
@@ -149,6 +151,7 @@ class _Check:
         others = self._others(found)
         if not others:
             others = [_resting_on(found, attempted(BEGINNING, self._beginning.check))]
+            others += self._of_loops()
         return found + [(FILE, verdict) for verdict in others]
 
     def _of_model(self, name: str) -> list[AssumptionVerdict]:
@@ -245,6 +248,31 @@ class _Check:
         first = component.outputs(float(t[0]), nothing[0])
         rows = component.advance(t, clock.step_ns / 1e9, nothing)
         return np.append(first, rows[:, 0])
+
+    def _of_loops(self) -> list[AssumptionVerdict]:
+        """Return whether the coupling of each loop leaves its results what they are."""
+        loops = self._beginning.loops()
+        if loops is None:
+            return []
+        report = report_on(loops)
+        self._of_coupling += [(COUPLING, text) for text in report.warnings]
+        may_refuse = self._scenario.file.scenario.coupling_check == "refuse"
+        verdicts = []
+        refusals = iter(report.refusals)
+        for gain in report.gains:
+            name = f"coupling of {listing(gain.components)}"
+            numbers = gain_values(gain)
+            if gain.verdict == "refused":
+                text = next(refusals)
+                if may_refuse:
+                    verdicts.append(refused(name, AssumptionError(text), numbers))
+                    continue
+                self._of_coupling.append((COUPLING, text))
+            decided = None if gain.verdict in ("unknown", "refused") else True
+            text = f"gain {gain_text(gain)}"
+            verdict = AssumptionVerdict(name=name, fulfilled=decided, evidence=text, values=numbers)
+            verdicts.append(verdict)
+        return verdicts
 
     def _others(self, found: list[tuple[str, AssumptionVerdict]]) -> list[AssumptionVerdict]:
         """Return what else stands against a run, beside the assumptions."""
