@@ -30,7 +30,7 @@ from cosim.core.structure.connection_checks import (
     unit_warnings,
 )
 from cosim.core.structure.cycles import groups_in_order
-from cosim.core.structure.feedthrough import extrapolation_text
+from cosim.core.structure.feedthrough import Edge, extrapolation_text
 from cosim.core.structure.order import Coupling, order_loop
 from cosim.core.structure.ports import Ports, layout_of, undriven_parts
 from cosim.core.structure.variability import Variabilities
@@ -38,10 +38,10 @@ from cosim.errors import GraphError, listing, nearest
 from cosim.native.stages.loop_solver import LoopSolver
 from cosim.units import Conversion
 
-InputInterpolation = Literal["linear", "zero-order"]
+InputInterpolation = Literal["linear", "zero-order", "latest"]
 THREADS = (1, 2)
 COUPLINGS: tuple[Coupling, ...] = ("gauss-seidel", "jacobi", "newton")
-INTERPOLATIONS: tuple[str, ...] = ("linear", "zero-order")
+INTERPOLATIONS: tuple[str, ...] = ("linear", "zero-order", "latest")
 
 
 class Graph:
@@ -56,9 +56,14 @@ class Graph:
     coupling : {"gauss-seidel", "jacobi", "newton"}
         How the components of a loop advance: one after the other, together, or again and again
         until all inputs at the end of a step are what drives them then (second order).
-    input_interpolation : {"linear", "zero-order"}
+    input_interpolation : {"linear", "zero-order", "latest"}
         "linear": continuous signals are interpolated linearly inside a step. "zero-order": every
         input holds its value from the start of the step, as in most masters; first order only.
+        "latest": it holds the latest value of its source, that at the end of the step where the
+        source has advanced before (the classic Gauss-Seidel); first order only.
+    iterations : int
+        How often a loop takes a step, each time with what the last one gave for the inputs at its
+        end, with "gauss-seidel" or "jacobi".
     periods : mapping of component name to int
         Communication steps between the rows that a component's log channel keeps; 1 where not
         named.
@@ -100,6 +105,7 @@ class Graph:
         *,
         coupling: Coupling = "gauss-seidel",
         input_interpolation: InputInterpolation = "linear",
+        iterations: int = 1,
         periods: Mapping[str, int] | None = None,
         threads: int | None = None,
         native: bool = True,
@@ -112,6 +118,8 @@ class Graph:
         _check_choice("coupling", coupling, COUPLINGS)
         _check_choice("input_interpolation", input_interpolation, INTERPOLATIONS)
         self.periods = _checked_periods({} if periods is None else periods, self.components)
+        _check_iterations(iterations, coupling, input_interpolation)
+        self.iterations = iterations
         self.coupling = coupling
         self.input_interpolation = input_interpolation
         self.layout = layout_of(self.components, self.periods)
@@ -128,7 +136,7 @@ class Graph:
             self.connections,
             self._parts,
             self._sources,
-            zero_order=input_interpolation == "zero-order",
+            zero_order=input_interpolation != "linear",
         )
         wires: dict[Port, tuple[Wire, ...]] = {}
         self._members: dict[str, Member] = {}
@@ -442,7 +450,14 @@ class Graph:
 
     def _member(self, name: str, wires: Mapping[Port, tuple[Wire, ...]]) -> Member:
         flat = chain.from_iterable(wires.values())
-        return Member(self.layout[name], self.components[name], tuple(flat))
+        channel = self.layout[name]
+        takes_latest = self.input_interpolation == "latest" and not (
+            # at first no source has advanced before: the latest are those of the start
+            (self.coupling == "jacobi" and self.iterations == 1)
+            # a delay takes its inputs there, whatever becomes of them in the step
+            or channel.interface.delayed
+        )
+        return Member(channel, self.components[name], tuple(flat), takes_latest=takes_latest)
 
     def _drivers(self, name: str) -> set[str]:
         """Return the components that drive an input of this one."""
@@ -478,8 +493,13 @@ class Graph:
     def _loop(self, names: list[str]) -> Loop:
         interfaces = {name: self.layout[name].interface for name in names}
         sources = {name: self._sources[name] for name in names}
-        held = self._variabilities.held_connections(names)
-        order = order_loop(interfaces, sources, coupling=self.coupling, held=held)
+        held: set[Edge] = set()
+        if self.input_interpolation != "latest":
+            held = self._variabilities.held_connections(names)
+        iterates = self.coupling == "newton" or self.iterations > 1
+        order = order_loop(
+            interfaces, sources, coupling=self.coupling, iterates=iterates, held=held
+        )
         members = [self._members[name] for name in names]
         operations = [(kind, self._members[name]) for kind, name in order.operations]
         warnings = [(unknown.component, str(unknown)) for unknown in order.unknown]
@@ -488,7 +508,8 @@ class Graph:
         torn = None
         if order.torn:
             _check_rollback(members)
-            torn = TornInputs(order.torn, members, self.ports)
+            iterations = 0 if self.coupling == "newton" else self.iterations
+            torn = TornInputs(order.torn, members, self.ports, iterations)
         for member in members:
             member.note = self._loop_note(member.name, names)
         return Loop(
@@ -499,6 +520,46 @@ class Graph:
             order.broken,
             tuple(warnings),
             torn,
+            self._lags(members),
+        )
+
+    def _lags(self, members: Sequence[Member]) -> bool:
+        """Return whether something in a loop belongs to the start of a step, or to inside it."""
+        if self.input_interpolation != "linear":
+            return True
+        lagging: set[Port] = set()
+        driving: set[Port] = set()
+        for member in members:
+            lagging.update(Port(member.name, name) for name in member.channel.interface.lagging)
+            for ports in self._sources[member.name].values():
+                driving.update(ports)
+        return not lagging.isdisjoint(driving)
+
+
+def _check_iterations(
+    iterations: int, coupling: Coupling, input_interpolation: InputInterpolation
+) -> None:
+    """Check that a number of iterations is one, and has something to change.
+
+    Raises
+    ------
+    GraphError
+        If it is not, or has not.
+    """
+    if type(iterations) is not int or iterations < 1:
+        raise GraphError(
+            f"iterations: found {kind_of(iterations)}; needed a whole number from 1 on"
+        )
+    if iterations > 1 and coupling == "newton":
+        raise GraphError(
+            f"iterations: found {iterations} with coupling = 'newton', which takes as many as it "
+            "needs; needed 1, or 'gauss-seidel' or 'jacobi'"
+        )
+    if iterations > 1 and input_interpolation == "zero-order":
+        raise GraphError(
+            f"iterations: found {iterations} with input_interpolation = 'zero-order', where inputs "
+            "hold their values from the start of a step, so that nothing changes; needed "
+            "'linear' or 'latest'"
         )
 
 
@@ -513,9 +574,9 @@ def _check_rollback(members: Sequence[Member]) -> None:
     names = [member.name for member in members if not member.channel.interface.rollback]
     if names:
         raise GraphError(
-            f"coupling: found 'newton', which takes a step several times; {listing(names)} in this "
-            "loop cannot go back to its start (rollback is not declared; of an FMU: "
-            "canGetAndSetFMUstate); needed 'gauss-seidel' or 'jacobi'"
+            f"coupling: found 'newton', or several iterations, which takes a step several times; "
+            f"{listing(names)} in this loop cannot go back to its start (rollback is not declared; "
+            "of an FMU: canGetAndSetFMUstate); needed 'gauss-seidel' or 'jacobi', with 1 iteration"
         )
 
 

@@ -193,6 +193,9 @@ class Interface:
         Whether the component has ``save`` and ``restore`` (:class:`cosim.core.contracts.Rollback`).
     native : bool
         Whether the component has ``native`` (:class:`cosim.core.contracts.Native`).
+    lagging : tuple of output names
+        Outputs that follow inputs directly, or may, but not those at the end of a step: they belong
+        to what the inputs have inside it, so that a loop through them is of first order at best.
     linearizable : bool
         Whether the component has ``linearized`` (:class:`cosim.core.contracts.Linearizable`).
     restarts : bool
@@ -215,6 +218,7 @@ class Interface:
     native: bool = False
     linearizable: bool = False
     restarts: bool = False
+    lagging: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         # What is declared must not change later: copies, and nothing that can be written to.
@@ -238,7 +242,7 @@ class Interface:
         initial = dict(self.initial)
         values = (self.inputs, self.outputs, feedthrough, initial, self.delayed)
         methods = (self.prepares, self.rollback, self.native, self.linearizable)
-        return Interface, (*values, *methods, self.restarts)
+        return Interface, (*values, *methods, self.restarts, self.lagging)
 
     def _dependencies(self, key: str, declared: Dependencies) -> dict[str, tuple[str, ...] | None]:
         """Return a copy of declared dependencies, after a check of the names."""

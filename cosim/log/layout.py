@@ -106,6 +106,8 @@ class Part:
             items["cosim.initial"] = compact(dict(channel.interface.initial))
         if channel.interface.delayed:
             items["cosim.delayed"] = compact(list(channel.interface.delayed))
+        if channel.interface.lagging:
+            items["cosim.lagging"] = compact(list(channel.interface.lagging))
         # Last: the checksum covers all items, and what came after it would be unprotected.
         return add_checksum(_CHECKSUM_NAME, items)
 
@@ -147,7 +149,10 @@ def read_part(metadata: Mapping[str, str]) -> Part:
     signals = read_json(items["cosim.signals"])
     initial = json_table(items.get("cosim.initial", "{}"))
     delayed = read_json(items.get("cosim.delayed", "[]"))
-    interface = replace(_read_interface(signals, initial), delayed=tuple(delayed))
+    lagging = read_json(items.get("cosim.lagging", "[]"))
+    interface = replace(
+        _read_interface(signals, initial), delayed=tuple(delayed), lagging=tuple(lagging)
+    )
     first_column = read_number(items["cosim.start"])
     period = period_ns // step_ns
     channel = Channel(name, interface, first_column, period)
@@ -176,8 +181,9 @@ def signals_json(interface: Interface) -> str:
     Inputs come first. ``feedthrough`` lists the inputs an output depends on directly; null:
     unknown. A field that is not ``_ALWAYS_WRITTEN`` is left out where it has its default, so that
     one added later changes no hash of signals that do without it. What outputs depend on at
-    initialization, and which inputs are delayed, only orders calls: that stands apart, in
-    ``cosim.initial`` and ``cosim.delayed``, and changes no hash.
+    initialization, and which inputs are delayed, only orders calls, which outputs lag
+    only says what the order of the error is: that stands apart, in ``cosim.initial``,
+    ``cosim.delayed`` and ``cosim.lagging``, and changes no hash.
     """
     # The hash covers this text byte by byte: neither the order of the signals nor that of the keys
     # in an entry may change, nor _ALWAYS_WRITTEN.

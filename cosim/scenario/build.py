@@ -495,7 +495,7 @@ class Builder:
 
     def _held_disturbances(self, graph: Graph) -> Iterator[tuple[str, str]]:
         """Yield (component, text) where a disturbance is in a loop, by signals among its alphas."""
-        if graph.input_interpolation == "zero-order":
+        if graph.input_interpolation != "linear":
             return
         delay = 0.5 * self.clock.step_ns / 1e9
         for stage in graph.stages:
@@ -540,6 +540,7 @@ class Builder:
             self.components,
             self.scenario.connections,
             coupling=settings.coupling,
+            iterations=settings.iterations,
             input_interpolation=settings.input_interpolation,
             periods=self._periods,
             threads=settings.threads,
@@ -640,7 +641,8 @@ def fingerprint(scenario: Scenario, name: str, reads: frozenset[str]) -> str:
     settings = scenario.file.scenario
     names = sorted({f"components.{name}", *reads})
     tables = {dotted: _table(scenario.tree, dotted) for dotted in names}
-    values = [tables, settings.step, settings.input_interpolation, settings.coupling]
+    method = [settings.coupling, settings.iterations]
+    values = [tables, settings.step, settings.input_interpolation, *method]
     text = json.dumps(values, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 

@@ -31,7 +31,11 @@ from cosim.scenario.recorded_metadata import (
 from cosim.scenario.records import SCENARIO_FILE
 from cosim.scenario.swap import is_map_key
 
-EVERYWHERE = {"scenario.input_interpolation", "scenario.coupling"}  # what matters to all inputs
+EVERYWHERE = {  # what matters to all inputs
+    "scenario.input_interpolation",
+    "scenario.coupling",
+    "scenario.iterations",
+}
 NO_CHANGES: Final[Mapping[str, Any]] = MappingProxyType({})
 _TABLES = ("components", "models", "connections")
 

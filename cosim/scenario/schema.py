@@ -116,9 +116,14 @@ class Settings(TomlTable):
         description="where the coupling of a loop multiplies an error by more than 10 over the "
         'run, "refuse" it, or "warn" of it',
     )
-    input_interpolation: Literal["linear", "zero-order"] = Field(
+    iterations: Annotated[Whole, Field(ge=1)] = Field(
+        1,
+        description='how often a loop takes a step, with "gauss-seidel" or "jacobi"',
+    )
+    input_interpolation: Literal["linear", "zero-order", "latest"] = Field(
         "linear",
-        description='inputs inside a step: "linear" interpolation, or "zero-order" hold',
+        description='inputs inside a step: "linear" interpolation, "zero-order" hold of their '
+        'values at its start, or of the "latest" that there are (classic Gauss-Seidel)',
     )
     threads: Annotated[Whole, Field(ge=1, le=2)] | None = Field(
         None,

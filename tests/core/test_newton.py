@@ -8,6 +8,7 @@ import scipy.linalg
 import scipy.optimize
 
 from cosim.blocks.replay import Replay
+from cosim.blocks.source import ramp
 from cosim.blocks.state_space import controller
 from cosim.core.clock import Clock
 from cosim.core.graph import Graph
@@ -206,8 +207,8 @@ def test_a_component_that_cannot_go_back_is_named_before_the_run():
         "b": Function(lambda t, y: y),
     }
     expected = (
-        r"coupling: found 'newton', which takes a step several times; a in this loop cannot go "
-        r"back to its start .* needed 'gauss-seidel' or 'jacobi'"
+        r"coupling: found 'newton', or several iterations, which takes a step several times; a in "
+        r"this loop cannot go back to its start .* needed 'gauss-seidel' or 'jacobi', with 1"
     )
     with pytest.raises(GraphError, match=expected):
         Graph(components, {"a.u0": "b.y", "b.u0": "a.y"}, coupling="newton")
@@ -237,3 +238,83 @@ def test_unknown_feedthrough_is_solved_with_the_rest():
     memory = record(graph)
     np.testing.assert_allclose(memory["a.u"], memory["b.y"], rtol=1e-12)
     np.testing.assert_allclose(memory["a.y"], memory["a.x"] + 0.5 * memory["a.u"], rtol=1e-12)
+
+
+# --- a fixed number of iterations, and inputs that hold their latest value ---
+
+
+@pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
+@pytest.mark.parametrize("interpolation", ["linear", "latest"])
+def test_iterations_have_the_same_bits_in_compiled_code(coupling, interpolation):
+    """In blocks of any length."""
+    options = {"coupling": coupling, "input_interpolation": interpolation, "iterations": 3}
+    expected = record(pair(**options, native=False), 0.1, 0.001)
+    for block in (None, 1, 7):
+        found = record(pair(**options), 0.1, 0.001, block=block)
+        for signal in ("one.u", "one.x", "two.u", "two.x"):
+            assert found[signal].tobytes() == expected[signal].tobytes()
+
+
+def test_many_iterations_come_to_the_solution_of_newton():
+    """Where each reduces what is left: without feedthrough, by the step times the gains."""
+
+    def graph(**options):
+        components = {"p": state_space(-1.0, 1.0, 1.0, 0.0, 1.0)}
+        components["v"] = state_space(-1.0, -1.0, 1.0, 0.0, 0.0)
+        return Graph(components, {"p.u": "v.y", "v.u": "p.y"}, **options)
+
+    solved = record(graph(coupling="newton"))["p.x"]
+    errors = []
+    for iterations in (1, 2, 3, 8):
+        iterated = record(graph(coupling="gauss-seidel", iterations=iterations))["p.x"]
+        errors.append(np.abs(iterated - solved).max())
+    assert errors[1] < 0.01 * errors[0]
+    assert errors[2] < 0.01 * errors[1]
+    assert errors[3] < 1e-14
+
+
+def test_cascades_take_the_latest_value_over_the_whole_step():
+    """A ramp behind an integrator: the rule of the right end, in one call or step by step."""
+    for native in (True, False):
+        for block in (None, 1, 4):
+            graph = Graph(
+                {"r": ramp(slope=1.0), "i": state_space(0.0, 1.0, 1.0, 0.0, 0.0)},
+                {"i.u": "r.y"},
+                input_interpolation="latest",
+                native=native,
+            )
+            memory = record(graph, 1.0, 0.1, block=block)
+            k = np.arange(11)
+            np.testing.assert_allclose(memory["i.x"], 0.01 * k * (k + 1) / 2, rtol=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"iterations": 0}, "iterations: found 0; needed a whole number from 1 on"),
+        ({"iterations": 2}, "iterations: found 2 with coupling = 'newton', which takes as many"),
+        (
+            {"iterations": 2, "coupling": "jacobi", "input_interpolation": "zero-order"},
+            "iterations: found 2 with input_interpolation = 'zero-order', where inputs hold",
+        ),
+    ],
+)
+def test_iterations_that_change_nothing_are_refused(options, text):
+    """With what would do."""
+    with pytest.raises(GraphError) as caught:
+        pair(**options)
+    assert str(caught.value).startswith(text)
+
+
+def test_the_order_of_a_loop_is_told_as_it_is():
+    """Second order is said of lines that are solved for alone."""
+
+    def order(**options):
+        (stage,) = pair(**options).stages
+        return 1 if stage.is_first_order else 2
+
+    assert order() == 2
+    assert order(input_interpolation="zero-order") == 1
+    assert order(input_interpolation="latest") == 1
+    assert order(coupling="gauss-seidel") == 1
+    assert order(coupling="gauss-seidel", iterations=3) == 1

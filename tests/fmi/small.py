@@ -17,7 +17,8 @@ CAN = {
 
 def compiled(folder: Path) -> Path:
     """Compile the FMU, which can do nothing; :func:`able` makes one that can."""
-    return compile_fmu(folder / "small.fmu", xml(), "small2.c")
+    sources = ("small2.c", "unused.c")
+    return compile_fmu(folder / "small.fmu", xml(), *sources, defines=("FMI=2",))
 
 
 def able(fmu: Path, target: Path, *can: str, **values: float) -> Path:

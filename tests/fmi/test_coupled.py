@@ -145,3 +145,13 @@ def test_a_nonlinear_loop_is_solved_together(opened, native):
         assert b == -1.8
         residuals = (a + b + c, 2 * a - 3 * b + 2 * c - 9, a * a + b * b + c * c - 5)
         np.testing.assert_allclose(residuals, 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("can", "order"), [(("slopes",), 2), (("D",), 2), ((), 1)], ids=["slopes", "D", "means"]
+)
+def test_the_order_that_a_loop_is_said_to_have_is_that_of_its_error(pair, can, order):
+    """Outputs that belong to the mean of the inputs, without D, make it the first."""
+    (stage,) = pair(*can).stages
+    assert stage.is_first_order is (order == 1)
+    assert ("(second order)" in stage.description) is (order == 2)

@@ -147,7 +147,7 @@ class Cascade:
         member = self.member
         # Row 0 is the last row of the block before: its inputs are there.
         member.gather(signals, slice(1, None))
-        u = read_only(signals)[:, member.inputs]
+        u = member.inputs_over(read_only(signals))
         try:
             signals[1:, member.outputs] = member.component.advance(block.time, block.h, u)
         except RunError as error:
@@ -161,7 +161,11 @@ class Cascade:
 
 @dataclass(frozen=True, slots=True)
 class Loop:
-    """Components of a cycle of the graph, advanced step by step in a fixed order of operations."""
+    """Components of a cycle of the graph, advanced step by step in a fixed order of operations.
+
+    ``broken`` connections are extrapolated; ``lags``: inputs hold their values over a step, or
+    outputs belong to inputs inside it.
+    """
 
     coupling: str
     members: tuple[Member, ...]
@@ -170,12 +174,14 @@ class Loop:
     broken: int
     warnings: tuple[tuple[str, str], ...]
     torn: TornInputs | None
+    lags: bool
     is_loop: bool = True
 
     @property
     def is_first_order(self) -> bool:
-        """Whether a connection is broken, or a feedthrough is not known, which may break one."""
-        return bool(self.broken or self.warnings)
+        """Whether an input or an output lags behind by a part of a step, or may."""
+        is_cut_short = self.torn is not None and self.torn.solver.iterations > 0
+        return bool(self.broken or self.warnings or self.lags or is_cut_short)
 
     @property
     def description(self) -> str:
@@ -198,7 +204,9 @@ class Loop:
         check: ProgramOperation = ("check", self.members)
         if self.torn is None:
             return (*self._sweep_program, check)
-        program: list[ProgramOperation] = [("save", (member,)) for member in self.members]
+        program: list[ProgramOperation] = []
+        for member in self.members:
+            program += [("save", (member,)), ("keep", (member,))]
         program.append(("begin", self.members))
         program += [("restore", (member,)) for member in self.members]
         return (*program, *self._sweep_program, ("solve", self.members), check)
@@ -275,6 +283,7 @@ class Loop:
         if self.torn is None:
             return self._sweep(time, h, rows, known, results)
         states = [(member, member.component.save()) for member in self.members]
+        self._keep(rows)
         self.torn.begin(float(time[1]), rows)
         while True:
             results.clear()
@@ -303,13 +312,11 @@ class Loop:
         is appended to ``results``.
         """
         stopped: Stopped | None = None
-        # Extrapolated inputs read row 1 before their source has written it: first, it is row 0.
-        for member in self.members:
-            rows[1, member.outputs] = rows[0, member.outputs]
+        self._keep(rows)
         for kind, member in self.operations:
             self._gather(member, rows)
             try:
-                y = call(kind, member, time, h, known[:, member.inputs])
+                y = call(kind, member, time, h, member.inputs_over(known))
             except Stopped as stop:
                 stopped = stop
                 if not stopped.steps:
@@ -321,6 +328,11 @@ class Loop:
         for member in self.members:
             self._gather(member, rows)
         return stopped
+
+    def _keep(self, rows: Matrix) -> None:
+        """Extrapolated inputs read row 1 before their source has written it: first, it is row 0."""
+        for member in self.members:
+            rows[1, member.outputs] = rows[0, member.outputs]
 
     def _gather(self, member: Member, rows: Matrix) -> None:
         """Bring the inputs of a component at the end of the step up to date."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.arrays import Matrix, Vector
+from cosim.arrays import Matrix, Vector, read_only
 from cosim.core.contracts import Component
 from cosim.core.signals import Channel, element_names
 from cosim.core.stages.calls import GuardedComponent
@@ -57,13 +57,22 @@ class Member:
         Number of input elements.
     optional : Mask, shape (n_u + n_y,)
         Which elements may have no value (NaN).
+    takes_latest : bool
+        Over a step its inputs have the values that they have at its end.
     overrides : Overrides
         Of its inputs.
     note : str
         What is to be known of it where a value becomes infinite: the loop that it is in.
     """
 
-    def __init__(self, channel: Channel, component: Component, wires: tuple[Wire, ...]) -> None:
+    def __init__(
+        self,
+        channel: Channel,
+        component: Component,
+        wires: tuple[Wire, ...],
+        *,
+        takes_latest: bool = False,
+    ) -> None:
         self.channel = channel
         self.name = channel.name
         self.component = GuardedComponent(channel, component)
@@ -71,6 +80,7 @@ class Member:
         self.outputs = channel.outputs
         self.columns = channel.columns
         self.wires = wires
+        self.takes_latest = takes_latest
         self.n_u = channel.interface.n_u
         self.overrides = Overrides(self.n_u)
         self.note = ""
@@ -104,6 +114,11 @@ class Member:
             wire.copy(signals, rows)
         if self.overrides:
             self.overrides.copy(signals, rows)
+
+    def inputs_over(self, rows: Matrix) -> Matrix:
+        """Return its inputs at the ends of steps, shape (K+1, n_u), as it is to take them."""
+        u = rows[:, self.inputs]
+        return read_only(np.vstack([u[1:], u[-1:]])) if self.takes_latest else u
 
     def driven(self, row: Vector) -> Vector:
         """Return a row with the inputs that their sources give, whatever overrides them."""

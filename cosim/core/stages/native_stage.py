@@ -183,7 +183,7 @@ class NativeStage:
                         self._restore(member, float(block.time[k + 1]))
                     else:
                         signals[k + 1, member.outputs] = self._call(
-                            kind, member, block.time[rows], block.h, known[rows, member.inputs]
+                            kind, member, block.time[rows], block.h, member.inputs_over(known[rows])
                         )
                 left = library.cosim_stage_run(self._address, end, DONE)
             except (NonFiniteError, Stopped) as error:

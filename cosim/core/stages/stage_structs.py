@@ -106,6 +106,7 @@ def _fill(struct: MemberStruct, member: Member, step: NativeStep | None) -> None
         struct.advance = step.function
         struct.outputs = step.outputs
         struct.self = step.address
+    struct.takes_latest = member.takes_latest
     struct.u = member.inputs.start
     struct.n_u = member.n_u
     struct.y = member.outputs.start

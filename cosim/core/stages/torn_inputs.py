@@ -31,6 +31,8 @@ class TornInputs:
     members : sequence of Member
         The components of the loop.
     ports : Ports
+    iterations : int
+        Sweeps of a step; 0: as many as Newton's method takes.
 
     Attributes
     ----------
@@ -44,7 +46,11 @@ class TornInputs:
     """
 
     def __init__(
-        self, connections: Collection[Edge], members: Sequence[Member], ports: Ports
+        self,
+        connections: Collection[Edge],
+        members: Sequence[Member],
+        ports: Ports,
+        iterations: int = 0,
     ) -> None:
         columns: list[int] = []
         self._own: dict[str, tuple[NDArray[np.intp], slice]] = {}
@@ -59,7 +65,7 @@ class TornInputs:
             columns += own
         self.members = tuple(with_some)
         self.columns = tuple(columns)
-        self.solver = LoopSolver(len(columns))
+        self.solver = LoopSolver(len(columns), iterations)
         of_members = [np.arange(m.columns.start, m.columns.stop) for m in members]
         self._of_loop = np.concatenate(of_members)
         self.answer = np.empty(len(columns))
@@ -89,8 +95,12 @@ class TornInputs:
         self.solver.take(times, np.hstack(parts))
 
     def begin(self, t1: float, rows: Matrix) -> None:
-        """Begin a step that ends at ``t1`` [s]: the guess is what the inputs have at its start."""
-        self.solver.begin(t1, rows[0, list(self.columns)])
+        """Begin a step that ends at ``t1`` [s].
+
+        The guess is what the sources have at its start, which row 1 has so far.
+        """
+        self._gather(rows)
+        self.solver.begin(t1, self.answer)
 
     def inputs_of(self, member: Member) -> tuple[NDArray[np.intp], Vector]:
         """Return the columns of a component's elements, and what is tried for them, to be read."""
@@ -106,14 +116,18 @@ class TornInputs:
 
     def next(self, rows: Matrix) -> int:
         """Look at what a sweep gave; return what is next: ``SOLVED``, ``SWEEP``, ..."""
+        self._gather(rows)
+        values = np.abs(rows[1, self._of_loop])
+        largest = float(np.fmax.reduce(values))
+        return self.solver.next(self.answer, largest)
+
+    def _gather(self, rows: Matrix) -> None:
+        """Bring the answer up to date: what row 1 gives for the elements."""
         gathered = rows[1:].copy()
         for member in self.members:
             columns, places = self._own[member.name]
             member.gather(gathered, slice(0, 1))
             self.answer[places] = gathered[0, columns]
-        values = np.abs(rows[1, self._of_loop])
-        largest = float(np.fmax.reduce(values))
-        return self.solver.next(self.answer, largest)
 
     def stop(self, status: int, t: float) -> Stopped:
         """Return why there is no solution at ``t`` [s], the end of a step, as what stops it."""

@@ -9,7 +9,8 @@ Which inputs are extrapolated (:mod:`cosim.core.stages.coupling`) is fixed befor
   controller goes first.
 * Jacobi: all inputs from inside the loop are extrapolated.
 * Newton: the same order as Gauss-Seidel. A connection that would be broken is *torn* instead: what
-  it has at the end of the step is an unknown, which is solved for.
+  it has at the end of the step is an unknown, which is solved for. The same holds for the others
+  where they take a step several times.
 
 The connections of an algebraic loop feed through and reach each other within the same instant: one
 of them at least is torn. Where nothing solves for it, its input is extrapolated, and the outputs
@@ -95,6 +96,7 @@ def order_loop(
     sources: Sources,
     *,
     coupling: Coupling,
+    iterates: bool | None = None,
     held: Collection[Edge] = (),
 ) -> LoopOrder:
     """Return the order of operations in a loop, and which inputs are extrapolated.
@@ -106,6 +108,8 @@ def order_loop(
     sources : mapping of component name to mapping of input to tuple of Port
         What drives each input; ports of components outside the loop are known from the start.
     coupling : {"gauss-seidel", "jacobi", "newton"}
+    iterates : bool, optional
+        Whether a step is taken several times; left out: with "newton".
     held : collection of (input Port, source Port)
         Connections with a zero-order hold: their value at the end of a step reaches no state.
 
@@ -115,7 +119,8 @@ def order_loop(
         If a discrete signal is in an algebraic loop; every port of it is named.
     """
     by_name = {name: interfaces[name] for name in sorted(interfaces)}
-    iterates = coupling == "newton"
+    if iterates is None:
+        iterates = coupling == "newton"
     found = find_feedthrough(by_name, sources, iterates=iterates)
     network = _Network(by_name, found, sources, held, iterates=iterates)
     if coupling == "jacobi":

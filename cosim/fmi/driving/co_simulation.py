@@ -71,6 +71,8 @@ class CoSimulation:
         self._fmu_state: object | None = None
         self._diagnostics = Diagnostics(self._name)
         self._stepper = Stepper(instance, self._diagnostics)
+        if not self._stepper.interpolates:
+            self.interface = replace(self.interface, lagging=tuple(self._uncorrected_outputs()))
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Take which inputs have a zero-order hold; nothing is designed.

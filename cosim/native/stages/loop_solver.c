@@ -232,10 +232,20 @@ static int32_t judge(Solver *s, const double *w, double largest)
     return take_matrix(s);
 }
 
+static int32_t repeat(Solver *s, const double *w)
+{
+    if (++s->sweeps >= s->iterations)
+        return COSIM_SOLVED;
+    memcpy(s->v, w, (size_t)s->n * sizeof *w);
+    return COSIM_SWEEP;
+}
+
 int32_t cosim_loop_solver_next(cosim_loop_solver *s, const double *w, double largest)
 {
     if (s->n_rows)
         return COSIM_SOLVED;
+    if (s->iterations)
+        return repeat(s, w);
     if (s->column < 0)
         return judge(s, w, largest);
     take_column(s, w);

@@ -5,7 +5,8 @@
  * in turns with sweeps: it names the next v, the caller answers with w. So it is the same for
  * components in compiled code and in Python.
  *
- * Of a loop that is replayed v is recorded, and nothing is solved for. Else it is Newton's method:
+ * Of a loop that is replayed v is recorded, and nothing is solved for. With a fixed number of
+ * iterations v is what the sweep before gave, solution or not. Else it is Newton's method:
  * the matrix 1 - dw/dv is taken by differences, a sweep an element, and kept for as long as it
  * converges, over many steps. */
 #ifndef COSIM_LOOP_SOLVER_H
@@ -25,6 +26,7 @@ typedef struct {
     /* recorded v (n_rows, n) and their instants (n_rows); n_rows 0: they are solved for */
     int64_t n_rows;
     const double *times, *rows;
+    int64_t iterations; /* sweeps of a step, each with what the one before gave; 0: Newton */
     /* what is kept over steps: whether there is a matrix; the largest |v| so far (n); scales of the
      * unknowns (n); the factors of the matrix in these scales (n, n); their order of rows (n) */
     double *memory;

@@ -22,7 +22,9 @@ class LoopSolverStruct(Structure):
 
     _fields_ = (
         *((name, c_int64) for name in ("n", "n_rows")),
-        *((name, c_void_p) for name in ("times", "rows", "memory", "v", "point")),
+        *((name, c_void_p) for name in ("times", "rows")),
+        ("iterations", c_int64),
+        *((name, c_void_p) for name in ("memory", "v", "point")),
         *((name, c_int64) for name in ("sweeps", "column", "is_new")),
         ("before", c_double),
         ("worst", c_int64),
@@ -40,12 +42,15 @@ declare(
 
 @final
 class LoopSolver:
-    """Solves ``w(v) = v`` by Newton's method, in turns with sweeps of the loop.
+    """Solves ``w(v) = v``, in turns with sweeps of the loop.
 
     Parameters
     ----------
     n : int
         Number of unknowns.
+    iterations : int
+        Sweeps of a step, each with what the one before gave, solution or not; 0: as many as
+        Newton's method takes.
 
     Attributes
     ----------
@@ -55,12 +60,13 @@ class LoopSolver:
         What is kept from step to step.
     """
 
-    def __init__(self, n: int) -> None:
+    def __init__(self, n: int, iterations: int) -> None:
+        self.iterations = iterations
         self.v = np.zeros(n)
         self.memory = np.zeros(1 + 3 * n + n * n)
         self._point = np.zeros(2 * n)
         arrays = (pointer(self.memory), pointer(self.v), pointer(self._point))
-        self._struct = LoopSolverStruct(n, 0, None, None, *arrays)
+        self._struct = LoopSolverStruct(n, 0, None, None, iterations, *arrays)
         self.address = addressof(self._struct)
 
     def take(self, times: Vector, rows: Matrix) -> None:

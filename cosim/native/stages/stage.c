@@ -186,7 +186,8 @@ static inline int32_t call(const cosim_stage *s, const cosim_member *m, int32_t 
         return m->outputs ? m->outputs(m->self, step->t[1], u, y) : COSIM_NO_VALUE;
     if (!m->advance)
         return COSIM_NO_VALUE;
-    return m->advance(m->self, step->t[0], step->t[1], s->h, step->before + m->u, u, y);
+    const double *u0 = m->takes_latest ? u : step->before + m->u;
+    return m->advance(m->self, step->t[0], step->t[1], s->h, u0, u, y);
 }
 
 RARE static int32_t timed_call(const cosim_stage *s, const cosim_member *m, int32_t kind,
@@ -253,29 +254,27 @@ static int32_t jump(cosim_stage *s, int64_t operation)
     return GO_ON;
 }
 
-RARE static int32_t begin(cosim_stage *s, const cosim_operation *operation, const Step *step)
-{
-    cosim_unknowns *unknowns = s->segments[s->segment].unknowns;
-    double *v = unknowns->solver->v;
-    for (int32_t i = 0; i < operation->count; ++i) {
-        const cosim_member *m = operation->members + i;
-        for (int32_t j = 0; j < m->n_torn; ++j)
-            *v++ = step->before[m->torn[j]];
-    }
-    unknowns->stopped = 0;
-    cosim_loop_solver_begin(unknowns->solver, step->t[1]);
-    return jump(s, unknowns->sweep);
-}
-
-/* What the sources give for the torn inputs of a member; the row stays as it is. */
+/* What the sources give for the torn inputs of a member. */
 static double *answer(cosim_stage *s, const cosim_member *m, double *row, double *w)
 {
     gather_copies(m, row);
     gather_driven(s, m, row);
     for (int32_t j = 0; j < m->n_torn; ++j)
         *w++ = row[m->torn[j]];
-    put_tried(m, row);
     return w;
+}
+
+/* The guess is what the sources have at the start of the step, which the new row has so far. */
+RARE static int32_t begin(cosim_stage *s, const cosim_operation *operation, const Step *step)
+{
+    cosim_unknowns *unknowns = s->segments[s->segment].unknowns;
+    double *v = unknowns->solver->v;
+    for (int32_t i = 0; i < operation->count; ++i)
+        if (operation->members[i].n_torn)
+            v = answer(s, operation->members + i, step->row, v);
+    unknowns->stopped = 0;
+    cosim_loop_solver_begin(unknowns->solver, step->t[1]);
+    return jump(s, unknowns->sweep);
 }
 
 static double largest_of(const cosim_member *m, const double *row, double largest)
@@ -291,8 +290,10 @@ RARE static int32_t solve(cosim_stage *s, const cosim_operation *operation, cons
     double *w = unknowns->w, largest = 0.0;
     for (int32_t i = 0; i < operation->count; ++i) {
         const cosim_member *m = operation->members + i;
-        if (m->n_torn)
+        if (m->n_torn) {
             w = answer(s, m, step->row, w);
+            put_tried(m, step->row);
+        }
         largest = largest_of(m, step->row, largest);
     }
     unknowns->status = cosim_loop_solver_next(unknowns->solver, unknowns->w, largest);
@@ -376,9 +377,10 @@ static int64_t run_cascade(cosim_stage *s, int64_t end)
     if (s->suspicious)
         return run_segment(s, end);
     for (int64_t k = s->step; k < end; ++k) {
-        const double *t = s->t + k, *u = row + m->u;
+        const double *t = s->t + k, *before = row + m->u;
         row += s->width;
-        const int32_t status = m->advance(m->self, t[0], t[1], s->h, u, row + m->u, row + m->y);
+        const double *u = row + m->u, *u0 = m->takes_latest ? u : before;
+        const int32_t status = m->advance(m->self, t[0], t[1], s->h, u0, u, row + m->y);
         s->step = k;
         if (status != COSIM_OK)
             return segment->first + 1;

@@ -56,6 +56,7 @@ typedef struct {
     void *self;
     int32_t u, n_u, y, n_y;  /* first column and number of its inputs, and of its outputs */
     int32_t n_copies, n_sums, n_torn; /* what feeds its inputs */
+    int32_t takes_latest; /* over a step its inputs have the values that they have at its end */
     const cosim_copy *copies;
     const cosim_sum *sums;
     const uint8_t *optional; /* (n_u + n_y) where NaN means "no value yet" */

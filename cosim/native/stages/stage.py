@@ -54,6 +54,7 @@ class MemberStruct(Structure):
     _fields_ = (
         *((name, c_void_p) for name in ("advance", "outputs", "self")),
         *((name, c_int32) for name in ("u", "n_u", "y", "n_y", "n_copies", "n_sums", "n_torn")),
+        ("takes_latest", c_int32),
         *((name, c_void_p) for name in ("copies", "sums")),
         *((name, c_void_p) for name in ("optional", "seconds", "overridden", "gains", "overrides")),
         *((name, c_void_p) for name in ("torn", "tried", "rollback")),

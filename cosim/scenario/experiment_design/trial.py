@@ -293,6 +293,7 @@ def _upstream_graph(builder: Builder, subject: DesignSubject) -> Graph:
         {name: builder.components[name] for name in ordered},
         connections,
         coupling=settings.coupling,
+        iterations=settings.iterations,
         input_interpolation=settings.input_interpolation,
         periods=periods,
     )

@@ -140,30 +140,3 @@ fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state)
     *state = NULL;
     return fmi2OK;
 }
-
-/* There are no variables of other types. */
-#define NONE(name, type)                                                               \
-    fmi2Status fmi2Set##name(fmi2Component c, const fmi2ValueReference vr[], size_t n, \
-                             const type values[])                                      \
-    {                                                                                  \
-        (void)c, (void)vr, (void)n, (void)values;                                      \
-        return fmi2Error;                                                              \
-    }                                                                                  \
-    fmi2Status fmi2Get##name(fmi2Component c, const fmi2ValueReference vr[], size_t n, \
-                             type values[])                                            \
-    {                                                                                  \
-        (void)c, (void)vr, (void)n, (void)values;                                      \
-        return fmi2Error;                                                              \
-    }
-NONE(Integer, fmi2Integer)
-NONE(Boolean, fmi2Boolean)
-NONE(String, fmi2String)
-
-#define NO_STATUS(name, type)                                                           \
-    fmi2Status fmi2Get##name##Status(fmi2Component c, const fmi2StatusKind kind, type *value) \
-    {                                                                                   \
-        (void)c, (void)kind, (void)value;                                               \
-        return fmi2Discard;                                                             \
-    }
-NO_STATUS(Boolean, fmi2Boolean)
-NO_STATUS(Real, fmi2Real)

@@ -1,8 +1,9 @@
 /* Functions that FMI 2 and FMI 3 (-DFMI=2, 3) require, and other sources have no use for: errors, but
- * for what masters ask when they load an FMU. Without the headers, as only their names matter. */
+ * for what masters ask when they load an FMU. They are weak: those of other sources take their place.
+ * Without the headers, as only their names matter. */
 #if FMI == 2
 #define UNUSED(name) \
-    int fmi2##name(void) { return 3; }
+    __attribute__((weak)) int fmi2##name(void) { return 3; }
 const char *fmi2GetTypesPlatform(void) { return "default"; }
 const char *fmi2GetVersion(void) { return "2.0"; }
 int fmi2SetDebugLogging(void) { return 0; }
@@ -29,7 +30,7 @@ UNUSED(GetBooleanStatus)
 UNUSED(GetStringStatus)
 #else
 #define UNUSED(name) \
-    int fmi3##name(void) { return 3; }
+    __attribute__((weak)) int fmi3##name(void) { return 3; }
 const char *fmi3GetVersion(void) { return "3.0"; }
 int fmi3SetDebugLogging(void) { return 0; }
 UNUSED(InstantiateScheduledExecution)
