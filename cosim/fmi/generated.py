@@ -371,6 +371,13 @@ class GeneratedInstance:
     def free_fmu_state(self, state: object) -> None:
         """Do nothing: a copy holds nothing that must be freed."""
 
+    def mark_messages(self) -> object:
+        """Return nothing: there are no messages."""
+        return None
+
+    def forget_messages(self, mark: object, *, of_calls: bool = True) -> None:
+        """Do nothing: there are no messages."""
+
 
 class _GeneratedState(NamedTuple):
     """A copy of an instance's state."""

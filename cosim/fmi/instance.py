@@ -198,6 +198,17 @@ class Instance(Protocol):
         """Release a copied state."""
         ...
 
+    def mark_messages(self) -> object:
+        """Return what the messages up to now are known by."""
+        ...
+
+    def forget_messages(self, mark: object, *, of_calls: bool = True) -> None:
+        """Forget the messages that came behind a mark, and were not fetched yet.
+
+        ``of_calls``: also what functions returned as a warning since then.
+        """
+        ...
+
     def terminate(self) -> None:
         """End the run."""
         ...

@@ -139,7 +139,7 @@ def test_another_rounding_mode_from_saving_a_state_is_undone(call):
     libm = ctypes.CDLL("libm.so.6")
     guarded = Guarded(Rounding(lambda: libm.fesetround(0x800)), "rounder", "")
     with pytest.raises(RunError, match=r"rounder: changed the rounding mode"):
-        getattr(guarded, call)(*([None] if call == "restore" else []))
+        getattr(guarded, call)(*([(None, 0)] if call == "restore" else []))
     assert 1.0 + 2.0**-54 == 1.0
 
 

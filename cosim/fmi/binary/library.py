@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from ctypes import CDLL, addressof, byref, c_int, c_uint8, c_void_p, cast
 from pathlib import Path
-from typing import Any, Final, TypeAlias
+from typing import Any, Final, NamedTuple, TypeAlias
 
 from numpy.typing import NDArray
 
@@ -46,6 +46,20 @@ def pointer(array: NDArray[Any]) -> Any:
     """Return a pointer to a contiguous array's memory; quicker than ``array.ctypes``."""
     memory: Any = array
     return _ArrayMemory.from_buffer(memory) if array.size else None
+
+
+class MessageMark(NamedTuple):
+    """What the messages of an FMU up to an instant are known by.
+
+    Parameters
+    ----------
+    number : int
+    warned : mapping of function to (int, float)
+        What is known of warnings that it returned, and the time of the first.
+    """
+
+    number: int
+    warned: Mapping[str, tuple[int, float]]
 
 
 class Library:
@@ -241,6 +255,22 @@ class Library:
     def drain(self) -> list[Message]:
         """Return the FMU's messages since the last call, and what it returned as a warning."""
         return self.messages.drain() + list(self._warnings())
+
+    def mark_messages(self) -> MessageMark:
+        """Return what the messages up to now are known by."""
+        warned = {name: (call.warned, call.time) for name, call in self._calls.items()}
+        return MessageMark(self.messages.mark(), warned)
+
+    def forget_messages(self, mark: MessageMark, *, of_calls: bool) -> None:
+        """Forget the messages that came behind a mark, and were not fetched yet.
+
+        ``of_calls``: also what functions returned as a warning since then.
+        """
+        self.messages.forget(mark.number)
+        if not of_calls:
+            return
+        for name, call in self._calls.items():
+            call.warned, call.time = mark.warned.get(name, (0, math.nan))
 
     def unavailable(self, reason: str) -> Call:
         """Return a function in the place of one that the FMU or its version does not have.

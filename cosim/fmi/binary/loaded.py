@@ -20,7 +20,7 @@ from cosim.fmi.binary.binding import Calls, InstanceSpecification
 from cosim.fmi.binary.fmi1 import Fmi1
 from cosim.fmi.binary.fmi2 import Fmi2
 from cosim.fmi.binary.fmi3 import Fmi3
-from cosim.fmi.binary.library import Library, pointer
+from cosim.fmi.binary.library import Library, MessageMark, pointer
 from cosim.fmi.binary.messages import Message, Messages
 from cosim.fmi.description import Description, InterfaceType
 from cosim.fmi.references import ReferenceMap
@@ -137,6 +137,18 @@ class LoadedInstance:
     def drain(self) -> list[Message]:
         """Return the FMU's messages since the last call, and what it returned as a warning."""
         return self._library.drain()
+
+    def mark_messages(self) -> object:
+        """Return what the messages up to now are known by."""
+        return self._library.mark_messages()
+
+    def forget_messages(self, mark: object, *, of_calls: bool = True) -> None:
+        """Forget the messages that came behind a mark, and were not fetched yet.
+
+        ``of_calls``: also what functions returned as a warning since then.
+        """
+        assert isinstance(mark, MessageMark)
+        self._library.forget_messages(mark, of_calls=of_calls)
 
     def addresses(self) -> InstanceAddresses:
         """Return where compiled code finds the instance, its functions and its variables."""

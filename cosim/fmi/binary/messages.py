@@ -65,6 +65,8 @@ class Messages:
         self._struct.ring = addressof(ring)
         self._struct.size = MESSAGES
         self._out = MessageStruct()
+        self._taken: list[Message] = []  # out of the ring, and not fetched yet
+        self._count = 0  # of all that were taken out of the ring
         self.clock = c_double.from_buffer(self._struct, MessagesStruct.now.offset)
         self.clock.value = math.nan
         library.cosim_messages_open(byref(self._struct))
@@ -89,12 +91,31 @@ class Messages:
     @property
     def last_as_suffix(self) -> str:
         """The last message that was not fetched yet, to end an error with; empty without one."""
-        if not library.cosim_messages_last(byref(self._struct), byref(self._out)):
-            return ""
-        return last_as_suffix(Message.of(self._out))
+        if library.cosim_messages_last(byref(self._struct), byref(self._out)):
+            return last_as_suffix(Message.of(self._out))
+        return last_as_suffix(self._taken[-1]) if self._taken else ""
 
     def drain(self) -> list[Message]:
         """Return the messages since the last call, and how many were dropped."""
+        self._take()
+        messages = self._taken
+        self._taken = []
+        return messages
+
+    def mark(self) -> int:
+        """Return what the messages up to now are known by."""
+        self._take()
+        return self._count
+
+    def forget(self, mark: int) -> None:
+        """Forget the messages that came behind a mark, and were not fetched yet."""
+        self._take()
+        kept = max(0, len(self._taken) - (self._count - mark))
+        del self._taken[kept:]
+        self._count = mark
+
+    def _take(self) -> None:
+        """Take the messages out of the ring."""
         dropped = library.cosim_messages_dropped(byref(self._struct))
         messages: list[Message] = []
         for _ in range(MESSAGES):  # not without end, if it goes on to log from another thread
@@ -105,7 +126,8 @@ class Messages:
             time = messages[0].time if messages else None
             text = f"{dropped} earlier messages of the FMU were dropped"
             messages.insert(0, Message(time, "warning", "", text))
-        return messages
+        self._taken += messages
+        self._count += len(messages)
 
 
 def last_as_suffix(last: Message) -> str:

@@ -18,7 +18,7 @@ from cosim.fmi.binary.messages import Message
 from cosim.fmi.driving.diagnostics import Diagnostics
 from cosim.fmi.driving.direct import DirectFeedthrough
 from cosim.fmi.driving.initialization import Initialization, Starts
-from cosim.fmi.driving.saved import SavedState, save
+from cosim.fmi.driving.saved import SavedState, restore, save
 from cosim.fmi.driving.stepping import InputDerivativesFailed, Stepper, StepperState
 from cosim.fmi.instance import TERMINATED, CoSimulationInstance
 from cosim.native.step import NativeStep
@@ -29,6 +29,7 @@ class CoSimulationState(NamedTuple):
 
     initialization_time: float | None  # of its initialization mode
     stepper: StepperState
+    diagnostics: int
 
 
 @final
@@ -244,14 +245,17 @@ class CoSimulation:
         FmuError
             If the FMU cannot save its state.
         """
-        state = CoSimulationState(self._initialization.mode_time, self._stepper.save())
+        state = CoSimulationState(
+            self._initialization.mode_time, self._stepper.save(), self._diagnostics.save()
+        )
         return save(self._instance, self._capabilities, state)
 
     def restore(self, state: SavedState[CoSimulationState]) -> None:
         """Go back to a saved state."""
-        self._instance.set_fmu_state(state.fmu)
-        self._initialization.mode_time = state.component.initialization_time
-        self._stepper.restore(state.component.stepper)
+        own = restore(self._instance, state)
+        self._initialization.mode_time = own.initialization_time
+        self._stepper.restore(own.stepper)
+        self._diagnostics.restore(own.diagnostics)
 
 
 def _ordinal(n: int) -> str:

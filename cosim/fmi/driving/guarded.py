@@ -158,13 +158,16 @@ class Guarded:
         guarded.guard = SharedGuard([self._name], binaries, [self._compiled], self._diagnostics)
         return guarded
 
-    def save(self) -> Any:
-        """Pass on."""
-        return self._call(None, self._component.save)
+    def save(self) -> tuple[Any, int]:
+        """Copy the state of the component, with what is known of it."""
+        state = self._call(None, self._component.save)
+        return state, self._diagnostics.save()
 
-    def restore(self, state: Any) -> None:
-        """Pass on."""
-        self._call(None, lambda: self._component.restore(state))
+    def restore(self, state: tuple[Any, int]) -> None:
+        """Go back to a saved state."""
+        of_component, of_diagnostics = state
+        self._call(None, lambda: self._component.restore(of_component))
+        self._diagnostics.restore(of_diagnostics)
 
     @contextmanager
     def outside(self, t: float | None) -> Iterator[None]:

@@ -84,6 +84,7 @@ class IntegratorSnapshot(NamedTuple):
     state: IntegratorState
     solver: Any  # what the solver's ``save`` returned
     events: EventListState
+    diagnostics: int
 
 
 class Interruption(NamedTuple):
@@ -211,7 +212,8 @@ class Integrator:
     def save(self) -> IntegratorSnapshot:
         """Copy everything but the FMU's own state."""
         state = replace(self.state)
-        return IntegratorSnapshot(state, self._solver.save(), self.events.save())
+        solver = self._solver.save()
+        return IntegratorSnapshot(state, solver, self.events.save(), self.diagnostics.save())
 
     def restore(self, snapshot: IntegratorSnapshot) -> None:
         """Go back to a saved state, after the FMU."""
@@ -219,6 +221,7 @@ class Integrator:
         self.inputs_time = math.nan
         self._solver.restore(snapshot.solver)
         self.events.restore(snapshot.events)
+        self.diagnostics.restore(snapshot.diagnostics)
 
     def integrate(self, inputs: LinearInputs) -> bool:
         """Integrate over a communication step and handle the events before its end.

@@ -27,7 +27,7 @@ from cosim.fmi.driving.integrator import (
     LinearInputs,
 )
 from cosim.fmi.driving.residual import FORMS, RADAU, DaeForm
-from cosim.fmi.driving.saved import SavedState, save
+from cosim.fmi.driving.saved import SavedState, restore, save
 from cosim.fmi.driving.solvers import LIBRARIES, SOLVERS, STEPPING, TOLERANT
 from cosim.fmi.instance import TERMINATED, ModelExchangeInstance
 from cosim.native.fmi.model_exchange import AT_BEGIN
@@ -207,9 +207,9 @@ class ModelExchange:
     def restore(self, state: SavedState[ModelExchangeState]) -> None:
         """Go back to a saved state."""
         self._take_over()
-        self._instance.set_fmu_state(state.fmu)
-        self._initialization.mode_time = state.component.initialization_time
-        self._integrator.restore(state.component.integrator)
+        own = restore(self._instance, state)
+        self._initialization.mode_time = own.initialization_time
+        self._integrator.restore(own.integrator)
         if self._exact and self._initialization.mode_time is None:
             self._exact.begin()
         self._hand_over()

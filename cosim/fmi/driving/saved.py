@@ -24,10 +24,13 @@ class SavedState(Generic[ComponentState]):
     fmu : object
         Copy of the instance's state, as ``get_fmu_state`` returned it.
     component : ComponentState
+    messages : object
+        What the messages of the instance up to the copy are known by.
     """
 
     fmu: object
     component: ComponentState
+    messages: object
 
 
 def save(
@@ -46,6 +49,19 @@ def save(
             "(canGetAndSetFMUstate is false)"
         )
     instance.may_go_back = True
-    saved = SavedState(instance.get_fmu_state(), component)
+    messages = instance.mark_messages()
+    saved = SavedState(instance.get_fmu_state(), component, messages)
+    # what it says of the copy is said once a copy, whenever that is
+    instance.forget_messages(messages, of_calls=False)
     weakref.finalize(saved, instance.free_fmu_state, saved.fmu)
     return saved
+
+
+def restore(instance: Instance, state: SavedState[ComponentState]) -> ComponentState:
+    """Bring an instance back to a saved state; return what the component kept beside it.
+
+    What the instance said since then, and nobody has fetched, it has not said.
+    """
+    instance.set_fmu_state(state.fmu)
+    instance.forget_messages(state.messages)
+    return state.component
