@@ -335,7 +335,7 @@ class ScenarioBuildContext:
                 if spec is None:
                     continue
                 self._read(f"components.{name}")
-                if not spec.is_static:
+                if not spec.hands_on_lag:
                     lags[self._lag_of(spec, source)] = source
                 elif name not in seen:
                     seen.add(name)
@@ -373,8 +373,7 @@ class ScenarioBuildContext:
     def known(self, source: Port) -> KnownSignal | None:
         """Return an output, or an element of one, as a function of time, where that is known."""
         spec = self.spec(source.component)
-        is_known = spec.is_function_of_time or spec.is_recorded
-        if not is_known or source.component in self._scenario.maps:
+        if not spec.is_known or source.component in self._scenario.maps:
             return None
         if source.component not in self._sources_beside:
             self._sources_beside[source.component] = self._source(source.component, spec)

@@ -8,6 +8,7 @@ import pytest
 from cosim.arrays import NAN
 from cosim.blocks.arithmetic import gain, limit, sum_of, switch
 from cosim.blocks.averages import Windowed
+from cosim.blocks.derived import derived
 from cosim.blocks.dynamics import Delay, integrator, lag
 from cosim.blocks.identifier import LeastSquaresIdentifier
 from cosim.blocks.limited_integrator import LimitedIntegrator
@@ -175,6 +176,8 @@ COMPONENTS = {
     "ramp": lambda: ramp(slope=2.0, start_time=0.01, offset=-1.0),
     "sine": lambda: sine(amplitude=2.0, rate=300.0, phase=0.4, offset=1.0),
     "chirp": lambda: chirp(amplitude=2.0, rate=300.0, sweep=1e4, offset=1.0),
+    "derived": lambda: derived(["a.x*t - max(b.y, c.z)", "exp(-a.x**2) + step(b.y)"]),
+    "derived, discrete": lambda: derived(["sign(a.x)", "2"], variability="discrete"),
     "expression": lambda: Expression(["t**2", "exp(-t)*cos(500*t)"], variability="discrete"),
     "table": lambda: Table(
         np.linspace(0.0, 0.03, 12), np.random.default_rng(1).standard_normal((12, 2))

@@ -87,9 +87,9 @@ void cosim_evaluate_rows(const cosim_program *program, int64_t count, const doub
 int32_t cosim_expression_step(void *self, double t0, double t1, double h, const double *u0,
                               const double *u1, double *y)
 {
-    (void)t0, (void)h, (void)u0, (void)u1;
+    (void)t0, (void)h, (void)u0;
     const cosim_expression *s = self;
     for (int32_t i = 0; i < s->count; ++i)
-        y[i] = cosim_evaluate(&s->programs[i], t1);
+        y[i] = cosim_evaluate_row(&s->programs[i], t1, u1);
     return COSIM_OK;
 }

@@ -18,6 +18,7 @@ double cosim_evaluate_row(const cosim_program *program, double t, const double *
 void cosim_evaluate_rows(const cosim_program *program, int64_t count, const double *t,
                          const double *rows, int64_t stride, double *values);
 
+/* Outputs that are expressions, over the inputs as a row. */
 typedef struct {
     int32_t count;
     const cosim_program *programs;

@@ -10,7 +10,12 @@ import ast
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from cosim.native.numerics.expression import compile_expression, parse
+from cosim.native.numerics.expression import (
+    OPERATIONS,
+    compile_expression,
+    compile_over_signals,
+    parse,
+)
 from cosim.native.numerics.programs import evaluate
 
 Line: TypeAlias = tuple[float, float]  # slope and intercept
@@ -70,6 +75,22 @@ def jumps(text: str) -> tuple[Jump, ...]:
                 if _depends_on_time(argument):
                     calls.append(_jump(function, argument))
     return tuple(jump for jump in calls if jump.slope != 0.0)
+
+
+def jumps_with_signals(text: str) -> bool:
+    """Return whether an expression over signals may jump where these do not."""
+    operations = {OPERATIONS[code] for code in _operations(text)}
+    return not operations.isdisjoint(("step", "sign"))
+
+
+def depends_on_time(text: str) -> bool:
+    """Return whether an expression over signals has t in it, beside these."""
+    return any(OPERATIONS[code] == "t" for code in _operations(text))
+
+
+def _operations(text: str) -> list[int]:
+    codes: list[int] = compile_over_signals(text).code.tolist()
+    return [code for code in codes if 0 <= code < len(OPERATIONS)]
 
 
 def _jump(function: str, argument: ast.expr) -> Jump:

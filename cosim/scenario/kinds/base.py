@@ -291,6 +291,16 @@ class Kind(TomlTable):
         return self.unit or {}
 
     @property
+    def hands_on_lag(self) -> bool:
+        """Whether its outputs lag as its inputs do."""
+        return self.is_static
+
+    @property
+    def is_known(self) -> bool:
+        """Whether its outputs are known before the run: functions of time, or recorded."""
+        return self.is_function_of_time or self.is_recorded
+
+    @property
     def computable(self) -> bool:
         """Whether a log alone is enough to compute the component again.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal
 
@@ -11,16 +12,18 @@ from pydantic import Field
 
 from cosim.arrays import Matrix, Vector
 from cosim.blocks import source
+from cosim.blocks.derived import derived, signals_of
 from cosim.blocks.regressor import alpha_signals
 from cosim.blocks.sampled import Sampled
 from cosim.core.connections import Connection
 from cosim.core.contracts import Component
 from cosim.core.port import Port
 from cosim.core.signals import SignalType, Variability
-from cosim.errors import UsageError
+from cosim.errors import GraphError, UsageError
 from cosim.native.blocks.functions import LinearResponse
 from cosim.native.estimation.alphas import Alpha, AlphaSignal
 from cosim.native.numerics.expression import FUNCTIONS, compile_expression
+from cosim.native.numerics.jumps import depends_on_time, jumps_with_signals
 from cosim.scenario.kinds.alphas import ALPHA, alpha_connections, alphas_of, naming
 from cosim.scenario.kinds.base import BuildContext, ImpliedConnection, Kind, PeriodicKind
 from cosim.scenario.kinds.jumps import (
@@ -52,6 +55,15 @@ def _vector(value: float | Sequence[float]) -> list[float]:
 
 EXPRESSION_WAY_OUT = (
     "needed discrete = true, or what is continuous, such as max(0, t - 1) for (t - 1)*step(t - 1)"
+)
+RAMP = (
+    "{}: jumps with its signals, where these are interpolated linearly: between two communication "
+    "points the jump becomes a ramp over that step, an error of first order in the step; with "
+    "discrete = true it shows at the second"
+)
+LATE = (
+    "{}: jumps with its signals, where these are interpolated linearly: between two communication "
+    "points that shows at the second, an error of first order in the step"
 )
 DISTURBANCE_WAY_OUT = "needed continuous alphas; a disturbance that jumps can be an expression"
 
@@ -144,31 +156,88 @@ class ChirpKind(Kind):
 
 
 class ExpressionKind(Kind):
-    """y = expressions in t."""
+    """y = expressions in t, and over signals of other components."""
 
-    ports: ClassVar[str] = "-> y"
-    is_function_of_time: ClassVar[bool] = True
+    ports: ClassVar[str] = "-> y; of signals u1, u2, ... -> y"
     kind: Literal["expression"]
     y: str | tuple[str, ...] = Field(
-        description='an expression, like "1 + 0.5*sin(2*t)", or several: numbers, t, pi, e, '
-        f"+ - * / **, min, max, {', '.join(FUNCTIONS)}"
+        description='an expression, like "1 + 0.5*sin(2*t)" or "observer.delta - delta.y", or '
+        "several: numbers, t, pi, e, outputs of components, + - * / **, min, max, "
+        f"{', '.join(FUNCTIONS)}"
     )
     discrete: Flag = Field(
         False,
         description="evaluated at the communication points and held over a step; "
-        "needed where it jumps",
+        "needed where it jumps; default with signals: only where all of these are discrete",
+    )
+    optional: Flag = Field(
+        False, description="signals in it may have no value, and then y has none"
     )
 
+    @property
+    def _texts(self) -> list[str]:
+        return [self.y] if isinstance(self.y, str) else list(self.y)
+
+    @property
+    def _signals(self) -> tuple[str, ...]:
+        """The signals of other components; none where that is not known, as a text is wrong."""
+        with suppress(UsageError):
+            return signals_of(self._texts)
+        return ()
+
+    @property
+    def is_known(self) -> bool:
+        return not self._signals
+
+    @property
+    def hands_on_lag(self) -> bool:
+        return bool(self._signals)
+
+    def implied_connections(
+        self, name: str, connections: Mapping[Port, Connection], specs: Mapping[str, Kind]
+    ) -> Mapping[Port, ImpliedConnection]:
+        implied = {}
+        for number, signal in enumerate(self._signals, start=1):
+            with suppress(GraphError):  # no port, of which the build tells
+                connection = Connection(signal)
+                implied[Port(name, f"u{number}")] = ImpliedConnection(connection, None)
+        return implied
+
+    def advice(
+        self, name: str, context: BuildContext, *, held: Mapping[str, bool], h: float
+    ) -> list[str]:
+        jumping = [text for text in self._texts if self._signals and jumps_with_signals(text)]
+        if not jumping or all(held.values()):
+            return []
+        return [(LATE if self.discrete else RAMP).format(", ".join(jumping))]
+
     def build(self, name: str, context: BuildContext) -> Component:
-        texts = [self.y] if isinstance(self.y, str) else list(self.y)
+        signals = signals_of(self._texts)
+        if signals:
+            return self._derived(signals)
+        if self.optional:
+            raise UsageError("optional: found true, and no signal in y that may have no value")
         variability: Variability = "discrete" if self.discrete else "continuous"
-        for text in texts:
+        for text in self._texts:
             if self.discrete:
                 for note in check_sampled(text, context.clock):
                     context.warn(name, note)
             else:
                 check_continuous(text, context.clock, EXPRESSION_WAY_OUT)
-        return source.Expression(texts, variability=variability, unit=self.unit_name)
+        return source.Expression(self._texts, variability=variability, unit=self.unit_name)
+
+    def _derived(self, signals: Sequence[str]) -> Component:
+        for signal in signals:
+            Port.parse(signal)
+        # with t in it a signal of discrete ones is none
+        variability: Variability = "inherited"
+        if any(depends_on_time(text) for text in self._texts):
+            variability = "continuous"
+        if self.discrete:
+            variability = "discrete"
+        return derived(
+            self._texts, variability=variability, optional=self.optional, unit=self.unit_name
+        )
 
 
 class TableKind(Kind):
