@@ -25,14 +25,61 @@ def info(
         ),
     ],
     as_json: JsonOption = False,
+    graph: Annotated[
+        bool,
+        typer.Option(
+            "--graph",
+            help="Of a scenario: in which stages its components advance, the order inside loops, "
+            "rates and direct feedthrough.",
+        ),
+    ] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out", "-o", metavar="FILE", help="With --graph: a picture (.png, .svg, .pdf)."
+        ),
+    ] = None,
 ) -> None:
     """Show what a log, an FMU or a scenario contains.
 
     Nothing of an FMU or of a user's class runs.
     """
+    if graph:
+        _show_graph(source, out, as_json=as_json)
+        return
+    if out is not None:
+        raise UsageError("--out is the picture of --graph; needed both, or neither")
     from cosim.report.tables.contents import print_contents
 
     print_contents(source, as_json=as_json)
+
+
+def _show_graph(source: str, out: Path | None, *, as_json: bool) -> None:
+    """Show how the components of a scenario advance.
+
+    Raises
+    ------
+    UsageError
+        If it is no scenario, or there can be no picture.
+    """
+    from cosim.report.schedule import schedule_of
+    from cosim.report.tables.schedule import print_schedule
+
+    found = file_type(source)
+    if found in ("log", "FMU", "table"):
+        raise UsageError(f"--graph {source}: found a {found}; needed a scenario")
+    if out is not None:
+        from cosim.report.plots import need_plot
+
+        need_plot(out)
+    schedule = schedule_of(source)
+    print_schedule(schedule, as_json=as_json)
+    if out is not None:
+        from cosim.report.plots.schedule import plot_schedule
+
+        plot_schedule(schedule, out)
+        if not as_json:
+            typer.echo(printable(str(out)))
 
 
 def plot(

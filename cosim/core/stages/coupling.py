@@ -101,6 +101,16 @@ class Stage(Advancing, Protocol):
         ...
 
     @property
+    def coupling(self) -> str:
+        """How its components are coupled; empty for one outside every loop."""
+        ...
+
+    @property
+    def order(self) -> tuple[tuple[OperationKind, str], ...]:
+        """The operations of a step in their order, by the names of their components."""
+        ...
+
+    @property
     def program(self) -> StageProgram:
         """What ``advance`` does at every step, for compiled code."""
         ...
@@ -126,6 +136,7 @@ class Cascade:
     is_first_order: bool = False
     is_loop: bool = False
     torn: None = None
+    coupling: str = ""
 
     @property
     def members(self) -> tuple[Member, ...]:
@@ -136,6 +147,11 @@ class Cascade:
     def description(self) -> str:
         """The component, for the log."""
         return f"cascade {self.member.name}"
+
+    @property
+    def order(self) -> tuple[tuple[OperationKind, str], ...]:
+        """It advances."""
+        return (("advance", self.member.name),)
 
     @property
     def program(self) -> StageProgram:
@@ -197,6 +213,11 @@ class Loop:
         if not self.is_first_order:
             words.append("(second order)")
         return " ".join(words)
+
+    @property
+    def order(self) -> tuple[tuple[OperationKind, str], ...]:
+        """The operations of a sweep in their order, by the names of their components."""
+        return tuple((kind, member.name) for kind, member in self.operations)
 
     @property
     def program(self) -> StageProgram:

@@ -4,6 +4,7 @@
 * ``curves``: what is drawn into a panel, with names and units.
 * ``intervals``: bands around curves.
 * ``signals``, ``estimates``, ``comparison``, ``identification``: the pictures.
+* ``schedule_layout``, ``schedule``: the picture of stages and loops.
 """
 
 from __future__ import annotations

@@ -1,0 +1,76 @@
+"""How the components of a scenario advance, as tables."""
+
+from __future__ import annotations
+
+from cosim.report.schedule import GraphSchedule, ScheduledComponent, ScheduledStage
+from cosim.report.tables.console import new_table, print_json, print_table
+
+
+def print_schedule(schedule: GraphSchedule, *, as_json: bool) -> None:
+    """Print stages, components and connections."""
+    if as_json:
+        print_json(schedule.to_dict())
+        return
+    title = f"{schedule.scenario}: stages in their order, communication step {schedule.step:g} s"
+    table = new_table(title, ("", "components", "advance"))
+    for stage in schedule.stages:
+        table.add_row(str(stage.number), ", ".join(stage.members), stage_text(stage))
+    print_table(table)
+    table = new_table("components", ("", "stage", "kind", "outputs change", "direct feedthrough"))
+    for component in schedule.components:
+        table.add_row(
+            component.name,
+            str(component.stage),
+            component.kind,
+            rate_text(component),
+            feedthrough_text(component),
+        )
+    print_table(table)
+    table = new_table("connections", ("from", "to", "within a step"))
+    for connection in schedule.connections:
+        table.add_row(connection.source, connection.to, COURSES[connection.course])
+    print_table(table)
+
+
+COURSES = {
+    "linear": "linear interpolation",
+    "zero-order hold": "zero-order hold",
+    "delayed": "late, and nothing lost: its value at the start of the step is what counts",
+    "extrapolated": "extrapolated: its value at the start of the step",
+    "solved": "solved for",
+}
+
+
+def stage_text(stage: ScheduledStage) -> str:
+    """Return how the components of a stage advance."""
+    if not stage.coupling:
+        return "a block at once"
+    text = f"step by step, {stage.coupling}: {', '.join(stage.operations)}"
+    if stage.solved:
+        text += f"; solved for in every step: {', '.join(stage.solved)}"
+    if stage.is_first_order:
+        text += "; error of first order in the step"
+    return text
+
+
+def rate_text(component: ScheduledComponent) -> str:
+    """Return how often the outputs of a component change."""
+    return "every step" if component.period is None else f"every {component.period:g} s"
+
+
+def feedthrough_text(component: ScheduledComponent) -> str:
+    """Return on which inputs the outputs of a component depend directly."""
+    texts = []
+    without = []
+    for output, inputs in component.feedthrough.items():
+        if inputs is None:
+            texts.append(f"{output}: not known")
+        elif inputs:
+            texts.append(f"{output} from {' '.join(inputs)}")
+        else:
+            without.append(output)
+    if not texts:
+        return "none"
+    if without:
+        texts.append(f"none: {' '.join(without)}")
+    return ", ".join(texts)

@@ -1,0 +1,170 @@
+"""How the components of a scenario advance, as text and as a picture."""
+
+import json
+from itertools import pairwise
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cosim.cli import main
+from cosim.report.plots.schedule_layout import layout_of
+from cosim.report.schedule import GraphSchedule, ScheduledConnection, ScheduledStage, schedule_of
+from tests.scenario import certified
+from tests.scenario.certified import write
+
+
+def run(capsys, *arguments, code=0):
+    """Run a command; return what it prints."""
+    with pytest.raises(SystemExit) as left:
+        main([*map(str, arguments)])
+    assert (left.value.code or 0) == code
+    output = capsys.readouterr()
+    return output.err if code else output.out
+
+
+def courses(name):
+    """Return what the input of each connection has within a step."""
+    return {(c.source, c.to): c.course for c in schedule_of(name).connections}
+
+
+def test_loop_has_its_members_in_order_and_what_is_extrapolated():
+    """In closed-loop the actuator, whose output needs no input, advances first."""
+    schedule = schedule_of("closed-loop")
+    (loop,) = [stage for stage in schedule.stages if stage.coupling]
+    assert loop.members == ("controller", "plant", "observer", "feedback", "error")
+    assert loop.is_first_order
+    found = courses("closed-loop")
+    late = [ports for ports, course in found.items() if course == "extrapolated"]
+    assert late == [("error.y", "controller.u")]
+    assert found["reference.y", "error.u1"] == "linear"
+
+
+def test_rates_and_feedthrough_are_those_of_the_interfaces():
+    components = {entry.name: entry for entry in schedule_of("academic").components}
+    assert components["identifier"].period == 0.1
+    assert components["plant"].period is None
+    assert components["plant"].feedthrough == {"y": ("u",), "x_a": (), "x_b": ("u",)}
+    assert components["u"].stage < components["plant"].stage < components["observer"].stage
+
+
+def test_delayed_and_held_inputs_are_named(tmp_path):
+    found = courses("compensation")
+    assert found["identifier.theta", "compensator.theta"] == "delayed"
+    path = tmp_path / "held.toml"
+    path.write_text(
+        '[scenario]\nname = "held"\nstop = 1.0\nstep = 0.1\n[components]\n'
+        'step = { kind = "step", time = 0.5 }\nlag = { kind = "lag", time_constant = 1.0 }\n'
+        '[connections]\n"lag.u" = "step.y"\n',
+        encoding="utf-8",
+    )
+    assert courses(path) == {("step.y", "lag.u"): "zero-order hold"}
+
+
+def test_newton_solves_for_its_inputs(tmp_path):
+    """Inputs that a loop iterates over are solved for, of second order."""
+    text = certified.SPRING
+    path = write(tmp_path, text)
+    path.write_text(path.read_text().replace("step = 0.01", 'step = 0.01\ncoupling = "newton"'))
+    schedule = schedule_of(path)
+    (loop,) = [stage for stage in schedule.stages if stage.coupling]
+    assert loop.coupling == "newton"
+    assert loop.solved
+    assert not loop.is_first_order
+    assert "solved" in {connection.course for connection in schedule.connections}
+
+
+def test_text_shows_stages_components_and_connections(capsys):
+    lines = run(capsys, "info", "closed-loop", "--graph").splitlines()
+    assert lines[0] == "closed-loop: stages in their order, communication step 0.001 s"
+    assert (
+        "3\tcontroller, plant, observer, feedback, error\tstep by step, gauss-seidel: advance "
+        "controller, advance plant, advance observer, advance feedback, advance error; error of "
+        "first order in the step"
+    ) in lines
+    assert "plant\t3\tdescriptor\tevery step\ty from u, x_b from u, none: x_a" in lines
+    assert "identifier\t5\tidentifier\tevery 0.1 s\tnone" in lines
+    assert "error.y\tcontroller.u\textrapolated: its value at the start of the step" in lines
+    content = json.loads(run(capsys, "info", "closed-loop", "--graph", "--json"))
+    assert [stage["number"] for stage in content["stages"]] == [1, 2, 3, 4, 5]
+
+
+@pytest.mark.parametrize("ending", ["png", "svg"])
+def test_picture_is_written(tmp_path, capsys, ending):
+    pytest.importorskip("matplotlib")
+    out = tmp_path / f"graph.{ending}"
+    shown = run(capsys, "info", "closed-loop", "--graph", "--out", out)
+    assert shown.endswith(f"{out}\n")
+    content = out.read_bytes()
+    if ending == "svg":
+        for text in (b"controller", b"loop: gauss-seidel, first order", b"every 0.1 s"):
+            assert text in content
+    else:
+        assert content.startswith(b"\x89PNG")
+
+
+def test_wrong_use_is_one_error_each(tmp_path, capsys):
+    path = tmp_path / "a.mcap"
+    path.write_bytes(b"")
+    error = run(capsys, "info", path, "--graph", code=2)
+    assert f"--graph {path}: found a log; needed a scenario" in error
+    error = run(capsys, "info", "academic", "--out", tmp_path / "a.png", code=2)
+    assert "--out is the picture of --graph; needed both, or neither" in error
+    error = run(capsys, "info", "academic", "--graph", "--out", tmp_path / "a.xyz", code=2)
+    assert "found the ending '.xyz'" in error
+    error = run(capsys, "info", write(tmp_path, certified.ECHO), "--graph", code=2)
+    assert "the ports of echo are known to code of users alone" in error
+
+
+# --- the places ---
+
+
+@st.composite
+def schedules(draw):
+    """Return a schedule of up to 20 components, with loops, each stage driven by earlier ones."""
+    sizes = draw(st.lists(st.sampled_from([1, 1, 1, 2, 4]), min_size=1, max_size=12))
+    stages = []
+    names: list[str] = []
+    connections = []
+    for number, size in enumerate(sizes, start=1):
+        members = tuple(f"c{len(names) + k}" for k in range(size))
+        for member in members:
+            for source in draw(st.lists(st.sampled_from(names), max_size=3)) if names else ():
+                connections.append(
+                    ScheduledConnection(f"{source}.y", f"{member}.u", "linear", False)
+                )
+        for first, second in pairwise(members):
+            connections.append(ScheduledConnection(f"{first}.y", f"{second}.v", "linear", False))
+        coupling = "gauss-seidel" if size > 1 else ""
+        stages.append(ScheduledStage(number, members, coupling, members, (), size > 1))
+        names += members
+    return GraphSchedule("random", 0.1, tuple(stages), (), tuple(connections))
+
+
+@given(schedules())
+def test_no_two_components_and_lanes_overlap(schedule):
+    """All stand in their layers, one below the other; what is driven stands right of its source."""
+    layout = layout_of(schedule)
+    stage_of = {name: stage.number for stage in schedule.stages for name in stage.members}
+    assert layout.places.keys() == stage_of.keys()
+    taken = {}
+    for layer, middle in layout.places.values():
+        taken.setdefault(layer, []).append((middle - 0.5, middle + 0.5))
+        assert -1e-9 <= middle - 0.5 < middle + 0.5 <= layout.height + 1e-9
+    for way in layout.lanes.values():
+        for layer, middle in way:
+            taken.setdefault(layer, []).append((middle, middle))
+    for spans in taken.values():
+        for (_, bottom), (top, _) in pairwise(sorted(spans)):
+            assert bottom <= top + 1e-9
+    for connection in schedule.connections:
+        source, target = connection.components
+        if stage_of[source] != stage_of[target]:
+            first, last = layout.places[source][0], layout.places[target][0]
+            assert first < last
+            passed = [layer for layer, _ in layout.lanes[source, target]]
+            assert passed == list(range(first + 1, last))
+    for number, (layer, top, bottom) in layout.frames.items():
+        for name, place in layout.places.items():
+            inside = place[0] == layer and top <= place[1] <= bottom
+            assert inside == (stage_of[name] == number)
