@@ -38,7 +38,7 @@ from cosim.errors import LogError, RunError
 from cosim.native.step import NativeStep
 
 Design: TypeAlias = Mapping[str, NDArray[np.float64]]
-EventCause: TypeAlias = FaultKind | Literal["override", "release", "follow"]
+EventCause: TypeAlias = FaultKind | Literal["override", "release", "set", "follow"]
 MessageLevel: TypeAlias = Literal["debug", "info", "warning", "error", "fatal"]
 # a signal or elements of it, or several that are stacked
 SignalNames: TypeAlias = str | Port | Sequence[str | Port]
@@ -310,9 +310,11 @@ class SignalEvent(NamedTuple):
     ----------
     time_ns : int
     cause : EventCause
-        An input was overridden, has a fault, or was released; or the signal followed one that did.
+        An input was overridden, has a fault, or was released; a parameter was set; or the signal
+        followed one of these.
     signal : str
-        ``component.signal``; but for one that followed also elements of one.
+        ``component.signal``; but for one that followed also elements of one; or
+        ``component.parameter``.
     values : tuple of float
         Of its elements.
     parameters : tuple of float

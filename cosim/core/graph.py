@@ -20,6 +20,7 @@ from cosim.core.contracts import Component, Design, Plan, Recording
 from cosim.core.initialization.initial_values import InitialValues
 from cosim.core.port import Port
 from cosim.core.signals import Channel, Signal, Variability
+from cosim.core.stages.calls import GuardedComponent
 from cosim.core.stages.coupling import Cascade, Loop, Stage
 from cosim.core.stages.member import Member, first_non_finite
 from cosim.core.stages.torn_inputs import TornInputs
@@ -218,6 +219,57 @@ class Graph:
             guarded = self._members[name].component
             guarded.exchange(component)
             guarded.prepare(step_ns / 1e9, self.held[name], {})
+
+    def prepare_variant(
+        self, name: str, component: Component, step_ns: int, recorded: Design
+    ) -> Design:
+        """Prepare a component that may take the place of another one, with its state, in a run.
+
+        Parameters
+        ----------
+        name : str
+            Of the other one.
+        component : Component
+        step_ns : int
+            Communication step [ns].
+        recorded : Design
+            To use instead of computing it; empty: it is computed.
+
+        Raises
+        ------
+        GraphError
+            If it has another interface, or states cannot be handed over.
+        """
+        channel = self.layout[name]
+        self._members[name].component.check_exchange(component)
+        if not component.interface.rollback:
+            raise GraphError(
+                f"component {name!r}: its state cannot be handed over (rollback is not declared); "
+                "needed a component that can save it and restore it"
+            )
+        guarded = GuardedComponent(channel, component)
+        return guarded.prepare(step_ns / 1e9, self.held[name], recorded)
+
+    def put(self, name: str, component: Component) -> None:
+        """Put a component that is prepared in the place of a variant of it."""
+        self.components[name] = component
+        self._members[name].component.exchange(component)
+
+    def hand_over(self, name: str, component: Component, t: float, row: Vector) -> None:
+        """Put a variant that is prepared in the place of a component, with its state.
+
+        Parameters
+        ----------
+        name : str
+        component : Component
+        t : float
+            The time reached [s].
+        row : Vector, shape (width,)
+            The signals there.
+        """
+        member = self._members[name]
+        self.components[name] = component
+        member.component.hand_over(component, t, row[member.inputs])
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # the check below names them
     def initialize(self, t: float, row: Vector) -> None:

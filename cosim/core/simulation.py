@@ -30,7 +30,7 @@ from cosim.arrays import Matrix, Vector
 from cosim.core.arguments import check_type, kind_of
 from cosim.core.clock import Clock
 from cosim.core.conditions import conditions_until
-from cosim.core.contracts import Block, Plan, Recorder
+from cosim.core.contracts import Block, Component, Plan, Recorder
 from cosim.core.graph import Graph
 from cosim.core.recorders import Nothing, end_of_run, error_text
 from cosim.core.signals import FaultKind
@@ -42,7 +42,7 @@ from cosim.core.stages.pacing import PIECE_WORK
 from cosim.core.stepping.actions import Agenda, TimedAction
 from cosim.core.stepping.fault_injection import VaryingFaults, faults_of
 from cosim.core.stepping.jump_events import events_of
-from cosim.core.stepping.jumps import Jumps
+from cosim.core.stepping.jumps import Jumps, Settings
 from cosim.core.stepping.right_limits import NOTHING_GIVEN, GivenOutputs
 from cosim.core.stepping.states import SimulationState, States
 from cosim.core.stepping.step_rows import SignalColumns, StepRows, joined_rows
@@ -113,6 +113,7 @@ class Simulation:
         self._varying = VaryingFaults(graph, clock.step)
         self._agenda = Agenda(actions)
         self._conditions = conditions_until(until, graph.layout, clock)
+        self._components = dict(graph.components)  # those that actions may exchange
         self._width = graph.layout.width
         self._h = clock.step
         self._thread = get_ident()
@@ -122,6 +123,7 @@ class Simulation:
     def _begin(self) -> None:
         """Initialize the graph; the row of the start is recorded."""
         self._ended = "its initialization failed"
+        self._put_back()
         self._engine = Engine(
             self._graph, self._clock, self._recorder, divide=True, conditions=self._conditions
         )
@@ -129,10 +131,7 @@ class Simulation:
         self.index = 0
         self.error: RunError | None = None
         self.rows: StepRows | None = None
-        stages = self._engine.stages
-        compiled = [stage for stage in stages if isinstance(stage, NativeStage)]
-        is_compiled = len(compiled) == len(stages) and not (self._is_recorded or self._conditions)
-        self._compiled = compiled if is_compiled else []
+        self._find_compiled()
         row = self._engine.first_row
         self._jumps.stand_at(row)
         self._varying.find()
@@ -140,6 +139,13 @@ class Simulation:
         self._recorder.write(self._block(0), row[np.newaxis])
         if not self._conditions.is_over:
             self._act()
+
+    def _find_compiled(self) -> None:
+        """Find the stages in compiled code, if all of them are."""
+        stages = self._engine.stages
+        compiled = [stage for stage in stages if isinstance(stage, NativeStage)]
+        is_compiled = len(compiled) == len(stages) and not (self._is_recorded or self._conditions)
+        self._compiled = compiled if is_compiled else []
 
     # --- time ---
 
@@ -213,7 +219,7 @@ class Simulation:
             As from :meth:`step`.
         """
         while self.index < index:
-            if self._jumps.changes or self._jumps.waiting:
+            if self._jumps.are_pending:
                 self.complete_jumps()
             end = self._agenda.next_point(self.index, index)
             block = self._block(min(self._engine.limit, end - self.index))
@@ -247,7 +253,7 @@ class Simulation:
 
     def _advance_at_once(self, count: int) -> StepRows:
         """Advance over some steps without actions between them; return their rows."""
-        if self._jumps.changes or self._jumps.waiting:
+        if self._jumps.are_pending:
             self.complete_jumps()
         signals = self._rows_behind(count)
         if count == 1 and self._compiled and not self._varying.are_there:
@@ -472,6 +478,7 @@ class Simulation:
             self._check_current()
             self.complete_jumps()
         self._closed = True
+        self._put_back()
 
     # --- signals ---
 
@@ -583,6 +590,58 @@ class Simulation:
                 self._recorder.event(event)
         self._jumps.clear_changes()
 
+    # --- parameters ---
+
+    def exchange(self, name: str, component: Component, settings: Settings) -> None:
+        """Put a component in the place of another one, from the time reached on, with its state.
+
+        Parameters
+        ----------
+        name : str
+        component : Component
+            As :meth:`Graph.prepare_variant` prepared it.
+        settings : mapping of parameter to values
+            What is other in it, for the record.
+
+        Raises
+        ------
+        NonFiniteError, Stopped
+            If its outputs cannot be evaluated.
+        """
+        self._check_ready("exchange")
+        self._graph.hand_over(name, component, self.t, self._jumps.row)
+        self._engine.compile()
+        self._find_compiled()
+        self.change(name, settings)
+
+    def change(self, name: str, settings: Settings) -> None:
+        """Let the outputs of a component follow its parameters, which were set.
+
+        Raises
+        ------
+        NonFiniteError, Stopped
+            If its outputs cannot be evaluated.
+        """
+        self._check_ready("change")
+        try:
+            self._jumps.change(name, self.t, settings)
+        except RunError as error:
+            self._end_with(error)
+            raise
+
+    def take_outputs(
+        self, name: str, settings: Settings, given: Sequence[tuple[slice, Vector]]
+    ) -> None:
+        """Let outputs of a recorded component jump, whose parameters were set."""
+        self._jumps.take_outputs(name, settings, given)
+
+    def _put_back(self, index: int = -1) -> None:
+        """Put the components in their places that are there behind the actions at a point."""
+        there = {**self._components, **self._agenda.variants(index)}
+        for name, component in there.items():
+            if self._graph.components[name] is not component:
+                self._graph.put(name, component)
+
     # --- states ---
 
     @property
@@ -619,6 +678,10 @@ class Simulation:
             )
         self._states.check(state, self)
         self._ended = "its state could not be set"
+        if self._agenda:
+            self._put_back(state.index)
+            self._engine.compile()
+            self._find_compiled()
         self._states.restore(state)
         self._conditions.held = state.conditions
         self.index = state.index

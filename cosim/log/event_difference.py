@@ -99,7 +99,7 @@ def compare_events(
     count_b, jumps_b = _jumps(runs[1], columns[1], tolerances)
     places = sorted(dict.fromkeys([*jumps_a, *jumps_b]), key=lambda place: place.time_ns)
     outside = []
-    is_equal = True
+    is_equal = _settings(runs[0]) == _settings(runs[1])
     for place in places:
         a = jumps_a.get(place)
         b = jumps_b.get(place)
@@ -117,6 +117,11 @@ def compare_events(
     return EventsDifference((count_a, count_b), len(places), len(outside), is_equal, first)
 
 
+def _settings(run: Recording) -> list[SignalEvent]:
+    """Return where parameters were set."""
+    return [event for event in run.events() if event.cause == "set"]
+
+
 def _jumps(
     run: Recording, columns: SignalColumnsByName, compared: Mapping[str, float | None]
 ) -> tuple[int, dict[_Place, ElementEvent]]:
@@ -129,6 +134,8 @@ def _jumps(
     jumps = {}
     for event in run.events():
         is_compared = False
+        if event.cause == "set":
+            continue
         for column, value in _elements(run, event):
             for signal, element in known.get((Port.parse(event.signal).component, column), ()):
                 jumps[_Place(event.time_ns, signal, element)] = ElementEvent(event.cause, value)

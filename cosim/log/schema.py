@@ -23,7 +23,13 @@ from cosim.errors import quoted
 LEVELS: tuple[MessageLevel, ...] = ("debug", "info", "warning", "error", "fatal")
 LOG_SCHEMA = "foxglove.Log"
 EVENT_SCHEMA = "cosim_event.SignalEvent"
-CAUSES: tuple[EventCause, ...] = ("override", *get_args(FaultKind), "release", "follow")
+CAUSES: tuple[EventCause, ...] = (
+    "override",
+    *get_args(FaultKind),
+    "release",
+    "set",
+    "follow",
+)
 
 _LEGAL = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _ILLEGAL = re.compile(r"[^A-Za-z0-9_]+")

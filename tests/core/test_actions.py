@@ -3,15 +3,16 @@
 import numpy as np
 import pytest
 
+from cosim.blocks.source import constant
 from cosim.core.clock import Clock
-from cosim.core.contracts import Stopped
+from cosim.core.contracts import SignalEvent, Stopped
 from cosim.core.graph import Graph
 from cosim.core.recorders import Memory
 from cosim.core.simulation import Simulation
-from cosim.core.stepping.actions import Injection, Override, Release, TimedAction
+from cosim.core.stepping.actions import Injection, Override, Release, Setting, TimedAction
 from cosim.core.stepping.repeating import repeat, run_with_actions
-from cosim.errors import NonFiniteError
-from tests.core.parts import Scripted, integrator
+from cosim.errors import GraphError, NonFiniteError
+from tests.core.parts import Scripted, integrator, times
 from tests.core.test_faults import loop
 
 STEP = 0.1
@@ -108,3 +109,116 @@ def test_a_regular_end_ends_a_run_with_actions_without_an_error():
     run_with_actions(graph, clock(), memory, actions=[TimedAction(2, Override("x.u", (3.0,)))])
     assert len(memory["x.u"]) == 6
     assert memory["x.u"][3:].tolist() == [3.0] * 3
+
+
+# --- parameters ---
+
+
+def chain(**options):
+    """Return a source, a gain and a lag, whose parameters are set on the way."""
+    components = {"s": constant([2.0]), "g": times(1.0), "x": integrator(rate=1.0)}
+    return Graph(components, {"g.u": "s.y", "x.u": "g.y"}, **options)
+
+
+def settings(graph, factor=3.0, rate=4.0):
+    """Return actions that set the gain at step 5, and the rate of the lag at step 8."""
+    actions = []
+    changed = [
+        (5, "g", times(factor), {"K": (factor,)}),
+        (8, "x", integrator(rate=rate), {"rate": (rate,)}),
+    ]
+    for index, name, component, values in changed:
+        graph.prepare_variant(name, component, clock().step_ns, {})
+        actions.append(TimedAction(index, Setting(name, component, values)))
+    return actions
+
+
+@pytest.mark.parametrize("native", [True, False])
+@pytest.mark.parametrize("size", [1, 40])
+def test_a_component_goes_on_from_its_state_with_other_parameters(native, size):
+    """x' = r (K u - x) from where it was: in closed form on each part."""
+    graph = chain(native=native)
+    simulation = Simulation(graph, clock(), actions=settings(graph))
+    rows = []
+    while simulation.steps_left:
+        rows.append(simulation.step(min(size, simulation.steps_left))["x.y"][:, 0])
+        if simulation.index == 5:
+            assert simulation["x.u"] == 6.0, "what feeds through follows at once"
+    x = np.concatenate([[0.0], *rows])
+    t = STEP * np.arange(41)
+    expected = 2.0 * (1.0 - np.exp(-t[:6]))
+    before = expected[5]
+    middle = 6.0 + (before - 6.0) * np.exp(-(t[5:9] - t[5]))
+    late = 6.0 + (middle[-1] - 6.0) * np.exp(-4.0 * (t[8:] - t[8]))
+    reference = np.concatenate([expected, middle[1:], late[1:]])
+    # 40 steps, each with a rounding of a few parts in 2^53 of values up to 6
+    assert abs(x - reference).max() < 40 * 4 * 6.0 * 2**-53
+
+
+def test_a_setting_is_an_event_and_repeated():
+    """With the values; outputs that jump follow."""
+    graph = chain()
+    memory = Memory()
+    run_with_actions(graph, clock(), memory, actions=settings(graph))
+    assert memory.events() == [
+        SignalEvent(5 * 10**8, "set", "g.K", (3.0,)),
+        SignalEvent(5 * 10**8, "follow", "g.y", (6.0,)),
+        SignalEvent(5 * 10**8, "follow", "x.u", (6.0,)),
+        SignalEvent(8 * 10**8, "set", "x.rate", (4.0,)),
+    ]
+    other = chain()
+    by_key = {}
+    for timed in settings(other):
+        by_key[timed.index * 10**8, timed.action.name] = timed.action
+    again = Memory()
+    repeat(other, clock(), again, events=memory.events(), settings=by_key)
+    assert again.events() == memory.events()
+    for name in memory.signals():
+        assert again[name].tobytes() == memory[name].tobytes(), name
+
+
+def test_a_setting_of_a_recorded_component_is_taken_from_what_followed():
+    """It is not computed: what it became is in its events."""
+    events = [
+        SignalEvent(5 * 10**8, "set", "g.K", (3.0,)),
+        SignalEvent(5 * 10**8, "follow", "g.y", (7.0,)),
+    ]
+    memory = Memory()
+    repeat(chain(), clock(), memory, events=events, recorded=["g"])
+    assert memory.events() == [*events, SignalEvent(5 * 10**8, "follow", "x.u", (7.0,))]
+
+
+@pytest.mark.parametrize("index", [3, 6, 9])
+def test_who_goes_back_over_a_setting_has_the_parameters_of_then(index):
+    """And meets it again."""
+    graph = chain()
+    simulation = Simulation(graph, clock(), actions=settings(graph))
+    simulation.step(index)
+    state = simulation.state
+    first = simulation.step(20)["x.y"].tobytes()
+    simulation.state = state
+    assert simulation.step(20)["x.y"].tobytes() == first
+    simulation.reset()
+    assert simulation.step(20)["x.u"][:, 0].tolist() == [2.0] * 5 + [6.0] * 15
+
+
+def test_a_graph_has_its_own_components_again_behind_a_run():
+    """The next run begins with them."""
+    graph = chain()
+    runs = []
+    for _ in range(2):
+        memory = Memory()
+        run_with_actions(graph, clock(), memory, actions=settings(graph))
+        runs.append(memory["x.y"].tobytes())
+    assert runs[0] == runs[1]
+
+
+def test_a_variant_needs_the_same_interface_and_a_state():
+    """Refused before the run."""
+    graph = chain()
+    with pytest.raises(GraphError, match="'g': another one has another interface"):
+        graph.prepare_variant("g", integrator(), clock().step_ns, {})
+    components = {"s": Scripted([1.0] * 50)}
+    graph = Graph(components, {})
+    with pytest.raises(GraphError, match="'s': its state cannot be handed over"):
+        graph.prepare_variant("s", Scripted([2.0] * 50), clock().step_ns, {})

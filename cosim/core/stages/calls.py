@@ -72,6 +72,23 @@ class GuardedComponent:
     def exchange(self, component: Component) -> None:
         """Go on with another component, which has the same interface."""
         self._component = component
+        if self._seconds is not None:
+            elapsed = self._seconds[self.name]
+            self._component = Timed(component, self.name, self._seconds)
+            self._seconds[self.name] = elapsed
+
+    def hand_over(self, component: Component, t: float, u: Vector) -> None:
+        """Go on with another component, which is prepared, from the state that this one has.
+
+        Raises
+        ------
+        RunError
+            If one of them raises what is no error of cosim.
+        """
+        state = self.save()
+        self.exchange(component)
+        self.initialize(t, u)
+        self.restore(state)
 
     def measure(self, seconds: dict[str, float]) -> None:
         """Add the wall time of every call from now on to ``seconds``, under its name."""

@@ -74,14 +74,14 @@ class Engine:
         width = graph.layout.width
         self.first_row = np.zeros(width)
         graph.initialize(clock.start_time, self.first_row)
-        self.stages = advancing_stages(graph)
         self.limit = max(1, BLOCK_BYTES // (8 * width + 8))
         self._graph = graph
         self._initialization = graph.initializations
         self.conditions = RunConditions() if conditions is None else conditions
         self.conditions.begin(clock.start_time, self.first_row)
-        self._pacer = Pacer(self.stages, divide=divide and not self.conditions)
-        self._looking_ahead = LookingAhead(graph, self._pacer, self.conditions, clock.block)
+        self._divide = divide
+        self._fixed = clock.block
+        self.compile()
         self._end: Stopped | None = None
         self._recorder = recorder
         self._steps = clock.steps
@@ -96,6 +96,14 @@ class Engine:
     def error(self) -> RunError | None:
         """What stopped the graph in the last block; a condition does before all else."""
         return self._end or self._pacer.error
+
+    def compile(self) -> None:
+        """Compile the stages again, where a component is another one."""
+        self.stages = advancing_stages(self._graph)
+        self._pacer = Pacer(self.stages, divide=self._divide and not self.conditions)
+        self._looking_ahead = LookingAhead(
+            self._graph, self._pacer, self.conditions, self._fixed
+        )
 
     def check_current(self) -> None:
         """Check that the components have the state of this engine.

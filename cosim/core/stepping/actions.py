@@ -7,12 +7,17 @@ the left limits, the next step starts behind the action.
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol, final
+from types import MappingProxyType
+from typing import ClassVar, Final, Protocol, final
 
+from cosim.core.contracts import Component
 from cosim.core.signals import FaultKind
 from cosim.core.stages.overrides import OverrideValue
+from cosim.core.stepping.jumps import Settings
+
+NO_VARIANTS: Final[Mapping[str, Component]] = MappingProxyType({})
 
 
 class ActedOn(Protocol):
@@ -28,12 +33,25 @@ class ActedOn(Protocol):
         """Release an input, or elements of it."""
         ...
 
+    def exchange(self, name: str, component: Component, settings: Settings) -> None:
+        """Put a component in the place of another one, with its state."""
+        ...
+
+    def change(self, name: str, settings: Settings) -> None:
+        """Let the outputs of a component follow its parameters, which were set."""
+        ...
+
 
 class Action(Protocol):
     """What happens at a communication point."""
 
     def perform(self, simulation: ActedOn) -> None:
         """Do it to a simulation that has reached the point."""
+        ...
+
+    @property
+    def variants(self) -> Mapping[str, Component]:
+        """The components by name that it puts in the place of others."""
         ...
 
 
@@ -43,6 +61,7 @@ class Override:
 
     to: str
     values: tuple[float, ...]
+    variants: ClassVar[Mapping[str, Component]] = NO_VARIANTS
 
     def perform(self, simulation: ActedOn) -> None:
         """Override it."""
@@ -56,6 +75,7 @@ class Injection:
     to: str
     kind: FaultKind
     parameters: tuple[float, ...]
+    variants: ClassVar[Mapping[str, Component]] = NO_VARIANTS
 
     def perform(self, simulation: ActedOn) -> None:
         """Inject it."""
@@ -67,10 +87,37 @@ class Release:
     """The end of an override or a fault."""
 
     to: str
+    variants: ClassVar[Mapping[str, Component]] = NO_VARIANTS
 
     def perform(self, simulation: ActedOn) -> None:
         """Release it."""
         simulation.release(self.to)
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """Parameters of a component are set: another component takes its place, with its state.
+
+    Parameters
+    ----------
+    name : str
+    component : Component
+        Designed with the new values, and prepared.
+    settings : mapping of parameter to values
+    """
+
+    name: str
+    component: Component
+    settings: Settings
+
+    @property
+    def variants(self) -> Mapping[str, Component]:
+        """The other component."""
+        return {self.name: self.component}
+
+    def perform(self, simulation: ActedOn) -> None:
+        """Exchange the component."""
+        simulation.exchange(self.name, self.component, self.settings)
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +150,14 @@ class Agenda:
         """Return the next point behind one at which something happens, or ``end`` before it."""
         place = bisect_right(self._points, index)
         return min([end, *self._points[place : place + 1]])
+
+    def variants(self, index: int) -> dict[str, Component]:
+        """Return the components in the places of others, behind the actions at a point."""
+        variants: dict[str, Component] = {}
+        for point in self._points[: bisect_right(self._points, index)]:
+            for action in self._actions[point]:
+                variants.update(action.variants)
+        return variants
 
     def at(self, index: int) -> Sequence[Action]:
         """Return the actions at a communication point."""

@@ -12,9 +12,11 @@ from cosim.core.stepping.jumps import Jumps, OverridableInput, overridden_column
 
 
 def events_of(jumps: Jumps, layout: Layout, t_ns: int) -> list[SignalEvent]:
-    """Return the jumps at ``t_ns`` [ns]: overrides, faults, releases, then what followed."""
+    """Return what was set, overridden or released at ``t_ns`` [ns], then what followed."""
     events = _own_events(jumps, t_ns)
     own = {jumps.input(event.signal).whole for event in events}
+    settings = [SignalEvent(t_ns, "set", name, values) for name, values in jumps.settings]
+    events = settings + events
     for channel in layout.channels:
         if jumps.row[channel.columns].tobytes() == jumps.left_row[channel.columns].tobytes():
             continue

@@ -7,14 +7,14 @@ follows an input at once is evaluated where somebody reads it, at the latest bef
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import isfinite
-from typing import final
+from typing import TypeAlias, final
 
 import numpy as np
 
-from cosim.arrays import Vector
-from cosim.core.contracts import EventCause
+from cosim.arrays import Vector, read_only
+from cosim.core.contracts import EventCause, Stopped
 from cosim.core.graph import Graph
 from cosim.core.port import Port
 from cosim.core.stages.faults import Fault, FaultInstant
@@ -22,7 +22,9 @@ from cosim.core.stages.member import Member
 from cosim.core.stages.overrides import ActiveFault, OverrideValue, checked_values
 from cosim.core.stepping.right_limits import END, NOTHING_GIVEN, GivenOutputs, RightLimits
 from cosim.core.structure.ports import ConnectionEnd
-from cosim.errors import GraphError, listing
+from cosim.errors import GraphError, RunError, listing
+
+Settings: TypeAlias = Mapping[str, tuple[float, ...]]  # of parameters of a component
 
 
 class OverridableInput:
@@ -98,6 +100,8 @@ class Jumps:
         Inputs whose jumps are still to be recorded, the last change last.
     overridden_before : dict of Port to dict of column to ActiveFault or None
         Of the inputs that have jumped, the columns that were overridden before; None: with a value.
+    settings : list of (str, tuple of float)
+        Parameters that were set and are still to be recorded, ``component.parameter``.
     left_row : Vector, shape (width,)
         The left limits; the same array as the right ones where nothing has jumped.
     """
@@ -106,6 +110,7 @@ class Jumps:
         self._are_recorded = are_recorded
         self.waiting: set[Port] = set()
         self.changes: dict[OverridableInput, EventCause] = {}
+        self.settings: list[tuple[str, tuple[float, ...]]] = []
         self.overridden_before: dict[Port, dict[int, ActiveFault | None]] = {}
         self._graph = graph
         self._inputs: dict[str | Port, OverridableInput] = {}
@@ -123,7 +128,13 @@ class Jumps:
     def clear_changes(self) -> None:
         """Forget the jumps that were recorded."""
         self.changes.clear()
+        self.settings.clear()
         self.overridden_before.clear()
+
+    @property
+    def are_pending(self) -> bool:
+        """Whether something is to be evaluated, or recorded, before the next step."""
+        return bool(self.changes or self.waiting or self.settings)
 
     @property
     def are_there(self) -> bool:
@@ -207,6 +218,57 @@ class Jumps:
         if released.follows:
             self._let_follow(released)
 
+    def change(self, name: str, t: float, settings: Settings) -> None:
+        """Let the outputs of a component jump, whose parameters were set.
+
+        Parameters
+        ----------
+        name : str
+        t : float
+            The time reached [s].
+        settings : mapping of parameter to values
+
+        Raises
+        ------
+        NonFiniteError, Stopped
+            If the outputs cannot be evaluated.
+        """
+        member = self._graph.members[name]
+        self._part_rows()
+        try:
+            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+                y = member.component.outputs(t, read_only(self.row)[member.inputs])
+        except RunError as error:
+            raise Stopped(np.empty((0, 0)), str(error)).at(name, t) from error
+        bad = member.first_non_finite_output(y)
+        if bad is not None:
+            raise bad.error(t)
+        self.take_outputs(name, settings, [(member.outputs, y)])
+
+    def take_outputs(
+        self, name: str, settings: Settings, given: Sequence[tuple[slice, Vector]]
+    ) -> None:
+        """Let outputs of a component jump to values that are known, where its parameters were set.
+
+        Parameters
+        ----------
+        name : str
+        settings : mapping of parameter to values
+        given : sequence of (slice, Vector)
+            Columns of outputs, and their values.
+        """
+        self._part_rows()
+        if self._are_recorded:
+            self.settings += [(f"{name}.{key}", values) for key, values in settings.items()]
+        before = self.row.copy()
+        for columns, values in given:
+            self.row[columns] = values
+        channel = self._graph.layout[name]
+        for signal in channel.interface.outputs:
+            columns = channel.signal_columns[signal.name]
+            if self.row[columns].tobytes() != before[columns].tobytes():
+                self.waiting.add(Port(name, signal.name))
+
     @property
     def overrides(self) -> dict[str, float]:
         """The elements of inputs that are overridden, and their values."""
@@ -218,13 +280,17 @@ class Jumps:
 
     def _start(self, changed: OverridableInput, cause: EventCause) -> None:
         """Note that an input jumps; the row before the jump is kept."""
-        if self.row is self.left_row:
-            self.row = self.left_row.copy()
+        self._part_rows()
         if self._are_recorded:
             if changed.whole not in self.overridden_before:
                 self.overridden_before[changed.whole] = overridden_columns(changed)
             self.changes.pop(changed, None)  # the last change of an input comes last
             self.changes[changed] = cause
+
+    def _part_rows(self) -> None:
+        """Keep the row before the jumps apart from the one behind them."""
+        if self.row is self.left_row:
+            self.row = self.left_row.copy()
 
     def _let_follow(self, changed: OverridableInput) -> None:
         """Note that followers of an input wait, unless it is what it was before all jumps."""

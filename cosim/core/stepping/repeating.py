@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from itertools import groupby
 
 import numpy as np
@@ -13,7 +13,7 @@ from cosim.core.contracts import Design, Plan, Recorder, SignalEvent, Stopped
 from cosim.core.graph import Graph
 from cosim.core.port import Port
 from cosim.core.simulation import Simulation
-from cosim.core.stepping.actions import TimedAction
+from cosim.core.stepping.actions import Action, TimedAction
 from cosim.errors import LogError, UsageError
 
 
@@ -64,6 +64,7 @@ def repeat(
     recorded: Collection[str] = (),
     designs: Mapping[str, Design] | None = None,
     until: str | None = None,
+    settings: Mapping[tuple[int, str], Action] | None = None,
 ) -> None:
     """Run a graph from the start of a clock to its stop, and apply recorded events on the way.
 
@@ -75,6 +76,8 @@ def repeat(
         In order of time; those behind the stop are left out.
     recorded : collection of str
         Components that return what was recorded: what followed in them is taken from the events.
+    settings : mapping of (int, str) to Action, optional
+        What sets the parameters of the other components, by time [ns] and component.
 
     Raises
     ------
@@ -97,7 +100,7 @@ def repeat(
                     t = time_ns / 1e9
                     raise LogError(f"an event at t = {t} s: found behind a later one; sort them")
                 simulation.pass_to(index)
-                _apply(simulation, list(jumps), graph, recorded)
+                _apply(simulation, list(jumps), graph, recorded, settings or {})
             simulation.pass_to(clock.steps)
     except Stopped as stop:
         if stop.failed:
@@ -113,27 +116,48 @@ def _point(clock: Clock, time_ns: int) -> int:
 
 
 def _apply(
-    simulation: Simulation, jumps: Iterable[SignalEvent], graph: Graph, recorded: Collection[str]
+    simulation: Simulation,
+    jumps: Sequence[SignalEvent],
+    graph: Graph,
+    recorded: Collection[str],
+    settings: Mapping[tuple[int, str], Action],
 ) -> None:
-    """Override inputs as they were, inject faults, release, and let the rest follow."""
+    """Set parameters, override inputs, inject faults, release, and let the rest follow."""
     given: dict[str, list[tuple[slice, Vector]]] = {}
+    values: dict[tuple[int, str], dict[str, tuple[float, ...]]] = {}  # that were set
     try:
         for jump in jumps:
-            if jump.cause == "override":
-                simulation[jump.signal] = jump.values
-            elif jump.cause == "release":
-                simulation.release(jump.signal)
-            elif jump.cause != "follow":
-                simulation.inject(jump.signal, jump.cause, jump.parameters)
+            port = Port.parse(jump.signal)
+            if jump.cause == "follow" and port.component in recorded:
+                columns = _output_columns(graph, jump, port)
+                given.setdefault(port.component, []).append((columns, np.array(jump.values)))
+            elif jump.cause == "set":
+                own = values.setdefault((jump.time_ns, port.component), {})
+                own[port.name] = jump.values
+        for key, set_values in values.items():
+            _, name = key
+            if name in recorded:
+                simulation.take_outputs(name, set_values, given.get(name, ()))
             else:
-                port = Port.parse(jump.signal)
-                if port.component in recorded:
-                    columns = _output_columns(graph, jump, port)
-                    given.setdefault(port.component, []).append((columns, np.array(jump.values)))
+                settings[key].perform(simulation)
+        for jump in jumps:
+            _change_input(simulation, jump)
     except UsageError as error:
         where = f"'{jump.signal}' at t = {simulation.t} s"
         raise LogError(f"the event of {where} does not fit: {error}") from error
     simulation.complete_jumps(given)
+
+
+def _change_input(simulation: Simulation, jump: SignalEvent) -> None:
+    match jump.cause:
+        case "override":
+            simulation[jump.signal] = jump.values
+        case "release":
+            simulation.release(jump.signal)
+        case "set" | "follow":
+            pass
+        case kind:
+            simulation.inject(jump.signal, kind, jump.parameters)
 
 
 def _output_columns(graph: Graph, jump: SignalEvent, port: Port) -> slice:
