@@ -25,6 +25,7 @@ from cosim.fmi.driving.co_simulation import CoSimulation
 from cosim.fmi.driving.guarded import FmuComponent, Guarded
 from cosim.fmi.driving.initialization import check_start, resized
 from cosim.fmi.driving.model_exchange import ModelExchange
+from cosim.fmi.driving.tuning import tuned
 from cosim.fmi.instance import ModelExchangeInstance
 from cosim.fmi.options import DEFAULT_OPTIONS, FmuOptions
 from cosim.fmi.platforms import ARCHITECTURE, SUFFIX, folders
@@ -122,6 +123,22 @@ class Fmu:
     def notes(self) -> tuple[str, ...]:
         """What is to be known about the FMU and about its results."""
         return self._notes + self.component.notes
+
+    def tune(self, t: float, values: Mapping[str, tuple[float, ...]]) -> None:
+        """Set tunable parameters at ``t`` [s], the time reached; outputs follow them.
+
+        Parameters
+        ----------
+        t : float
+        values : mapping of str to tuple of float
+            As :func:`cosim.fmi.driving.tuning.check_tuning` returned them.
+
+        Raises
+        ------
+        RunError
+            If the FMU refuses them.
+        """
+        self.component.tune(t, tuned(self.description, values))
 
     def drain(self) -> list[Message]:
         """Return the messages since the last call: the FMU's own, then those of its component.

@@ -20,6 +20,7 @@ from cosim.fmi.driving.direct import DirectFeedthrough
 from cosim.fmi.driving.initialization import Initialization, Starts
 from cosim.fmi.driving.saved import SavedState, restore, save
 from cosim.fmi.driving.stepping import InputDerivativesFailed, Stepper, StepperState
+from cosim.fmi.driving.tuning import TunedParameters
 from cosim.fmi.instance import TERMINATED, CoSimulationInstance
 from cosim.native.step import NativeStep
 
@@ -74,6 +75,7 @@ class CoSimulation:
         self._stepper = Stepper(instance, self._diagnostics)
         if not self._stepper.interpolates:
             self.interface = replace(self.interface, lagging=tuple(self._uncorrected_outputs()))
+        self._tuned: list[TunedParameters] = []
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Take which inputs have a zero-order hold; nothing is designed.
@@ -128,6 +130,7 @@ class CoSimulation:
     def initialize(self, t: float, u: Vector) -> Vector:
         """Initialize at ``t``; stays in initialization mode until the first advance."""
         u = np.array(u, np.float64)
+        self._tuned.clear()
         y = self._initialization.enter(t, u)
         self._stepper.begin(u, y)
         return y.copy()
@@ -183,6 +186,8 @@ class CoSimulation:
             y = self._initialization.repeat()
             self._stepper.begin_without_slopes(t, u0, y, str(error))
             self._stepper.leave_initialization(t)
+            for parameters in self._tuned:
+                self._stepper.tune(t, parameters)
             return self._stepper.step(t, h, u0, u1)
 
     def _leave_initialization(self, t: float) -> None:
@@ -215,6 +220,19 @@ class CoSimulation:
         if stepper.handle_input_event(t, u) or self._feedthrough is None:
             return stepper.outputs
         return self._feedthrough.add(stepper.outputs, u - stepper.inputs)
+
+    def tune(self, t: float, parameters: TunedParameters) -> None:
+        """Set tunable parameters at ``t``, the time reached.
+
+        Raises
+        ------
+        RunError
+            If the FMU refuses them.
+        """
+        self._stepper.check_compiled()
+        self._leave_initialization(t)
+        self._tuned.append(parameters)
+        self._stepper.tune(t, parameters)
 
     def native(self) -> NativeStep | None:
         """Return the compiled step; None: there is none."""

@@ -13,6 +13,7 @@ from cosim.errors import RunError
 from cosim.fmi.binary.messages import Message
 from cosim.fmi.binary.process import ROUNDING, Process, describe_changes
 from cosim.fmi.driving.diagnostics import Diagnostics
+from cosim.fmi.driving.tuning import TunedParameters
 from cosim.native.fmi.process import GuardedStruct, guarded_step
 from cosim.native.step import Guard, NativeStep
 
@@ -29,6 +30,10 @@ class FmuComponent(Component, Preparable, Rollback[Any], Protocol):
 
     def native(self) -> NativeStep | None:
         """Return the compiled step, if there is one."""
+        ...
+
+    def tune(self, t: float, parameters: TunedParameters) -> None:
+        """Set tunable parameters at ``t``, the time reached."""
         ...
 
     def drain(self) -> list[Message]:
@@ -168,6 +173,10 @@ class Guarded:
         of_component, of_diagnostics = state
         self._call(None, lambda: self._component.restore(of_component))
         self._diagnostics.restore(of_diagnostics)
+
+    def tune(self, t: float, parameters: TunedParameters) -> None:
+        """Pass on."""
+        self._call(t, lambda: self._component.tune(t, parameters))
 
     @contextmanager
     def outside(self, t: float | None) -> Iterator[None]:

@@ -54,6 +54,7 @@ from cosim.fmi.driving.events import (
 )
 from cosim.fmi.driving.residual import RADAU, RadauIIA, ResidualForm
 from cosim.fmi.driving.solvers import TOLERANT, Adaptive, Solver, Stateless
+from cosim.fmi.driving.tuning import TunedParameters
 from cosim.fmi.instance import ModelExchangeInstance
 from cosim.native.fmi.model_exchange import AT_END, ENDLESS_UPDATE, EVENT_IS_OVER, FAILED_SOLVER
 from cosim.native.numerics.runge_kutta import EXPLICIT, RightHandSide, RungeKutta, RungeKuttaStruct
@@ -441,6 +442,17 @@ class Integrator:
         elif u.tobytes() != state.inputs.tobytes():
             self._set_jumped_inputs(u)
 
+    def tune(self, parameters: TunedParameters) -> None:
+        """Set tunable parameters in an event at the time reached, with what is due there."""
+        state = self.state
+        if state.ended:
+            return
+        for kind in state.due or ("input event",):
+            self.events.add(kind, state.t)
+        self._handle_event(state.inputs, parameters)
+        if not state.ended:
+            self._restart_solver()
+
     def _set_jumped_inputs(self, u: Vector) -> None:
         """Set continuous inputs that are not what they were a moment ago; that may be an event."""
         state = self.state
@@ -457,11 +469,13 @@ class Integrator:
                 state.due = ("state event",)
                 self.handle_events(u)
 
-    def _handle_event(self, u: Vector) -> None:
-        """Do one event, with all inputs."""
+    def _handle_event(self, u: Vector, parameters: TunedParameters | None = None) -> None:
+        """Do one event, with all inputs and with parameters that are set."""
         # Event mode first: discrete inputs must not be set in continuous-time mode (FMI 2.0.4
         # section 3.2.3, FMI 3.0 section 3.2.1).
         self._instance.enter_event_mode()
+        if parameters is not None:
+            self._instance.set_float64(parameters.references, parameters.values)
         self._instance.set_float64(self._inputs, u)
         self.state.inputs = u
         if self._form is not None:

@@ -29,6 +29,7 @@ from cosim.fmi.driving.integrator import (
 from cosim.fmi.driving.residual import FORMS, RADAU, DaeForm
 from cosim.fmi.driving.saved import SavedState, restore, save
 from cosim.fmi.driving.solvers import LIBRARIES, SOLVERS, STEPPING, TOLERANT
+from cosim.fmi.driving.tuning import TunedParameters
 from cosim.fmi.instance import TERMINATED, ModelExchangeInstance
 from cosim.native.fmi.model_exchange import AT_BEGIN
 from cosim.native.step import NativeStep
@@ -212,6 +213,19 @@ class ModelExchange:
         self._integrator.restore(own.integrator)
         if self._exact and self._initialization.mode_time is None:
             self._exact.begin()
+        self._hand_over()
+
+    def tune(self, t: float, parameters: TunedParameters) -> None:
+        """Set tunable parameters at ``t``, the time reached.
+
+        Raises
+        ------
+        RunError
+            If the FMU refuses them.
+        """
+        self._finish(self._take_over())
+        self._leave_initialization()
+        self._integrator.tune(parameters)
         self._hand_over()
 
     def native(self) -> NativeStep | None:

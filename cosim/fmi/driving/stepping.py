@@ -50,6 +50,7 @@ from cosim.fmi.driving.diagnostics import Diagnostics
 from cosim.fmi.driving.direct import DirectFeedthrough
 from cosim.fmi.driving.events import iterate_event
 from cosim.fmi.driving.inner_step import InnerStep, StepHistory
+from cosim.fmi.driving.tuning import TunedParameters
 from cosim.fmi.instance import Addresses, CoSimulationInstance, StepEnd
 from cosim.native.fmi.co_simulation import (
     COMPLETED,
@@ -601,6 +602,22 @@ class Stepper:
         self._handle_event(t, u)
         self.outputs[:] = self._instance.get_float64(self._outputs)
         return True
+
+    def tune(self, t: float, parameters: TunedParameters) -> None:
+        """Set tunable parameters: in event mode, where the FMU has it, else between two steps.
+
+        Without event mode the outputs stay what they are: they may be read behind a step only.
+        """
+        if self.ended:
+            return
+        if not self._capabilities.event_mode:
+            self._instance.set_float64(parameters.references, parameters.values)
+            return
+        self._instance.enter_event_mode()
+        self._instance.set_float64(parameters.references, parameters.values)
+        self._iterate_event(t)
+        if not self.ended:
+            self.outputs[:] = self._instance.get_float64(self._outputs)
 
     def _handle_event(self, t: float, u: Vector | None = None) -> None:
         # Event mode first: it is where inputs may be set and outputs read without a step between,
