@@ -42,7 +42,7 @@ from cosim.core.stages.pacing import PIECE_WORK
 from cosim.core.stepping.actions import Agenda, TimedAction
 from cosim.core.stepping.fault_injection import VaryingFaults, faults_of
 from cosim.core.stepping.jump_events import events_of
-from cosim.core.stepping.jumps import Jumps, Settings
+from cosim.core.stepping.jumps import Jumps, ParameterValues
 from cosim.core.stepping.right_limits import NOTHING_GIVEN, GivenOutputs
 from cosim.core.stepping.states import SimulationState, States
 from cosim.core.stepping.step_rows import SignalColumns, StepRows, joined_rows
@@ -378,7 +378,11 @@ class Simulation:
         if not self._agenda:
             return
         for action in self._agenda.at(self.index):
-            action.perform(self)
+            try:
+                action.perform(self)
+            except RunError as error:
+                self._end_with(error)
+                raise
 
     def _block(self, count: int) -> Block:
         """Return the next steps."""
@@ -592,7 +596,7 @@ class Simulation:
 
     # --- parameters ---
 
-    def exchange(self, name: str, component: Component, settings: Settings) -> None:
+    def exchange(self, name: str, component: Component, settings: ParameterValues) -> None:
         """Put a component in the place of another one, from the time reached on, with its state.
 
         Parameters
@@ -614,7 +618,7 @@ class Simulation:
         self._find_compiled()
         self.change(name, settings)
 
-    def change(self, name: str, settings: Settings) -> None:
+    def change(self, name: str, settings: ParameterValues) -> None:
         """Let the outputs of a component follow its parameters, which were set.
 
         Raises
@@ -630,7 +634,7 @@ class Simulation:
             raise
 
     def take_outputs(
-        self, name: str, settings: Settings, given: Sequence[tuple[slice, Vector]]
+        self, name: str, settings: ParameterValues, given: Sequence[tuple[slice, Vector]]
     ) -> None:
         """Let outputs of a recorded component jump, whose parameters were set."""
         self._jumps.take_outputs(name, settings, given)

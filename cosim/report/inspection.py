@@ -261,7 +261,9 @@ def _action_row(action: ActionTable) -> Section:
     """Return an action as its table has it."""
     effect = effect_of(action)
     value = getattr(action, effect)
-    signals = ", ".join(signals_of(action))
+    signals = ", ".join(signals_of(action) or action.set or ())
+    if action.set is not None:
+        value = ", ".join(map(str, action.set.values()))
     return {"t": action.at, "signal": signals, "action": effect, "value": value}
 
 

@@ -7,7 +7,7 @@ two at one instant would contradict each other, and a release needs something to
 from __future__ import annotations
 
 from collections.abc import Mapping, Set
-from typing import Any, cast
+from typing import Any, TypeAlias, cast
 
 from cosim.core.clock import Clock, whole_steps
 from cosim.core.connections import Connection
@@ -17,10 +17,22 @@ from cosim.core.stages.overrides import checked_values
 from cosim.core.stepping.actions import Action, Injection, Override, Release, TimedAction
 from cosim.core.stepping.fault_injection import faults_of
 from cosim.core.structure.ports import ConnectionEnd, Ports
-from cosim.errors import ClockError, CosimError, GraphError, listing
+from cosim.errors import ClockError, CosimError, GraphError, listing, nearest
 from cosim.scenario.action_tables import effect_of, signals_of
-from cosim.scenario.problems import Problem, TableProblems
+from cosim.scenario.problems import Key, Problem, TableProblems
 from cosim.scenario.schema import ActionTable
+from cosim.scenario.settings import SettingBuilder
+
+Place: TypeAlias = tuple[int, Key]  # of a value: the number of the action, and its key there
+
+
+class NotChecked(Exception):
+    """What is wrong elsewhere keeps an action from being checked."""
+
+
+def first(places: Mapping[str, Place]) -> Place:
+    """Return the first of some places."""
+    return next(iter(places.values()))
 
 
 class ActionChecker:
@@ -35,6 +47,8 @@ class ActionChecker:
         Components that are not right: actions on their signals are not checked.
     clock : Clock or None
         None: its times are not right.
+    settings : SettingBuilder or None
+        None: parameters that are set are not looked at.
 
     Attributes
     ----------
@@ -48,7 +62,9 @@ class ActionChecker:
         connections: Mapping[Port, Connection],
         invalid: Set[str],
         clock: Clock | None,
+        settings: SettingBuilder | None,
     ) -> None:
+        self._settings = settings
         self._ports = ports
         self._connections = connections
         self._invalid = invalid
@@ -62,6 +78,8 @@ class ActionChecker:
         if self._clock is None:
             return
         instants = self._instants(actions, self._clock)
+        if self._settings is not None:
+            self._check_settings(actions, instants, self._settings)
         for number in sorted(instants, key=lambda number: (instants[number], number)):
             table = actions[number]
             for text in signals_of(table):
@@ -71,6 +89,59 @@ class ActionChecker:
                     self._add(number, error.problems)
                 except CosimError as error:
                     self._add(number, [(("signal",), str(error))])
+
+    def _check_settings(
+        self,
+        actions: Mapping[int, ActionTable],
+        instants: Mapping[int, int],
+        builder: SettingBuilder,
+    ) -> None:
+        """Check the parameters that are set: those of a component at one instant together."""
+        together: dict[tuple[int, str], dict[str, tuple[int, Any]]] = {}
+        for number in instants:
+            for text, value in (actions[number].set or {}).items():
+                name, _, parameter = text.partition(".")
+                own = together.setdefault((instants[number], name), {})
+                if parameter in own:
+                    other = own[parameter][0]
+                    problem = f"is set by actions.{other} at the same instant; needed one of them"
+                    self._add(number, [(("set", text), problem)])
+                own.setdefault(parameter, (number, value))
+        for (index, name), parameters in sorted(together.items(), key=lambda item: item[0][0]):
+            values = {parameter: value for parameter, (_, value) in parameters.items()}
+            places = {
+                parameter: (number, ("set", f"{name}.{parameter}"))
+                for parameter, (number, _) in parameters.items()
+            }
+            try:
+                self._check_component(name)
+                self.timed.append(TimedAction(index, builder.action(name, values)))
+            except TableProblems as error:
+                for key, text in error.problems:
+                    number, place = places.get(str(key[0]) if key else "", first(places))
+                    self._add(number, [(place, text)])
+            except NotChecked:
+                pass
+            except (CosimError, ValueError) as error:
+                number, place = first(places)
+                self._add(number, [(place, str(error))])
+
+    def _check_component(self, name: str) -> None:
+        """Check that there is a component, and that it is right.
+
+        Raises
+        ------
+        GraphError
+            If there is none.
+        NotChecked
+            If it is not right.
+        """
+        if name in self._invalid:
+            raise NotChecked
+        if name not in self._ports.channels:
+            raise GraphError(
+                f"there is no component {name!r}; {nearest(name, self._ports.channels)}"
+            )
 
     def _add(self, number: int, problems: tuple[Problem, ...] | list[Problem]) -> None:
         for key, text in problems:

@@ -20,6 +20,7 @@ EFFECTS: Final = (
     "drop",
     "delay",
     "release",
+    "set",
 )  # keys of what happens; an action has one of them
 SWITCHES: Final = ("freeze", "drop", "release")  # that may be true, and not false
 
@@ -55,7 +56,7 @@ def _effects(action: ActionTable) -> list[str]:
 
 
 def signals_of(action: ActionTable) -> list[str]:
-    """Return the names of the signals that an action is about."""
+    """Return the names of the signals that an action is about, none where it sets parameters."""
     if action.signal is None:
         return []
     return [action.signal] if isinstance(action.signal, str) else action.signal
@@ -66,7 +67,9 @@ def _problems(action: ActionTable) -> list[Problem]:
     problems: list[Problem] = []
     if action.at is None:
         problems.append(((), "'at' is missing; needed when it happens [s]"))
-    if not signals_of(action):
+    if action.set is not None and action.signal is not None:
+        problems.append((("signal",), "found a signal beside 'set'; needed an action of its own"))
+    if action.set is None and not signals_of(action):
         problems.append(((), "'signal' is missing; needed an input, such as plant.u"))
     effects = _effects(action)
     if len(effects) != 1:

@@ -19,7 +19,7 @@ from cosim.core.gain.loop_gain import LoopGain
 from cosim.core.graph import Graph
 from cosim.core.port import Port
 from cosim.core.signals import Interface
-from cosim.core.stepping.actions import TimedAction
+from cosim.core.stepping.actions import Action, TimedAction
 from cosim.core.structure.connection_checks import check_connections
 from cosim.core.structure.ports import Ports, layout_of
 from cosim.errors import CosimError
@@ -98,6 +98,10 @@ class Experiment:
         What happens at communication points.
     until : str or None
         The condition where it ends before its stop.
+    settings : mapping of (int, str) to Action
+        What sets parameters, by time [ns] and component; those of a replay too.
+    setting_designs : mapping of str to str
+        The designs of the components that take the places of others, for the log.
     """
 
     scenario: Scenario
@@ -121,6 +125,8 @@ class Experiment:
     events: tuple[SignalEvent, ...] = ()
     actions: tuple[TimedAction, ...] = ()
     until: str | None = None
+    settings: Mapping[tuple[int, str], Action] = field(default_factory=dict)
+    setting_designs: Mapping[str, str] = field(default_factory=dict)
 
 
 class Builder:
@@ -178,6 +184,8 @@ class Builder:
         self.scenario = scenario
         self.problems = list(problems)
         self._block = block
+        self._resources = resources
+        self._describes = describes
         self.context = ScenarioBuildContext(
             scenario,
             resources,
@@ -384,11 +392,21 @@ class Builder:
             return
         self.problems += check_until(until, known, unknown, step_ns)
 
+    def _settings(self) -> dict[tuple[int, str], Action]:
+        """Return what sets parameters, by time [ns] and component."""
+        settings: dict[tuple[int, str], Action] = {}
+        for timed in self._actions:
+            time_ns = self.clock.start_ns + timed.index * self.clock.step_ns
+            for name in timed.action.variants:
+                settings[time_ns, name] = timed.action
+        return settings
+
     def _checked_actions(self) -> tuple[TimedAction, ...]:
         """Check the actions; a replay follows those that were recorded."""
         if not self.scenario.actions or self._recording is not None:
             return ()
         from cosim.scenario.acting import ActionChecker  # rarely needed
+        from cosim.scenario.settings import SettingBuilder
 
         known = {name: c for name, c in self.components.items() if name not in self._invalid}
         try:
@@ -396,7 +414,17 @@ class Builder:
         except DependsOnInvalid:
             clock = None
         connections = self.scenario.connections
-        checker = ActionChecker(Ports(layout_of(known)), connections, self._invalid, clock)
+        settings = None
+        if not self._describes:
+            settings = SettingBuilder(
+                self.scenario,
+                self.context,
+                known,
+                resources=self._resources,
+                recording=None,
+            )
+        ports = Ports(layout_of(known))
+        checker = ActionChecker(ports, connections, self._invalid, clock, settings)
         checker.check(self.scenario.actions)
         self.problems += checker.problems
         return tuple(checker.timed)
@@ -455,6 +483,7 @@ class Builder:
             given_states=self.given_states,
             actions=self._actions,
             until=self.scenario.file.scenario.until,
+            settings=self._settings(),
         )
 
     def _jumps(self, graph: Graph) -> list[Problem]:

@@ -22,12 +22,27 @@ def build_experiment(scenario: Scenario, resources: ExitStack, block: int | None
     ScenarioError
         With every problem of the file; or if the coupling of a loop is refused.
     """
+    return _with_settings(_built(scenario, resources, block))
+
+
+def _built(scenario: Scenario, resources: ExitStack, block: int | None) -> Experiment:
     if not scenario.file.swap:
         return with_loop_gains(Builder(scenario, resources, block=block).experiment())
     from cosim.scenario.swap_comparison import build_swapped  # rarely needed
 
     experiment, reports = build_swapped(scenario, resources, block)
     return with_loop_gains(_with_reports(experiment, reports))
+
+
+def _with_settings(experiment: Experiment) -> Experiment:
+    """Prepare the components that take the places of others in the run."""
+    if not experiment.settings:
+        return experiment
+    from cosim.scenario.settings import prepare_settings  # rarely needed
+
+    step_ns = experiment.clock.step_ns
+    designs = prepare_settings(experiment.graph, step_ns, experiment.settings, {})
+    return replace(experiment, setting_designs=designs)
 
 
 def _with_reports(experiment: Experiment, reports: SwapReports) -> Experiment:

@@ -109,6 +109,11 @@ def flatten_tables(tree: dict[str, Any]) -> list[Problem]:
         if isinstance(table, dict) and isinstance(table.get("map"), dict):
             table["map"], repeated = _flatten(table["map"], ("swap", name, "map"))
             problems += repeated
+    actions = tree.get(ACTIONS)
+    for number, table in enumerate(actions if isinstance(actions, list) else ()):
+        if isinstance(table, dict) and isinstance(table.get("set"), dict):
+            table["set"], repeated = _flatten(table["set"], (ACTIONS, number, "set"))
+            problems += repeated
     return problems
 
 
@@ -180,6 +185,8 @@ def _set_action(tree: dict[str, Any], path: list[str], value: Any) -> str | None
     table = actions[int(number)]
     if not inner or not isinstance(table, dict):
         actions[int(number)] = deepcopy(value)
+    elif inner[0] == "set" and len(inner) > 1 and isinstance(table.get("set"), dict):
+        _set_port(table["set"], inner[1:], value)
     else:
         _set_value(table, inner, value)
     return None

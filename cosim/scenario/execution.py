@@ -35,6 +35,7 @@ from cosim.scenario.replaying import (
     recorded_components,
     recorded_document,
     valid_designs,
+    with_setting_designs,
 )
 from cosim.scenario.swap import PortNames
 
@@ -310,8 +311,8 @@ def replay(
         copied = tuple(recorded_components(experiment.scenario))
         experiment.graph.take_solutions(source, copied)
         origin = ReplayOrigin(str(source.path), source.recorded_hash, copied)
-        events = tuple(source.events())
         gains = () if wanted else recorded_loop_gains(source)
-        experiment = replace(experiment, origin=origin, designs=designs, events=events, gains=gains)
+        experiment = replace(experiment, origin=origin, designs=designs, gains=gains)
+        experiment = with_setting_designs(experiment, source, designs)
         target = Target(out, force, notice=notice)
         return record(experiment, target, progress=progress, profile=profile)

@@ -175,6 +175,7 @@ def _run(experiment: Experiment, recorder: Recorder) -> None:
         recorded=copied,
         designs=designs,
         until=until,
+        settings=experiment.settings,
     )
 
 

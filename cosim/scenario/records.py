@@ -20,6 +20,7 @@ from cosim.log import Attachment
 from cosim.scenario.build import Experiment, fingerprint
 from cosim.scenario.identification.run_verdicts import IDENTIFICATION, Assessor
 from cosim.scenario.initial_states import INITIAL_STATES, change_text, changed_states
+from cosim.scenario.settings import SETTINGS
 from cosim.units import Conversion
 
 if TYPE_CHECKING:
@@ -232,6 +233,8 @@ def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:
         conversions = experiment.graph.conversions.get(to, ())
         connections[str(to)] = json.dumps(_plain(connection, conversions))
     records = {"cosim.run": run, "cosim.connections": connections}
+    if experiment.setting_designs:
+        records[SETTINGS] = dict(experiment.setting_designs)
     for name in scenario.specs:
         table = scenario.tree["components"][name]
         metadata = experiment.metadata.get(name, {})

@@ -14,6 +14,7 @@ import numpy as np
 from cosim.core.clock import Clock
 from cosim.core.contracts import CompleteRecording, Design
 from cosim.core.port import Port
+from cosim.core.stepping.actions import Action
 from cosim.errors import LogError, UsageError, command, flag, option
 from cosim.log import Log
 from cosim.log.metadata import json_table
@@ -194,7 +195,48 @@ def rebuilt(
     check_clock(experiment.clock, source)
     if "scenario.until" not in changes:  # it ends where the recording does
         experiment = replace(experiment, until=None)
-    return experiment
+    return _with_events(experiment, builder, source, resources)
+
+
+def _with_events(
+    experiment: Experiment, builder: Builder, source: CompleteRecording, resources: ExitStack
+) -> Experiment:
+    """Return an experiment with the events of its recording, and what sets parameters in them."""
+    events = tuple(source.events())
+    settings: dict[tuple[int, str], Action] = {}
+    if any(event.cause == "set" for event in events):
+        from cosim.scenario.settings import SettingBuilder, recorded_settings  # rarely needed
+
+        making = SettingBuilder(
+            experiment.scenario,
+            builder.context,
+            builder.components,
+            resources=resources,
+            recording=source,
+        )
+        copied = recorded_components(experiment.scenario)
+        settings = recorded_settings(making, events, copied)
+    return replace(experiment, events=events, settings=settings)
+
+
+def with_setting_designs(
+    experiment: Experiment, source: CompleteRecording, designs: Mapping[str, Design]
+) -> Experiment:
+    """Prepare the components that take the places of others, with designs of the recording.
+
+    ``designs`` are those of the components themselves that still hold.
+    """
+    if not experiment.settings:
+        return experiment
+    from cosim.scenario.settings import prepare_settings, recorded_designs  # rarely needed
+
+    taken = {}
+    for key, design in recorded_designs(source).items():
+        if key.partition(" ")[2] in designs:
+            taken[key] = design
+    step_ns = experiment.clock.step_ns
+    prepared = prepare_settings(experiment.graph, step_ns, experiment.settings, taken)
+    return replace(experiment, setting_designs=prepared)
 
 
 def _with_code(specs: Mapping[str, Kind], named: Set[str], *, allow_code: bool) -> dict[str, Kind]:

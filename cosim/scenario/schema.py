@@ -197,7 +197,7 @@ class SwapTable(TomlTable):
 
 
 class ActionTable(TomlTable):
-    """An entry of [[actions]]: what happens to signals at an instant.
+    """An entry of [[actions]]: what happens to signals or parameters at an instant.
 
     Values are in the unit of the input. One for all elements, or one for each.
     """
@@ -230,6 +230,11 @@ class ActionTable(TomlTable):
     )
     seed: Whole | None = Field(None, ge=0, description="of noise, or of what is lost; default: 0")
     release: Flag | None = Field(None, description="true: its source drives it again")
+    set: dict[str, Flag | Number | NumberRow | str] | None = Field(
+        None,
+        description='tunable parameters and their values: { "observer.filter_rate" = 500.0 }; '
+        "the state stays",
+    )
 
 
 class File(TomlTable):

@@ -101,9 +101,7 @@ class Engine:
         """Compile the stages again, where a component is another one."""
         self.stages = advancing_stages(self._graph)
         self._pacer = Pacer(self.stages, divide=self._divide and not self.conditions)
-        self._looking_ahead = LookingAhead(
-            self._graph, self._pacer, self.conditions, self._fixed
-        )
+        self._looking_ahead = LookingAhead(self._graph, self._pacer, self.conditions, self._fixed)
 
     def check_current(self) -> None:
         """Check that the components have the state of this engine.

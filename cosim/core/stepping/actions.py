@@ -15,13 +15,18 @@ from typing import ClassVar, Final, Protocol, final
 from cosim.core.contracts import Component
 from cosim.core.signals import FaultKind
 from cosim.core.stages.overrides import OverrideValue
-from cosim.core.stepping.jumps import Settings
+from cosim.core.stepping.jumps import ParameterValues
 
 NO_VARIANTS: Final[Mapping[str, Component]] = MappingProxyType({})
 
 
 class ActedOn(Protocol):
     """What actions do to a simulation; see :class:`cosim.core.Simulation`."""
+
+    @property
+    def t(self) -> float:
+        """The time that is reached [s]."""
+        ...
 
     def __setitem__(self, to: str, value: OverrideValue) -> None: ...
 
@@ -33,11 +38,11 @@ class ActedOn(Protocol):
         """Release an input, or elements of it."""
         ...
 
-    def exchange(self, name: str, component: Component, settings: Settings) -> None:
+    def exchange(self, name: str, component: Component, settings: ParameterValues) -> None:
         """Put a component in the place of another one, with its state."""
         ...
 
-    def change(self, name: str, settings: Settings) -> None:
+    def change(self, name: str, settings: ParameterValues) -> None:
         """Let the outputs of a component follow its parameters, which were set."""
         ...
 
@@ -108,7 +113,7 @@ class Setting:
 
     name: str
     component: Component
-    settings: Settings
+    settings: ParameterValues
 
     @property
     def variants(self) -> Mapping[str, Component]:

@@ -24,7 +24,7 @@ from cosim.core.stepping.right_limits import END, NOTHING_GIVEN, GivenOutputs, R
 from cosim.core.structure.ports import ConnectionEnd
 from cosim.errors import GraphError, RunError, listing
 
-Settings: TypeAlias = Mapping[str, tuple[float, ...]]  # of parameters of a component
+ParameterValues: TypeAlias = Mapping[str, tuple[float, ...]]  # of parameters of a component
 
 
 class OverridableInput:
@@ -218,7 +218,7 @@ class Jumps:
         if released.follows:
             self._let_follow(released)
 
-    def change(self, name: str, t: float, settings: Settings) -> None:
+    def change(self, name: str, t: float, settings: ParameterValues) -> None:
         """Let the outputs of a component jump, whose parameters were set.
 
         Parameters
@@ -246,7 +246,7 @@ class Jumps:
         self.take_outputs(name, settings, [(member.outputs, y)])
 
     def take_outputs(
-        self, name: str, settings: Settings, given: Sequence[tuple[slice, Vector]]
+        self, name: str, settings: ParameterValues, given: Sequence[tuple[slice, Vector]]
     ) -> None:
         """Let outputs of a component jump to values that are known, where its parameters were set.
 

@@ -26,6 +26,7 @@ class SumKind(ExportableKind):
 
     ports: ClassVar[str] = "u1, u2, ... -> y"
     is_static: ClassVar[bool] = True
+    tunable: ClassVar[tuple[str, ...]] = ("signs",)
     kind: Literal["sum"]
     signs: NumberRow = Field(description="one number an input, like [1, -1]")
     size: Size = Field(1, description="number of elements of every signal")
@@ -44,6 +45,7 @@ class GainKind(ExportableKind):
 
     ports: ClassVar[str] = "u -> y"
     is_static: ClassVar[bool] = True
+    tunable: ClassVar[tuple[str, ...]] = ("K",)
     kind: Literal["gain"]
     K: Number | NumberRows = Field(description="a number, or a matrix")
 
@@ -83,6 +85,7 @@ class LimitKind(ExportableKind):
 
     ports: ClassVar[str] = "u -> y"
     is_static: ClassVar[bool] = True
+    tunable: ClassVar[tuple[str, ...]] = ("lower", "upper")
     kind: Literal["limit"]
     lower: Number = Field(description="lower limit")
     upper: Number = Field(description="upper limit")
@@ -117,6 +120,7 @@ class SwitchKind(ExportableKind):
 
     ports: ClassVar[str] = "u1, u2, control -> y"
     is_static: ClassVar[bool] = True
+    tunable: ClassVar[tuple[str, ...]] = ("threshold",)
     kind: Literal["switch"]
     threshold: Number = Field(0.5, description="least control for u1; 0.5 also fits true and false")
     size: Size = Field(1, description="number of elements of u1, u2 and y")

@@ -268,6 +268,9 @@ class Kind(TomlTable):
         It has no inputs, and its outputs are recorded.
     continuous_inputs : mapping of input name to str
         Inputs that must not jump, and what can be done about one that does.
+    tunable : tuple of str
+        Keys with numbers that may be set in a run: another component with them, of the same kind,
+        can go on from the state that this one has.
     """
 
     ports: ClassVar[str]
@@ -275,6 +278,7 @@ class Kind(TomlTable):
     is_function_of_time: ClassVar[bool] = False
     is_recorded: ClassVar[bool] = False
     continuous_inputs: ClassVar[Mapping[str, str]] = MappingProxyType({})
+    tunable: ClassVar[tuple[str, ...]] = ()
     kind: str
     unit: PortUnits = Field(None, description=unit_of("y"))
 
@@ -400,6 +404,20 @@ class Kind(TomlTable):
     def with_period(self, component: Component, n: int) -> Component:
         """Return the component with its sample period of ``n`` communication steps."""
         return component
+
+    def tunable_parameters(self, name: str, context: BuildContext) -> Sequence[str]:
+        """Return the keys that may be set in a run, which have a number or a row of numbers."""
+        keys = []
+        for key in self.tunable:
+            value = getattr(self, key)
+            row = value if isinstance(value, tuple) else (value,)
+            if all(isinstance(number, int | float) for number in row):
+                keys.append(key)
+        return keys
+
+    def tuned_fmu(self, name: str, context: BuildContext) -> Fmu | None:
+        """Return the FMU whose parameters are set in place; None: there is none."""
+        return None
 
     def implied_connections(
         self, name: str, connections: Mapping[Port, Connection], specs: Mapping[str, Kind]

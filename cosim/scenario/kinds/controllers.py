@@ -109,6 +109,17 @@ class PidKind(SampledKind, ExportableKind):
     """PID controller in ISA form with limits and anti-windup; with a period: a digital one."""
 
     ports: ClassVar[str] = "setpoint, measurement -> y, integral"
+    tunable: ClassVar[tuple[str, ...]] = (
+        "gain",
+        "integral_time",
+        "derivative_time",
+        "derivative_gain_limit",
+        "setpoint_weight",
+        "derivative_setpoint_weight",
+        "lower",
+        "upper",
+        "tracking_time",
+    )
     kind: Literal["pid"]
     gain: Number = Field(description="K; y = K (b setpoint - measurement) + integral + derivative")
     integral_time: Number | None = Field(None, description="Ti [s]; default: no integral part")

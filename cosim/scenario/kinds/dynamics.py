@@ -32,6 +32,7 @@ class LagKind(LinearKind):
     """First-order lag: time_constant y' = u - y."""
 
     ports: ClassVar[str] = "u -> y"
+    tunable: ClassVar[tuple[str, ...]] = ("time_constant",)
     kind: Literal["lag"]
     time_constant: Number = Field(description="time constant [s]")
     initial: Number | None = Field(None, description="y(0); default: u(0)")
@@ -51,6 +52,7 @@ class IntegratorKind(LinearKind):
     """y' = u; with lower or upper y stops there, until u points inwards again."""
 
     ports: ClassVar[str] = "u -> y"
+    tunable: ClassVar[tuple[str, ...]] = ("lower", "upper")
     kind: Literal["integrator"]
     initial: Number = Field(0.0, description="y(0)")
     lower: Number | None = Field(None, description="lower limit of y; default: none")

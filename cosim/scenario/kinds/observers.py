@@ -123,6 +123,7 @@ class UnknownInputObserverKind(ExportableKind):
     """Unknown-input observer with disturbance reconstruction (18)-(20)."""
 
     ports: ClassVar[str] = "u, y -> x_a, delta, x_b, z, q, or x, delta, z, q of a general model"
+    tunable: ClassVar[tuple[str, ...]] = ("L", "filter_rate")
     kind: Literal["unknown-input-observer"]
     model: str | FmuModel = Field(
         description="design model: name of a table in [models], "

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal
 
@@ -30,6 +30,7 @@ from cosim.scenario.schema import Flag, Number, NumberRow, Whole
 from cosim.theory.plants.descriptor import DescriptorSystem, reduce
 
 if TYPE_CHECKING:
+    from cosim.fmi.component import Fmu
     from cosim.fmi.description import Description, InterfaceType
 
 Scalar = Flag | Whole | Number | StrictStr
@@ -191,6 +192,14 @@ class FmuKind(PlantKind, PeriodicKind):
             outputs=self.outputs,
         )
         return context.fmu(name, self.path, options)
+
+    def tunable_parameters(self, name: str, context: BuildContext) -> Sequence[str]:
+        from cosim.fmi.driving.tuning import tunable_parameters
+
+        return tunable_parameters(context.opened(name).description)
+
+    def tuned_fmu(self, name: str, context: BuildContext) -> Fmu:
+        return context.opened(name)
 
     def description(
         self, name: str, context: BuildContext

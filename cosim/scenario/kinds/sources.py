@@ -73,6 +73,7 @@ class ConstantKind(Kind):
 
     ports: ClassVar[str] = "-> y"
     is_function_of_time: ClassVar[bool] = True
+    tunable: ClassVar[tuple[str, ...]] = ("value",)
     kind: Literal["constant"]
     value: Flag | Number | NumberRow = Field(description="value, values, or true or false")
 
@@ -85,6 +86,7 @@ class StepKind(Kind):
     """y jumps from before to after at time."""
 
     ports: ClassVar[str] = "-> y"
+    tunable: ClassVar[tuple[str, ...]] = ("before", "after")
     kind: Literal["step"]
     time: Number = Field(description="when it jumps [s]")
     before: Number = Field(0.0, description="y before that")
@@ -102,6 +104,7 @@ class RampKind(Kind):
 
     ports: ClassVar[str] = "-> y"
     is_function_of_time: ClassVar[bool] = True
+    tunable: ClassVar[tuple[str, ...]] = ("slope", "offset")
     kind: Literal["ramp"]
     slope: Number = Field(description="growth of y [1/s]")
     start_time: Number = Field(0.0, description="when it begins [s]")
@@ -118,6 +121,7 @@ class SineKind(Kind):
 
     ports: ClassVar[str] = "-> y"
     is_function_of_time: ClassVar[bool] = True
+    tunable: ClassVar[tuple[str, ...]] = ("amplitude", "rate", "phase", "offset")
     kind: Literal["sine"]
     amplitude: Number = Field(1.0, description="amplitude")
     rate: Number = Field(description="angular rate [rad/s]")
@@ -139,6 +143,7 @@ class ChirpKind(Kind):
 
     ports: ClassVar[str] = "-> y"
     is_function_of_time: ClassVar[bool] = True
+    tunable: ClassVar[tuple[str, ...]] = ("amplitude", "rate", "sweep", "offset")
     kind: Literal["chirp"]
     amplitude: Number = Field(1.0, description="amplitude")
     rate: Number = Field(description="angular rate at t = 0 [rad/s]")
@@ -316,6 +321,7 @@ class NoiseKind(PeriodicKind):
     """y = Gaussian noise, a new value in every period, which holds over it."""
 
     ports: ClassVar[str] = "-> y"
+    tunable: ClassVar[tuple[str, ...]] = ("deviation",)
     kind: Literal["noise"]
     deviation: Number = Field(ge=0.0, description="standard deviation")
     seed: Whole = Field(ge=0, description="seed of the generator")

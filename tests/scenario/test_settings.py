@@ -1,0 +1,255 @@
+"""Parameters that actions set: what changes, what stays, what is recorded and refused."""
+
+import re
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.errors import ScenarioError
+from cosim.report.inspection import describe_log, describe_scenario
+from cosim.report.verification import verify
+from tests.fmi.test_tuning import friction
+
+STEP = 0.1
+BASE = """
+[scenario]
+name = "set"
+stop = 4.0
+step = 0.1
+
+[components]
+s = { kind = "sine", rate = 1.0, offset = 1.0 }
+c = { kind = "constant", value = [1.0, 2.0] }
+g = { kind = "gain", K = 2.0 }
+limit = { kind = "limit", lower = -1.0, upper = 1.5 }
+x = { kind = "lag", time_constant = 0.5, initial = 0.0 }
+pid = { kind = "pid", gain = 2.0, integral_time = 1.0, lower = -5.0, upper = 5.0 }
+noise = { kind = "noise", deviation = 0.1, seed = 3 }
+
+[connections]
+"g.u" = "s.y"
+"limit.u" = "s.y"
+"x.u" = "g.y"
+"pid.setpoint" = "s.y"
+"pid.measurement" = "x.y"
+"""
+ACTIONS = """
+[[actions]]
+at = 1.0
+set = { "g.K" = 3.0, "x.time_constant" = 0.25 }
+
+[[actions]]
+at = 2.0
+set = { g.K = -1.0, "limit.upper" = 0.5, "c.value" = [3.0, 4.0] }
+
+[[actions]]
+at = 2.5
+set = { "pid.gain" = 1.0, "noise.deviation" = 0.2, "s.amplitude" = 2.0 }
+"""
+
+
+@pytest.fixture
+def write(tmp_path):
+    """Return a function that writes a scenario with actions."""
+
+    def written(actions=ACTIONS, base=BASE):
+        path = tmp_path / "set.toml"
+        path.write_text(base + actions)
+        return path
+
+    return written
+
+
+def test_parameters_are_set_at_their_instants(write):
+    """Rows behind them follow the new values; the row of the instant has the old ones."""
+    run = cosim.run(write())
+    s = run["s.y"]
+    t = STEP * np.arange(41)
+    amplitude = np.where(np.arange(41) <= 25, 1.0, 2.0)
+    assert abs(s - (1.0 + amplitude * np.sin(t))).max() < 1e-12
+    factor = np.array([2.0] * 11 + [3.0] * 10 + [-1.0] * 20)
+    assert (run["g.y"] == factor * s).all()
+    upper = np.array([1.5] * 21 + [0.5] * 20)
+    assert (run["limit.y"] == np.clip(s, -1.0, upper)).all()
+    assert run["c.y"].tolist() == [[1.0, 2.0]] * 21 + [[3.0, 4.0]] * 20
+    plain = cosim.run(write(""))
+    assert (run["noise.y"][:26] == plain["noise.y"][:26]).all()
+    ratio = run["noise.y"][26:] / plain["noise.y"][26:]
+    assert abs(ratio - 2.0).max() < 4 * 2**-52
+
+
+def test_states_stay(write):
+    """The lag goes on from where it was; so does the integral part of the controller."""
+    run = cosim.run(write())
+    events = [event for event in run.events() if event.time_ns == 10**9]
+    assert [event.signal for event in events if event.cause == "follow"] == ["g.y", "x.u"]
+    x = run["x.y"]
+    # the right limit of u at 1 s, and its value a step later, on a straight line between
+    u0 = 3.0 * run["s.y"][10]
+    u1 = run["x.u"][11]
+    rate = 4.0
+    slope = (u1 - u0) / STEP
+    decay = np.exp(-rate * STEP)
+    expected = u1 - slope / rate + (x[10] - u0 + slope / rate) * decay
+    assert x[11] == pytest.approx(expected, abs=1e-14)
+    integral = run["pid.integral"]
+    events = {event.signal: event.values for event in run.events() if event.time_ns == 25 * 10**8}
+    assert "pid.integral" not in events
+    assert events["pid.gain"] == (1.0,)
+    # y = K (setpoint - measurement) + I at the right limit
+    e = events["pid.setpoint"][0] if "pid.setpoint" in events else run["s.y"][25]
+    assert events["pid.y"][0] == pytest.approx(1.0 * (e - x[25]) + integral[25], abs=1e-14)
+
+
+@pytest.mark.parametrize("block", [1, 3, None])
+def test_a_replay_sets_what_was_recorded(write, tmp_path, block):
+    """One content hash; bit for bit, with the designs of the log."""
+    log = cosim.run(write(), out=tmp_path / "a.mcap", block=block)
+    assert log.recorded_hash == cosim.run(write(), out=tmp_path / "b.mcap").recorded_hash
+    again = cosim.replay(log)
+    verification = verify(log, again)
+    assert verification.passed, verification.lines()
+    assert again.events() == log.events()
+    assert set(log.metadata["cosim.settings"]) >= {"1000000000 x", "2500000000 pid"}
+    other = cosim.replay(log, set={"x.time_constant": 1.0})
+    assert (other["x.y"][1:11] != log["x.y"][1:11]).all()
+
+
+def test_a_session_sets_them_too(write):
+    """And goes back over them."""
+    run = cosim.run(write())
+    with cosim.load(write()).start() as sim:
+        sim.step(15)
+        saved = sim.state
+        first = sim.step(20)
+        assert first["pid.y"][:, 0].tolist() == run["pid.y"][16:36].tolist()
+        sim.state = saved
+        assert sim.step(20)["x.y"][:, 0].tolist() == run["x.y"][16:36].tolist()
+
+
+OBSERVED = """
+[[actions]]
+at = 0.5
+set = { "observer.filter_rate" = 100.0, "observer.L" = [6.0, 1.0] }
+"""
+
+
+def test_an_observer_is_designed_anew_and_its_design_recorded(write, tmp_path):
+    """Its estimate goes on from its state; the replay takes the design from the log."""
+    text = cosim.load("academic").document.text
+    for name in ("regressor", "identifier"):
+        text = re.sub(rf"\[components\.{name}\].*?(?=\n\[)", "", text, flags=re.DOTALL)
+        text = re.sub(rf'"{name}\..*\n', "", text)
+    text = text.replace("stop = 40.0", "stop = 1.0")
+    log = cosim.run(write(OBSERVED, text), out=tmp_path / "a.mcap")
+    plain = cosim.run(write("", text))
+    assert (log["observer.x_a"][:501] == plain["observer.x_a"][:501]).all()
+    assert (log["observer.x_a"][501:] != plain["observer.x_a"][501:]).any()
+    jumps = {event.signal for event in log.events() if event.cause == "follow"}
+    assert jumps == {"observer.delta"}
+    verification = verify(log, cosim.replay(log))
+    assert verification.passed, verification.lines()
+
+
+def test_a_tunable_parameter_of_an_fmu_is_set_in_place(tmp_path, write):
+    """v' = u - p; a replay takes what came of it from the log."""
+    fmu = friction(tmp_path, 3)
+    base = f"""
+[scenario]
+name = "fmu"
+stop = 2.0
+step = 0.1
+
+[components]
+u = {{ kind = "constant", value = 2.0 }}
+d = {{ kind = "constant", value = 0.0 }}
+fmu = {{ kind = "fmu", path = "{fmu}", start = {{ p = 0.5 }} }}
+x = {{ kind = "lag", time_constant = 0.5 }}
+
+[connections]
+"fmu.u" = "u.y"
+"fmu.d" = "d.y"
+"x.u" = "fmu.v"
+"""
+    actions = '[[actions]]\nat = 1.0\nset = { "fmu.p" = 1.5 }\n'
+    log = cosim.run(write(actions, base), out=tmp_path / "a.mcap")
+    t = STEP * np.arange(21)
+    expected = np.where(t <= 1.0, 1.5 * t, 1.5 + 0.5 * (t - 1.0))
+    assert abs(log["fmu.v"] - expected).max() < 1e-12
+    assert [(e.cause, e.signal, e.values) for e in log.events()] == [("set", "fmu.p", (1.5,))]
+    verification = verify(log, cosim.replay(log))
+    assert verification.passed, verification.lines()
+    with pytest.raises(ScenarioError, match=r"actions\.0\.set\.fmu\.q: 'fmu' has no tunable .*'q'"):
+        cosim.run(write(actions.replace("fmu.p", "fmu.q"), base))
+
+
+def test_info_shows_what_is_set(write, tmp_path):
+    """In the scenario and in the log."""
+    row = describe_scenario(str(write()))["actions"][0]
+    assert row == {
+        "t": 1.0,
+        "signal": "g.K, x.time_constant",
+        "action": "set",
+        "value": "3.0, 0.25",
+    }
+    cosim.run(write(), out=tmp_path / "a.mcap")
+    first = describe_log(str(tmp_path / "a.mcap"))["overrides"][0]
+    assert first == {"t": 1.0, "signal": "g.K", "cause": "set", "values": "3"}
+
+
+def test_a_setting_is_set_from_outside(write):
+    """By its number and its name."""
+    run = cosim.run(write(), set={"actions.0.set.g.K": 5.0})
+    assert (run["g.y"][11:21] == 5.0 * run["s.y"][11:21]).all()
+
+
+CASES = {
+    "unknown component": (
+        'set = { "h.K" = 1.0 }',
+        r":24: actions\.0\.set\.h\.K: there is no component 'h'; ",
+    ),
+    "not tunable": (
+        'set = { "x.initial" = 1.0 }',
+        r"set\.x\.initial: 'x' has no tunable parameter 'initial'; tunable: time_constant$",
+    ),
+    "unknown parameter": (
+        'set = { "pid.gian" = 1.0 }',
+        r"'pid' has no tunable parameter 'gian'; did you mean 'gain'\? There is: gain, ",
+    ),
+    "wrong type": ('set = { "g.K" = "much" }', r"set\.g\.K: found 'much'; needed a number or a"),
+    "wrong value": (
+        'set = { "x.time_constant" = -1.0 }',
+        r"set\.x\.time_constant: lag: found time_constant = -1\.0 s, needed a positive time",
+    ),
+    "another size": (
+        'set = { "c.value" = [1.0, 2.0, 3.0] }',
+        r"actions\.0\.set\.c\.value: 'c' would have other signals, or depend on others; needed",
+    ),
+    "beside a signal": (
+        'signal = "x.u"\nset = { "g.K" = 1.0 }',
+        r"actions\.0\.signal: found a signal beside 'set'; needed an action of its own",
+    ),
+    "twice": (
+        'set = { "g.K" = 1.0 }\n[[actions]]\nat = 1.0\nset = { "g.K" = 2.0 }',
+        r"actions\.1\.set\.g\.K: is set by actions\.0 at the same instant; needed one of them",
+    ),
+    "no parameter": ('set = { "g" = 1.0 }', r"'g' has no tunable parameter ''; "),
+}
+
+
+@pytest.mark.parametrize(("action", "text"), CASES.values(), ids=CASES)
+def test_a_wrong_setting_is_one_error_before_the_run(write, action, text):
+    """With its line, what was found and what was needed."""
+    with pytest.raises(ScenarioError) as caught:
+        cosim.run(write(f"[[actions]]\nat = 1.0\n{action}\n"))
+    message = str(caught.value)
+    assert len(message.splitlines()) == 1, message
+    assert re.search(text, message), message
+
+
+def test_what_others_are_designed_on_cannot_be_set():
+    """The regressor counts on the lag of the observer's filter."""
+    actions = [{"at": 1.0, "set": {"observer.filter_rate": 500.0}}]
+    with pytest.raises(ScenarioError, match=r"'observer' cannot change in the run: regressor"):
+        cosim.run("academic", set={"actions": actions})
