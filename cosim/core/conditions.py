@@ -178,18 +178,30 @@ class RunConditions:
         return count
 
 
-def conditions_until(until: str | None, layout: Layout, clock: Clock) -> RunConditions:
-    """Return what a run looks for that ends where a condition comes true; None: nothing.
+def conditions_until(
+    until: str | None, layout: Layout, clock: Clock, others: Sequence[str] = ()
+) -> RunConditions:
+    """Return what a run looks for.
+
+    Parameters
+    ----------
+    until : str or None
+        Ends the run where it comes true.
+    layout : Layout
+    clock : Clock
+    others : sequence of str
+        Interrupt it there.
 
     Raises
     ------
     UsageError
         As from :class:`Condition`; also if it is no text.
     """
-    if until is None:
-        return RunConditions()
-    check_type("until", until, str, UsageError)
-    return RunConditions(Condition(until, layout, clock.step_ns))
+    end: Condition | None = None
+    if until is not None:
+        check_type("until", until, str, UsageError)
+        end = Condition(until, layout, clock.step_ns)
+    return RunConditions(end, [Condition(text, layout, clock.step_ns) for text in others])
 
 
 def until_text(text: str) -> str:

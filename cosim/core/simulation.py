@@ -39,17 +39,18 @@ from cosim.core.stages.engine import Engine
 from cosim.core.stages.native_stage import NativeStage
 from cosim.core.stages.overrides import OverrideValue
 from cosim.core.stages.pacing import PIECE_WORK
-from cosim.core.stepping.actions import Agenda, TimedAction
+from cosim.core.stepping.actions import Agenda, ConditionalAction, Reactions, TimedAction
 from cosim.core.stepping.fault_injection import VaryingFaults, faults_of
 from cosim.core.stepping.jump_events import events_of
 from cosim.core.stepping.jumps import Jumps, ParameterValues
 from cosim.core.stepping.right_limits import NOTHING_GIVEN, GivenOutputs
 from cosim.core.stepping.states import SimulationState, States
 from cosim.core.stepping.step_rows import SignalColumns, StepRows, joined_rows
-from cosim.errors import Interrupted, RunError, UsageError, steps_text
+from cosim.errors import Interrupted, RunError, UsageError, quoted, steps_text
 
 POINTS: Final = 4096  # communication points whose times are computed at once
 DOUBLE: Final = 8  # bytes
+NEVER_TRUE: Final = "never_came_true"  # result: the conditions of actions that were not performed
 INTERRUPTED: Final = "it was interrupted inside a step"
 
 
@@ -69,6 +70,8 @@ class Simulation:
         What states of this graph are known by, beside its structure; left out: its designs.
     actions : sequence of TimedAction
         What happens at communication points, beside what is done by hand.
+    reactions : sequence of ConditionalAction
+        What happens where conditions come true first.
     until : str, optional
         A condition (:mod:`cosim.core.conditions`): where it comes true the simulation ends.
 
@@ -97,6 +100,7 @@ class Simulation:
         recorder: Recorder | None = None,
         identity: str | None = None,
         actions: Sequence[TimedAction] = (),
+        reactions: Sequence[ConditionalAction] = (),
         until: str | None = None,
     ) -> None:
         check_type("graph", graph, Graph, UsageError)
@@ -112,7 +116,9 @@ class Simulation:
         self._jumps = Jumps(graph, are_recorded=self._is_recorded)
         self._varying = VaryingFaults(graph, clock.step)
         self._agenda = Agenda(actions)
-        self._conditions = conditions_until(until, graph.layout, clock)
+        self._reactions = Reactions(reactions)
+        texts = self._reactions.texts
+        self._conditions = conditions_until(until, graph.layout, clock, texts)
         self._components = dict(graph.components)  # those that actions may exchange
         self._width = graph.layout.width
         self._h = clock.step
@@ -123,6 +129,7 @@ class Simulation:
     def _begin(self) -> None:
         """Initialize the graph; the row of the start is recorded."""
         self._ended = "its initialization failed"
+        self._reactions.performed = ()
         self._put_back()
         self._engine = Engine(
             self._graph, self._clock, self._recorder, divide=True, conditions=self._conditions
@@ -234,7 +241,7 @@ class Simulation:
     def _advance(self, count: int) -> StepRows:
         """Advance over some steps, from one action to the next; return their rows."""
         end = self.index + count
-        if not self._agenda or self._agenda.next_point(self.index, end) == end:
+        if not self._reactions and self._agenda.next_point(self.index, end) == end:
             return self._advance_at_once(count)
         parts: list[StepRows | None] = []
         try:
@@ -374,10 +381,16 @@ class Simulation:
         self._act()
 
     def _act(self) -> None:
-        """Perform the actions at the point reached."""
-        if not self._agenda:
+        """Perform the actions at the point reached, then those of conditions that came true."""
+        if not (self._agenda or self._reactions):
             return
-        for action in self._agenda.at(self.index):
+        due = [*self._agenda.at(self.index)]
+        came_true = [condition.text for condition in self._conditions.came_true]
+        for reaction in self._reactions.due(came_true):
+            text = f"when {quoted(reaction.when)}: came true"
+            self._recorder.message(self.t_ns, "info", "run", text)
+            due += reaction.actions
+        for action in due:
             try:
                 action.perform(self)
             except RunError as error:
@@ -481,8 +494,20 @@ class Simulation:
         if not (self._closed or self._ended):
             self._check_current()
             self.complete_jumps()
+        if not self._closed:
+            self._record_left()
         self._closed = True
+        self._reactions.performed = ()
         self._put_back()
+
+    def _record_left(self) -> None:
+        """Record which conditions of actions never came true."""
+        left = self._reactions.left()
+        for text in left:
+            message = f"when {quoted(text)}: never came true"
+            self._recorder.message(self.t_ns, "warning", "run", message)
+        if self._reactions:
+            self._recorder.result({NEVER_TRUE: left})
 
     # --- signals ---
 
@@ -560,6 +585,11 @@ class Simulation:
         self._jumps.release(released)
         if self._varying.are_there:
             self._varying.find()
+
+    def release_overridden(self, to: str) -> None:
+        """Release those elements of an input that are overridden; see :meth:`release`."""
+        for element in self._jumps.input(to).overridden:
+            self.release(element)
 
     @property
     def overrides(self) -> dict[str, float]:
@@ -641,7 +671,7 @@ class Simulation:
 
     def _put_back(self, index: int = -1) -> None:
         """Put the components in their places that are there behind the actions at a point."""
-        there = {**self._components, **self._agenda.variants(index)}
+        there = {**self._components, **self._agenda.variants(index), **self._reactions.variants()}
         for name, component in there.items():
             if self._graph.components[name] is not component:
                 self._graph.put(name, component)
@@ -661,7 +691,13 @@ class Simulation:
         self._states.check_rollback()
         if self._jumps.waiting:
             self._evaluate()
-        return self._states.save(self.index, self._jumps.row, self._conditions.held, origin=self)
+        return self._states.save(
+            self.index,
+            self._jumps.row,
+            self._conditions.held,
+            performed=self._reactions.performed,
+            origin=self,
+        )
 
     @state.setter
     def state(self, state: SimulationState) -> None:
@@ -682,7 +718,8 @@ class Simulation:
             )
         self._states.check(state, self)
         self._ended = "its state could not be set"
-        if self._agenda:
+        self._reactions.performed = state.performed
+        if self._agenda or self._reactions:
             self._put_back(state.index)
             self._engine.compile()
             self._find_compiled()

@@ -264,7 +264,8 @@ def _action_row(action: ActionTable) -> Section:
     signals = ", ".join(signals_of(action) or action.set or ())
     if action.set is not None:
         value = ", ".join(map(str, action.set.values()))
-    return {"t": action.at, "signal": signals, "action": effect, "value": value}
+    t = action.when if action.at is None else action.at
+    return {"t": t, "signal": signals, "action": effect, "value": value}
 
 
 def _connection_rows(described: DescribedScenario) -> list[Section]:

@@ -31,6 +31,7 @@ from cosim.scenario.recorded_metadata import (
     ReconstructionRecord,
     component_record,
     first_order_loops,
+    never_came_true,
     recorded_identification,
     recorded_loop_gains,
     recorded_start,
@@ -186,6 +187,8 @@ class Summary:
         The condition that ends the run before its stop; None: the run looked for none.
     until_came_true : bool or None
         Whether it did.
+    never_came_true : tuple of str
+        Conditions of actions that were not performed.
     """
 
     scenario: str
@@ -206,6 +209,7 @@ class Summary:
     copied_code: Mapping[str, str] = field(default_factory=dict)
     until: str | None = None
     until_came_true: bool | None = None
+    never_came_true: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
@@ -266,6 +270,7 @@ def summarize(recording: Recording) -> Summary:
         copied_code=_copied_code(recording),
         until=run.get("until") if came_true is not None else None,
         until_came_true=came_true,
+        never_came_true=never_came_true(recording),
     )
 
 

@@ -6,22 +6,31 @@ two at one instant would contradict each other, and a release needs something to
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Set
+from collections.abc import Iterator, Mapping, Set
 from typing import Any, TypeAlias, cast
 
 from cosim.core.clock import Clock, whole_steps
 from cosim.core.connections import Connection
+from cosim.core.contracts import Component
 from cosim.core.port import Port
 from cosim.core.signals import FaultKind
 from cosim.core.stages.overrides import checked_values
-from cosim.core.stepping.actions import Action, Injection, Override, Release, TimedAction
+from cosim.core.stepping.actions import (
+    Action,
+    ConditionalAction,
+    Injection,
+    Override,
+    Release,
+    TimedAction,
+)
 from cosim.core.stepping.fault_injection import faults_of
-from cosim.core.structure.ports import ConnectionEnd, Ports
+from cosim.core.structure.ports import ConnectionEnd, Ports, layout_of
 from cosim.errors import ClockError, CosimError, GraphError, listing, nearest
 from cosim.scenario.action_tables import effect_of, signals_of
 from cosim.scenario.problems import Key, Problem, TableProblems
 from cosim.scenario.schema import ActionTable
 from cosim.scenario.settings import SettingBuilder
+from cosim.scenario.stopping import condition_problem
 
 Place: TypeAlias = tuple[int, Key]  # of a value: the number of the action, and its key there
 
@@ -40,46 +49,48 @@ class ActionChecker:
 
     Parameters
     ----------
-    ports : Ports
-        Of the components that are right.
+    components : mapping of name to Component
+        Those that are right.
     connections : mapping of Port to Connection
     invalid : set of str
         Components that are not right: actions on their signals are not checked.
-    clock : Clock or None
-        None: its times are not right.
+    clock : Clock
     settings : SettingBuilder or None
         None: parameters that are set are not looked at.
 
     Attributes
     ----------
     timed : list of TimedAction
+    reactions : list of ConditionalAction
     problems : list of Problem
     """
 
     def __init__(
         self,
-        ports: Ports,
+        components: Mapping[str, Component],
         connections: Mapping[Port, Connection],
         invalid: Set[str],
-        clock: Clock | None,
+        clock: Clock,
         settings: SettingBuilder | None,
     ) -> None:
         self._settings = settings
-        self._ports = ports
+        self._components = components
+        self._ports = Ports(layout_of(components))
         self._connections = connections
         self._invalid = invalid
         self._clock = clock
         self._overridden = _Overridden()
+        self._at_conditions: dict[int, list[Action]] = {}  # by number
         self.timed: list[TimedAction] = []
+        self.reactions: list[ConditionalAction] = []
         self.problems: list[Problem] = []
 
     def check(self, actions: Mapping[int, ActionTable]) -> None:
         """Check actions by their numbers; those of one instant in the order of the file."""
-        if self._clock is None:
-            return
-        instants = self._instants(actions, self._clock)
+        instants = self._instants(actions)
         if self._settings is not None:
             self._check_settings(actions, instants, self._settings)
+        # Those at conditions first: what they may have done decides what others may release.
         for number in sorted(instants, key=lambda number: (instants[number], number)):
             table = actions[number]
             for text in signals_of(table):
@@ -89,6 +100,34 @@ class ActionChecker:
                     self._add(number, error.problems)
                 except CosimError as error:
                     self._add(number, [(("signal",), str(error))])
+        for number, own in sorted(self._at_conditions.items()):
+            self.reactions.append(ConditionalAction(actions[number].when or "", tuple(own)))
+
+    def _instants(self, actions: Mapping[int, ActionTable]) -> dict[int, int]:
+        """Return the communication points of actions by their numbers; at a condition: negative."""
+        instants = {}
+        for number, action in actions.items():
+            if action.at is None:
+                assert action.when is not None, "validated before"
+                step_ns = self._clock.step_ns
+                text = condition_problem(action.when, self._components, self._invalid, step_ns)
+                if text is not None:
+                    self._add(number, [(("when",), text)])
+                else:
+                    instants[number] = -1 - number
+                continue
+            try:
+                instants[number] = _point(action.at, self._clock)
+            except ClockError as error:
+                self._add(number, [(("at",), str(error).removeprefix("at: "))])
+        return instants
+
+    def _take(self, number: int, index: int, action: Action) -> None:
+        """Take an action that is right."""
+        if index < 0:
+            self._at_conditions.setdefault(number, []).append(action)
+        else:
+            self.timed.append(TimedAction(index, action))
 
     def _check_settings(
         self,
@@ -97,33 +136,31 @@ class ActionChecker:
         builder: SettingBuilder,
     ) -> None:
         """Check the parameters that are set: those of a component at one instant together."""
-        together: dict[tuple[int, str], dict[str, tuple[int, Any]]] = {}
-        for number in instants:
+        together = _Together()
+        for number, index in instants.items():
             for text, value in (actions[number].set or {}).items():
-                name, _, parameter = text.partition(".")
-                own = together.setdefault((instants[number], name), {})
-                if parameter in own:
-                    other = own[parameter][0]
+                other = together.add(number, index, text, value)
+                if other is not None:
                     problem = f"is set by actions.{other} at the same instant; needed one of them"
                     self._add(number, [(("set", text), problem)])
-                own.setdefault(parameter, (number, value))
-        for (index, name), parameters in sorted(together.items(), key=lambda item: item[0][0]):
-            values = {parameter: value for parameter, (_, value) in parameters.items()}
-            places = {
-                parameter: (number, ("set", f"{name}.{parameter}"))
-                for parameter, (number, _) in parameters.items()
-            }
+        for index, name, values, places in together.in_order():
+            number, place = first(places)
             try:
                 self._check_component(name)
-                self.timed.append(TimedAction(index, builder.action(name, values)))
+                other = together.another(index, name)
+                if other is not None and not builder.is_fmu(name):
+                    raise GraphError(
+                        f"{name!r} is set by actions.{other} too, before or behind a condition; "
+                        "needed one action that sets it, or times"
+                    )
+                self._take(number, index, builder.action(name, values))
             except TableProblems as error:
                 for key, text in error.problems:
-                    number, place = places.get(str(key[0]) if key else "", first(places))
-                    self._add(number, [(place, text)])
+                    own_number, own_place = places.get(str(key[0]) if key else "", first(places))
+                    self._add(own_number, [(own_place, text)])
             except NotChecked:
                 pass
             except (CosimError, ValueError) as error:
-                number, place = first(places)
                 self._add(number, [(place, str(error))])
 
     def _check_component(self, name: str) -> None:
@@ -147,27 +184,16 @@ class ActionChecker:
         for key, text in problems:
             self.problems.append((("actions", number, *key), text))
 
-    def _instants(self, actions: Mapping[int, ActionTable], clock: Clock) -> dict[int, int]:
-        """Return the communication points of actions by their numbers."""
-        instants = {}
-        for number, action in actions.items():
-            assert action.at is not None, "validated before"
-            try:
-                instants[number] = _point(action.at, clock)
-            except ClockError as error:
-                self._add(number, [(("at",), str(error).removeprefix("at: "))])
-        return instants
-
     def _check(self, number: int, index: int, table: ActionTable, text: str) -> None:
         """Check an action on one signal."""
         port = Port.parse(text)
         if port.component in self._invalid:
             return
         end = self._input(port)
-        assert self._clock is not None, "checked before"
         action = _action_of(table, text, end, self._clock)
-        self._overridden.take(number, index, end, is_release=isinstance(action, Release))
-        self.timed.append(TimedAction(index, action))
+        is_release = isinstance(action, Release)
+        may_be = self._overridden.take(number, index, end, is_release=is_release)
+        self._take(number, index, Release(text, is_needed=False) if may_be else action)
 
     def _input(self, port: Port) -> ConnectionEnd:
         """Return an input, or elements of it.
@@ -195,9 +221,15 @@ class _Overridden:
     def __init__(self) -> None:
         self._changed: dict[int, tuple[int, int]] = {}  # action and instant, by column
         self._active: set[int] = set()
+        self._unknown: set[int] = set()  # that change at conditions
 
-    def take(self, number: int, index: int, end: ConnectionEnd, *, is_release: bool) -> None:
-        """Take the next action in the order of time.
+    def take(self, number: int, index: int, end: ConnectionEnd, *, is_release: bool) -> bool:
+        """Take the next action in the order of time, those at conditions first.
+
+        Returns
+        -------
+        bool
+            Whether it releases what may be overridden then, or not.
 
         Raises
         ------
@@ -213,7 +245,10 @@ class _Overridden:
                     f"'{end.port}' is changed by actions.{other[0]} at the same instant; needed "
                     "one of them, or another time"
                 )
-        if is_release and not self._active.issuperset(columns):
+        if index < 0:
+            self._unknown.update(columns)
+        is_unknown = not self._unknown.isdisjoint(columns)
+        if is_release and not (is_unknown or self._active.issuperset(columns)):
             raise GraphError(
                 f"'{end.port}' is not overridden then, as a whole; needed an earlier action that "
                 "does, or no release"
@@ -224,6 +259,39 @@ class _Overridden:
             self._active.difference_update(columns)
         else:
             self._active.update(columns)
+        return is_release and is_unknown
+
+
+class _Together:
+    """The parameters of components that are set at the same instants."""
+
+    def __init__(self) -> None:
+        self._set: dict[tuple[int, str], dict[str, tuple[int, Any]]] = {}
+
+    def add(self, number: int, index: int, text: str, value: Any) -> int | None:
+        """Add what an action sets; return the one that sets it at the same instant, if any."""
+        name, _, parameter = text.partition(".")
+        own = self._set.setdefault((index, name), {})
+        other, _ = own.setdefault(parameter, (number, value))
+        return None if other == number else other
+
+    def another(self, index: int, name: str) -> int | None:
+        """Return another action that sets a component, if either of them is at a condition."""
+        for (other_index, other_name), own in self._set.items():
+            is_other = other_name == name and other_index != index
+            if is_other and min(index, other_index) < 0:
+                number, _ = next(iter(own.values()))
+                return number
+        return None
+
+    def in_order(self) -> Iterator[tuple[int, str, dict[str, Any], dict[str, Place]]]:
+        """Yield instant, component, values and places of its parameters, in the order of time."""
+        for (index, name), own in sorted(self._set.items(), key=lambda item: item[0][0]):
+            values = {parameter: value for parameter, (_, value) in own.items()}
+            places: dict[str, Place] = {}
+            for parameter, (number, _) in own.items():
+                places[parameter] = (number, ("set", f"{name}.{parameter}"))
+            yield index, name, values, places
 
 
 def _point(at: float, clock: Clock) -> int:

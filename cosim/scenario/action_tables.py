@@ -65,8 +65,9 @@ def signals_of(action: ActionTable) -> list[str]:
 def _problems(action: ActionTable) -> list[Problem]:
     """Return what is wrong with an action by itself."""
     problems: list[Problem] = []
-    if action.at is None:
-        problems.append(((), "'at' is missing; needed when it happens [s]"))
+    if (action.at is None) == (action.when is None):
+        found = "neither 'at' nor 'when'" if action.at is None else "both 'at' and 'when'"
+        problems.append(((), f"found {found}; needed a time [s], or a condition"))
     if action.set is not None and action.signal is not None:
         problems.append((("signal",), "found a signal beside 'set'; needed an action of its own"))
     if action.set is None and not signals_of(action):

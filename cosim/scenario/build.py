@@ -19,7 +19,7 @@ from cosim.core.gain.loop_gain import LoopGain
 from cosim.core.graph import Graph
 from cosim.core.port import Port
 from cosim.core.signals import Interface
-from cosim.core.stepping.actions import Action, TimedAction
+from cosim.core.stepping.actions import AT_CONDITION, Action, ConditionalAction, TimedAction
 from cosim.core.structure.connection_checks import check_connections
 from cosim.core.structure.ports import Ports, layout_of
 from cosim.errors import CosimError
@@ -96,6 +96,8 @@ class Experiment:
         Of a replay: overrides and releases of inputs, and what followed them.
     actions : tuple of TimedAction
         What happens at communication points.
+    reactions : tuple of ConditionalAction
+        What happens where conditions come true.
     until : str or None
         The condition where it ends before its stop.
     settings : mapping of (int, str) to Action
@@ -124,9 +126,15 @@ class Experiment:
     origin: ReplayOrigin | None = None
     events: tuple[SignalEvent, ...] = ()
     actions: tuple[TimedAction, ...] = ()
+    reactions: tuple[ConditionalAction, ...] = ()
     until: str | None = None
     settings: Mapping[tuple[int, str], Action] = field(default_factory=dict)
     setting_designs: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def has_events(self) -> bool:
+        """Whether signals may jump by actions, or by the events of a recording."""
+        return bool(self.events or self.actions or self.reactions)
 
 
 class Builder:
@@ -216,7 +224,9 @@ class Builder:
             scenario.file, self.components, self._invalid, self.context.warn
         )
         self.problems += truth_problems
-        self._actions = self._checked_actions()
+        self._actions: tuple[TimedAction, ...] = ()
+        self._reactions: tuple[ConditionalAction, ...] = ()
+        self._check_actions()
         self._check_until()
 
     def _check_times(self) -> set[Key]:
@@ -399,12 +409,16 @@ class Builder:
             time_ns = self.clock.start_ns + timed.index * self.clock.step_ns
             for name in timed.action.variants:
                 settings[time_ns, name] = timed.action
+        for reaction in self._reactions:
+            for action in reaction.actions:
+                for name in action.variants:
+                    settings[AT_CONDITION, name] = action
         return settings
 
-    def _checked_actions(self) -> tuple[TimedAction, ...]:
+    def _check_actions(self) -> None:
         """Check the actions; a replay follows those that were recorded."""
         if not self.scenario.actions or self._recording is not None:
-            return ()
+            return
         from cosim.scenario.acting import ActionChecker  # rarely needed
         from cosim.scenario.settings import SettingBuilder
 
@@ -412,8 +426,7 @@ class Builder:
         try:
             clock = self.context.clock
         except DependsOnInvalid:
-            clock = None
-        connections = self.scenario.connections
+            return
         settings = None
         if not self._describes:
             settings = SettingBuilder(
@@ -423,11 +436,13 @@ class Builder:
                 resources=self._resources,
                 recording=None,
             )
-        ports = Ports(layout_of(known))
-        checker = ActionChecker(ports, connections, self._invalid, clock, settings)
+        connections = self.scenario.connections
+        unknown = self._names() - known.keys()
+        checker = ActionChecker(known, connections, unknown, clock, settings)
         checker.check(self.scenario.actions)
         self.problems += checker.problems
-        return tuple(checker.timed)
+        self._actions = tuple(checker.timed)
+        self._reactions = tuple(checker.reactions)
 
     def check(self) -> None:
         """Check that everything could be built.
@@ -482,6 +497,7 @@ class Builder:
             models=context.models,
             given_states=self.given_states,
             actions=self._actions,
+            reactions=self._reactions,
             until=self.scenario.file.scenario.until,
             settings=self._settings(),
         )
@@ -517,8 +533,9 @@ class Builder:
                 held[signal] = bool(mask[columns].any())
             for text in spec.advice(name, self.context, held=held, h=h):
                 self.context.warn(name, text)
-        until = self.scenario.file.scenario.until
-        more = (*self._held_disturbances(graph), *until_warnings(until, graph))
+        keys = ["until"] if self.scenario.file.scenario.until is not None else []
+        keys += ["when"] if self._reactions else []
+        more = (*self._held_disturbances(graph), *until_warnings(keys, graph))
         for name, text in (*graph.warnings, *more):
             self.context.warn(name, text)
 

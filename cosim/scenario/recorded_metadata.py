@@ -22,6 +22,7 @@ from cosim.arrays import Matrix
 from cosim.core.contracts import Recording
 from cosim.core.gain.loop_gain import LoopGain
 from cosim.core.recorded import find_signal
+from cosim.core.simulation import NEVER_TRUE
 from cosim.errors import LogError
 from cosim.log.metadata import read_json
 from cosim.scenario.schema import Number, NumberRow, NumberRows, Whole, truth_ports
@@ -536,6 +537,14 @@ def recorded_loop_gains(recording: Recording) -> tuple[LoopGain, ...]:
     """
     records = _of_run(recording, "loop_gains", "[]", _GAINS)
     return tuple(record.gain for record in records)
+
+
+def never_came_true(recording: Recording) -> tuple[str, ...]:
+    """Return the conditions of actions that were not performed, as they never came true."""
+    conditions = recording.results.get(NEVER_TRUE, ())
+    if not isinstance(conditions, list):
+        return ()
+    return tuple(text for text in conditions if isinstance(text, str))
 
 
 def replay_origin(recording: Recording) -> ReplayOrigin:

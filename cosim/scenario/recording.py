@@ -156,14 +156,19 @@ def _run(experiment: Experiment, recorder: Recorder) -> None:
     plan = experiment.plan
     designs = experiment.designs
     until = experiment.until
-    if not (experiment.events or experiment.actions):
+    acts = bool(experiment.actions or experiment.reactions)
+    if not (experiment.events or acts):
         run_graph(graph, clock, recorder, plan, designs=designs, until=until)
         return
     # Most runs need none of it.
     from cosim.core.stepping.repeating import repeat, run_with_actions
 
-    if experiment.actions:
-        run_with_actions(graph, clock, recorder, plan, actions=experiment.actions, until=until)
+    if acts:
+        actions = experiment.actions
+        reactions = experiment.reactions
+        run_with_actions(
+            graph, clock, recorder, plan, actions=actions, reactions=reactions, until=until
+        )
         return
     copied = () if experiment.origin is None else experiment.origin.copied
     repeat(
@@ -193,7 +198,7 @@ def log_recorder(
         kinds=kinds,
         metadata=metadata,
         attachments=attachments,
-        events=events or bool(experiment.events or experiment.actions),
+        events=events or experiment.has_events,
     )
 
 

@@ -220,6 +220,8 @@ def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:
         "first_order_loops": json.dumps(loops),
         "warnings": json.dumps(experiment.warnings),
     }
+    if scenario.actions:
+        run["actions"] = json.dumps(scenario.tree["actions"])
     if settings.until is not None:
         run["until"] = settings.until
     if experiment.gains:

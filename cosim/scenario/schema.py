@@ -203,6 +203,11 @@ class ActionTable(TomlTable):
     """
 
     at: Number | None = Field(None, description="when [s], a communication point of the run")
+    when: str | None = Field(
+        None,
+        description="in place of that: where this condition comes true first, such as "
+        '"plant.y > 2 for 0.5 s"',
+    )
     signal: str | list[str] | None = Field(
         None, description="the input, or elements of it, or several; all get the same"
     )

@@ -19,7 +19,7 @@ from cosim.blocks.declared import with_units
 from cosim.core.contracts import Component, Design, Recording, SignalEvent, Stopped
 from cosim.core.graph import Graph
 from cosim.core.port import Port
-from cosim.core.stepping.actions import NO_VARIANTS, ActedOn, Action, Setting
+from cosim.core.stepping.actions import AT_CONDITION, NO_VARIANTS, ActedOn, Action, Setting
 from cosim.core.stepping.jumps import ParameterValues
 from cosim.errors import LogError, RunError, UsageError, listing, nearest
 from cosim.log.metadata import decode_design, encode_design
@@ -30,6 +30,7 @@ from cosim.scenario.problems import TableProblems, problems_of
 
 if TYPE_CHECKING:
     from cosim.fmi.component import Fmu
+
 
 SETTINGS = "cosim.settings"  # record of the log: designs by time and component
 
@@ -90,6 +91,10 @@ class SettingBuilder:
         self._resources = resources
         self._recording = recording
         self._specs = dict(scenario.specs)  # as they are at the time reached
+
+    def is_fmu(self, name: str) -> bool:
+        """Return whether the parameters of a component are those of an FMU, set in place."""
+        return self._specs[name].tuned_fmu(name, self._context) is not None
 
     def action(self, name: str, values: Mapping[str, Any]) -> Action:
         """Return what sets parameters of a component.
@@ -244,7 +249,7 @@ def prepare_settings(
     step_ns : int
         Communication step [ns].
     settings : mapping of (int, str) to Action
-        By time [ns] and component.
+        By time [ns] and component; ``AT_CONDITION`` where the time is not known.
     recorded : mapping of record to Design
         Those to use instead of computing them.
 
@@ -257,7 +262,8 @@ def prepare_settings(
     for (time_ns, name), action in settings.items():
         for component in action.variants.values():
             key = f"{time_ns} {name}"
-            design = graph.prepare_variant(name, component, step_ns, recorded.get(key, {}))
+            taken = recorded.get(key) or recorded.get(f"{AT_CONDITION} {name}") or {}
+            design = graph.prepare_variant(name, component, step_ns, taken)
             designs[key] = encode_design(design)
     return designs
 

@@ -71,6 +71,7 @@ def _begun(experiment: Experiment, identity: str, recorder: MessageRecorder | No
         recorder=recorder,
         identity=identity,
         actions=experiment.actions,
+        reactions=experiment.reactions,
         until=experiment.until,
     )
 

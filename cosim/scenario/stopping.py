@@ -32,14 +32,22 @@ def check_until(
     step_ns : int
         Communication step [ns].
     """
-    if text is None:
-        return
+    problem = None if text is None else condition_problem(text, components, unknown, step_ns)
+    if problem is not None:
+        yield UNTIL, problem
+
+
+def condition_problem(
+    text: str, components: Mapping[str, Component], unknown: Collection[str], step_ns: int
+) -> str | None:
+    """Return what is wrong with a condition; parameters as of :func:`check_until`."""
     try:
         names = compile_condition(text).program.signals
         if not any(_component_of(name) in unknown for name in names):
             Condition(text, layout_of(dict(components)), step_ns)
     except UsageError as error:
-        yield UNTIL, str(error)
+        return str(error)
+    return None
 
 
 def _component_of(name: str) -> str:
@@ -50,13 +58,14 @@ def _component_of(name: str) -> str:
         return name
 
 
-def until_warnings(text: str | None, graph: Graph) -> Iterator[tuple[str, str]]:
-    """Yield (component, text) where a condition costs time."""
-    if text is None:
+def until_warnings(keys: Collection[str], graph: Graph) -> Iterator[tuple[str, str]]:
+    """Yield (component, text) where conditions cost time; ``keys``: of these, 'until', 'when'."""
+    if not keys:
         return
+    what = " or ".join(map(repr, keys))
     for name in bound_to_steps(graph):
         yield (
             name,
-            "cannot go back from behind the row where 'until' comes true, so that the run advances "
+            f"cannot go back from behind the row where {what} comes true, so that the run advances "
             "by single steps, which takes longer",
         )

@@ -3,13 +3,21 @@
 import numpy as np
 import pytest
 
-from cosim.blocks.source import constant
+from cosim.blocks.arithmetic import gain
+from cosim.blocks.source import constant, ramp
 from cosim.core.clock import Clock
 from cosim.core.contracts import SignalEvent, Stopped
 from cosim.core.graph import Graph
 from cosim.core.recorders import Memory
 from cosim.core.simulation import Simulation
-from cosim.core.stepping.actions import Injection, Override, Release, Setting, TimedAction
+from cosim.core.stepping.actions import (
+    ConditionalAction,
+    Injection,
+    Override,
+    Release,
+    Setting,
+    TimedAction,
+)
 from cosim.core.stepping.repeating import repeat, run_with_actions
 from cosim.errors import GraphError, NonFiniteError
 from tests.core.parts import Scripted, integrator, times
@@ -222,3 +230,102 @@ def test_a_variant_needs_the_same_interface_and_a_state():
     graph = Graph(components, {})
     with pytest.raises(GraphError, match="'s': its state cannot be handed over"):
         graph.prepare_variant("s", Scripted([2.0] * 50), clock().step_ns, {})
+
+
+# --- conditions ---
+
+
+def watched(**options):
+    """Return a ramp, and what follows it by a gain and a lag."""
+    components = {"r": ramp(slope=1.0), "g": times(1.0), "x": integrator()}
+    return Graph(components, {"g.u": "r.y", "x.u": "g.y"}, **options)
+
+
+REACTIONS = [
+    ConditionalAction("r.y > 1.05", (Override("x.u", (5.0,)),)),
+    ConditionalAction("x.y > 2", (Release("x.u"), Injection("g.u", "offset", (1.0,)))),
+    ConditionalAction("x.y < -1", (Override("g.u", (0.0,)),)),
+]
+
+
+@pytest.mark.parametrize("native", [True, False])
+@pytest.mark.parametrize("block", [1, 7, None])
+def test_actions_happen_where_conditions_come_true_first(native, block):
+    """Each once; the rows depend on no block size."""
+    memory = Memory()
+    graph = watched(native=native)
+    run_with_actions(graph, Clock(4.0, STEP, block), memory, actions=[], reactions=REACTIONS)
+    assert (memory["x.u"][:12] == memory["g.y"][:12]).all()
+    x = memory["x.y"]
+    end = int((x > 2.0).argmax())
+    assert (memory["x.u"][12 : end + 1] == 5.0).all()
+    assert (memory["x.u"][end + 1 :] == memory["g.y"][end + 1 :]).all()
+    assert (memory["g.u"][end + 1 :] == memory["r.y"][end + 1 :] + 1.0).all()
+    own = [event[:3] for event in memory.events() if event.cause != "follow"]
+    assert own == [
+        (11 * 10**8, "override", "x.u"),
+        (end * 10**8, "release", "x.u"),
+        (end * 10**8, "offset", "g.u"),
+    ]
+    texts = [message.text for message in memory.messages()]
+    assert texts == [
+        "when 'r.y > 1.05': came true",
+        "when 'x.y > 2': came true",
+        "when 'x.y < -1': never came true",
+    ]
+    assert memory.results["never_came_true"] == ["x.y < -1"]
+    again = Memory()
+    repeat(watched(native=native), clock(), again, events=memory.events())
+    assert again.events() == memory.events()
+    for name in memory.signals():
+        assert again[name].tobytes() == memory[name].tobytes(), name
+
+
+@pytest.mark.parametrize("size", [1, 9, 40])
+def test_who_steps_by_hand_meets_the_conditions_too(size):
+    """And goes back over them: an action that was not performed then is performed again."""
+    memory = Memory()
+    run_with_actions(watched(), clock(), memory, actions=[], reactions=REACTIONS)
+    simulation = Simulation(watched(), clock(), reactions=REACTIONS)
+    parts = []
+    while simulation.steps_left:
+        parts.append(simulation.step(min(size, simulation.steps_left))["x.u"])
+    assert np.concatenate(parts).tobytes() == memory["x.u"][1:].tobytes()
+    simulation.reset()
+    simulation.step(5)
+    early = simulation.state
+    simulation.step(10)
+    late = simulation.state
+    rest = simulation.step(20)["x.u"].tobytes()
+    simulation.state = late
+    assert simulation.step(20)["x.u"].tobytes() == rest
+    simulation.state = early
+    simulation.step(10)
+    assert simulation.step(20)["x.u"].tobytes() == rest
+
+
+def test_an_action_at_the_first_row_and_one_at_the_end_of_the_run():
+    """True at the start is coming true there; where the run ends nothing happens any more."""
+    reactions = [
+        ConditionalAction("r.y >= 0", (Override("x.u", (5.0,)),)),
+        ConditionalAction("r.y > 2.95", (Override("g.u", (5.0,)),)),
+    ]
+    memory = Memory()
+    run_with_actions(
+        watched(), clock(), memory, actions=[], reactions=reactions, until="r.y > 2.95"
+    )
+    assert (memory["x.u"][1:] == 5.0).all()
+    assert len(memory["x.u"]) == 31
+    assert [event.signal for event in memory.events()] == ["x.u"]
+    assert memory.results["never_came_true"] == ["r.y > 2.95"]
+
+
+def test_a_release_that_need_not_be_releases_what_is_overridden():
+    """All of it, a part of it or nothing."""
+    graph = Graph({"c": constant([1.0, 2.0]), "g": gain(np.eye(2))}, {"g.u": "c.y"})
+    simulation = Simulation(graph, clock())
+    simulation.release_overridden("g.u")
+    simulation["g.u[1]"] = 5.0
+    simulation.release_overridden("g.u")
+    assert simulation.overrides == {}
+    assert simulation["g.u"].tolist() == [1.0, 2.0]

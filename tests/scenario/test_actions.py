@@ -164,7 +164,22 @@ def test_actions_are_set_from_outside(write):
 
 
 CASES = {
-    "no time": ('signal = "x.u"\noffset = 1.0', r"actions\.0: 'at' is missing; needed when"),
+    "no time": (
+        'signal = "x.u"\noffset = 1.0',
+        r"actions\.0: found neither 'at' nor 'when'; needed a time \[s\], or a condition",
+    ),
+    "time and condition": (
+        'at = 1.0\nwhen = "s.y > 1"\nsignal = "x.u"\noffset = 1.0',
+        r"actions\.0: found both 'at' and 'when'; needed a time \[s\], or a condition",
+    ),
+    "condition on an unknown signal": (
+        'when = "s.z > 1"\nsignal = "x.u"\noffset = 1.0',
+        r":33: actions\.0\.when: condition 's\.z > 1': .*'s\.z'",
+    ),
+    "no condition": (
+        'when = "s.y + 1"\nsignal = "x.u"\noffset = 1.0',
+        r"actions\.0\.when: ",
+    ),
     "no signal": ("at = 1.0\noffset = 1.0", r"actions\.0: 'signal' is missing; needed an input"),
     "nothing that happens": (
         'at = 1.0\nsignal = "x.u"',
@@ -323,3 +338,73 @@ def test_info_shows_the_actions_of_a_scenario_and_the_events_of_a_log(write, tmp
         "cause": "override",
         "values": "7",
     }
+
+
+CONDITIONAL = """
+[[actions]]
+when = "s.y > 1.8"
+signal = "x.u"
+override = 0.0
+
+[[actions]]
+when = "x.y < 0.5 for 0.3 s"
+signal = "x.u"
+release = true
+
+[[actions]]
+when = "s.y < -5"
+signal = "g.u"
+freeze = true
+
+[[actions]]
+when = "s.y > 1.9"
+set = { "log.time_constant" = 0.1 }
+"""
+
+
+@pytest.mark.parametrize("block", [1, 5, None])
+def test_actions_happen_where_conditions_come_true(write, tmp_path, block):
+    """Each once; recorded and replayed; what never came true is said."""
+    log = cosim.run(write(CONDITIONAL), out=tmp_path / "a.mcap", block=block)
+    s = log["s.y"]
+    x = log["x.u"]
+    first = int((s > 1.8).argmax())
+    held = log["x.y"] < 0.5
+    last = next(k for k in range(first, 41) if held[k - 3 : k + 1].all())
+    assert (x[: first + 1] == s[: first + 1]).all()
+    assert (x[first + 1 : last + 1] == 0.0).all()
+    assert (x[last + 1 :] == s[last + 1 :]).all()
+    own = [event[1:3] for event in log.events() if event.cause != "follow"]
+    assert own == [("override", "x.u"), ("set", "log.time_constant"), ("release", "x.u")]
+    assert log.results["never_came_true"] == ["s.y < -5"]
+    assert log.recorded_hash == cosim.run(write(CONDITIONAL), out=tmp_path / "b.mcap").recorded_hash
+    verification = verify(log, cosim.replay(log))
+    assert verification.passed, verification.lines()
+    again = cosim.replay(log, out=tmp_path / "c.mcap")
+    assert verify(again, cosim.replay(again)).passed
+
+
+def test_a_session_meets_the_conditions_too(write, tmp_path):
+    """With a log of its own that says which never came true."""
+    run = cosim.run(write(CONDITIONAL))
+    with cosim.load(write(CONDITIONAL)).start(out=tmp_path / "a.mcap") as sim:
+        rows = sim.step(40)
+    assert rows["x.u"][:, 0].tolist() == run["x.u"][1:].tolist()
+    log = cosim.open_log(tmp_path / "a.mcap")
+    assert log.results["never_came_true"] == ["s.y < -5"]
+    assert log.events() == run.events()
+
+
+def test_a_component_is_set_at_a_condition_or_at_times(write):
+    """What it would be else depends on which comes first."""
+    actions = CONDITIONAL + '[[actions]]\nat = 1.0\nset = { "log.time_constant" = 0.2 }\n'
+    with pytest.raises(ScenarioError, match=r"actions\.3\..*'log' is set by actions\.4 too"):
+        cosim.run(write(actions))
+
+
+def test_the_summary_says_which_conditions_never_came_true(write, capsys):
+    """So that an action that never happened is not overlooked."""
+    from cosim.report.summary import summarize
+
+    summary = summarize(cosim.run(write(CONDITIONAL)))
+    assert summary.never_came_true == ("s.y < -5",)

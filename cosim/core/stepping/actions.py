@@ -7,7 +7,7 @@ the left limits, the next step starts behind the action.
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import ClassVar, Final, Protocol, final
@@ -17,6 +17,7 @@ from cosim.core.signals import FaultKind
 from cosim.core.stages.overrides import OverrideValue
 from cosim.core.stepping.jumps import ParameterValues
 
+AT_CONDITION: Final = -1  # in place of a time [ns] that is not known before the run
 NO_VARIANTS: Final[Mapping[str, Component]] = MappingProxyType({})
 
 
@@ -36,6 +37,10 @@ class ActedOn(Protocol):
 
     def release(self, to: str) -> None:
         """Release an input, or elements of it."""
+        ...
+
+    def release_overridden(self, to: str) -> None:
+        """Release those elements of an input that are overridden."""
         ...
 
     def exchange(self, name: str, component: Component, settings: ParameterValues) -> None:
@@ -89,14 +94,25 @@ class Injection:
 
 @dataclass(frozen=True, slots=True)
 class Release:
-    """The end of an override or a fault."""
+    """The end of an override or a fault.
+
+    Parameters
+    ----------
+    to : str
+    is_needed : bool
+        Whether it is overridden then, as a whole; else what is overridden of it is released.
+    """
 
     to: str
+    is_needed: bool = True
     variants: ClassVar[Mapping[str, Component]] = NO_VARIANTS
 
     def perform(self, simulation: ActedOn) -> None:
         """Release it."""
-        simulation.release(self.to)
+        if self.is_needed:
+            simulation.release(self.to)
+        else:
+            simulation.release_overridden(self.to)
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,6 +147,70 @@ class TimedAction:
 
     index: int
     action: Action
+
+
+@dataclass(frozen=True, slots=True)
+class ConditionalAction:
+    """Actions, and the condition that they are performed at: where it comes true first.
+
+    Parameters
+    ----------
+    when : str
+        See :mod:`cosim.core.conditions`.
+    actions : tuple of Action
+    """
+
+    when: str
+    actions: tuple[Action, ...]
+
+
+@final
+class Reactions:
+    """Actions at conditions, each performed once.
+
+    Parameters
+    ----------
+    actions : sequence of ConditionalAction
+
+    Attributes
+    ----------
+    performed : tuple of int
+        The numbers of those that were performed, in their order.
+    """
+
+    def __init__(self, actions: Sequence[ConditionalAction]) -> None:
+        self._actions = tuple(actions)
+        self.performed: tuple[int, ...] = ()
+
+    def __bool__(self) -> bool:
+        return bool(self._actions)
+
+    @property
+    def texts(self) -> list[str]:
+        """The conditions, each once."""
+        return list(dict.fromkeys(action.when for action in self._actions))
+
+    def due(self, came_true: Collection[str]) -> list[ConditionalAction]:
+        """Return what is to be performed where some conditions come true; it counts as done."""
+        due = []
+        for number, action in enumerate(self._actions):
+            if action.when in came_true and number not in self.performed:
+                self.performed += (number,)
+                due.append(action)
+        return due
+
+    def left(self) -> list[str]:
+        """Return the conditions that never came true."""
+        left = [a.when for i, a in enumerate(self._actions) if i not in self.performed]
+        return list(dict.fromkeys(left))
+
+    def variants(self) -> dict[str, Component]:
+        """Return the components in the places of others, behind those that were performed."""
+        variants: dict[str, Component] = {}
+        for number in self.performed:
+            for action in self._actions[number].actions:
+                variants.update(action.variants)
+        return variants
 
 
 @final

@@ -67,6 +67,13 @@ class OverridableInput:
         self.numbers = range(end.columns.start, end.columns.stop)
         self.of_whole = range(of_whole.start, of_whole.stop)
 
+    @property
+    def overridden(self) -> list[str]:
+        """The names of its elements that are overridden."""
+        first = self.member.columns.start
+        columns = [column for column in self.numbers if column in self.member.overrides]
+        return [self.member.label(column - first) for column in columns]
+
     def checked(self, value: OverrideValue) -> list[float]:
         """Return the elements of a value to override it with.
 

@@ -13,7 +13,7 @@ from cosim.core.contracts import Design, Plan, Recorder, SignalEvent, Stopped
 from cosim.core.graph import Graph
 from cosim.core.port import Port
 from cosim.core.simulation import Simulation
-from cosim.core.stepping.actions import Action, TimedAction
+from cosim.core.stepping.actions import Action, ConditionalAction, TimedAction
 from cosim.errors import LogError, UsageError
 
 
@@ -24,6 +24,7 @@ def run_with_actions(
     plan: Plan | None = None,
     *,
     actions: Sequence[TimedAction],
+    reactions: Sequence[ConditionalAction] = (),
     until: str | None = None,
 ) -> None:
     """Run a graph from the start of a clock to its stop, with actions on the way.
@@ -33,6 +34,9 @@ def run_with_actions(
     graph, clock, recorder, plan, until
         As of :func:`cosim.core.run`.
     actions : sequence of TimedAction
+        At communication points.
+    reactions : sequence of ConditionalAction
+        Where conditions come true first.
 
     Raises
     ------
@@ -45,10 +49,18 @@ def run_with_actions(
                 plan = graph.prepare(clock.step_ns)
             recorder.begin(plan)
             simulation = Simulation(
-                graph, clock, plan, recorder=recorder, actions=actions, until=until
+                graph,
+                clock,
+                plan,
+                recorder=recorder,
+                actions=actions,
+                reactions=reactions,
+                until=until,
             )
-            simulation.pass_to(clock.steps)
-            simulation.close()
+            try:
+                simulation.pass_to(clock.steps)
+            finally:
+                simulation.close()
     except Stopped as stop:
         if stop.failed:
             raise

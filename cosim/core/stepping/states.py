@@ -37,6 +37,8 @@ class SimulationState:
         What the loops that iterate keep from step to step.
     conditions : mapping of condition to int
         For how many rows each has held, where the run looks for any.
+    performed : tuple of int
+        Numbers of the actions at conditions that were performed.
     origin : object
         The simulation in whose memory component states may lie; not pickled.
     """
@@ -48,12 +50,13 @@ class SimulationState:
     components: Mapping[str, Any]
     solvers: tuple[Vector, ...]
     conditions: Mapping[str, int]
+    performed: tuple[int, ...]
     origin: object = field(default=None, repr=False)
 
     def __reduce__(self) -> tuple[Any, ...]:
         self.check_portable()
         values = (self.graph, self.index, self.row, self.overrides, self.components)
-        return SimulationState, (*values, self.solvers, self.conditions)
+        return SimulationState, (*values, self.solvers, self.conditions, self.performed)
 
     def check_portable(self) -> None:
         """Check that every component's state can leave the simulation that it was taken of.
@@ -115,7 +118,13 @@ class States:
             )
 
     def save(
-        self, index: int, row: Vector, conditions: Mapping[str, int], origin: object
+        self,
+        index: int,
+        row: Vector,
+        conditions: Mapping[str, int],
+        *,
+        performed: tuple[int, ...],
+        origin: object,
     ) -> SimulationState:
         """Save the state at a communication point; ``origin`` is the simulation.
 
@@ -133,7 +142,7 @@ class States:
         row = row.copy()
         row.flags.writeable = False
         solvers = tuple(solver.memory.copy() for solver in self._graph.solvers)
-        values = (index, row, overrides, components, solvers, conditions)
+        values = (index, row, overrides, components, solvers, conditions, performed)
         return SimulationState(self.graph_hash, *values, origin)
 
     def check(self, state: SimulationState, simulation: object) -> None:

@@ -113,9 +113,7 @@ def _summary_table(summary: Summary, recording: Recording) -> Table:
         table = _last_value_table(title, summary, recording)
     if summary.reason:
         table.add_row("stop reason", "", "", summary.reason)
-    if summary.until_came_true is False:
-        text = f"{quoted(summary.until)} never came true up to the end of the run"
-        table.add_row("until", "", "", text)
+    _add_conditions(table, summary)
     for change in summary.changed_states:
         text = f"x0 has {change.before:.6g}; consistent with u and delta at the start"
         label = f"{change.component}.{change.entry}"
@@ -141,6 +139,16 @@ def _add_loops(table: Table, summary: Summary) -> None:
         table.add_row("loop", "", "", f"{loop}: {text}")
     for gain in summary.gains:
         table.add_row("loop gain", "", "", f"{', '.join(gain.components)}: {gain_text(gain)}")
+
+
+def _add_conditions(table: Table, summary: Summary) -> None:
+    """Add the conditions of the run that never came true."""
+    if summary.until_came_true is False:
+        text = f"{quoted(summary.until)} never came true up to the end of the run"
+        table.add_row("until", "", "", text)
+    for text in summary.never_came_true:
+        words = f"{quoted(text)} never came true, so that its actions were not performed"
+        table.add_row("when", "", "", words)
 
 
 def _error_table(title: str, summary: Summary) -> Table:
