@@ -70,6 +70,8 @@ class StepCertificate:
         Of the others [s].
     every : int
         Every so many communication points were compared.
+    ends : tuple of float
+        The instants [s] at which the runs ended; they were compared up to the first.
     problem : str
         Why nothing was compared; empty where something was.
     solvers : tuple of str
@@ -87,6 +89,7 @@ class StepCertificate:
     step: float
     finer_steps: tuple[float, ...]
     every: int
+    ends: tuple[float, ...]
     problem: str
     solvers: tuple[str, ...]
     signals: tuple[SignalCertificate, ...]
@@ -150,6 +153,7 @@ def certificate_of(recording: Recording, summary: Summary) -> StepCertificate | 
         record.step,
         record.finer_steps,
         record.every,
+        record.ends,
         record.problem,
         record.solvers,
         tuple(signals),

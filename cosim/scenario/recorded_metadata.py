@@ -303,6 +303,7 @@ class CertificateRecord(_Record):
     step: Number
     finer_steps: NumberRow
     every: Whole
+    ends: NumberRow = ()
     problem: Text = ""
     solvers: tuple[Text, ...] = ()
     signals: dict[Text, StepErrorRecord] = {}

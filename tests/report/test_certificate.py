@@ -58,6 +58,14 @@ def test_log_shows_it(log, capsys):
     assert "jump.y jumps between" in signals["late.y"]["no estimate"]
 
 
+def test_ends_that_differ_are_named(tmp_path, capsys):
+    scenario = write(tmp_path, certified.SPRING)
+    setting = ("--set", "scenario.until=mass.y < 0")
+    output = run(capsys, "run", scenario, "--certify", *setting, "--out", tmp_path / "a.mcap")
+    assert "note\t\t\t\tthe three runs ended at 0.79 s, 0.79 s, 0.7875 s; they" in output
+    assert "they are compared up to 0.7875 s" in output
+
+
 def test_json_has_it(tmp_path, capsys):
     path = write(tmp_path, certified.SPRING)
     output = run(capsys, "run", path, "--certify", "--json", "--out", tmp_path / "a.mcap")

@@ -218,6 +218,18 @@ def test_a_coupled_oscillator_is_estimated(tmp_path):
     assert found.order == pytest.approx(1.0, abs=0.1)
 
 
+def test_runs_that_a_condition_ends_are_compared_up_to_the_first_end():
+    """They pass 0 at pi/4 = 0.7854 s, and end at the first of their own points behind that."""
+    scenario = certified.parsed(certified.SPRING)
+    log = cosim.run(scenario, set={"scenario.until": "mass.y < 0"}, certify=True)
+    found = cosim.certificate(log)
+    assert found.ends == (0.79, 0.79, 0.7875)
+    t = log.time("mass")
+    within = t <= min(found.ends)
+    true = np.abs(log["mass.y"] - np.cos(2.0 * t))[within].max()
+    assert found["mass.y"].largest == pytest.approx(true, rel=0.1)
+
+
 # --- noise, and what cannot be certified ---
 
 

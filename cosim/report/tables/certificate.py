@@ -83,6 +83,10 @@ def notes(certificate: StepCertificate) -> list[str]:
     if certificate.solvers:
         names = ", ".join(certificate.solvers)
         texts.append(f"errors of the solvers inside {names} are in these figures, too")
+    if len(set(certificate.ends)) > 1:
+        ends = ", ".join(f"{end:g} s" for end in certificate.ends)
+        first = f"{min(certificate.ends):g} s"
+        texts.append(f"the three runs ended at {ends}; they are compared up to {first}")
     if certificate.every > 1:
         texts.append(f"compared at every {certificate.every}th communication point")
     return texts

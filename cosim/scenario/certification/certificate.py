@@ -286,6 +286,7 @@ class Certifier:
         content: dict[str, Any] = {
             "step": step,
             "finer_steps": [step / finer for finer in FINER],
+            "ends": [run.end_ns / NANOSECONDS for run in self._runs(own)],
             "every": subject.every,
             "problem": problem or self.problem,
             "solvers": list(subject.solvers),
@@ -298,8 +299,12 @@ class Certifier:
         return content
 
     def errors(self, own: ThinnedRows) -> dict[str, StepError]:
-        """Return the error of every element of every signal, by its label."""
-        runs = [own, self._half.rows, self._quarter.rows]
+        """Return the error of every element of every signal, by its label.
+
+        Where a condition ends the runs, which it may do at different instants, they are compared up
+        to the first of these.
+        """
+        runs = self._runs(own)
         times = [run.time_ns for run in runs]
         count = min(map(len, times))
         tables: list[Matrix] = [run.rows[:count] for run in runs]
@@ -315,6 +320,9 @@ class Certifier:
                     error = step_error(t, coarse, half, quarter)
                 errors[self._subject.labels[column]] = error
         return errors
+
+    def _runs(self, own: ThinnedRows) -> list[ThinnedRows]:
+        return [own, self._half.rows, self._quarter.rows]
 
     def _reasons(self) -> dict[str, str]:
         """Return why components have no estimate, by their names: what they follow jumps."""

@@ -27,6 +27,11 @@ class ThinnedRows:
         Communication steps of the run.
     jumps : JumpWatch, optional
         Watches all rows.
+
+    Attributes
+    ----------
+    end_ns : int
+        The last instant of the run [ns], kept or not.
     """
 
     def __init__(self, every: int, steps: int, jumps: JumpWatch | None = None) -> None:
@@ -35,6 +40,7 @@ class ThinnedRows:
         self._jumps = jumps
         self._rows: list[Matrix] = []
         self._times: list[Nanoseconds] = []
+        self.end_ns = 0
 
     def __enter__(self) -> Self:
         return self
@@ -53,6 +59,7 @@ class ThinnedRows:
         """Keep the rows that are due."""
         if self._jumps is not None:
             self._jumps.take(block, signals)
+        self.end_ns = int(block.time_ns[-1])
         first = 0 if block.index == 0 and not self._rows else 1
         rows = np.arange(first, block.steps + 1)
         numbers = block.index + rows
