@@ -66,7 +66,8 @@ def comparable(text):
 
 def write_scenario(folder):
     """Save the scenarios and the module that the pages show, as they tell their reader to."""
-    for page, name in (("README", "pair"), ("README", "fall"), ("plants", "drive")):
+    shown_in = {"pair": "README", "faults": "README", "fall": "README", "drive": "plants"}
+    for name, page in shown_in.items():
         shown = [block for block in blocks(page, "toml") if f'name = "{name}"' in block]
         (folder / f"{name}.toml").write_text(shown[0], encoding="utf-8")
     (drag,) = [block for block in blocks("README", "python") if "class Drag" in block]
@@ -95,6 +96,12 @@ def test_readme_shows_the_tasks():
 def test_the_pair_takes_15_lines():
     """Two FMUs are connected in 15 lines of TOML, blank lines apart."""
     shown = [block for block in blocks("README", "toml") if 'name = "pair"' in block]
+    assert len([line for line in shown[0].splitlines() if line.strip()]) <= 15
+
+
+def test_a_run_with_faults_takes_15_lines():
+    """A sensor fault, a parameter step, an override released and a stop condition."""
+    shown = [block for block in blocks("README", "toml") if 'name = "faults"' in block]
     assert len([line for line in shown[0].splitlines() if line.strip()]) <= 15
 
 
