@@ -532,11 +532,14 @@ class Graph:
 
     def _loop_note(self, name: str, loop: Sequence[str]) -> str:
         """Return which loop a component is in, and by which connections."""
+        names = frozenset(loop)
         driving = []
-        for part, connection in self.connections.items():
-            inside = [str(port) for port in connection.sources if port.component in loop]
-            if part.component == name and inside:
-                driving.append(f"{', '.join(inside)} -> {part}")
+        for signal in self.layout[name].interface.inputs:
+            for part in self._parts[Port(name, signal.name)]:
+                sources = self.connections[part].sources
+                inside = [str(port) for port in sources if port.component in names]
+                if inside:
+                    driving.append(f"{', '.join(inside)} -> {part}")
         return (
             f"it is in the loop of {listing(loop)}, by {'; '.join(driving)}, coupled by "
             f"'{self.coupling}'"

@@ -46,6 +46,10 @@ class LoopModel:
         Communication step [s].
     torn : tuple of (int, int)
         The inputs that are solved for: component and element.
+    iterations : int
+        Sweeps of a step, where their number is fixed; 0: the torn inputs are solved for.
+    latest : tuple of bool
+        Which components take the inputs at the end of a step over the whole step.
     """
 
     members: tuple[Linearized, ...]
@@ -54,6 +58,8 @@ class LoopModel:
     operations: tuple[tuple[OperationName, int], ...]
     h: float
     torn: tuple[tuple[int, int], ...] = ()
+    iterations: int = 0
+    latest: tuple[bool, ...] = ()
 
     @property
     def outputs(self) -> list[slice]:
@@ -70,7 +76,12 @@ class LoopModel:
         """Number of rows of the map."""
         steps = self.steps(0)
         n_y: int = self.outputs[-1].stop
-        return sum(step.n_s for step in steps) + n_y
+        return sum(step.n_s for step in steps) + n_y + self.n_kept
+
+    @property
+    def n_kept(self) -> int:
+        """Number of torn inputs that differ from their sources, so that a step hands them on."""
+        return len(self.torn) if self.iterations else 0
 
     @property
     def is_too_large(self) -> bool:
@@ -117,6 +128,8 @@ def loop_model(
         tuple(operations),
         h,
         _torn(loop),
+        0 if loop.torn is None else loop.torn.solver.iterations,
+        tuple(member.takes_latest for member in loop.members),
     )
 
 
@@ -160,14 +173,17 @@ def one_step_maps(model: LoopModel) -> list[Matrix] | None:
 
 def _one_step_map(model: LoopModel, steps: Sequence[MemberStep]) -> Matrix | None:
     states = slices([step.n_s for step in steps])
-    size = states[-1].stop + model.outputs[-1].stop
-    units = np.eye(size)
-    sweep = _Sweep(model, steps, [units[part] for part in states], units[states[-1].stop :])
-    torn = sweep.solution()
+    n_states = states[-1].stop
+    n_row = model.outputs[-1].stop
+    units = np.eye(n_states + n_row + model.n_kept)
+    row = units[n_states : n_states + n_row]
+    kept = units[n_states + n_row :]
+    sweep = _Sweep(model, steps, [units[part] for part in states], row, kept)
+    torn = sweep.repeated() if model.iterations else sweep.solution()
     if torn is None:
         return None
     state, row = sweep(torn)
-    return np.vstack([*state, row])
+    return np.vstack([*state, row, torn[: model.n_kept]])
 
 
 class _Sweep:
@@ -182,6 +198,8 @@ class _Sweep:
         Of the components at the start.
     row : Matrix, shape (n_y of all, k)
         The outputs at the start.
+    kept : Matrix, shape (n_kept, k)
+        The torn inputs at the start.
     """
 
     def __init__(
@@ -190,7 +208,9 @@ class _Sweep:
         steps: Sequence[MemberStep],
         state: Sequence[Matrix],
         row: Matrix,
+        kept: Matrix,
     ) -> None:
+        self._kept = kept
         self._model = model
         self._steps = steps
         self._state = state
@@ -205,7 +225,7 @@ class _Sweep:
         for kind, number in model.operations:
             u1 = self._inputs(number, end, torn)
             if kind == "advance":
-                u0 = model.wiring[number] @ self._row
+                u0 = u1 if model.latest[number] else self._inputs(number, self._row, self._kept)
                 state[number], y = self._steps[number].advance(state[number], u0, u1)
             else:
                 before = end[outputs[number]]
@@ -215,10 +235,18 @@ class _Sweep:
 
     def _inputs(self, number: int, end: Matrix, torn: Matrix) -> Matrix:
         u: Matrix = self._model.wiring[number] @ end
-        for place, (component, element) in enumerate(self._model.torn):
+        for place, values in enumerate(torn):
+            component, element = self._model.torn[place]
             if component == number:
-                u[element] = torn[place]
+                u[element] = values
         return u
+
+    def repeated(self) -> Matrix:
+        """Return what the last of a fixed number of sweeps takes for the torn inputs."""
+        torn = self._driven(self._row)
+        for _ in range(self._model.iterations - 1):
+            torn = self._given(torn)
+        return torn
 
     def solution(self) -> Matrix | None:
         """Return the torn inputs that are what their sources give; None: there is no one."""
@@ -229,13 +257,18 @@ class _Sweep:
             return given
         nothing = [np.zeros((len(state), count)) for state in self._state]
         no_row = np.zeros((len(self._row), count))
-        J = _Sweep(self._model, self._steps, nothing, no_row)._given(np.eye(count))
+        no_kept = np.zeros((len(self._kept), count))
+        J = _Sweep(self._model, self._steps, nothing, no_row, no_kept)._given(np.eye(count))
         return solved(np.eye(count) - J, given)
 
     def _given(self, torn: Matrix) -> Matrix:
         """Return what the sources of torn inputs give for them."""
         _, end = self(torn)
-        rows = np.zeros(torn.shape)
+        return self._driven(end)
+
+    def _driven(self, end: Matrix) -> Matrix:
+        """Return the torn inputs that outputs drive."""
+        rows = np.zeros((len(self._model.torn), end.shape[1]))
         for place, (component, element) in enumerate(self._model.torn):
             rows[place] = self._model.wiring[component][element] @ end
         return rows
