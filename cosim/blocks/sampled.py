@@ -20,7 +20,7 @@ from cosim.core.contracts import (
 )
 from cosim.core.linearization import Linearized
 from cosim.core.signals import Interface
-from cosim.errors import ClockError, RunError
+from cosim.errors import ClockError, RunError, steps_text
 from cosim.native.blocks.wrapping import (
     DecimatedMemory,
     SampledMemory,
@@ -38,7 +38,7 @@ class SampledState(NamedTuple):
     component : object
         Its own.
     steps : int
-        Communication steps since its own step began.
+        Communication steps since its own step began; negative before the first one.
     y : Vector, shape (n_y,)
         The outputs that are held.
     begin : (float, Vector) or None
@@ -73,15 +73,26 @@ class Sampled:
     hold : bool
         It samples its inputs at the start of its own step and holds them, as a digital controller
         does; else those without a zero-order hold are interpolated linearly over its own step.
+    offset : int
+        Communication steps until its first step begins, fewer than n; until then its outputs are
+        the initial ones.
 
     Raises
     ------
     ClockError
-        If n is less than 1.
+        If n is less than 1, or the offset negative or not less than n.
     """
 
-    def __init__(self, component: Component, n: int, *, hold: bool = False) -> None:
+    def __init__(
+        self, component: Component, n: int, *, hold: bool = False, offset: int = 0
+    ) -> None:
         interface = _held_between(component.interface, n)
+        if not 0 <= offset < n:
+            raise ClockError(
+                f"offset: found {steps_text(offset)}, needed 0 or more, and fewer than the period "
+                f"of {steps_text(n)}"
+            )
+        self._offset = offset
         if hold:
             names = tuple(signal.name for signal in interface.inputs)
             interface = replace(interface, delayed=names)
@@ -99,9 +110,11 @@ class Sampled:
         return prepare(self._component, self._own_step(h), held_inputs, recorded)
 
     def initialize(self, t: float, u: Vector) -> Vector:
-        """Initialize the component; its first own step begins here."""
-        self._memory.steps = 0
+        """Initialize the component; its first own step begins here, or after the offset."""
+        self._memory.steps = -self._offset
         self._memory.y[:] = self._component.initialize(t, u)
+        if self._offset:
+            self._memory.y[:] = self._component.outputs(t, u)
         return self._memory.y.copy()
 
     def outputs(self, t: float, u: Vector) -> Vector:
@@ -128,7 +141,9 @@ class Sampled:
         return rows
 
     def linearized(self, t: float, u: Vector) -> Linearized | None:
-        """Linearize the component, with steps of its own."""
+        """Linearize the component, with steps of its own; None: also where they begin later."""
+        if self._offset:
+            return None
         inner = linearized(self._component, t, u)
         return None if inner is None else inner.sampled(self._n, hold=self._hold)
 
@@ -160,6 +175,11 @@ class Sampled:
     def _step(self, t: Vector, h: float, u: Matrix) -> Vector:
         """Take one communication step, ``t`` (2,) and ``u`` (2, n_u); return the outputs held."""
         memory = self._memory
+        if memory.steps < 0:
+            if memory.steps == -1:
+                memory.y[:] = self._component.outputs(float(t[1]), u[1])
+            memory.steps += 1
+            return memory.y
         if memory.steps == 0:
             memory.begin = float(t[0])
             memory.u_begin[:] = u[0]

@@ -295,7 +295,7 @@ class Builder:
             component = self._component(name, spec)
             period = spec.period_steps(name, self.context.step_ns)
             self.components[name] = spec.with_period(component, period)
-            self._periods[name] = period
+            self._periods[name] = spec.recorded_period(period)
             given = spec.given_states(name, self.context)
             if given is not None:
                 self.given_states[name] = given

@@ -31,6 +31,17 @@ int32_t cosim_sampled_step(void *self, double t0, double t1, double h, const dou
     const cosim_sampled *s = self;
     const size_t width = (size_t)s->n_y * sizeof *y;
     double *taken = s->memory, *begin = taken + 1, *u_begin = begin + 1, *held = u_begin + s->n_u;
+    if (*taken < 0.0) { /* before its first step */
+        if (*taken == -1.0) {
+            const int32_t status = cosim_inner_outputs(&s->inner, t1, u1, y);
+            if (status != COSIM_OK)
+                return status;
+            memcpy(held, y, width);
+        }
+        *taken += 1.0;
+        memcpy(y, held, width);
+        return COSIM_OK;
+    }
     if (*taken == 0.0) {
         /* also those of a step of its own that ends at once: they may decline */
         const int32_t status = cosim_inner_outputs(&s->inner, t0, u0, y);

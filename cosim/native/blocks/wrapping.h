@@ -31,8 +31,8 @@ typedef struct {
     cosim_inner inner;
     int32_t steps, n_u, n_y;
     double h; /* [s] */
-    /* communication steps since its own step began, time and inputs (n_u) then, outputs that are
-     * held (n_y) */
+    /* communication steps since its own step began, negative before the first, time and inputs
+     * (n_u) then, outputs that are held (n_y) */
     double *memory;
 } cosim_sampled;
 int32_t cosim_sampled_step(void *self, double t0, double t1, double h, const double *u0,

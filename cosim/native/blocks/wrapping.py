@@ -119,7 +119,7 @@ class SampledMemory:
 
     @property
     def steps(self) -> int:
-        """Communication steps since its own step began."""
+        """Communication steps since its own step began; negative before the first one."""
         return int(self.values[0])
 
     @steps.setter

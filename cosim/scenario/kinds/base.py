@@ -405,6 +405,10 @@ class Kind(TomlTable):
         """Return the component with its sample period of ``n`` communication steps."""
         return component
 
+    def recorded_period(self, n: int) -> int:
+        """Return which rows the log keeps, one in so many, with a period of ``n`` steps."""
+        return n
+
     def tunable_parameters(self, name: str, context: BuildContext) -> Sequence[str]:
         """Return the keys that may be set in a run, which have a number or a row of numbers."""
         keys = []

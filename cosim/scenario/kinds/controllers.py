@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -10,10 +11,11 @@ from pydantic import Field
 from cosim.blocks.pid import Pid, PidParameters
 from cosim.blocks.sampled import Sampled
 from cosim.blocks.state_space import DiscreteStateSpace, controller, system_matrices
-from cosim.core.clock import NANOSECONDS
+from cosim.core.clock import NANOSECONDS, nanoseconds, whole_steps
 from cosim.core.contracts import Component
 from cosim.core.linear import Linear, LinearModel
 from cosim.core.signals import Interface
+from cosim.errors import UsageError
 from cosim.fmi.exporting import kernels
 from cosim.fmi.exporting.kernels import DiscreteModel, Kernel
 from cosim.fmi.exporting.specifications import Exportable
@@ -36,13 +38,68 @@ class SampledKind(PeriodicKind):
         description="sample period [s], whole communication steps; default: continuous in time",
     )
 
+    offset: Number = Field(
+        0.0,
+        description="when it samples first, after the start of the run [s]: whole communication "
+        "steps, less than the period; y has its initial value until then",
+    )
+
     def with_period(self, component: Component, n: int) -> Component:
+        offset = self._offset_steps(n)
+        if self.period is None:
+            return component
         # A period of one communication step still holds u over it.
-        return component if self.period is None else Sampled(component, n, hold=True)
+        return Sampled(component, n, hold=self._holds, offset=offset)
+
+    def recorded_period(self, n: int) -> int:
+        """Return the steps between two rows of the log: a sample is in one of them."""
+        return math.gcd(n, self._offset_steps(n))
+
+    @property
+    def _holds(self) -> bool:
+        """Whether its inputs have a zero-order hold over a period."""
+        return True
+
+    def _offset_steps(self, n: int) -> int:
+        """Return the offset in communication steps, ``n`` of which are a period.
+
+        Raises
+        ------
+        UsageError
+            If there is one without a period, or it is negative or not less than the period.
+        ClockError
+            If it is not a whole number of them.
+        """
+        if not self.offset:
+            return 0
+        if self.period is None:
+            raise UsageError(
+                f"offset: found {self.offset} s and no period; needed both, or neither"
+            )
+        if not 0.0 <= self.offset < self.period:
+            raise UsageError(
+                f"offset: found {self.offset} s, needed 0 s or more, and less than the period, "
+                f"{self.period} s"
+            )
+        return whole_steps(self.offset, nanoseconds(self.period) // n, "offset")
+
+    def _check_exportable(self) -> None:
+        """Check that an FMU can do what it does with its period.
+
+        Raises
+        ------
+        UsageError
+            If it cannot.
+        """
+        if self.offset or not self._holds:
+            raise UsageError(
+                "an exported controller samples first at the start, and holds its inputs over a "
+                "period; needed one without offset and input_interpolation"
+            )
 
 
 class ControllerKind(SampledKind, LinearKind):
-    """Linear controller x' = A x + B u, y = C x + D u; with a period: zero-order hold of u."""
+    """Linear controller x' = A x + B u, y = C x + D u; with a period: sampled."""
 
     ports: ClassVar[str] = "u -> y, x"
     kind: Literal["controller"]
@@ -51,6 +108,23 @@ class ControllerKind(SampledKind, LinearKind):
     C: NumberRows = Field(description="matrix (outputs, n)")
     D: NumberRows | None = Field(None, description="matrix (outputs, inputs); default: zero")
     x0: NumberRow | None = Field(None, description="x(0); default: zero")
+    input_interpolation: Literal["linear", "zero-order"] | None = Field(
+        None,
+        description='u over a period: "zero-order" hold of the sample at its start, or "linear" '
+        'interpolation between its ends; default: "zero-order"',
+    )
+
+    def with_period(self, component: Component, n: int) -> Component:
+        if self.period is None and self.input_interpolation is not None:
+            raise UsageError(
+                f"input_interpolation: found {self.input_interpolation!r} and no period; needed "
+                "both, or neither"
+            )
+        return super().with_period(component, n)
+
+    @property
+    def _holds(self) -> bool:
+        return self.input_interpolation != "linear"
 
     def linear_model(self, name: str, context: BuildContext) -> LinearModel:
         D = None if self.D is None else matrix(self.D, "D")
@@ -64,6 +138,7 @@ class ControllerKind(SampledKind, LinearKind):
         model = self.linear_model(name, context)
         if self.period is None:
             return model
+        self._check_exportable()
         every = self.period_steps(name, context.step_ns)
         period = context.step_ns * every / NANOSECONDS
         all_held = np.ones(model.interface.n_u, np.bool_)
@@ -100,6 +175,7 @@ class DiscreteStateSpaceKind(SampledKind, ExportableKind):
         component = self.build(name, context)
         system = component.system
         kernel = kernels.sampled(component.dynamics, C=system.C, D=system.D, X0=system.x0)
+        self._check_exportable()
         every = self.period_steps(name, context.step_ns)
         interface = self.with_period(component, every).interface
         return _sampled_model(interface, kernel, context.step_ns, every)
@@ -166,6 +242,7 @@ class PidKind(SampledKind, ExportableKind):
         if self.period is None:
             reason = "its output reaches and leaves its limits within a step"
             return DiscreteModel(component.interface, kernel, 0, reason)
+        self._check_exportable()
         every = self.period_steps(name, context.step_ns)
         interface = self.with_period(component, every).interface
         return _sampled_model(interface, kernel, context.step_ns, every)

@@ -177,8 +177,20 @@ class FmuKind(PlantKind, PeriodicKind):
         "them; 'cosim info' lists what there is",
     )
 
+    input_interpolation: Literal["linear", "zero-order"] | None = Field(
+        None,
+        description='its inputs over a period: "linear" interpolation between its ends, or '
+        '"zero-order" hold of the values at its start; default: "linear"',
+    )
+
     def with_period(self, component: Component, n: int) -> Component:
-        return component if n == 1 else Sampled(component, n)
+        hold = self.input_interpolation == "zero-order"
+        if self.period is None and self.input_interpolation is not None:
+            raise UsageError(
+                f"input_interpolation: found {self.input_interpolation!r} and no period; needed "
+                "both, or neither"
+            )
+        return component if n == 1 and not hold else Sampled(component, n, hold=hold)
 
     def build(self, name: str, context: BuildContext) -> Component:
         from cosim.fmi.options import FmuOptions
