@@ -318,3 +318,37 @@ def test_the_order_of_a_loop_is_told_as_it_is():
     assert order(input_interpolation="latest") == 1
     assert order(coupling="gauss-seidel") == 1
     assert order(coupling="gauss-seidel", iterations=3) == 1
+
+
+@pytest.mark.parametrize("coupling", ["newton", "gauss-seidel"])
+def test_a_jump_in_an_algebraic_loop_is_solved_together(coupling):
+    """Where an override is released, all of the loop is at the instant what follows from x."""
+    simulation = Simulation(pair(coupling), Clock(1.0, 1e-3))
+    simulation.step(10)
+    simulation["one.u"] = 1.0
+    simulation.step(5)
+    x = np.array([simulation["one.x"][0], simulation["two.x"][0]])
+    simulation.release("one.u")
+    # y1 = 3 x1 + y2, y2 = -31 x2 - 0.9 y1, by hand
+    y1 = (3.0 * x[0] - 31.0 * x[1]) / 1.9
+    y2 = -31.0 * x[1] - 0.9 * y1
+    found = [simulation[name][0] for name in ("one.u", "one.y", "two.u", "two.y")]
+    np.testing.assert_allclose(found, [y2, y1, y1, y2], rtol=1e-12)
+    simulation.step(1)
+
+
+def test_a_jump_that_leaves_no_solution_is_told():
+    """y = u + 1 and u = y have none; an override held them apart until then."""
+    parts = {"a": Function(lambda t, u: u if t < 0.05 else u + 1.0), "b": Function(lambda t, u: u)}
+    parts["b"].function = lambda t, u: 0.5 * u if t < 0.05 else u
+    graph = Graph(parts, {"a.u0": "b.y", "b.u0": "a.y"}, coupling="newton")
+    simulation = Simulation(graph, Clock(1.0, 0.1))
+    simulation["a.u0"] = 2.0
+    simulation.step(1)
+    simulation.release("a.u0")
+    expected = (
+        r"after a jump at t = 0\.1 s, a\.u0, a\.y, b\.u0, b\.y depend on each other, and were not "
+        r"solved: they have no solution, or more than one: 1 - dw/dv is singular; needed"
+    )
+    with pytest.raises(RunError, match=expected):
+        simulation.step(1)

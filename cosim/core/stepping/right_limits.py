@@ -3,8 +3,9 @@
 An input that is overridden or released jumps. Outputs that feed through from it jump with it, so do
 the inputs that these drive, and so on; nothing else does. The ports that may follow are found once
 for every set of inputs, in the order of their dependencies, which is that of the initialization.
-Where feedthrough is unknown, ports may depend on each other in a cycle; in truth they seldom do,
-so they are evaluated until none changes.
+Ports that depend on each other in a cycle are evaluated until none changes. That is enough where
+feedthrough is unknown and not there in truth; else the algebraic loop is solved by Newton's method
+(:mod:`cosim.core.initialization.fixed_point`), as at the start of a run.
 """
 
 from __future__ import annotations
@@ -13,10 +14,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cosim.arrays import Vector, read_only
 from cosim.core.contracts import Stopped
 from cosim.core.graph import Graph
+from cosim.core.initialization.fixed_point import SingularError, iterate, newton
 from cosim.core.port import Port
 from cosim.core.stages.member import Member, first_non_finite
 from cosim.core.structure.cycles import groups_in_order
@@ -37,11 +40,12 @@ class _Update(NamedTuple):
 
 
 class _Group(NamedTuple):
-    """Updates in their order; those of a cycle are repeated until nothing changes."""
+    """Updates in their order; ``inputs``: the columns of those that a cycle is solved for."""
 
     ports: tuple[Port, ...]
     updates: tuple[_Update, ...]
     is_cycle: bool
+    inputs: NDArray[np.intp]
 
 
 class RightLimits:
@@ -128,8 +132,19 @@ class RightLimits:
             if not dependencies[ports[0]]:
                 continue
             is_cycle = len(ports) > 1 or ports[0] in dependencies[ports[0]]
-            groups.append(_Group(tuple(ports), self._updates(ports), is_cycle))
+            inputs = self._input_columns(ports)
+            groups.append(_Group(tuple(ports), self._updates(ports), is_cycle, inputs))
         return groups
+
+    def _input_columns(self, ports: Iterable[Port]) -> NDArray[np.intp]:
+        """Return the columns of those ports that are inputs."""
+        columns: list[int] = []
+        for port in ports:
+            channel = self._graph.layout[port.component]
+            if port.signal in channel.interface.input_names:
+                own = channel.signal_columns[port.signal]
+                columns += range(own.start, own.stop)
+        return np.array(columns, np.intp)
 
     def _following(self, port: Port) -> list[Port]:
         """Return the ports that a port reaches directly."""
@@ -161,21 +176,49 @@ class RightLimits:
 
 def _perform_all(group: _Group, t: float, row: Vector, given: GivenOutputs) -> None:
     """Perform the updates of a group."""
-    if not group.is_cycle:
-        for update in group.updates:
-            _perform(update, t, row, given)
+    if group.is_cycle:
+        _solve(group, t, row, given)
         return
-    rounds = len(group.ports) + 1
-    for _ in range(rounds):
-        before = row.tobytes()
-        for update in group.updates:
+    for update in group.updates:
+        _perform(update, t, row, given)
+
+
+def _solve(group: _Group, t: float, row: Vector, given: GivenOutputs) -> None:
+    """Solve for the inputs of a cycle: what each is, and what drives it then.
+
+    Raises
+    ------
+    RunError
+        If no solution is found.
+    """
+    columns = group.inputs
+
+    def sweep(v: Vector) -> Vector:
+        row[columns] = v
+        for update in reversed(group.updates):  # outputs, then the inputs that they drive
             _perform(update, t, row, given)
-        if row.tobytes() == before:
-            return
+        return row[columns].copy()
+
     ports = ", ".join(map(str, group.ports))
-    raise RunError(
-        f"after a jump at t = {t} s, {ports} still change after {rounds} rounds: their components "
-        "do not declare which outputs feed through, and some depend on each other; declare it"
+    v = row[columns].copy()
+    solution = iterate(sweep, v, len(group.ports) + 1)
+    if solution is None:
+        try:
+            candidate = newton(sweep, v, lambda: float(np.abs(row[columns]).max()))
+        except SingularError as error:
+            reason = "they have no solution, or more than one: 1 - dw/dv is singular"
+            raise _unsolved(ports, t, reason) from error
+        if not candidate.excess <= 1.0:
+            reason = f"Newton's method ended with a residual of {candidate.residual:.3g}"
+            raise _unsolved(ports, t, reason)
+        solution = candidate.v
+    sweep(solution)
+
+
+def _unsolved(ports: str, t: float, reason: str) -> RunError:
+    return RunError(
+        f"after a jump at t = {t} s, {ports} depend on each other, and were not solved: {reason}; "
+        "needed a component with a state of its own between, such as a lag or a delay"
     )
 
 
