@@ -266,6 +266,29 @@ def test_jumps_by_actions_at_their_instants_are_none_between_points():
     assert found["lag.y"].order == pytest.approx(2.0, abs=0.05)
 
 
+def test_what_an_action_on_a_condition_changes_has_no_estimate():
+    """It comes true at the first point behind its instant: up to a step late, whatever the order.
+
+    In the last quarter of a step all three runs would have it at the same point. One that never
+    comes true changes nothing.
+    """
+    conditional = ACTION.replace("at = 1.0", 'when = "sine.y > LEVEL"') + "override = 0.3"
+    log = cosim.run(certified.parsed(conditional.replace("LEVEL", "0.5")), certify=True)
+    found = cosim.certificate(log)
+    assert found["sine.y"].largest == 0.0
+    text = "the action when 'sine.y > 0.5' comes at a point that depends on the step"
+    assert found["gain.y"].reason == found["lag.y"].reason == text
+    log = cosim.run(certified.parsed(conditional.replace("LEVEL", "5")), certify=True)
+    assert cosim.certificate(log)["lag.y"].order == pytest.approx(2.0, abs=0.01)
+
+
+def test_a_parameter_that_is_set_at_its_instant_keeps_the_order():
+    setting = 'at = 1.0\n    set = { "lag.time_constant" = 0.7 }'
+    text = ACTION.replace('at = 1.0\n    signal = "gain.u"', setting)
+    log = cosim.run(certified.parsed(text), certify=True)
+    assert cosim.certificate(log)["lag.y"].order == pytest.approx(2.0, abs=0.01)
+
+
 @pytest.mark.parametrize("effect", ["noise = 0.1", "drop = 0.5"])
 def test_noise_by_actions_is_refused(effect):
     with pytest.raises(UsageError, match=r"certificate: the action at 1.0 s draws random numbers"):

@@ -26,19 +26,21 @@ from typing import Any, Final, Self
 import numpy as np
 
 from cosim.arrays import Mask, Matrix
-from cosim.core.clock import NANOSECONDS
+from cosim.core.clock import NANOSECONDS, nanoseconds
 from cosim.core.contracts import Block, MessageLevel, Plan, Recorder, SignalEvent
 from cosim.core.graph import Graph
 from cosim.core.port import Port
 from cosim.core.recorders import end_of_run
 from cosim.core.signals import Layout
 from cosim.errors import CosimError, Interrupted, RunError, UsageError, option
+from cosim.scenario.action_tables import signals_of
 from cosim.scenario.build import Experiment
 from cosim.scenario.building import build_experiment
 from cosim.scenario.certification.thinned_rows import QUARTERS, JumpWatch, ThinnedRows
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.recorded_metadata import CERTIFICATE
 from cosim.scenario.recording import Progress, run_into
+from cosim.scenario.schema import ActionTable
 from cosim.theory.richardson import StepError, step_error
 
 MOST_VALUES: Final = 2**24  # that are kept of a run: 128 MB
@@ -67,6 +69,10 @@ class Subject:
         The components that have solvers of their own: FMUs.
     changes : mapping of dotted key to value
         What keeps in the other runs what this step has decided.
+    conditional : mapping of component name to ActionTable
+        Components that actions on conditions are about.
+    known_ns : frozenset of int
+        The instants of all other actions [ns].
     """
 
     step_ns: int
@@ -77,6 +83,8 @@ class Subject:
     followers: Mapping[str, frozenset[str]]
     solvers: tuple[str, ...]
     changes: Mapping[str, Any]
+    conditional: Mapping[str, ActionTable]
+    known_ns: frozenset[int]
 
     @property
     def every(self) -> int:
@@ -132,6 +140,8 @@ def _subject(experiment: Experiment) -> Subject:
         _followers(graph),
         tuple(experiment.fmus),
         changes,
+        _conditional(scenario),
+        frozenset(nanoseconds(a.at) for a in scenario.actions.values() if a.at is not None),
     )
 
 
@@ -147,7 +157,7 @@ def _check_noise(scenario: Scenario, step_ns: int) -> None:
         is_random = action.noise is not None or type(action.drop) in (int, float)
         if is_random:
             raise UsageError(
-                f"certificate: the action at {action.at} s draws random numbers at every "
+                f"certificate: the action {_when(action)} draws random numbers at every "
                 "communication step, so that a smaller step is a run with other noise; needed a "
                 "scenario without it, or a sensor with noise and a period"
             )
@@ -161,6 +171,23 @@ def _check_noise(scenario: Scenario, step_ns: int) -> None:
         "so that a smaller step is a run with other noise; needed a period of its own, such as "
         f"{' '.join(settings)}"
     )
+
+
+def _when(action: ActionTable) -> str:
+    return f"at {action.at} s" if action.when is None else f"when {action.when!r}"
+
+
+def _conditional(scenario: Scenario) -> dict[str, ActionTable]:
+    """Return the components that actions on conditions are about, and these actions."""
+    conditional: dict[str, ActionTable] = {}
+    for action in scenario.actions.values():
+        if action.when is None:
+            continue
+        names = [Port.parse(signal).component for signal in signals_of(action)]
+        names += [key.partition(".")[0] for key in action.set or {}]
+        for name in names:
+            conditional.setdefault(name, action)
+    return conditional
 
 
 def _may_jump(graph: Graph) -> Mask:
@@ -332,6 +359,12 @@ class Certifier:
         within = jumps.within > needed
         at_ends = (jumps.at_ends > needed) & ~subject.may_jump
         reasons: dict[str, str] = {}
+        are_performed = not jumps.expected_ns <= subject.known_ns
+        for component, action in subject.conditional.items():
+            if are_performed or action.set:
+                text = f"the action {_when(action)} comes at a point that depends on the step"
+                for name in subject.followers.get(component, ()):
+                    reasons.setdefault(name, text)
         for channel in subject.layout.channels:
             for column in range(channel.outputs.start, channel.outputs.stop):
                 if not (within[column] or at_ends[column]):
