@@ -204,7 +204,7 @@ def follow(simulation, kind, parameters, size):
 
 
 @pytest.mark.parametrize(("kind", "parameters"), FAULTS, ids=ids)
-@pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
+@pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi", "newton"])
 def test_faults_have_the_same_bits_in_compiled_code_and_in_python(kind, parameters, coupling):
     """In loops and cascades, whatever the steps between them."""
     results = []
