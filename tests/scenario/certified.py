@@ -40,6 +40,24 @@ class Bend(Jump):
         return np.abs(t[1:] - self.instant)[:, np.newaxis]
 
 
+class Holder:
+    """y is sin t at the last multiple of a time that it tells nobody of."""
+
+    interface = Interface((), (Signal("y", variability="discrete"),))
+
+    def __init__(self, every: float):
+        self.every = every
+
+    def initialize(self, t, u):
+        return self.outputs(t, u)
+
+    def outputs(self, t, u):
+        return np.array([np.sin(np.floor(t / self.every + 1e-9) * self.every)])
+
+    def advance(self, t, h, u):
+        return np.array([self.outputs(instant, u) for instant in t[1:]])
+
+
 class Relay:
     """y = -sign(u): in a loop it switches at every step."""
 
@@ -127,6 +145,15 @@ def lag_behind(source):
         "lag.u" = "source.y"
         """
 
+
+HOLDER = """
+    [components]
+    holder = { kind = "python", class = "parts:Holder", every = 0.1 }
+    lag = { kind = "lag", time_constant = 0.5 }
+
+    [connections]
+    "lag.u" = "holder.y"
+    """
 
 LORENZ = """
     [components]

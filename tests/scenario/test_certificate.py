@@ -149,6 +149,55 @@ def test_what_follows_a_jump_between_points_has_no_estimate(tmp_path, offset):
     assert "source.y jumps" in found["lag.y"]
 
 
+@pytest.mark.parametrize("offset", [1e-3, 4e-3, 6e-3, 9e-3])
+def test_what_follows_a_discrete_jump_at_an_unknown_instant_has_no_estimate(offset):
+    """In the last quarter of a step all three runs have it at the same point, and do not differ."""
+    square = (1.0 + offset) ** 2
+    scenario = certified.parsed(f"""
+        [components]
+        jump = {{ kind = "expression", y = "step(t**2 - {square!r})", discrete = true }}
+        lag = {{ kind = "lag", time_constant = 0.5 }}
+
+        [connections]
+        "lag.u" = "jump.y"
+        """)
+    certificate = cosim.certificate(cosim.run(scenario, certify=True))
+    assert certificate["lag.y"].largest is None
+    assert "jump.y jumps" in certificate["lag.y"].reason
+
+
+def test_jumps_at_known_instants_do_no_harm():
+    """A step in a table of the scenario, and samples of a period: exact behind a lag."""
+    scenario = certified.parsed("""
+        [components]
+        step = { kind = "step", time = 1.0 }
+        sine = { kind = "sine", rate = 1.0 }
+        sampled = { kind = "controller", A = [[-1.0]], B = [[1.0]], C = [[1.0]], period = 0.5 }
+        a = { kind = "lag", time_constant = 0.5, initial = 0.0 }
+        b = { kind = "lag", time_constant = 0.5, initial = 0.0 }
+
+        [connections]
+        "a.u" = "step.y"
+        "sampled.u" = "sine.y"
+        "b.u" = "sampled.y"
+        """)
+    certificate = cosim.certificate(cosim.run(scenario, certify=True))
+    for signal in ("a.y", "b.y"):
+        assert certificate[signal].largest == 0.0 or certificate[signal].is_rounding
+
+
+def test_samples_of_unknown_components_count_as_regular_where_they_are(tmp_path):
+    """A class that holds its input for 0.1 s tells nobody of it; eight jumps at points are enough.
+
+    Of three within the run, each may be anywhere in the last quarter of a step.
+    """
+    path = write(tmp_path, certified.HOLDER)
+    certificate = cosim.certificate(cosim.run(path, certify=True))
+    assert certificate["lag.y"].largest == 0.0 or certificate["lag.y"].is_rounding
+    found = reasons(path, **{"holder.every": 1.0})
+    assert "holder.y jumps at an instant that is not known" in found["lag.y"]
+
+
 @pytest.mark.parametrize("offset", np.linspace(2e-4, 9.8e-3, 25))
 def test_an_estimate_behind_a_bend_is_at_most_a_third_off(tmp_path, offset):
     """|t - s| and its straight line enclose the area s' (h - s'), which the lag takes over 0.5 s.

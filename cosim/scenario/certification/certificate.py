@@ -8,10 +8,10 @@ chose. Noise must not change either, so a source of it needs a period of its own
 What jumps elsewhere than at a communication point has an error that is no power of the step, though
 it may look like one: a jump in the first quarter of a step shows the differences of first order,
 and an error up to twice the true one. So the run at h/4 is watched for jumps, and what follows one
-gets no estimate. One in the last quarter looks like one at the end of the step, where signals that
-hold may jump; of signals that are not known to do so, a jump there counts too. What bends between
-communication points errs by terms of the order of its smooth part, of which an estimate may be a
-third too large.
+gets no estimate. One in the last quarter looks like one at the end of the step, where it does no
+harm. It counts all the same, unless it is known to be there, by a period or an instant in a table,
+or is one of several of about one size that are all there. What bends between communication points
+errs by terms of the order of its smooth part, of which an estimate may be a third too large.
 """
 
 from __future__ import annotations
@@ -136,7 +136,7 @@ def _subject(experiment: Experiment) -> Subject:
         experiment.clock.steps,
         graph.layout,
         tuple(graph.labels()),
-        _may_jump(graph),
+        _may_jump(scenario, graph),
         _followers(graph),
         tuple(experiment.fmus),
         changes,
@@ -190,13 +190,15 @@ def _conditional(scenario: Scenario) -> dict[str, ActionTable]:
     return conditional
 
 
-def _may_jump(graph: Graph) -> Mask:
-    """Return the columns that are known to jump with something discrete."""
+def _may_jump(scenario: Scenario, graph: Graph) -> Mask:
+    """Return the columns that are known to jump, with something that does so at points alone."""
     mask = np.zeros(graph.layout.width, np.bool_)
     for channel in graph.layout.channels:
         for signal in channel.interface.outputs:
-            if graph.jumps(Port(channel.name, signal.name)):
-                mask[channel.signal_columns[signal.name]] = True
+            origins = graph.jumps(Port(channel.name, signal.name))
+            kinds = [scenario.specs[origin.component] for origin in origins]
+            is_known = bool(kinds) and all(kind.jumps_at_points for kind in kinds)
+            mask[channel.signal_columns[signal.name]] = is_known
     return mask
 
 
@@ -357,7 +359,7 @@ class Certifier:
         jumps = self._quarter.jumps
         needed = SIGNIFICANT_JUMP * jumps.ranges
         within = jumps.within > needed
-        at_ends = (jumps.at_ends > needed) & ~subject.may_jump
+        at_ends = (jumps.at_ends > needed) & ~(subject.may_jump | jumps.are_regular)
         reasons: dict[str, str] = {}
         are_performed = not jumps.expected_ns <= subject.known_ns
         for component, action in subject.conditional.items():
@@ -370,7 +372,9 @@ class Certifier:
                 if not (within[column] or at_ends[column]):
                     continue
                 instant = jumps.within_ns if within[column] else jumps.at_ends_ns
-                where = "between communication points" if within[column] else "though continuous"
+                where = "between communication points"
+                if not within[column]:
+                    where = "at an instant that is not known"
                 text = (
                     f"{subject.labels[column]} jumps {where}, or a quarter of the step does not "
                     f"resolve it, at t = {instant[column] / NANOSECONDS:g} s"

@@ -13,6 +13,8 @@ from cosim.arrays import Mask, Matrix, Nanoseconds, Vector
 from cosim.core.contracts import Block, MessageLevel, Plan, SignalEvent
 
 JUMP: Final = 4.0  # times as much as the steps before and after it: what changes at once
+SEVERAL: Final = 8  # jumps in the last quarter of a step by chance: one in 65536
+ABOUT: Final = 0.1  # of the largest one
 QUARTERS: Final = 4  # steps of the finest run in one of the run that is certified
 
 
@@ -119,6 +121,7 @@ class JumpWatch:
         self.at_ends = np.zeros(width)
         self.within_ns = np.zeros(width, np.int64)
         self.at_ends_ns = np.zeros(width, np.int64)
+        self._largest_at_ends = np.zeros((SEVERAL, width))  # the smallest of them first
         self._smallest = np.full(width, np.inf)
         self._largest = np.full(width, -np.inf)
         self.expected_ns: set[int] = set()
@@ -133,6 +136,15 @@ class JumpWatch:
         with np.errstate(over="ignore"):
             ranges: Vector = np.maximum(self._largest - self._smallest, 0.0)
         return ranges
+
+    @property
+    def are_regular(self) -> Mask:
+        """Which columns have several jumps at ends, of about one size, shape (width,).
+
+        Were their instants any, a part of them would be within.
+        """
+        regular: Mask = self._largest_at_ends[0] > ABOUT * self._largest_at_ends[-1]
+        return regular
 
     def take(self, block: Block, signals: Matrix) -> None:
         """Look at the next rows."""
@@ -153,6 +165,8 @@ class JumpWatch:
         is_end = numbers[1:-1] % QUARTERS == 0
         _keep(jumps[~is_end], times[1:-1][~is_end], self.within, self.within_ns)
         _keep(jumps[is_end], times[1:-1][is_end], self.at_ends, self.at_ends_ns)
+        at_ends = np.sort(np.vstack([self._largest_at_ends, jumps[is_end]]), axis=0)
+        self._largest_at_ends = at_ends[-SEVERAL:]
 
     def _is_expected(self, starts_ns: Nanoseconds, numbers: Nanoseconds) -> Mask:
         """Return which steps begin with jumps by actions, by their starts and numbers."""

@@ -331,6 +331,14 @@ class Kind(TomlTable):
         """Whether it draws random numbers at every communication step: another step, others."""
         return False
 
+    @property
+    def jumps_at_points(self) -> bool:
+        """Whether it is known to jump at communication points alone, whatever the step is.
+
+        So does what has its instants from its table, as a period, or from what drives it.
+        """
+        return True
+
     def decided(
         self, table: Mapping[str, Any], metadata: Mapping[str, Any], step_ns: int
     ) -> Mapping[str, Any]:

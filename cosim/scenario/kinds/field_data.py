@@ -66,6 +66,10 @@ class FieldDataKind(PlantKind):
     )
 
     @property
+    def jumps_at_points(self) -> bool:
+        return False
+
+    @property
     def follows_inputs(self) -> bool:
         """It has none."""
         return False

@@ -183,6 +183,10 @@ class FmuKind(PlantKind, PeriodicKind):
         '"zero-order" hold of the values at its start; default: "linear"',
     )
 
+    @property
+    def jumps_at_points(self) -> bool:
+        return self.period is not None
+
     def with_period(self, component: Component, n: int) -> Component:
         hold = self.input_interpolation == "zero-order"
         if self.period is None and self.input_interpolation is not None:

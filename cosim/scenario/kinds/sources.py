@@ -23,7 +23,7 @@ from cosim.errors import GraphError, UsageError
 from cosim.native.blocks.functions import LinearResponse
 from cosim.native.estimation.alphas import Alpha, AlphaSignal
 from cosim.native.numerics.expression import FUNCTIONS, compile_expression
-from cosim.native.numerics.jumps import depends_on_time, jumps_with_signals
+from cosim.native.numerics.jumps import depends_on_time, jumps, jumps_with_signals
 from cosim.scenario.kinds.alphas import ALPHA, alpha_connections, alphas_of, naming
 from cosim.scenario.kinds.base import BuildContext, ImpliedConnection, Kind, PeriodicKind
 from cosim.scenario.kinds.jumps import (
@@ -193,6 +193,12 @@ class ExpressionKind(Kind):
     @property
     def is_known(self) -> bool:
         return not self._signals
+
+    @property
+    def jumps_at_points(self) -> bool:
+        if self._signals:
+            return not any(jumps_with_signals(text) for text in self._texts)
+        return all(jump.instant is not None for text in self._texts for jump in jumps(text))
 
     @property
     def hands_on_lag(self) -> bool:

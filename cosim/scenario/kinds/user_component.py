@@ -42,6 +42,10 @@ class UserKind(Kind):
     _is_allowed: bool = PrivateAttr(False)
 
     @property
+    def jumps_at_points(self) -> bool:
+        return False
+
+    @property
     def computable(self) -> bool:
         """Whether a replay may run the class."""
         return self._is_allowed
