@@ -24,6 +24,7 @@ EXIT_CODES = {
     "--atol": 1,
     "disturbance.tim=1.0": 2,
     "drag.d=1": 2,
+    "scenario.step=0.1": 2,
 }  # of commands with this word; 0 of all others
 
 

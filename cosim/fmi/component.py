@@ -148,6 +148,11 @@ class Fmu:
         """
         return self._instance.drain() + self.component.drain()
 
+    def discard(self) -> None:
+        """Forget the messages since the last call of ``drain``; what warns only once may again."""
+        self._instance.drain()
+        self.component.discard()
+
     def __enter__(self) -> Self:
         return self
 

@@ -26,12 +26,20 @@ def build_experiment(scenario: Scenario, resources: ExitStack, block: int | None
 
 
 def _built(scenario: Scenario, resources: ExitStack, block: int | None) -> Experiment:
+    def build() -> Experiment:
+        return Builder(scenario, resources, block=block).experiment()
+
+    def rebuild() -> Experiment:
+        resources.close()
+        return build()
+
     if not scenario.file.swap:
-        return with_loop_gains(Builder(scenario, resources, block=block).experiment())
+        return with_loop_gains(build(), rebuild)
     from cosim.scenario.swap_comparison import build_swapped  # rarely needed
 
     experiment, reports = build_swapped(scenario, resources, block)
-    return with_loop_gains(_with_reports(experiment, reports))
+    compared = _with_reports(experiment, reports)
+    return with_loop_gains(compared, lambda: _with_reports(rebuild(), reports))
 
 
 def _with_settings(experiment: Experiment) -> Experiment:

@@ -60,6 +60,10 @@ class MessageSource(Protocol):
         """End the run; raise RunError where the FMU says that it failed."""
         ...
 
+    def discard(self) -> None:
+        """Forget the messages since the last call of ``drain``; what warns only once may again."""
+        ...
+
     def drain(self) -> Sequence[Message]:
         """Return the messages since the last call."""
         ...

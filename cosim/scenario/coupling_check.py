@@ -8,11 +8,14 @@ same.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 
+from cosim.arrays import Vector
 from cosim.core.clock import NANOSECONDS, Clock
 from cosim.core.contracts import Plan
 from cosim.core.gain.loop_gain import NOTED, REFUSED, LinearizedLoops, LoopGain
@@ -40,10 +43,11 @@ class CouplingReport:
     warnings: tuple[str, ...] = ()
 
 
-def with_loop_gains(experiment: Experiment) -> Experiment:
+def with_loop_gains(experiment: Experiment, rebuild: Callable[[], Experiment]) -> Experiment:
     """Return an experiment with the gains of its loops, and the warnings that follow from them.
 
-    Its graph is prepared and initialized for that; one that cannot be is left to the run.
+    Its graph is prepared and initialized for that; one that cannot be is left to the run. Where an
+    FMU does not begin again as it did, the run takes what ``rebuild`` returns.
 
     Raises
     ------
@@ -56,9 +60,14 @@ def with_loop_gains(experiment: Experiment) -> Experiment:
     messages = {name: [*experiment.messages.get(name, ())] for name in experiment.fmus}
     for name, fmu in experiment.fmus.items():
         messages[name] += fmu.drain()
-    plan, loops = _linearized(graph, experiment.clock, experiment.plan)
-    for fmu in experiment.fmus.values():
-        fmu.drain()  # the run says the same again
+    beginning = _Beginning(graph, experiment.clock, experiment.plan)
+    loops = beginning.loops()
+    if experiment.fmus and not beginning.repeats():
+        experiment = rebuild()
+    else:
+        experiment = replace(experiment, plan=beginning.plan, messages=messages)
+        for fmu in experiment.fmus.values():
+            fmu.discard()  # the run says the same again
     report = report_on(loops)
     document = experiment.scenario.document
     settings = experiment.scenario.file.scenario
@@ -71,31 +80,50 @@ def with_loop_gains(experiment: Experiment) -> Experiment:
             way_out = '; coupling_check = "warn" runs it all the same'
             problems.append((("scenario", "step"), text + way_out))
         raise document.report(problems)
-    _note(graph, report.gains)
+    _note(experiment.graph, report.gains)
     told = tuple((COUPLING, text) for text in warnings)
-    return replace(
-        experiment,
-        plan=plan,
-        messages=messages,
-        gains=report.gains,
-        warnings=(*experiment.warnings, *told),
-    )
+    return replace(experiment, gains=report.gains, warnings=(*experiment.warnings, *told))
 
 
-def _linearized(
-    graph: Graph, clock: Clock, plan: Plan | None
-) -> tuple[Plan | None, LinearizedLoops]:
-    """Return the plan of a graph, and its loops, linearized where it can be begun."""
-    if not LinearizedLoops.may_be_known(graph):
-        return plan, LinearizedLoops(graph, clock)
-    row = np.zeros(graph.layout.width)
-    try:
-        if plan is None:
-            plan = graph.prepare(clock.step_ns)
-        graph.initialize(clock.start_time, row)
-    except CosimError:
-        return None, LinearizedLoops(graph, clock)
-    return plan, LinearizedLoops.of(graph, clock, row)
+class _Beginning:
+    """The beginning of a graph, where that is needed to know its loops.
+
+    Attributes
+    ----------
+    plan : Plan or None
+    """
+
+    def __init__(self, graph: Graph, clock: Clock, plan: Plan | None = None) -> None:
+        self.plan = plan
+        self._graph = graph
+        self._clock = clock
+        self._row: Vector | None = None
+        if not LinearizedLoops.may_be_known(graph):
+            return
+        with suppress(CosimError):  # the run will end with it
+            if plan is None:
+                self.plan = graph.prepare(clock.step_ns)
+            self._row = self._initialized()
+
+    def _initialized(self) -> Vector:
+        row = np.zeros(self._graph.layout.width)
+        self._graph.initialize(self._clock.start_time, row)
+        return row
+
+    def loops(self) -> LinearizedLoops:
+        """Return the loops, linearized where the graph could be begun."""
+        if self._row is None:
+            return LinearizedLoops(self._graph, self._clock)
+        return LinearizedLoops.of(self._graph, self._clock, self._row)
+
+    def repeats(self) -> bool:
+        """Return whether it can be begun again, to the same bits, or was not begun."""
+        if self._row is None:
+            return True
+        try:
+            return self._initialized().tobytes() == self._row.tobytes()
+        except CosimError:
+            return False
 
 
 def _note(graph: Graph, gains: tuple[LoopGain, ...]) -> None:
@@ -139,8 +167,8 @@ def _excess(gain: LoopGain) -> str:
     own = _own(gain)
     return (
         f"the loop of {listing(gain.components)}: coupling '{gain.coupling}' has a gain of "
-        f"{_number(gain.rho)} a step of {gain.h:g} s, where the loop itself has at most {own}, and "
-        f"so multiplies an error by {_growth(gain.exponent)} over the run"
+        f"{_number(gain.rho)} a step of {gain.h:g} s, the loop itself one of {own}, and so "
+        f"multiplies an error by {_growth(gain.exponent)} over the run"
     )
 
 
@@ -162,7 +190,9 @@ def _growth(exponent: float) -> str:
 
 def _own(gain: LoopGain) -> str:
     """Return what the loop itself multiplies an error by in a step, in words."""
-    exponent = gain.own_exponent / gain.steps
+    if gain.rate is None:
+        return "0"
+    exponent = gain.h * gain.rate
     return _growth(exponent) if exponent > 1.0 else _number(math.exp(exponent))
 
 
@@ -183,8 +213,7 @@ def described_gains(graph: Graph, clock: Clock) -> tuple[LoopGain, ...]:
 
     Of what cannot run nothing does: it is not linearized, either.
     """
-    _, loops = _linearized(graph, clock, None)
-    return loops.gains()
+    return _Beginning(graph, clock).loops().gains()
 
 
 def gain_text(gain: LoopGain) -> str:
@@ -194,7 +223,7 @@ def gain_text(gain: LoopGain) -> str:
     if gain.rho is None:
         return f"not known: {gain.reason}"
     own = _own(gain)
-    text = f"{_number(gain.rho)} a step, the loop itself at most {own}"
+    text = f"{_number(gain.rho)} a step, the loop itself {own}"
     if gain.exponent > math.log(NOTED):
         text += f"; an error grows by {_growth(gain.exponent)} over the run beyond it"
     return text

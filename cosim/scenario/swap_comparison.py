@@ -171,7 +171,7 @@ class _SwapComparison:
         self.reports = SwapReports(reports, problems, self._initial.failure, imported)
         self._repeats = self._initial.repeats()
         for fmu in fmus.values():
-            fmu.drain()
+            fmu.discard()
 
     def _builder(self) -> Builder:
         return Builder(

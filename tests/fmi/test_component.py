@@ -410,6 +410,7 @@ def test_components_keep_the_contract_of_the_interface(exported):
             prepares=True,
             rollback=True,
             native=True,
+            linearizable=True,
         )
         assert fmu.component.interface == expected
         assert fmu.interface_type == "me"

@@ -13,11 +13,15 @@ import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Design, Stopped
+from cosim.core.gain.responses import linearized_by_responses
+from cosim.core.linearization import InputUse, Linearized
 from cosim.errors import FmuError, RunError
 from cosim.fmi.binary.messages import Message
+from cosim.fmi.description import Description
 from cosim.fmi.driving.diagnostics import Diagnostics
 from cosim.fmi.driving.direct import DirectFeedthrough
 from cosim.fmi.driving.initialization import Initialization, Starts
+from cosim.fmi.driving.local_model import derived, has_continuous_ports
 from cosim.fmi.driving.saved import SavedState, restore, save
 from cosim.fmi.driving.stepping import InputDerivativesFailed, Stepper, StepperState
 from cosim.fmi.driving.tuning import TunedParameters
@@ -61,11 +65,13 @@ class CoSimulation:
             prepares=True,
             rollback=self._capabilities.saves_state,
             native=True,
+            linearizable=self._is_linearizable(description),
         )
         self._in_events: frozenset[str] = frozenset()
         if self._capabilities.event_mode:
             inputs = self.interface.inputs
             self._in_events = frozenset(s.name for s in inputs if s.variability == "discrete")
+        self._tries = False  # steps that are undone
         self._feedthrough: DirectFeedthrough | None = None
         if self._capabilities.directional_derivatives:
             self._feedthrough = DirectFeedthrough(instance, self._in_events)
@@ -95,7 +101,13 @@ class CoSimulation:
                     f"FMU's inner steps of {fixed} s; nearest: {nearest_step} s"
                 )
         self._stepper.hold(held)
+        self._h = h
+        self._held = held
         return {}
+
+    def _is_linearizable(self, description: Description) -> bool:
+        shows = self._capabilities.directional_derivatives or self._capabilities.saves_state
+        return shows and has_continuous_ports(description)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -179,7 +191,7 @@ class CoSimulation:
         except InputDerivativesFailed as error:
             # After an error an FMU cannot go on. Nothing is lost with it before the end of the
             # first step; later it would be the past.
-            if self._stepper.stepped:
+            if self._stepper.stepped or self._tries:
                 raise
             self._instance.renew()
             self._fmu_state = None
@@ -234,6 +246,36 @@ class CoSimulation:
         self._tuned.append(parameters)
         self._stepper.tune(t, parameters)
 
+    def linearized(self, t: float, u: Vector) -> Linearized | None:
+        """Linearize by directional derivatives where the FMU shows its states, else by responses.
+
+        The latter go back to where they began. None: it can do neither, or is not linear here. Its
+        own solver is taken as exact.
+
+        Raises
+        ------
+        RunError
+            If the FMU refuses.
+        """
+        self._stepper.check_compiled()
+        self._leave_initialization(t)
+        use: InputUse = "linear" if self._stepper.interpolates else "mean"
+        if self._capabilities.directional_derivatives:
+            corrected: list[bool] = []
+            uncorrected = self._uncorrected_outputs()
+            for output in self.interface.outputs:
+                corrected += [output.name not in uncorrected] * output.size
+            found = derived(self._instance, use=use, corrected=np.array(corrected, np.bool_))
+            if found is not None:
+                return found
+        if not self._capabilities.saves_state:
+            return None
+        self._tries = True
+        try:
+            return linearized_by_responses(self, t, self._h, u, held=self._held, use=use)
+        finally:
+            self._tries = False
+
     def native(self) -> NativeStep | None:
         """Return the compiled step; None: there is none."""
         return self._stepper.native(self._feedthrough)
@@ -254,6 +296,10 @@ class CoSimulation:
     def drain(self) -> list[Message]:
         """Return what the run showed about the FMU since the last call, each topic once."""
         return self._diagnostics.drain()
+
+    def discard(self) -> None:
+        """Forget what the run showed about the FMU, so that it may show it again."""
+        self._diagnostics.discard()
 
     def save(self) -> SavedState[CoSimulationState]:
         """Copy the state.

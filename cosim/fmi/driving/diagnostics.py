@@ -28,6 +28,11 @@ class Diagnostics:
             message = Message(t, "warning", "", f"{self._name}: {warning}")
             self._new.append((topic, message))
 
+    def discard(self) -> None:
+        """Forget all warnings, so that each may come again."""
+        self._topics.clear()
+        self._new.clear()
+
     def drain(self) -> list[Message]:
         """Return the warnings since the last call."""
         messages = [message for _, message in self._new]

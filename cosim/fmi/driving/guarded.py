@@ -7,7 +7,8 @@ from contextlib import contextmanager
 from typing import Any, Protocol, TypeVar, final
 
 from cosim.arrays import Mask, Matrix, Vector
-from cosim.core.contracts import Component, Design, Preparable, Rollback, Stopped
+from cosim.core.contracts import Component, Design, Linearizable, Preparable, Rollback, Stopped
+from cosim.core.linearization import Linearized
 from cosim.core.signals import Interface
 from cosim.errors import RunError
 from cosim.fmi.binary.messages import Message
@@ -20,7 +21,7 @@ from cosim.native.step import Guard, NativeStep
 Result = TypeVar("Result")
 
 
-class FmuComponent(Component, Preparable, Rollback[Any], Protocol):
+class FmuComponent(Component, Preparable, Rollback[Any], Linearizable, Protocol):
     """What ``ModelExchange`` and ``CoSimulation`` have in common."""
 
     @property
@@ -38,6 +39,10 @@ class FmuComponent(Component, Preparable, Rollback[Any], Protocol):
 
     def drain(self) -> list[Message]:
         """Return the events and warnings since the last call."""
+        ...
+
+    def discard(self) -> None:
+        """Forget all events and warnings, so that each may come again."""
         ...
 
 
@@ -163,6 +168,10 @@ class Guarded:
         guarded.guard = SharedGuard([self._name], binaries, [self._compiled], self._diagnostics)
         return guarded
 
+    def linearized(self, t: float, u: Vector) -> Linearized | None:
+        """Pass on."""
+        return self._call(t, lambda: self._component.linearized(t, u))
+
     def save(self) -> tuple[Any, int]:
         """Copy the state of the component, with what is known of it."""
         state = self._call(None, self._component.save)
@@ -191,6 +200,12 @@ class Guarded:
         """Return the events and warnings since the last call."""
         self._report_compiled()
         return self._component.drain() + self._diagnostics.drain()
+
+    def discard(self) -> None:
+        """Forget all events and warnings, so that each may come again."""
+        self._report_compiled()
+        self._component.discard()
+        self._diagnostics.discard()
 
     def _call(self, t: float | None, call: Callable[[], Result]) -> Result:
         """Return what a call of the run returns, and put back what it changed.

@@ -39,6 +39,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
+from cosim.core.linearization import Linearized
 from cosim.errors import RunError
 from cosim.fmi.driving.diagnostics import Diagnostics
 from cosim.fmi.driving.events import (
@@ -52,6 +53,7 @@ from cosim.fmi.driving.events import (
     iterate_event,
     locate,
 )
+from cosim.fmi.driving.local_model import differentiated
 from cosim.fmi.driving.residual import RADAU, RadauIIA, ResidualForm
 from cosim.fmi.driving.solvers import TOLERANT, Adaptive, Solver, Stateless
 from cosim.fmi.driving.tuning import TunedParameters
@@ -60,6 +62,7 @@ from cosim.native.fmi.model_exchange import AT_END, ENDLESS_UPDATE, EVENT_IS_OVE
 from cosim.native.numerics.runge_kutta import EXPLICIT, RightHandSide, RungeKutta, RungeKuttaStruct
 
 NONE: Final = np.empty(0)
+TINY: Final = 1e-12  # nominal value that a difference is still made of
 
 
 @dataclass(slots=True)
@@ -427,6 +430,16 @@ class Integrator:
             instance.set_fmu_state(self.fmu_state)
             self.state = before
         return y
+
+    def linearized(self, u: Vector) -> Linearized | None:
+        """Linearize at the time and the states reached; None: events of its own are to come."""
+        state = self.state
+        if state.ended or state.due or state.next_event < math.inf or self._form is not None:
+            return None
+        found = differentiated(self._instance, state.x, u, np.maximum(state.nominals, TINY))
+        self.set_continuous_inputs(state.inputs)
+        self.inputs_time = math.nan
+        return found
 
     def handle_events(self, u: Vector) -> None:
         """Handle what is due at the time reached, with ``u``, the inputs from here on.

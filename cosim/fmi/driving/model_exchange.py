@@ -14,6 +14,7 @@ import numpy as np
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Design, Stopped, check_design
 from cosim.core.linear import LinearModel, shapes_of
+from cosim.core.linearization import Linearized
 from cosim.errors import FmuError, RunError, nearest
 from cosim.fmi.binary.messages import Message
 from cosim.fmi.driving.compiled import CompiledIntegrator
@@ -26,6 +27,7 @@ from cosim.fmi.driving.integrator import (
     Interruption,
     LinearInputs,
 )
+from cosim.fmi.driving.local_model import has_continuous_ports
 from cosim.fmi.driving.residual import FORMS, RADAU, DaeForm
 from cosim.fmi.driving.saved import SavedState, restore, save
 from cosim.fmi.driving.solvers import LIBRARIES, SOLVERS, STEPPING, TOLERANT
@@ -105,6 +107,7 @@ class ModelExchange:
             rollback=self._capabilities.saves_state,
             native=self.solver == "exact" or self._addresses is not None,
             restarts=self.solver == "CVode",
+            linearizable=self.solver != RADAU and has_continuous_ports(instance.description),
         )
         self._exact: ExactSolver | None = None
         self._compiled: CompiledIntegrator | None = None
@@ -188,6 +191,25 @@ class ModelExchange:
             self._compiled.list_events()
             self._compiled.begin_events()
         return self._integrator.events.drain() + self._integrator.diagnostics.drain()
+
+    def linearized(self, t: float, u: Vector) -> Linearized | None:
+        """Linearize at the states that are reached; None: there are time events, or it has ended.
+
+        Its solver is taken as exact.
+        """
+        model = self._instance.linear
+        if model is not None:
+            return Linearized(model.A, model.B, model.C, model.D)
+        self._finish(self._take_over())
+        self._leave_initialization()
+        found = self._integrator.linearized(np.array(u, np.float64))
+        self._hand_over()
+        return found
+
+    def discard(self) -> None:
+        """Forget all events and warnings, so that each may come again."""
+        self.drain()
+        self._integrator.diagnostics.discard()
 
     def save(self) -> SavedState[ModelExchangeState]:
         """Copy the state, the solver's included.
