@@ -39,7 +39,7 @@ def test_kinds_say_their_ports_and_expressions_their_functions(capsys):
     assert any(line.startswith("sum\tu1, u2, ... -> y\t") for line in lines)
     print_kind("expression", as_json=False)
     text = capsys.readouterr().out
-    assert "ports: -> y" in text
+    assert "ports: [u1], [u2], ... -> y" in text
     assert all(f" {name}" in text for name in FUNCTIONS)
     print_kind("lag", as_json=True)
     assert json.loads(capsys.readouterr().out)["ports"] == "u -> y"

@@ -163,7 +163,7 @@ class ChirpKind(Kind):
 class ExpressionKind(Kind):
     """y = expressions in t, and over signals of other components."""
 
-    ports: ClassVar[str] = "-> y; of signals u1, u2, ... -> y"
+    ports: ClassVar[str] = "[u1], [u2], ... -> y"
     kind: Literal["expression"]
     y: str | tuple[str, ...] = Field(
         description='an expression, like "1 + 0.5*sin(2*t)" or "observer.delta - delta.y", or '
