@@ -16,6 +16,7 @@ from cosim.report.tables import console
 ROOT = Path(__file__).parent.parent
 PAGES = {
     "README": (ROOT / "README.md").read_text(encoding="utf-8"),
+    "coupling": (ROOT / ".readme" / "coupling.md").read_text(encoding="utf-8"),
     "fmus": (ROOT / ".readme" / "fmus.md").read_text(encoding="utf-8"),
     "identification": (ROOT / ".readme" / "identification.md").read_text(encoding="utf-8"),
     "plants": (ROOT / ".readme" / "plants.md").read_text(encoding="utf-8"),
@@ -25,6 +26,7 @@ EXIT_CODES = {
     "disturbance.tim=1.0": 2,
     "drag.d=1": 2,
     "scenario.step=0.1": 2,
+    "scenario.coupling=jacobi": 2,
 }  # of commands with this word; 0 of all others
 
 
@@ -68,6 +70,7 @@ def comparable(text):
 def write_scenario(folder):
     """Save the scenarios and the module that the pages show, as they tell their reader to."""
     shown_in = {"pair": "README", "faults": "README", "fall": "README", "drive": "plants"}
+    shown_in["loop"] = "coupling"
     for name, page in shown_in.items():
         shown = [block for block in blocks(page, "toml") if f'name = "{name}"' in block]
         (folder / f"{name}.toml").write_text(shown[0], encoding="utf-8")

@@ -34,6 +34,13 @@ from tests.fmi.test_native_exchange import LEVELS
 H = 0.01
 STEPS = 30
 BLOCKS = (1, 7, STEPS, None)
+COUPLINGS = (
+    {"coupling": "gauss-seidel"},
+    {"coupling": "jacobi"},
+    {"coupling": "newton"},
+    {"coupling": "gauss-seidel", "iterations": 2},
+    {"coupling": "gauss-seidel", "input_interpolation": "latest"},
+)
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +68,7 @@ class Mixture:
         self._lags = lags
         self._stack = stack
         self.fmus = []
-        self.graph_options = {"coupling": self._draw.choice(["gauss-seidel", "jacobi"])}
+        self.graph_options = self._draw.choice(COUPLINGS)
         self.components = {f"x{i}": self._component() for i in range(self._draw.randint(2, 6))}
         self.connections = {}
         for number, name in enumerate(self.components):
@@ -152,7 +159,7 @@ def outcome(seed, lags, *, native=True, threads=1, block=None, way=run):
         error = ""
         try:
             way(mixture.graph(native=native, threads=threads), Clock(STEPS * H, H, block), memory)
-        except GraphError:  # outputs that feed through to each other, or no initial values
+        except GraphError:  # components that cannot go back, or no initial values
             return None
         except CosimError as raised:
             error = str(raised)
