@@ -123,6 +123,9 @@ def run(
     from cosim.scenario.execution import load
     from cosim.scenario.execution import run as run_scenario
 
+    if dry_run and (certify or find_step):
+        name = "--certify" if certify else "--find-step"
+        raise UsageError(f"found --dry-run, which runs nothing, and {name}; needed one of them")
     if dry_run and COMMAND_VARIABLE not in os.environ:
         options = {"--set": changes, "--swap": swaps, "--map": maps}
         _dry_run_in_child(scenario, options, {"--stop": stop, "--step": step}, as_json=as_json)

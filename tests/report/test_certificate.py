@@ -4,7 +4,9 @@ import json
 
 import pytest
 
+import cosim
 from cosim.cli import main
+from cosim.errors import LogError
 from tests.scenario import certified
 from tests.scenario.certified import write
 
@@ -90,3 +92,28 @@ def test_a_tolerance_that_is_no_number_is_refused(tmp_path, capsys):
         main(["run", str(write(tmp_path, certified.SPRING)), "--find-step", "mass.y=small"])
     assert left.value.code == 2
     assert "--find-step mass.y: found 'small', needed a number" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("option", [["--certify"], ["--find-step", "mass.y=0.1"]])
+def test_a_dry_run_certifies_nothing(tmp_path, capsys, option):
+    with pytest.raises(SystemExit) as left:
+        main(["run", str(write(tmp_path, certified.SPRING)), "--dry-run", *option])
+    assert left.value.code == 2
+    text = f"found --dry-run, which runs nothing, and {option[0]}; needed one of them"
+    assert text in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("content", "place"),
+    [
+        ({"step": "small", "finer_steps": [], "every": 1}, "step"),
+        ({"step": 0.1, "finer_steps": [0.05], "every": 1, "signals": {"a.y": 3}}, "signals.a.y"),
+        ([], ""),
+    ],
+)
+def test_a_certificate_that_cannot_be_understood_is_an_error_of_the_log(content, place):
+    """A log may come from anywhere."""
+    memory = cosim.run(certified.parsed(certified.EXACT))
+    memory.result({"certificate": content})
+    with pytest.raises(LogError, match=f"certificate cannot be understood: {place}"):
+        cosim.certificate(memory)
