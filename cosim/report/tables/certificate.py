@@ -88,5 +88,5 @@ def notes(certificate: StepCertificate) -> list[str]:
         first = f"{min(certificate.ends):g} s"
         texts.append(f"the three runs ended at {ends}; they are compared up to {first}")
     if certificate.every > 1:
-        texts.append(f"compared at every {certificate.every}th communication point")
+        texts.append(f"compared at one communication point in {certificate.every}")
     return texts
