@@ -89,6 +89,16 @@ FindStepOption = Annotated[
     ),
 ]
 
+RealTimeOption = Annotated[
+    float | None,
+    typer.Option(
+        "--realtime",
+        metavar="FACTOR",
+        help="Keep the pace of the wall clock, 1.0, or of FACTOR times it, in blocks of about "
+        "10 ms; shows how late the run was.",
+    ),
+]
+
 DryRunOption = Annotated[
     bool,
     typer.Option(
@@ -115,6 +125,7 @@ def run(
     profile: ProfileOption = False,
     certify: CertifyOption = False,
     find_step: FindStepOption = None,
+    realtime: RealTimeOption = None,
     dry_run: DryRunOption = False,
 ) -> None:
     """Run a scenario and record every signal to an MCAP log."""
@@ -158,6 +169,7 @@ def run(
             profile=seconds,
             certify=certify,
             find_step=tolerances,
+            realtime=realtime,
         )
     wall = {"imports": imported - BEGAN, "run": perf_counter() - imported}
     if plot is not None:

@@ -320,6 +320,8 @@ class Watched:
         Called with every block after it has been recorded; what it raises ends the run, cleanly.
     began : callable, optional
         Called once, before the first step.
+    ended : callable, optional
+        Called at the end with the other recorder, which still takes results.
     """
 
     def __init__(
@@ -327,7 +329,9 @@ class Watched:
         recorder: Recorder,
         reached: Callable[[Block], None],
         began: Callable[[], None] | None = None,
+        ended: Callable[[Recorder], None] | None = None,
     ) -> None:
+        self._ended = ended
         self._recorder = recorder
         self._reached = reached
         self._began = began
@@ -342,6 +346,8 @@ class Watched:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        if self._ended is not None:
+            self._ended(self._recorder)
         self._recorder.__exit__(error_type, error, trace)
 
     def begin(self, plan: Plan) -> None:

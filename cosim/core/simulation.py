@@ -229,7 +229,8 @@ class Simulation:
             if self._jumps.are_pending:
                 self.complete_jumps()
             end = self._agenda.next_point(self.index, index)
-            block = self._block(min(self._engine.limit, end - self.index))
+            most = min(self._clock.block or end, self._engine.limit)
+            block = self._block(min(most, end - self.index))
             if self._jumps.are_there:  # row 0 in the memory of a recorder keeps the left limits
                 signals = self._rows_behind(block.steps)
             else:

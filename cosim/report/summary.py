@@ -23,6 +23,7 @@ from cosim.report.recorded_rows import (
     rows_of,
 )
 from cosim.scenario.identification.run_verdicts import OUTPUT_ERROR
+from cosim.scenario.real_time import Lateness
 from cosim.scenario.recorded_metadata import (
     ComponentRecord,
     IdentificationRecord,
@@ -33,6 +34,7 @@ from cosim.scenario.recorded_metadata import (
     first_order_loops,
     never_came_true,
     recorded_identification,
+    recorded_lateness,
     recorded_loop_gains,
     recorded_start,
     recorded_state_changes,
@@ -189,6 +191,8 @@ class Summary:
         Whether it did.
     never_came_true : tuple of str
         Conditions of actions that were not performed.
+    lateness : Lateness or None
+        Of a run that kept the pace of the wall clock.
     """
 
     scenario: str
@@ -210,6 +214,7 @@ class Summary:
     until: str | None = None
     until_came_true: bool | None = None
     never_came_true: tuple[str, ...] = ()
+    lateness: Lateness | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
@@ -271,6 +276,7 @@ def summarize(recording: Recording) -> Summary:
         until=run.get("until") if came_true is not None else None,
         until_came_true=came_true,
         never_came_true=never_came_true(recording),
+        lateness=recorded_lateness(recording),
     )
 
 

@@ -15,7 +15,7 @@ from cosim.core.contracts import Recorder
 from cosim.core.recorders import Memory
 from cosim.errors import UsageError, option, quoted
 from cosim.log import Log, open_log
-from cosim.scenario.build import parse
+from cosim.scenario.build import Experiment, parse
 from cosim.scenario.building import build_experiment
 from cosim.scenario.document import Document, find
 from cosim.scenario.parsing import Scenario
@@ -86,6 +86,7 @@ def run(
     profile: dict[str, float] | None = None,
     certify: bool = False,
     find_step: Mapping[str, float] | None = None,
+    realtime: float | None = None,
     recorder: None = None,
 ) -> Log | Memory: ...
 
@@ -102,6 +103,7 @@ def run(
     profile: dict[str, float] | None = None,
     certify: bool = False,
     find_step: Mapping[str, float] | None = None,
+    realtime: float | None = None,
     recorder: OwnRecorder,
 ) -> OwnRecorder: ...
 
@@ -121,6 +123,7 @@ def run(
     profile: dict[str, float] | None = None,
     certify: bool = False,
     find_step: Mapping[str, float] | None = None,
+    realtime: float | None = None,
     recorder: Recorder | None = None,
 ) -> Log | Memory | Recorder:
     """Run a scenario.
@@ -161,6 +164,9 @@ def run(
         Run with the largest step with which the errors of the step in these signals are within
         these tolerances, each in the unit of its signal, and certify that run. The step divides
         all times that the scenario gives; its own is one of those that do.
+    realtime : float, optional
+        Simulated time by wall time: 1.0 keeps the pace of the wall clock, block by block of about
+        10 ms. How late the run was is recorded; the rows are the same.
     recorder : Recorder, optional
         One's own recorder, instead of ``out`` and what is about it: it takes the rows of the run,
         its messages and its results as they are computed. Nothing else is kept, and nothing is
@@ -187,6 +193,7 @@ def run(
         check_recorder(recorder)
         _check_unaccompanied(out, notice)
     check_target(out, force=force, numbered=numbered)
+    pace = None if realtime is None else _pace_of(realtime)
     loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
     edited = loaded.edit(swap=swap, map=map, set=set)
     beside = None
@@ -198,6 +205,8 @@ def run(
         beside = _certifying(edited, progress)
     with ExitStack() as resources:
         experiment = build_experiment(edited, resources, block)
+        if pace is not None:
+            experiment, beside = _paced(experiment, pace, beside)
         if recorder is not None:
             taking = recorder if beside is None else beside(recorder)
             run_into(taking, experiment, progress=progress, profile=profile)
@@ -223,6 +232,30 @@ def _with_found_step(
 
     found = find_step(scenario, tolerances, progress)
     return scenario.edit(set={"scenario.step": found.step}), found.certifier.beside
+
+
+def _pace_of(factor: float) -> float:
+    # Most runs need none of it.
+    from cosim.scenario.real_time import pace_of
+
+    return pace_of(factor)
+
+
+def _paced(
+    experiment: Experiment, factor: float, beside: Beside | None
+) -> tuple[Experiment, Beside]:
+    """Return an experiment in short blocks, and what keeps their pace before a recorder."""
+    from cosim.scenario.real_time import RealTimePace, block_steps
+
+    clock = experiment.clock
+    if clock.block is None:
+        clock = replace(clock, block=block_steps(clock, factor))
+    pace = RealTimePace(factor, clock.start_time)
+
+    def paced(recorder: Recorder) -> Recorder:
+        return pace.beside(recorder if beside is None else beside(recorder))
+
+    return replace(experiment, clock=clock), paced
 
 
 def _check_profile(profile: object) -> None:

@@ -25,6 +25,7 @@ from cosim.core.recorded import find_signal
 from cosim.core.simulation import NEVER_TRUE
 from cosim.errors import LogError
 from cosim.log.metadata import read_json
+from cosim.scenario.real_time import REAL_TIME, Lateness
 from cosim.scenario.schema import Number, NumberRow, NumberRows, Whole, truth_ports
 from cosim.units import conversion
 
@@ -364,6 +365,7 @@ _TIME: TypeAdapter[float] = TypeAdapter(Number, config=_DEFERRED)
 _IDENTIFICATION: TypeAdapter[dict[str, IdentificationRecord]] = TypeAdapter(
     dict[str, IdentificationRecord], config=_DEFERRED
 )
+_LATENESS: TypeAdapter[Lateness] = TypeAdapter(Lateness)
 _MODELS: TypeAdapter[dict[str, ModelRecord]] = TypeAdapter(dict[str, ModelRecord], config=_DEFERRED)
 _STATE_CHANGES: TypeAdapter[dict[str, tuple[StateChangeRecord, ...]]] = TypeAdapter(
     dict[str, tuple[StateChangeRecord, ...]], config=_DEFERRED
@@ -538,6 +540,18 @@ def recorded_loop_gains(recording: Recording) -> tuple[LoopGain, ...]:
     """
     records = _of_run(recording, "loop_gains", "[]", _GAINS)
     return tuple(record.gain for record in records)
+
+
+def recorded_lateness(recording: Recording) -> Lateness | None:
+    """Return how late a run was that kept the pace of the wall clock; None: it did not.
+
+    Raises
+    ------
+    LogError
+        If it cannot be understood.
+    """
+    values = recording.results.get(REAL_TIME)
+    return None if values is None else _checked(_LATENESS, values, "results of real time")
 
 
 def never_came_true(recording: Recording) -> tuple[str, ...]:

@@ -29,6 +29,7 @@ from cosim.report.tables.certificate import certificate_table
 from cosim.report.tables.console import new_table, print_json, print_line, print_table
 from cosim.scenario.coupling_check import gain_text
 from cosim.scenario.initial_states import change_text
+from cosim.scenario.real_time import Lateness
 from cosim.scenario.recorded_metadata import (
     component_record,
     recorded_state_changes,
@@ -127,6 +128,8 @@ def _summary_table(summary: Summary, recording: Recording) -> Table:
     for compensation in summary.compensations:
         _add_compensation(table, compensation)
     _add_loops(table, summary)
+    if summary.lateness is not None:
+        table.add_row("real time", "", "", _lateness_text(summary.lateness))
     for component, class_name in summary.copied_code.items():
         text = f"taken from the log; {flag('allow_code')} computes it, which runs {class_name}"
         table.add_row(component, "", "", text)
@@ -139,6 +142,17 @@ def _add_loops(table: Table, summary: Summary) -> None:
         table.add_row("loop", "", "", f"{loop}: {text}")
     for gain in summary.gains:
         table.add_row("loop gain", "", "", f"{', '.join(gain.components)}: {gain_text(gain)}")
+
+
+def _lateness_text(lateness: Lateness) -> str:
+    """Return how late a run was that kept the pace of the wall clock."""
+    pace = f"{lateness.factor:g} x the wall clock"
+    if not lateness.late:
+        return f"{pace}; never late in {lateness.blocks} blocks"
+    return (
+        f"{pace}; late in {lateness.late} of {lateness.blocks} blocks, at most by "
+        f"{lateness.largest:.3g} s, at t = {lateness.time:g} s"
+    )
 
 
 def _add_conditions(table: Table, summary: Summary) -> None:

@@ -1,0 +1,129 @@
+"""Runs at the pace of the wall clock: block by block, each passed on when its time has come.
+
+A run that is faster waits behind every block; one that is slower is late, which is measured. Only
+the wall time changes: the rows have the same bits.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any, Final, final
+
+from cosim.arguments import number_argument
+from cosim.core.clock import Clock
+from cosim.core.contracts import Block, Recorder
+from cosim.core.recorders import Watched
+from cosim.errors import UsageError, option
+
+BLOCK: Final = 0.01  # s of wall time between two waits, about
+REAL_TIME: Final = "real_time"  # its key among the results of a run
+
+
+@dataclass(frozen=True)
+class Lateness:
+    """How late a run was that should keep the pace of the wall clock.
+
+    Parameters
+    ----------
+    factor : float
+        Simulated time by wall time.
+    blocks : int
+        Where the pace was looked at.
+    late : int
+        Of these, those that were complete only after their time.
+    largest : float
+        Wall time by which the latest of them was [s].
+    time : float
+        Simulated time there [s].
+    """
+
+    factor: float
+    blocks: int
+    late: int
+    largest: float
+    time: float
+
+
+@final
+class RealTimePace:
+    """Waits behind blocks until their time has come.
+
+    Parameters
+    ----------
+    factor : float
+        Simulated time by wall time.
+    start_time : float
+        Of the run [s].
+    now : callable, optional
+        Returns the wall time [s].
+    sleep : callable, optional
+        Waits for some seconds.
+    """
+
+    def __init__(
+        self,
+        factor: float,
+        start_time: float,
+        *,
+        now: Callable[[], float] = time.perf_counter,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        self._factor = factor
+        self._start_time = start_time
+        self._now = now
+        self._sleep = sleep
+        self._began = 0.0
+        self._lateness = Lateness(factor, 0, 0, 0.0, start_time)
+
+    def beside(self, recorder: Recorder) -> Recorder:
+        """Return a recorder that passes everything on, at this pace, and then how late it was."""
+        return Watched(recorder, self.wait, self.begin, self.record)
+
+    def begin(self) -> None:
+        """Take the wall time of now as that of the start."""
+        self._began = self._now()
+
+    def wait(self, block: Block) -> None:
+        """Wait until the time of the end of a block has come; or note that it has passed."""
+        reached = float(block.time[-1])
+        due = self._began + (reached - self._start_time) / self._factor
+        early = due - self._now()
+        if early > 0.0:
+            self._sleep(early)
+        before = self._lateness
+        late = max(0.0, -early) if block.steps else 0.0  # the first row is there at the start
+        is_latest = late > before.largest
+        self._lateness = Lateness(
+            before.factor,
+            before.blocks + bool(block.steps),
+            before.late + (late > 0.0),
+            late if is_latest else before.largest,
+            reached if is_latest else before.time,
+        )
+
+    def record(self, recorder: Recorder) -> None:
+        """Record how late the run was."""
+        values: dict[str, Any] = asdict(self._lateness)
+        recorder.result({REAL_TIME: values})
+
+
+def pace_of(factor: object) -> float:
+    """Return how much simulated time passes by wall time.
+
+    Raises
+    ------
+    UsageError
+        If it is no number above 0.
+    """
+    value = number_argument("realtime", factor)
+    if not (math.isfinite(value) and value > 0.0):
+        raise UsageError(f"{option('realtime')}: found {value}; needed a finite number above 0")
+    return value
+
+
+def block_steps(clock: Clock, factor: float) -> int:
+    """Return the communication steps of a block, as many as last about ``BLOCK``."""
+    return max(1, round(BLOCK * factor / clock.step))
