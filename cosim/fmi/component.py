@@ -330,8 +330,12 @@ def _with_options(archive: Archive, options: FmuOptions) -> tuple[InterfaceType,
     interface_type = _choose_interface_type(archive, options.interface_type)
     if interface_type == "cs":
         _check_options_for_co_simulation(archive, options)
+    described = archive.description
+    # In co-simulation clocks are active in event mode only (FMI 3.0 section 4.2.1).
+    has_events = interface_type == "me" or described.capabilities["cs"].event_mode
+    described = replace(described, drives_clocks=bool(described.clocks) and has_events)
     # Structural parameters first: they decide how many elements other start values have.
-    description = resized(archive.description, options.start)
+    description = resized(described, options.start)
     description = description.with_inputs(check_start(description, options.start).numbers)
     return interface_type, description.recording(options.outputs)
 
@@ -396,18 +400,11 @@ def _component(
 def _reliable(
     archive: Archive, description: Description, interface_type: InterfaceType
 ) -> tuple[Description, tuple[str, ...]]:
-    """Return a description without what is not supported or fails, and notes about what was taken.
-
-    A clock that an FMU only shows needs nothing from us. One that it must be given would never tick
-    in model exchange; in co-simulation the FMU drives it itself, once it has
-    been instantiated without event mode.
-    """
+    """Return a description without what fails, and notes about what was taken."""
     capabilities = description.capabilities[interface_type]
     notes = [f"{description.name}: {text}" for text in _shortened(archive.warnings)]
     notes += _notes_on_texts(description)
-    if description.clocks:
-        capabilities = replace(capabilities, event_mode=False)
-        notes.append(_note_on_clocks(archive, description, interface_type))
+    notes += _notes_on_clocks(description)
     if capabilities.saves_state and description.tool != OUR_TOOL:
         problems = find_rollback_problems(archive, interface_type)
         if problems:
@@ -454,22 +451,29 @@ def _notes_on_texts(description: Description) -> list[str]:
     return notes
 
 
-def _note_on_clocks(
-    archive: Archive, description: Description, interface_type: InterfaceType
-) -> str:
-    """Return what is to be known about an FMU's clocks; refuse those that nothing would tick."""
-    unsupported = f"clocks are not supported: {', '.join(description.clocks)}"
-    if interface_type == "cs":
-        remedy = "; the FMU drives them itself, without event mode"
-        return f"{description.name}: {unsupported}{remedy}"
-    inputs = [name for name in description.clocks if description[name].causality == "input"]
-    if inputs:
-        way_out = '; use interface_type = "cs"' if "cs" in description.capabilities else ""
-        raise FmuError(
-            f"{archive.path}: {unsupported}; in model exchange {', '.join(inputs)} would have to "
-            f"be ticked{way_out}"
+def _notes_on_clocks(description: Description) -> list[str]:
+    """Return what is to be known about an FMU's clocks."""
+    if not description.clocks:
+        return []
+    if not description.drives_clocks:
+        return [
+            f"{description.name}: its clocks are not activated, as it has no event mode "
+            f"(hasEventMode is false): {listing(description.clocks)}"
+        ]
+    notes = []
+    ports = [name for name in description.clocks if description[name].is_triggered]
+    if ports:
+        notes.append(
+            f"{description.name}: a tick inside a communication step reaches other components at "
+            f"its end, and they trigger clocks at communication points: {listing(ports)}"
         )
-    return f"{description.name}: {unsupported}"
+    sampled = [v.name for v in description.variables if v.causality == "input" and v.clocks]
+    if sampled:
+        notes.append(
+            f"{description.name}: where a clock ticks inside a communication step, what it samples "
+            f"is as at the start of that step: {listing(sampled)}"
+        )
+    return notes
 
 
 def _library(archive: Archive, interface_type: InterfaceType) -> str:

@@ -142,6 +142,9 @@ class Description:
         Its residual form, where it has one.
     scheduled_execution : bool
         Whether it has the interface type Scheduled Execution (FMI 3), which is not supported.
+    drives_clocks : bool
+        Whether its clocks are activated. Those that are triggered are ports then, Booleans that
+        are 1 where the clock ticks.
     """
 
     name: str
@@ -165,6 +168,7 @@ class Description:
     set_inputs: frozenset[str] = frozenset()
     dae: Dae | None = None
     scheduled_execution: bool = False
+    drives_clocks: bool = False
     _named: dict[str, Variable] = field(init=False, repr=False, compare=False)
     _ports: dict[str, PortVariables] = field(
         init=False, repr=False, compare=False
@@ -205,7 +209,8 @@ class Description:
     def _find_ports(self, causality: str) -> PortVariables:
         variables = []
         for variable in self.variables:
-            if variable.causality == causality and variable.is_signal and variable.alias_of is None:
+            is_port = variable.is_signal or (self.drives_clocks and variable.is_triggered)
+            if variable.causality == causality and is_port and variable.alias_of is None:
                 variables.append(variable)
         if causality == "output":
             variables += [self[name] for name in (*self.local_states, *self.recorded)]
@@ -223,6 +228,20 @@ class Description:
         for _, group in self.ports(causality):
             variables += group
         return ReferenceMap.of(variables)
+
+    def values(self, causality: str) -> ReferenceMap:
+        """Return the inputs or outputs that have values, a selection of all: clocks have none."""
+        references = self.references(causality)
+        if not self.drives_clocks:
+            return references
+        return references.select(references.where(lambda variable: variable.is_signal))
+
+    def unclocked(self, causality: str) -> ReferenceMap:
+        """Return the inputs or outputs that belong to no clock, a selection of all."""
+        references = self.references(causality)
+        if not self.drives_clocks:
+            return references
+        return references.select(references.where(_is_unclocked))
 
     def references_of(self, names: Iterable[str]) -> ReferenceMap:
         """Return variables with their value references, by name."""
@@ -294,7 +313,9 @@ class Description:
         if variable.name in self.states:
             return ()
         is_constant = variable.variability in ("constant", "fixed", "tunable")
-        return self.dependencies.get(variable.name, () if is_constant else None)
+        names = self.dependencies.get(variable.name, () if is_constant else None)
+        # It also depends on its clocks, whether the file lists them or not (FMI 3.0 section 2.2.9).
+        return names if names is None else (*names, *variable.clocks)
 
     def recording(self, names: Sequence[str]) -> Description:
         """Return the description with further variables among the outputs.
@@ -469,10 +490,14 @@ class Description:
 
     def _need(self, group: Sequence[Variable]) -> Need:
         """Return whether something must drive an input: where an element has no start value."""
-        if any(variable.start is None for variable in group):
+        if any(variable.start is None and variable.is_signal for variable in group):
             return "required"
         is_set = any(variable.name in self.set_inputs for variable in group)
         return "forbidden" if is_set else "optional"
+
+
+def _is_unclocked(variable: Variable) -> bool:
+    return variable.is_signal and not variable.clocks
 
 
 def _can_be_interpolated(variable: Variable) -> bool:

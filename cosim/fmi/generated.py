@@ -136,6 +136,9 @@ class GeneratedInstance:
     def addresses(self) -> None:
         """Return None: nothing was loaded."""
 
+    def clock_calls(self) -> None:
+        """Return None: it has no clocks."""
+
     # --- modes ---
 
     def reset(self) -> None:

@@ -9,6 +9,8 @@ raises ``RunError``.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from fractions import Fraction
 from typing import Final, NamedTuple, Protocol, runtime_checkable
 
 from cosim.arrays import Vector
@@ -60,6 +62,41 @@ class StepEnd(NamedTuple):
     event_needed: bool = False
     last_successful_time: float = math.nan
     interpolated_until: float = math.inf
+
+
+class ClockInterval(NamedTuple):
+    """Result of fmi3GetIntervalDecimal or fmi3GetIntervalFraction for one clock.
+
+    Attributes
+    ----------
+    interval : Fraction or None
+        [s]; None: not known yet.
+    changed : bool
+        Whether it is another than the last one: it then begins at the event that it was asked in.
+    """
+
+    interval: Fraction | None
+    changed: bool
+
+
+class ClockCalls(Protocol):
+    """The calls of FMI 3 for clocks (section 2.2.9)."""
+
+    def activate(self, clocks: Sequence[Variable]) -> None:
+        """Activate input clocks (fmi3SetClock), in event mode."""
+        ...
+
+    def active(self, clocks: Sequence[Variable]) -> list[bool]:
+        """Return which clocks are active (fmi3GetClock), in event mode."""
+        ...
+
+    def interval(self, clock: Variable) -> ClockInterval:
+        """Return the interval of a clock that is based on time (fmi3GetInterval...)."""
+        ...
+
+    def shift(self, clock: Variable) -> Fraction:
+        """Return the time from the start to the first tick [s] (fmi3GetShift...)."""
+        ...
 
 
 class Addresses(Protocol):
@@ -139,6 +176,10 @@ class Instance(Protocol):
 
     def addresses(self) -> Addresses | None:
         """Return where compiled code finds the instance; None: it is no loaded FMU."""
+        ...
+
+    def clock_calls(self) -> ClockCalls | None:
+        """Return the calls for clocks; None: nothing activates its clocks, or it has none."""
         ...
 
     def reset(self) -> None:

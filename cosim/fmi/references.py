@@ -133,6 +133,17 @@ class ReferenceMap:
         """
         return values[self.columns] if self.is_part else values
 
+    def put(self, values: Vector, others: Vector) -> Vector:
+        """Return the vector that a selection was selected from, with new elements for it.
+
+        That is ``values`` itself where the selection leaves nothing out.
+        """
+        if not self.is_part:
+            return values
+        completed = others.copy()
+        completed[self.columns] = values
+        return completed
+
     def columns_of(self, elements: Iterable[VectorElement]) -> NDArray[np.intp]:
         """Return where elements stand in the vector; an alias stands where its variable does."""
         firsts: dict[tuple[VariableType, int], int] = {}

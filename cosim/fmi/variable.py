@@ -135,8 +135,13 @@ class Variable:
         return self.type not in ("String", "Binary", "Clock")
 
     @property
+    def is_triggered(self) -> bool:
+        """Whether it is a clock that others trigger, or that triggers others."""
+        return self.timing is not None and self.timing.variability == "triggered"
+
+    @property
     def signal_type(self) -> SignalType:
         """What its signal carries."""
         if self.type in ("Float32", "Float64"):
             return "real"
-        return "boolean" if self.type == "Boolean" else "integer"
+        return "boolean" if self.type in ("Boolean", "Clock") else "integer"

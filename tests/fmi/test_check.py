@@ -468,11 +468,12 @@ def test_the_pattern_for_findings_has_none(tmp_path, monkeypatch):
 
 
 def test_findings_of_fmi_3(tmp_path):
-    """One independent variable, own references, a start value an element, no clocks here."""
+    """One independent variable, own references, a start value an element, clocks in events."""
     xml = FMI3.replace('causality="independent"', 'causality="local"').replace(
         'start="1 2 3"', 'start="1 2"'
     )
     xml = xml.replace('name="small" valueReference="7"', 'name="small" valueReference="8"')
+    xml = xml.replace('hasEventMode="true"', "")
     path = write(tmp_path / "x.fmu", [], xml=xml.encode())
     errors = problems_of(path)
     warnings = problems_of(path, "warning")
@@ -481,7 +482,10 @@ def test_findings_of_fmi_3(tmp_path):
         "variable 'large': has the value reference 8 of 'small'; FMI 3 needs one for each" in errors
     )
     assert "structure: 0 independent variables; FMI 3 needs exactly one, the time" in warnings
-    assert "structure: clocks, which are not supported: tick" in warnings
+    assert (
+        "co-simulation: clocks, which are not activated without event mode (hasEventMode): tick"
+        in warnings
+    )
 
 
 def test_findings_of_fmi_1(tmp_path):

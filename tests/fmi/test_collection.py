@@ -17,7 +17,7 @@ COLLECTION = os.environ.get("COSIM_FMU_COLLECTION")
 @pytest.mark.campaign
 @pytest.mark.skipif(not COLLECTION, reason="COSIM_FMU_COLLECTION is no folder of FMUs")
 def test_what_fmpy_runs_runs_here_with_the_same_numbers():
-    """With finite results, constant inputs, and the same communication step; clocks excepted."""
+    """With finite results, constant inputs, the same communication step; no Scheduled Execution."""
     folder = Path(COLLECTION)
     table = []
     for line in lines(folder):
@@ -27,6 +27,6 @@ def test_what_fmpy_runs_runs_here_with_the_same_numbers():
     assert table
     missing = [line for line in table if line.here.problem and not line.fmpy.problem]
     assert [
-        line.text(folder) for line in missing if "clocks are not" not in line.here.problem
+        line.text(folder) for line in missing if "scheduled execution only" not in line.here.problem
     ] == []
     assert [line.text(folder) for line in table if not line.agrees] == []

@@ -204,21 +204,18 @@ def clocked(causality, **options):
     return xml3(**options).replace("<ModelVariables>", f"<ModelVariables>{clock}")
 
 
-def test_clocks_are_named(tmp_path):
-    """An output clock needs nothing; one that must be ticked is an error in model exchange."""
+def test_clocks_need_their_functions_and_event_mode(tmp_path):
+    """Without event mode they are not activated in co-simulation; else a function is missing."""
     path = compile_fmu(tmp_path / "x.fmu", clocked("output"), "probe3.c")
-    with load(path, FmuOptions(interface_type="me")) as fmu:
-        assert fmu.notes[0] == "probe: clocks are not supported: tick"
-    path = compile_fmu(tmp_path / "y.fmu", clocked("input", event_mode=True), "probe3.c")
     refused(
         path,
-        "clocks are not supported: tick; in model exchange tick would have to be ticked; "
-        'use interface_type = "cs"',
+        "it has no function fmi3SetClock, which the standard requires",
         interface_type="me",
     )
     with opened(path, interface_type="cs") as (fmu, instance):
         assert fmu.notes[0] == (
-            "probe: clocks are not supported: tick; the FMU drives them itself, without event mode"
+            "probe: its clocks are not activated, as it has no event mode (hasEventMode is "
+            "false): tick"
         )
         assert got(instance, "event_mode") == [0.0]
 

@@ -14,7 +14,7 @@ from cosim.arrays import Vector
 from cosim.fmi.binary.library import Call, Library
 from cosim.fmi.binary.messages import Messages
 from cosim.fmi.description import Capabilities, Description, InterfaceType
-from cosim.fmi.instance import DiscreteStates, StepEnd
+from cosim.fmi.instance import ClockCalls, DiscreteStates, StepEnd
 from cosim.fmi.references import Group
 from cosim.fmi.variable import Variable, VariableType
 from cosim.native.fmi.fmu import SlopesStruct, StepStruct
@@ -68,6 +68,8 @@ class Calls(Protocol):
     """Where the versions differ. A ``Call`` raises RunError for a status above warning."""
 
     library: Library
+    clocks: ClockCalls | None
+    """None: before FMI 3, or where nothing activates the clocks."""
     version: ClassVar[int]
     """First digit of the FMI version."""
     functions: ClassVar[Mapping[str, str]]

@@ -41,7 +41,7 @@ from cosim.fmi.binary.binding import InstanceSpecification
 from cosim.fmi.binary.input_derivatives import RealInputDerivatives
 from cosim.fmi.binary.library import DISCARD, WARNING, Call, Library, pointer
 from cosim.fmi.binary.structures import Fmi1CallbackFunctions, Fmi1EventInfo
-from cosim.fmi.instance import DiscreteStates, StepEnd
+from cosim.fmi.instance import ClockCalls, DiscreteStates, StepEnd
 from cosim.fmi.references import Group
 from cosim.fmi.variable import Variable, VariableType
 from cosim.native.fmi.fmu import SlopesStruct, StepStruct
@@ -74,6 +74,7 @@ class Fmi1:
 
     def __init__(self, library: Library, specification: InstanceSpecification) -> None:
         self.library = library
+        self.clocks: ClockCalls | None = None
         self._specification = specification
         self._clock = specification.messages.clock
         self._callbacks = Fmi1CallbackFunctions()  # handed over by value

@@ -30,7 +30,7 @@ from cosim.fmi.binary.input_derivatives import RealInputDerivatives
 from cosim.fmi.binary.library import DISCARD, WARNING, Call, Library, pointer
 from cosim.fmi.binary.structures import Fmi2CallbackFunctions, Fmi2EventInfo
 from cosim.fmi.description import Capabilities
-from cosim.fmi.instance import DiscreteStates, StepEnd
+from cosim.fmi.instance import ClockCalls, DiscreteStates, StepEnd
 from cosim.fmi.references import Group
 from cosim.fmi.variable import Variable, VariableType
 from cosim.native.fmi.fmu import SlopesStruct, StepStruct
@@ -65,6 +65,7 @@ class Fmi2:
 
     def __init__(self, library: Library, specification: InstanceSpecification) -> None:
         self.library = library
+        self.clocks: ClockCalls | None = None
         self._specification = specification
         self._clock = specification.messages.clock
         capabilities = specification.capabilities

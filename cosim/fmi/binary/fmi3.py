@@ -28,9 +28,10 @@ from numpy.typing import DTypeLike, NDArray
 
 from cosim.arrays import Vector
 from cosim.fmi.binary.binding import NO_DIRECTIONAL_DERIVATIVES, NO_STATE, InstanceSpecification
+from cosim.fmi.binary.clocks3 import Fmi3Clocks
 from cosim.fmi.binary.library import DISCARD, WARNING, Call, Library, pointer
 from cosim.fmi.description import Capabilities
-from cosim.fmi.instance import DiscreteStates, StepEnd
+from cosim.fmi.instance import ClockCalls, DiscreteStates, StepEnd
 from cosim.fmi.references import Group
 from cosim.fmi.variable import Variable, VariableType
 from cosim.native.fmi.callbacks import InterpolationStruct
@@ -68,6 +69,12 @@ class Fmi3:
         self._flags = [c_bool() for _ in range(5)]  # results of the calls below
         self._flag_pointers = [byref(flag) for flag in self._flags]
         self._time = c_double()
+        self.clocks: ClockCalls | None = None
+        description = specification.description
+        if description.drives_clocks:
+            timings = [description[name].timing for name in description.clocks]
+            with_fractions = any(timing and timing.supports_fraction for timing in timings)
+            self.clocks = Fmi3Clocks(library, with_fractions=with_fractions)
         self._bind_values(capabilities)
         self._bind_modes()
         if specification.interface_type == "me":

@@ -23,6 +23,7 @@ from cosim.fmi.binary.fmi3 import Fmi3
 from cosim.fmi.binary.library import Library, MessageMark, pointer
 from cosim.fmi.binary.messages import Message, Messages
 from cosim.fmi.description import Description, InterfaceType
+from cosim.fmi.instance import ClockCalls
 from cosim.fmi.references import ReferenceMap
 from cosim.fmi.variable import LARGEST_EXACT, Variable
 
@@ -153,6 +154,10 @@ class LoadedInstance:
     def addresses(self) -> InstanceAddresses:
         """Return where compiled code finds the instance, its functions and its variables."""
         return InstanceAddresses(self._calls)
+
+    def clock_calls(self) -> ClockCalls | None:
+        """Return the calls for clocks; None: nothing activates its clocks, or it has none."""
+        return self._calls.clocks
 
     # --- modes ---
 

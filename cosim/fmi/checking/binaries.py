@@ -38,6 +38,7 @@ _STATE_2 = ("GetFMUstate", "SetFMUstate", "FreeFMUstate")
 _STATE_3 = ("GetFMUState", "SetFMUState", "FreeFMUState")
 _SERIALIZATION_2 = ("SerializedFMUstateSize", "SerializeFMUstate", "DeSerializeFMUstate")
 _SERIALIZATION_3 = ("SerializedFMUStateSize", "SerializeFMUState", "DeserializeFMUState")
+_CLOCKS_3 = ("GetIntervalDecimal", "GetShiftDecimal")
 _EVENT_MODE_3 = ("EnterEventMode", "UpdateDiscreteStates", "EnterStepMode")
 
 REQUIRED: Final[Mapping[tuple[int, InterfaceType], Sequence[str]]] = {
@@ -96,6 +97,7 @@ def required_functions(description: Description, interface_type: InterfaceType) 
         *COMMON[version],
         *REQUIRED[version, interface_type],
         *_promised_functions(capabilities, version),
+        *(_CLOCKS_3 if description.clocks else ()),
     ]
     prefix = {1: f"{capabilities.identifier}_fmi", 2: "fmi2", 3: "fmi3"}[version]
     return [prefix + name for name in dict.fromkeys(names)]

@@ -215,7 +215,7 @@ def _check_model_structure(root: Element, description: Description) -> Iterator[
     version = major(root)
     attribute = "index" if version == 2 else "valueReference"
     names = _names_by_key(version, description)
-    expected = _expected_unknowns(root, description)
+    expected = _expected_unknowns(description)
     for section, paths in SECTIONS.items():
         unknowns = root.findall(f"ModelStructure/{paths[version]}")
         listed = [names.get(unknown.get(attribute, "").strip(), "") for unknown in unknowns]
@@ -255,11 +255,10 @@ def _check_dependency_kinds(section: str, unknowns: Sequence[Element]) -> Iterat
             yield Finding("warning", section, text)
 
 
-def _expected_unknowns(root: Element, description: Description) -> dict[str, set[str]]:
+def _expected_unknowns(description: Description) -> dict[str, set[str]]:
     """Return the variables that the standard wants listed, by section."""
     variables = [v for v in description.variables if v.alias_of is None]
-    elements = root.iterfind("ModelVariables/*")
-    clocked = {element.get("name") for element in elements if element.get("clocks") is not None}
+    clocked = {v.name for v in variables if v.clocks or v.type == "Clock"}
     outputs = {v.name for v in variables if v.causality == "output"}
     dynamic = set(description.states)
     for name in description.dependencies:
@@ -376,9 +375,11 @@ def _check_support(description: Description) -> Iterator[Finding]:
         names = listing(undeclared, MOST_NAMES)
         text = f"the file does not say on which inputs these depend directly: {names}"
         yield Finding("note", "structure", text)
-    if description.clocks:
-        text = f"clocks, which are not supported: {', '.join(description.clocks)}"
-        yield Finding("warning", "structure", text)
+    has_cs = "cs" in description.capabilities
+    if description.clocks and has_cs and not description.capabilities["cs"].event_mode:
+        names = listing(description.clocks, MOST_NAMES)
+        text = f"clocks, which are not activated without event mode (hasEventMode): {names}"
+        yield Finding("warning", "co-simulation", text)
     for interface_type, capabilities in description.capabilities.items():
         where = INTERFACE_TYPE_NAMES[interface_type]
         if capabilities.needs_tool:

@@ -18,6 +18,7 @@ from cosim.core.linearization import InputUse, Linearized
 from cosim.errors import FmuError, RunError
 from cosim.fmi.binary.messages import Message
 from cosim.fmi.description import Description
+from cosim.fmi.driving.clocks import EventClocks
 from cosim.fmi.driving.diagnostics import Diagnostics
 from cosim.fmi.driving.direct import DirectFeedthrough
 from cosim.fmi.driving.initialization import Initialization, Starts
@@ -58,13 +59,15 @@ class CoSimulation:
         description = instance.description
         self._instance = instance
         self._name = description.name
-        self._initialization = Initialization(instance, starts or {})
+        self._diagnostics = Diagnostics(self._name)
+        self._clocks = EventClocks(instance, self._diagnostics)
+        self._initialization = Initialization(instance, starts or {}, self._clocks)
         self._capabilities = description.capabilities["cs"]
         self.interface = replace(
             instance.interface,
             prepares=True,
             rollback=self._capabilities.saves_state,
-            native=True,
+            native=not description.drives_clocks,
             linearizable=self._is_linearizable(description),
         )
         self._in_events: frozenset[str] = frozenset()
@@ -77,8 +80,7 @@ class CoSimulation:
             self._feedthrough = DirectFeedthrough(instance, self._in_events)
         # Of the FMU before an event that is only shown; its memory is used again.
         self._fmu_state: object | None = None
-        self._diagnostics = Diagnostics(self._name)
-        self._stepper = Stepper(instance, self._diagnostics)
+        self._stepper = Stepper(instance, self._diagnostics, self._clocks)
         if not self._stepper.interpolates:
             self.interface = replace(self.interface, lagging=tuple(self._uncorrected_outputs()))
         self._tuned: list[TunedParameters] = []
@@ -174,7 +176,7 @@ class CoSimulation:
                     # An event at the end of the block is left to the next advance: a loop may still
                     # correct the inputs that it happens with.
                     if k < steps - 1:
-                        stepper.handle_input_event(t1, u1)
+                        stepper.handle_point_event(t1, u1)
                     y[k] = self._outputs_at(t1, u1)
                 if stepper.ended:
                     raise Stopped(y[: k + completed].copy(), TERMINATED, failed=False)
@@ -212,7 +214,7 @@ class CoSimulation:
         Where an event is due for them, they are those after it; then the FMU goes back, if it can.
         """
         stepper = self._stepper
-        if not (self._capabilities.saves_state and stepper.has_input_event(u)):
+        if not (self._capabilities.saves_state and stepper.has_point_event(t, u)):
             return self._outputs_after_event(t, u)
         # The copy holds the mode too: with it the FMU is back in step mode.
         self._fmu_state = self._instance.get_fmu_state(self._fmu_state)
@@ -229,7 +231,7 @@ class CoSimulation:
         Without one they are y + D (u - u_end).
         """
         stepper = self._stepper
-        if stepper.handle_input_event(t, u) or self._feedthrough is None:
+        if stepper.handle_point_event(t, u) or self._feedthrough is None:
             return stepper.outputs
         return self._feedthrough.add(stepper.outputs, u - stepper.inputs)
 

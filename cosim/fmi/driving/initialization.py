@@ -19,6 +19,7 @@ import numpy as np
 from cosim.arrays import Vector
 from cosim.errors import FmuError, nearest
 from cosim.fmi.description import Description
+from cosim.fmi.driving.clocks import EventClocks
 from cosim.fmi.instance import Instance
 from cosim.fmi.variable import LARGEST_EXACT, Variable
 
@@ -37,6 +38,8 @@ class Initialization:
         ``resized`` returns for them.
     values : mapping of variable name to StartValue
         Start values to set instead of the FMU's own.
+    clocks : EventClocks or None
+        Asked for its first ticks in initialization mode.
 
     Attributes
     ----------
@@ -49,11 +52,15 @@ class Initialization:
         If a start value is not one; see ``check_start``.
     """
 
-    def __init__(self, instance: Instance, values: Starts) -> None:
+    def __init__(
+        self, instance: Instance, values: Starts, clocks: EventClocks | None = None
+    ) -> None:
         self._instance = instance
         self._values = check_start(instance.description, values)
-        self._inputs = instance.description.references("input")
-        self._outputs = instance.description.references("output")
+        self._clocks = clocks
+        self._inputs = instance.description.values("input")
+        self._outputs = instance.description.values("output")
+        self._no_outputs = np.zeros(instance.description.references("output").size)
         self._instantiated = True  # and no more than that
         self._last: tuple[float, Vector] | None = None  # time and inputs of the last enter
         self.mode_time: float | None = None
@@ -79,8 +86,12 @@ class Initialization:
         # they may be set and outputs read in turns, which algebraic loops need.
         u = np.array(u, np.float64)
         self._last = (t, u)
-        self._instance.set_float64(self._inputs, u)
-        return self._instance.get_float64(self._outputs)
+        self._instance.set_float64(self._inputs, self._inputs.take(u))
+        return self._read()
+
+    def _read(self) -> Vector:
+        """Return the outputs; no clock ticks yet."""
+        return self._outputs.put(self._instance.get_float64(self._outputs), self._no_outputs)
 
     def repeat(self) -> Vector:
         """Initialize a new instance as the last one was, to the end; return the outputs."""
@@ -90,7 +101,7 @@ class Initialization:
         self.mode_time = None
         self.enter(t, u)
         self.leave()
-        return self._instance.get_float64(self._outputs)
+        return self._read()
 
     def _set_start_values(self) -> None:
         values = self._values
@@ -117,6 +128,8 @@ class Initialization:
         """Exit initialization mode; return False where it had been left before."""
         if self.mode_time is None:
             return False
+        if self._clocks is not None:
+            self._clocks.ask_first_ticks(self.mode_time)
         self.mode_time = None
         self._instance.exit_initialization_mode()
         return True

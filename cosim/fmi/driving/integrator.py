@@ -15,7 +15,9 @@ u0)::
     outputs: y <- outputs after what is due at t1, with the inputs u1
 
     (event: enter_event_mode, set inputs, update_discrete_states until no update is needed,
-            enter_continuous_time_mode, read states)
+            enter_continuous_time_mode, read states; with clocks, see ``clocks.py``)
+
+A tick of a time-based clock is a time event.
 
 In the residual form x has z behind it. Where inputs or discrete states change without time, z is
 solved for; see ``residual.py``.
@@ -41,6 +43,7 @@ from numpy.typing import NDArray
 from cosim.arrays import Matrix, Vector
 from cosim.core.linearization import Linearized
 from cosim.errors import RunError
+from cosim.fmi.driving.clocks import ClockState, EventClocks
 from cosim.fmi.driving.diagnostics import Diagnostics
 from cosim.fmi.driving.events import (
     EVENTS,
@@ -50,7 +53,6 @@ from cosim.fmi.driving.events import (
     close,
     crosses,
     endless_iteration,
-    iterate_event,
     locate,
 )
 from cosim.fmi.driving.local_model import differentiated
@@ -89,6 +91,7 @@ class IntegratorSnapshot(NamedTuple):
     solver: Any  # what the solver's ``save`` returned
     events: EventListState
     diagnostics: int
+    clocks: ClockState
 
 
 class Interruption(NamedTuple):
@@ -142,6 +145,10 @@ class Integrator:
     solver : str
         One of ``cosim.fmi.driving.solvers.SOLVERS``, or ``RADAU`` for the residual form. With
         ``exact`` the owner of the integrator advances the state.
+    clocks : EventClocks
+        Its clocks.
+    diagnostics : Diagnostics
+        Takes what the run shows about the FMU.
     rtol : float
         Relative tolerance of the states.
 
@@ -158,16 +165,28 @@ class Integrator:
         Copy of the FMU state before such an event; its memory is used again.
     events : EventList
     diagnostics : Diagnostics
+        As it was handed over.
     """
 
-    def __init__(self, instance: ModelExchangeInstance, solver: str, *, rtol: float) -> None:
+    def __init__(
+        self,
+        instance: ModelExchangeInstance,
+        solver: str,
+        clocks: EventClocks,
+        diagnostics: Diagnostics,
+        *,
+        rtol: float,
+    ) -> None:
         description = instance.description
         self._instance = instance
+        self._clocks = clocks
         self._name = description.name
         self._capabilities = description.capabilities["me"]
-        self._outputs = description.references("output")
-        self._inputs = description.references("input")
-        self._continuous_inputs = self._inputs.select(~description.discrete_inputs)
+        inputs = description.references("input")
+        self._inputs = description.unclocked("input")
+        self._continuous_inputs = inputs.select(~description.discrete_inputs)
+        self._clocked = np.ones(inputs.size, np.bool_)
+        self._clocked[self._inputs.columns] = False
         self._n_x = description.n_states
         self._n_z = description.event_indicators
         self._form = ResidualForm(instance) if solver == RADAU else None
@@ -189,7 +208,7 @@ class Integrator:
         self.state = IntegratorState()
         self.event_inputs: NDArray[np.intp] = np.flatnonzero(description.discrete_inputs)
         self.events = EventList()
-        self.diagnostics = Diagnostics(self._name)
+        self.diagnostics = diagnostics
 
     @property
     def is_explicit(self) -> bool:
@@ -210,14 +229,19 @@ class Integrator:
         No call of enter_event_mode: exit_initialization_mode leads to event mode (FMI 2.0.4 section
         3.2.3, FMI 3.0 section 2.3.3).
         """
-        self._iterate_event()
+        self._iterate_event(self.state.inputs, at_point=True)
         self._restart_solver()
 
     def save(self) -> IntegratorSnapshot:
         """Copy everything but the FMU's own state."""
         state = replace(self.state)
-        solver = self._solver.save()
-        return IntegratorSnapshot(state, solver, self.events.save(), self.diagnostics.save())
+        return IntegratorSnapshot(
+            state,
+            self._solver.save(),
+            self.events.save(),
+            self.diagnostics.save(),
+            self._clocks.state,
+        )
 
     def restore(self, snapshot: IntegratorSnapshot) -> None:
         """Go back to a saved state, after the FMU."""
@@ -226,6 +250,7 @@ class Integrator:
         self._solver.restore(snapshot.solver)
         self.events.restore(snapshot.events)
         self.diagnostics.restore(snapshot.diagnostics)
+        self._clocks.restore(snapshot.clocks)
 
     def integrate(self, inputs: LinearInputs) -> bool:
         """Integrate over a communication step and handle the events before its end.
@@ -242,6 +267,7 @@ class Integrator:
         """
         self._step_inputs = inputs
         self.events.begin_step()
+        self._clocks.begin_step()
         return self._integrate_on(0)
 
     def _integrate_on(self, events: int) -> bool:
@@ -257,7 +283,7 @@ class Integrator:
             if state.ended:
                 return False
             state.due = due
-            self.handle_events(inputs(state.t))
+            self.handle_events(inputs(state.t), at_point=False)
             if self.state.ended:
                 return False
         raise RunError(
@@ -388,29 +414,38 @@ class Integrator:
             self._instance.set_float64(self._continuous_inputs, self._continuous_inputs.take(u))
 
     def _jumps(self, u: Vector) -> bool:
-        """Return whether a held or discrete input differs from what the FMU has."""
+        """Return whether a held or discrete input differs from what the FMU has.
+
+        One that belongs to a clock is set where the clock ticks, and that is no event of its own.
+        """
         columns = self.event_inputs
         if not columns.size:
             return False
-        return bool((u[columns] != self.state.inputs[columns]).any())
+        jumps = (u[columns] != self.state.inputs[columns]) & ~self._clocked[columns]
+        return bool(jumps.any())
+
+    def _differs(self, u: Vector) -> bool:
+        """Return whether an input that belongs to no clock differs, by its bits."""
+        inputs = self._inputs
+        return inputs.take(u).tobytes() != inputs.take(self.state.inputs).tobytes()
 
     def outputs(self, u: Vector) -> Vector:
         """Return the outputs for inputs ``u``, after what is due; then go back, if the FMU can."""
         state = self.state
         if state.ended:
-            return self._instance.get_float64(self._outputs)
-        if not (state.due or self._jumps(u)):
+            return self._clocks.outputs()
+        if not (state.due or self._jumps(u) or self._clocks.is_due(state.t, u)):
             self._correct_inputs(u)
         elif self.rolls_back:
             return self._outputs_after_event(u)
         else:
             self.handle_events(u)
-        return self._instance.get_float64(self._outputs)
+        return self._clocks.outputs()
 
     def _correct_inputs(self, u: Vector) -> None:
         """Set continuous inputs for the outputs alone; the state stays what it is."""
         state = self.state
-        corrected = u.tobytes() != state.inputs.tobytes()
+        corrected = self._differs(u)
         if not corrected and not math.isnan(self.inputs_time):
             return
         self.set_continuous_inputs(u)
@@ -422,13 +457,15 @@ class Integrator:
     def _outputs_after_event(self, u: Vector) -> Vector:
         instance = self._instance
         before = replace(self.state)
+        clocks_before = self._clocks.state
         # The copy holds the mode too: with it the FMU is back in continuous-time mode.
         self.fmu_state = instance.get_fmu_state(self.fmu_state)
-        self._handle_event(u)
-        y = instance.get_float64(self._outputs)
+        self._handle_event(u, at_point=True)
+        y = self._clocks.outputs()
         if not self.state.ended:
             instance.set_fmu_state(self.fmu_state)
             self.state = before
+            self._clocks.restore(clocks_before)
         return y
 
     def linearized(self, u: Vector) -> Linearized | None:
@@ -441,18 +478,20 @@ class Integrator:
         self.inputs_time = math.nan
         return found
 
-    def handle_events(self, u: Vector) -> None:
+    def handle_events(self, u: Vector, *, at_point: bool = True) -> None:
         """Handle what is due at the time reached, with ``u``, the inputs from here on.
 
-        Where an event happens or a continuous input jumps, the solver starts anew.
+        Where an event happens or a continuous input jumps, the solver starts anew. At communication
+        points the inputs may trigger clocks.
         """
         state = self.state
-        if state.due or self._jumps(u):
+        ticks = at_point and self._clocks.is_due(state.t, u)
+        if state.due or self._jumps(u) or ticks:
             for kind in state.due or ("input event",):
                 self.events.add(kind, state.t)
-            self._handle_event(u)
+            self._handle_event(u, at_point=at_point)
             self._restart_solver()
-        elif u.tobytes() != state.inputs.tobytes():
+        elif self._differs(u):
             self._set_jumped_inputs(u)
 
     def tune(self, parameters: TunedParameters) -> None:
@@ -462,7 +501,8 @@ class Integrator:
             return
         for kind in state.due or ("input event",):
             self.events.add(kind, state.t)
-        self._handle_event(state.inputs, parameters)
+        # What triggers clocks here is not known yet.
+        self._handle_event(state.inputs, parameters, at_point=False)
         if not state.ended:
             self._restart_solver()
 
@@ -482,24 +522,26 @@ class Integrator:
                 state.due = ("state event",)
                 self.handle_events(u)
 
-    def _handle_event(self, u: Vector, parameters: TunedParameters | None = None) -> None:
+    def _handle_event(
+        self, u: Vector, parameters: TunedParameters | None = None, *, at_point: bool
+    ) -> None:
         """Do one event, with all inputs and with parameters that are set."""
         # Event mode first: discrete inputs must not be set in continuous-time mode (FMI 2.0.4
         # section 3.2.3, FMI 3.0 section 3.2.1).
         self._instance.enter_event_mode()
         if parameters is not None:
             self._instance.set_float64(parameters.references, parameters.values)
-        self._instance.set_float64(self._inputs, u)
+        self._instance.set_float64(self._inputs, self._inputs.take(u))
         self.state.inputs = u
         if self._form is not None:
             self._form.solve(self.state.t, self.state.x)
-        self._iterate_event()
+        self._iterate_event(u, at_point=at_point)
 
-    def _iterate_event(self) -> None:
+    def _iterate_event(self, u: Vector, *, at_point: bool) -> None:
         """Iterate the event; unless the run is to end, leave event mode and read what changed."""
         instance = self._instance
         state = self.state
-        discrete = iterate_event(instance, state.t)
+        discrete = self._clocks.iterate(state.t, u, triggers=at_point)
         state.due = ()
         self.inputs_time = math.nan
         state.ended |= discrete.terminate
@@ -510,6 +552,7 @@ class Integrator:
         state.next_event = math.inf if next_event is None else next_event
         if not state.next_event >= state.t - close(state.t):
             raise self._event_is_over()
+        state.next_event = min(state.next_event, self._clocks.next_time)
         # States and nominals are read behind this call, as an FMU may select other states in it
         # (FMI 2.0.4 section 3.2.2).
         instance.enter_continuous_time_mode()

@@ -23,7 +23,9 @@ RELATIVE = 2.0**-17  # steps of central differences: near the cube root of the r
 
 
 def has_continuous_ports(description: Description) -> bool:
-    """Return whether all real inputs and outputs are continuous."""
+    """Return whether all real inputs and outputs are continuous, and no clock ticks."""
+    if description.drives_clocks:
+        return False
     for causality in ("input", "output"):
         for variable in description.references(causality).variables:
             if variable.signal_type == "real" and variable.variability == "discrete":

@@ -17,7 +17,9 @@ from cosim.core.linear import LinearModel, shapes_of
 from cosim.core.linearization import Linearized
 from cosim.errors import FmuError, RunError, nearest
 from cosim.fmi.binary.messages import Message
+from cosim.fmi.driving.clocks import EventClocks
 from cosim.fmi.driving.compiled import CompiledIntegrator
+from cosim.fmi.driving.diagnostics import Diagnostics
 from cosim.fmi.driving.exact import ExactSolver
 from cosim.fmi.driving.initialization import Initialization, Starts
 from cosim.fmi.driving.integrator import (
@@ -96,11 +98,16 @@ class ModelExchange:
         self.rtol = tolerance if self.solver in TOLERANT else None
         self.notes: tuple[str, ...] = _notes(instance.description.name, self.solver)
         self._instance = instance
-        self._initialization = Initialization(instance, starts or {})
+        diagnostics = Diagnostics(instance.description.name)
+        self._clocks = EventClocks(instance, diagnostics)
+        self._initialization = Initialization(instance, starts or {}, self._clocks)
         self._discrete = instance.description.discrete_inputs
         self._capabilities = instance.description.capabilities["me"]
-        self._integrator = Integrator(instance, self.solver, rtol=tolerance)
-        self._addresses = instance.addresses() if self._integrator.is_explicit else None
+        self._integrator = Integrator(
+            instance, self.solver, self._clocks, diagnostics, rtol=tolerance
+        )
+        has_compiled_steps = self._integrator.is_explicit and not instance.description.drives_clocks
+        self._addresses = instance.addresses() if has_compiled_steps else None
         self.interface = replace(
             instance.interface,
             prepares=True,
@@ -149,7 +156,9 @@ class ModelExchange:
         """Initialize at ``t``; stays in initialization mode until the first advance."""
         self._take_over()
         self._integrator.state = IntegratorState(t, inputs=np.array(u, np.float64))
-        return self._initialization.enter(t, u)
+        y = self._initialization.enter(t, u)
+        self._clocks.begin(y)
+        return y
 
     def outputs(self, t: float, u: Vector) -> Vector:
         """Return the outputs at ``t``, the time reached, after what is due there."""

@@ -3,9 +3,10 @@
 One communication step from t0 to t1, usually in one part, else in several (s0 to s1 in fractions of
 the step)::
 
-    event at t0, where a discrete input is not as before and the FMU has event mode
+    event at t0, where a discrete input is not as before and the FMU has event mode, or a clock
+                 ticks
     until s0 = 1:
-        s1 = 1, or the next time event
+        s1 = 1, or the next time event or tick of a clock
         an FMU that interpolates: set inputs u(s0); set_input_derivatives (u1 - u0)/h; do_step
                                   its outputs belong to u_end = u(s1)
                                   (an input that cannot be interpolated there: as below)
@@ -20,7 +21,7 @@ the step)::
     y <- outputs + D (u1 - u_end), where the FMU gives D by directional derivatives at t1
          (outputs after an event with the inputs u1, where a discrete one changes at t1)
     (event: enter event mode, set inputs, update_discrete_states until no update is needed,
-            enter step mode)
+            enter step mode; with clocks, see ``clocks.py``)
 
 The mean makes the states second order. FMI forbids setting inputs and then reading outputs without
 a step or an event between (FMI 2.0.4 section 4.2.4, FMI 3.0 section 4.2.1), so that is never done:
@@ -37,7 +38,7 @@ from __future__ import annotations
 
 import math
 from ctypes import addressof
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final, final
 
 import numpy as np
@@ -46,9 +47,9 @@ from numpy.typing import NDArray
 from cosim.arrays import Mask, Vector
 from cosim.errors import RunError
 from cosim.fmi.description import Description
+from cosim.fmi.driving.clocks import ClockState, EventClocks
 from cosim.fmi.driving.diagnostics import Diagnostics
 from cosim.fmi.driving.direct import DirectFeedthrough
-from cosim.fmi.driving.events import iterate_event
 from cosim.fmi.driving.inner_step import InnerStep, StepHistory
 from cosim.fmi.driving.tuning import TunedParameters
 from cosim.fmi.instance import Addresses, CoSimulationInstance, StepEnd
@@ -88,6 +89,7 @@ class StepperState:
     next_event: float  # [s]; infinity: none
     ended: bool  # the FMU requested the end of the run
     step_history: StepHistory | None
+    clocks: ClockState
 
 
 @dataclass(slots=True)
@@ -102,10 +104,19 @@ class _InputRamp:
     u0: Vector
     u1: Vector
     change: Vector
+    ticks: dict[float, float] = field(default_factory=dict)  # of clocks: their times [s]
 
     def time(self, s: float) -> float:
         """Return the time [s]."""
+        if s in self.ticks:
+            return self.ticks[s]
         return self.t + s * self.h if s else self.t
+
+    def duration(self, s0: float, s1: float) -> float:
+        """Return the time from one instant to another [s]."""
+        if self.ticks:
+            return self.time(s1) - self.time(s0)
+        return (s1 - s0) * self.h
 
     def at(self, s: float) -> Vector:
         """Return the inputs."""
@@ -131,6 +142,8 @@ class Stepper:
     instance : CoSimulationInstance
     diagnostics : Diagnostics
         Takes what the run shows about the FMU.
+    clocks : EventClocks
+        Its clocks.
 
     Attributes
     ----------
@@ -142,7 +155,9 @@ class Stepper:
         The inner step of the FMU, in communication steps, where the last step showed it; else 0.
     """
 
-    def __init__(self, instance: CoSimulationInstance, diagnostics: Diagnostics) -> None:
+    def __init__(
+        self, instance: CoSimulationInstance, diagnostics: Diagnostics, clocks: EventClocks
+    ) -> None:
         description = instance.description
         capabilities = description.capabilities["cs"]
         discrete = description.discrete_inputs
@@ -150,11 +165,16 @@ class Stepper:
         self._name = description.name
         self._capabilities = capabilities
         self._diagnostics = diagnostics
+        self._clocks = clocks
         self._outputs = description.references("output")
         self._inputs = description.references("input")
+        # Inputs that belong to a clock are set where it ticks, and clocks by calls of their own.
+        self._unclocked_inputs = description.unclocked("input")
+        unclocked = np.zeros_like(discrete)
+        unclocked[self._unclocked_inputs.columns] = True
         set_in_steps = ~discrete if capabilities.event_mode else np.ones_like(discrete)
-        self._step_inputs = self._inputs.select(set_in_steps)
-        self._event_inputs = self._inputs.select(discrete & capabilities.event_mode)
+        self._step_inputs = self._inputs.select(set_in_steps & unclocked)
+        self._event_inputs = self._inputs.select(discrete & unclocked & capabilities.event_mode)
         self._interpolated = description.interpolated_inputs
         self._interpolated_inputs = self._inputs.select(self._interpolated)
         self._some_not_interpolated = bool((~discrete & ~self._interpolated).any())
@@ -199,9 +219,9 @@ class Stepper:
         self._struct = struct
 
     def native(self, feedthrough: DirectFeedthrough | None) -> NativeStep | None:
-        """Return the compiled step; None: the FMU is none of a binary."""
+        """Return the compiled step; None: the FMU is none of a binary, or has clocks."""
         addresses = self._instance.addresses()
-        if addresses is None:
+        if addresses is None or self._instance.description.drives_clocks:
             return None
         struct = self._struct
         struct.fmu = addresses.fmu
@@ -276,6 +296,7 @@ class Stepper:
 
     def begin(self, u: Vector, y: Vector) -> None:
         """Begin anew, with these inputs and outputs; the FMU is in initialization mode."""
+        self._clocks.begin(y)
         self.restore(
             StepperState(
                 outputs=y,
@@ -287,6 +308,7 @@ class Stepper:
                 next_event=math.inf,
                 ended=False,
                 step_history=None,
+                clocks=self._clocks.state,
             )
         )
         self._inner_step.reset()
@@ -313,8 +335,8 @@ class Stepper:
         else to step mode, and may change outputs.
         """
         if self._capabilities.event_mode:
-            self._iterate_event(t)
-        self.outputs[:] = self._instance.get_float64(self._outputs)
+            self._iterate_event(t, self.inputs, ticks=True, triggers=True)
+        self.outputs[:] = self._clocks.outputs()
         self._struct.initialized = True
 
     def save(self) -> StepperState:
@@ -330,6 +352,7 @@ class Stepper:
             next_event=struct.next_event,
             ended=self.ended,
             step_history=self._inner_step.history,
+            clocks=self._clocks.state,
         )
 
     def restore(self, state: StepperState) -> None:
@@ -344,6 +367,7 @@ class Stepper:
         struct.next_event = state.next_event
         struct.ended = state.ended
         self._inner_step.history = state.step_history
+        self._clocks.restore(state.clocks)
 
     def check_compiled(self) -> None:
         """Raise what failed in a compiled step, or in compiled outputs, that was left to be done.
@@ -387,10 +411,11 @@ class Stepper:
             if begun == STEPPED:
                 end = self._instance.end_of_step(t, h, self._struct.do_step.status)
             else:
-                self.handle_input_event(t, u0)
+                self.handle_point_event(t, u0)
+            self._clocks.begin_step()
             if self._advance(ramp, 0.0, 1.0, 0, end) < 1.0:
                 return False
-        self.outputs[:] = self._instance.get_float64(self._outputs)
+        self.outputs[:] = self._clocks.outputs()
         self._struct.stepped = True
         self.inner_steps = self._inner_step.observe(self.outputs, self.inputs)
         return True
@@ -427,13 +452,14 @@ class Stepper:
             mean = 0.5 * (part_begin + part_end)
             if end is None:
                 self._set_inputs(ramp, s, mean)
-                end = self._instance.do_step(ramp.time(s), (part_end - s) * ramp.h)
+                end = self._instance.do_step(ramp.time(s), ramp.duration(s, part_end))
             self._keep_inputs(ramp, s, part_end, mean, end)
             if end.terminate:
                 self._struct.ended = True
             s = self._reached(ramp, s, part_end, end, halvings)
             if self._is_event_due(ramp, s, end):
-                self._handle_event(ramp.time(s))
+                # What ticks at the end of the communication step waits for the inputs there.
+                self._handle_event(ramp.time(s), ramp.at(s), ticks=s < 1.0)
             if s >= s1:
                 return s
             end = None
@@ -555,6 +581,29 @@ class Stepper:
     # --- events ---
 
     def _next_stop(self, ramp: _InputRamp, s0: float, s1: float) -> float:
+        """Return the next time event or tick of a clock, if the FMU can stop there, else ``s1``."""
+        stop = self._next_time_event(ramp, s0, s1)
+        tick = self._clocks.fraction(ramp.t, ramp.h)
+        if not s0 < tick < s1 or tick - stop > CLOSE:
+            return stop
+        self._check_variable_step(ramp)
+        ramp.ticks[tick] = self._clocks.next_time
+        if abs(tick - stop) <= CLOSE < s1 - stop:
+            return max(tick, stop)  # of a tick and an event that are one, the later
+        return tick
+
+    def _check_variable_step(self, ramp: _InputRamp) -> None:
+        """Refuse a tick inside a communication step of an FMU that takes steps of one size."""
+        if self._capabilities.variable_step:
+            return
+        raise RunError(
+            f"{self._name}: a clock ticks at t = {self._clocks.next_time} s, inside the "
+            f"communication step of {ramp.h} s from t = {ramp.t} s, which the FMU cannot divide "
+            "(canHandleVariableCommunicationStepSize is false); needed a communication step that "
+            "divides the intervals and shifts of its clocks"
+        )
+
+    def _next_time_event(self, ramp: _InputRamp, s0: float, s1: float) -> float:
         """Return the next time event, if the FMU can stop there, else ``s1``."""
         next_event = self._struct.next_event
         if next_event == math.inf:
@@ -578,29 +627,36 @@ class Stepper:
             return False
         if end.event_needed:
             return True
+        if s < 1.0 and self._clocks.ticks_by(ramp.time(s)):
+            return True
         next_event = self._struct.next_event
         return next_event != math.inf and ramp.fraction(next_event) <= s
 
-    def has_input_event(self, u: Vector) -> bool:
-        """Return whether a discrete input that is set in events is not as before."""
+    def has_point_event(self, t: float, u: Vector) -> bool:
+        """Return whether an event is due at a communication point ``t`` [s] with inputs ``u``.
+
+        It is where a discrete input that is set in events is not as before, or a clock ticks.
+        """
         if self.ended or not self._capabilities.event_mode:
             return False
         event_inputs = self._event_inputs.take(u)
         # By their bits: NaN as before is no change.
-        return event_inputs.tobytes() != self._event_values.tobytes()
+        if event_inputs.tobytes() != self._event_values.tobytes():
+            return True
+        return self._clocks.is_due(t, u)
 
-    def handle_input_event(self, t: float, u: Vector) -> bool:
-        """Set all inputs in an event, if a discrete one changes, and read the outputs.
+    def handle_point_event(self, t: float, u: Vector) -> bool:
+        """Set all inputs in an event, if one is due for them, and read the outputs.
 
         Returns
         -------
         bool
             Whether there was an event.
         """
-        if not self.has_input_event(u):
+        if not self.has_point_event(t, u):
             return False
-        self._handle_event(t, u)
-        self.outputs[:] = self._instance.get_float64(self._outputs)
+        self._handle_event(t, u, ticks=True, at_point=True)
+        self.outputs[:] = self._clocks.outputs()
         return True
 
     def tune(self, t: float, parameters: TunedParameters) -> None:
@@ -615,23 +671,24 @@ class Stepper:
             return
         self._instance.enter_event_mode()
         self._instance.set_float64(parameters.references, parameters.values)
-        self._iterate_event(t)
+        self._iterate_event(t, self.inputs, ticks=False, triggers=False)
         if not self.ended:
-            self.outputs[:] = self._instance.get_float64(self._outputs)
+            self.outputs[:] = self._clocks.outputs()
 
-    def _handle_event(self, t: float, u: Vector | None = None) -> None:
+    def _handle_event(self, t: float, u: Vector, *, ticks: bool, at_point: bool = False) -> None:
         # Event mode first: it is where inputs may be set and outputs read without a step between,
         # and a discrete change of an input needs it (FMI 3.0 section 4.2.1).
         self._instance.enter_event_mode()
-        if u is not None:
-            self._instance.set_float64(self._inputs, u)
+        if at_point:
+            inputs = self._unclocked_inputs
+            self._instance.set_float64(inputs, inputs.take(u))
             self._event_values[:] = self._event_inputs.take(u)
             self.inputs[:] = u
-        self._iterate_event(t)
+        self._iterate_event(t, u, ticks=ticks, triggers=at_point)
 
-    def _iterate_event(self, t: float) -> None:
+    def _iterate_event(self, t: float, u: Vector, *, ticks: bool, triggers: bool) -> None:
         """Iterate the event; unless the run is to end, leave event mode."""
-        discrete = iterate_event(self._instance, t)
+        discrete = self._clocks.iterate(t, u, ticks=ticks, triggers=triggers)
         next_event = discrete.next_event_time
         self._struct.next_event = math.inf if next_event is None else next_event
         self._struct.ended = discrete.terminate
