@@ -8,8 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cosim.blocks.source import ramp
 from cosim.core import clock as clock_module
 from cosim.core.clock import LARGEST_NS, Clock, nanoseconds, seconds, whole_steps
+from cosim.core.graph import Graph
+from cosim.core.master import run
+from cosim.core.recorders import Memory
 from cosim.errors import ClockError
 
 
@@ -160,3 +164,22 @@ def test_a_grid_may_begin_later(start_ns, steps, step_ns):
     if step_ns > 1:
         with pytest.raises(ClockError, match=r"time: .* is not a whole number of"):
             clock.steps_until((start_ns + 1) / 10**9, "time")
+
+
+def test_a_billion_steps_end_at_the_nanosecond():
+    """1e9 steps of 1 ms: computed from integers, so that nothing adds up."""
+    clock = Clock(1e6, 1e-3)
+    assert clock.steps == 10**9
+    last = clock.block_at(clock.steps - 3, 3)
+    assert last.time_ns.tolist() == [10**15 - 3 * 10**6, 10**15 - 2 * 10**6, 10**15 - 10**6, 10**15]
+    assert last.time[-1] == 1e6
+
+
+def test_ten_steps_of_a_tenth_have_eleven_rows():
+    """The first at t = 0 with the initial state, the last at exactly 1 s; none is a step early."""
+    memory = Memory()
+    run(Graph({"r": ramp(slope=1.0)}, {}), Clock(1.0, 0.1), memory)
+    times = memory.time("r")
+    assert len(times) == 11
+    assert (times[0], times[-1]) == (0.0, 1.0)
+    np.testing.assert_allclose(memory["r.y"], times, rtol=1e-15)

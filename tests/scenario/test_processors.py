@@ -145,6 +145,7 @@ print(json.dumps(found))
 """
 # past the start of the identification at 6.461 s
 SHORT = {name: {"scenario.stop": 7.0} for name in shipped()}
+NEWTON = {"scenario.coupling": "newton", "scenario.stop": 1.0}
 # where theta is wrong, the verdict on a long record costs more than all else
 STOP = {"drem": 8.0, "gradient": 8.0}
 BY_METHOD = {
@@ -153,7 +154,7 @@ BY_METHOD = {
     if method not in ("output-error", "least-squares")  # they are in "short"
 }
 STOPS = {
-    "short": {**SHORT, "online": COARSE},
+    "short": {**SHORT, "online": COARSE, "newton": NEWTON},
     "methods": BY_METHOD,
     "whole": {"online": ONLINE},
 }
@@ -197,6 +198,8 @@ def test_runs_and_replays_have_the_same_bits_on_other_processors(length, tmp_pat
     everything.write_text(EVERYTHING, encoding="utf-8")
     scenarios = {name: name for name in shipped()} | {"everything": str(everything)}
     scenarios["online"] = noisy(tmp_path)
+    if length == "short":
+        scenarios["newton"] = "closed-loop"
     if length == "methods":
         scenarios = dict.fromkeys(BY_METHOD, scenarios["online"])
     hashes = {}
