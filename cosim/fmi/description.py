@@ -308,9 +308,9 @@ class Description:
     def _direct(self, variable: Variable) -> tuple[str, ...] | None:
         """Return what an output depends on directly: a state on nothing; None: not declared.
 
-        Nor does a parameter or a constant.
+        Nor does a parameter, a constant or a time-based clock.
         """
-        if variable.name in self.states:
+        if variable.name in self.states or variable.is_time_based:
             return ()
         is_constant = variable.variability in ("constant", "fixed", "tunable")
         names = self.dependencies.get(variable.name, () if is_constant else None)
@@ -354,9 +354,10 @@ class Description:
                 return [family[number] for number in sorted(family)]
         return [self[name]]
 
-    @staticmethod
-    def _recording_problem(variable: Variable) -> str | None:
+    def _recording_problem(self, variable: Variable) -> str | None:
         """Return why a variable cannot be an output."""
+        if variable.is_time_based or (variable.is_triggered and variable.causality != "input"):
+            return None if self.drives_clocks else "is a clock, and none is activated"
         if variable.causality == "input":
             return "is an input, and recorded as one"
         if not variable.is_signal:
@@ -468,7 +469,7 @@ class Description:
         is_vector = element is not None and element["name"] == name
         start: tuple[float, ...] = ()
         connection: Need = "required"
-        if first.causality == "input":
+        if first.causality == "input" and not first.is_time_based:
             role = "input"
             start = _start(group)
             connection = self._need(group)

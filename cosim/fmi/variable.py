@@ -140,6 +140,11 @@ class Variable:
         return self.timing is not None and self.timing.variability == "triggered"
 
     @property
+    def is_time_based(self) -> bool:
+        """Whether it is a clock that ticks at instants that the FMU announces."""
+        return self.timing is not None and self.timing.variability != "triggered"
+
+    @property
     def signal_type(self) -> SignalType:
         """What its signal carries."""
         if self.type in ("Float32", "Float64"):

@@ -294,6 +294,30 @@ def test_a_good_clocked_fmu_has_no_findings(tmp_path, interface_type):
     assert set(interface.feeds("latched")) == {"in", "v"}
 
 
+@TYPES
+def test_a_time_based_clock_is_an_output_where_it_is_asked_for(tmp_path, interface_type):
+    """It then shows its ticks, and may trigger clocks of other components."""
+    period = 'intervalVariability="constant" intervalDecimal="0.1" shiftDecimal="0.1"'
+    path = clocked.build(tmp_path / "a.fmu", "sample", changes={"sample": period})
+    other = clocked.build(tmp_path / "b.fmu", "in")
+    options = FmuOptions(interface_type=interface_type, outputs=("sample",))
+    with load(path, options) as a, load(other, FmuOptions(interface_type=interface_type)) as b:
+        assert a.component.interface.feeds("sample") == ()
+        memory = Memory()
+        graph = Graph({"a": a.component, "b": b.component}, {"b.in": "a.sample"})
+        run(graph, Clock(STOP, H), memory)
+        n = ticks_by(memory.time_ns("a") / 1e9, every(100_000_000, 100_000_000))
+        assert memory["a.sample"].tolist() == [0.0, *np.diff(n).astype(float)]
+        assert memory["b.in_count"].tolist() == n.tolist()
+
+
+def test_a_clock_that_is_not_activated_is_no_output(tmp_path):
+    path = clocked.build(tmp_path / "x.fmu", "sample", can=("any step",))
+    options = FmuOptions(interface_type="cs", outputs=("sample",))
+    with pytest.raises(FmuError, match="outputs: 'sample' is a clock, and none is activated"):
+        load(path, options)
+
+
 # --- refused ---
 
 
