@@ -10,13 +10,30 @@ from cosim.report.certificate import CouplingShare, SignalCertificate, StepCerti
 from cosim.report.tables.console import new_table
 
 
-def certificate_table(certificate: StepCertificate) -> Table:
+def certificate_tables(certificate: StepCertificate | None) -> list[Table]:
+    """Return the tables: what was tried where a step was searched for, then the errors.
+
+    None: there are none.
+    """
+    if certificate is None:
+        return []
+    tables = [_search_table(certificate)] if certificate.trials else []
+    return [*tables, _error_table(certificate)]
+
+
+def _search_table(certificate: StepCertificate) -> Table:
+    """Return the steps that were tried, with what was found, from the largest to the smallest."""
+    table = new_table("steps that were tried", ("", ""))
+    for step, text in search_rows(certificate):
+        table.add_row(step, text)
+    return table
+
+
+def _error_table(certificate: StepCertificate) -> Table:
     """Return the table: estimates first, then signals without one, by the reason."""
     finer = " and ".join(f"{step:g} s" for step in certificate.finer_steps)
     title = f"error of the step of {certificate.step:g} s, by runs with {finer}"
     table = new_table(title, ("", "largest", "at t", "at the end", "order"))
-    for step, text in search_rows(certificate):
-        table.add_row(step, "", "", "", text)
     if certificate.problem:
         table.add_row("no estimate", "", "", "", certificate.problem)
         return table
@@ -43,7 +60,7 @@ def certificate_table(certificate: StepCertificate) -> Table:
 def search_rows(certificate: StepCertificate) -> Iterator[tuple[str, str]]:
     """Yield the steps that were tried, and what was found."""
     wanted = ", ".join(f"{signal} {value:g}" for signal, value in certificate.tolerances.items())
-    for trial in certificate.trials:
+    for trial in sorted(certificate.trials, key=lambda trial: -trial.step):
         text = trial.failure
         if not text:
             text = f"within {wanted}"

@@ -25,7 +25,7 @@ from cosim.report.summary import (
     span,
     summarize,
 )
-from cosim.report.tables.certificate import certificate_table
+from cosim.report.tables.certificate import certificate_tables
 from cosim.report.tables.console import new_table, print_json, print_line, print_table
 from cosim.scenario.coupling_check import gain_text
 from cosim.scenario.initial_states import change_text
@@ -87,8 +87,8 @@ def print_summary(
     if path is not None:
         table.add_row("log", "", "", str(path))
     print_table(table)
-    if certificate is not None:
-        print_table(certificate_table(certificate))
+    for certified in certificate_tables(certificate):
+        print_table(certified)
     if profile is not None:
         print_table(_profile_table(profile))
 
