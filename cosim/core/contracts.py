@@ -38,7 +38,7 @@ from cosim.errors import LogError, RunError
 from cosim.native.step import NativeStep
 
 Design: TypeAlias = Mapping[str, NDArray[np.float64]]
-EventCause: TypeAlias = FaultKind | Literal["override", "release", "set", "follow"]
+EventCause: TypeAlias = FaultKind | Literal["override", "release", "set", "swap", "follow"]
 MessageLevel: TypeAlias = Literal["debug", "info", "warning", "error", "fatal"]
 # a signal or elements of it, or several that are stacked
 SignalNames: TypeAlias = str | Port | Sequence[str | Port]
@@ -142,6 +142,18 @@ class Rollback(Protocol[State]):
 
     def restore(self, state: State) -> None:
         """Go back to a saved state."""
+        ...
+
+
+class Transfer(Protocol):
+    """Hands the state of a component over to another one, which saves states otherwise."""
+
+    def take(self) -> Any:
+        """Return the state of the one."""
+        ...
+
+    def give(self, state: Any) -> None:
+        """Let the other one, which is initialized, go on from it."""
         ...
 
 
@@ -310,11 +322,11 @@ class SignalEvent(NamedTuple):
     ----------
     time_ns : int
     cause : EventCause
-        An input was overridden, has a fault, or was released; a parameter was set; or the signal
-        followed one of these.
+        An input was overridden, has a fault, or was released; a parameter was set, or a component
+        swapped; or the signal followed one of these.
     signal : str
         ``component.signal``; but for one that followed also elements of one; or
-        ``component.parameter``.
+        ``component.parameter``, ``component.file``.
     values : tuple of float
         Of its elements.
     parameters : tuple of float

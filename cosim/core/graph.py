@@ -16,7 +16,7 @@ import numpy as np
 from cosim.arrays import Mask, Vector
 from cosim.core.arguments import check_type, checked_components, kind_of
 from cosim.core.connections import ONE_SOURCE, Connection, SourceText, conversions_of
-from cosim.core.contracts import Component, Design, Plan, Recording
+from cosim.core.contracts import Component, Design, Plan, Recording, Transfer
 from cosim.core.initialization.initial_values import InitialValues
 from cosim.core.port import Port
 from cosim.core.signals import Channel, Signal, Variability
@@ -221,7 +221,13 @@ class Graph:
             guarded.prepare(step_ns / 1e9, self.held[name], {})
 
     def prepare_variant(
-        self, name: str, component: Component, step_ns: int, recorded: Design
+        self,
+        name: str,
+        component: Component,
+        step_ns: int,
+        recorded: Design,
+        *,
+        transfers: bool = False,
     ) -> Design:
         """Prepare a component that may take the place of another one, with its state, in a run.
 
@@ -234,6 +240,8 @@ class Graph:
             Communication step [ns].
         recorded : Design
             To use instead of computing it; empty: it is computed.
+        transfers : bool
+            Its state is handed over by what knows both.
 
         Raises
         ------
@@ -242,7 +250,7 @@ class Graph:
         """
         channel = self.layout[name]
         self._members[name].component.check_exchange(component)
-        if not component.interface.rollback:
+        if not (transfers or component.interface.rollback):
             raise GraphError(
                 f"component {name!r}: its state cannot be handed over (rollback is not declared); "
                 "needed a component that can save it and restore it"
@@ -255,7 +263,15 @@ class Graph:
         self.components[name] = component
         self._members[name].component.exchange(component)
 
-    def hand_over(self, name: str, component: Component, t: float, row: Vector) -> None:
+    def hand_over(
+        self,
+        name: str,
+        component: Component,
+        t: float,
+        row: Vector,
+        *,
+        transfer: Transfer | None = None,
+    ) -> None:
         """Put a variant that is prepared in the place of a component, with its state.
 
         Parameters
@@ -266,10 +282,12 @@ class Graph:
             The time reached [s].
         row : Vector, shape (width,)
             The signals there.
+        transfer : Transfer, optional
+            Left out: the variant takes the state that the other one saves.
         """
         member = self._members[name]
         self.components[name] = component
-        member.component.hand_over(component, t, row[member.inputs])
+        member.component.hand_over(component, t, row[member.inputs], transfer)
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # the check below names them
     def initialize(self, t: float, row: Vector) -> None:

@@ -30,7 +30,7 @@ from cosim.arrays import Matrix, Vector
 from cosim.core.arguments import check_type, kind_of
 from cosim.core.clock import Clock
 from cosim.core.conditions import conditions_until
-from cosim.core.contracts import Block, Component, Plan, Recorder
+from cosim.core.contracts import Block, Component, EventCause, Plan, Recorder, Transfer
 from cosim.core.graph import Graph
 from cosim.core.recorders import Nothing, end_of_run, error_text
 from cosim.core.signals import FaultKind
@@ -627,7 +627,15 @@ class Simulation:
 
     # --- parameters ---
 
-    def exchange(self, name: str, component: Component, settings: ParameterValues) -> None:
+    def exchange(
+        self,
+        name: str,
+        component: Component,
+        settings: ParameterValues,
+        *,
+        cause: EventCause = "set",
+        transfer: Transfer | None = None,
+    ) -> None:
         """Put a component in the place of another one, from the time reached on, with its state.
 
         Parameters
@@ -637,6 +645,9 @@ class Simulation:
             As :meth:`Graph.prepare_variant` prepared it.
         settings : mapping of parameter to values
             What is other in it, for the record.
+        cause : {"set", "swap"}
+        transfer : Transfer, optional
+            Left out: it takes the state that the other one saves.
 
         Raises
         ------
@@ -644,12 +655,12 @@ class Simulation:
             If its outputs cannot be evaluated.
         """
         self._check_ready("exchange")
-        self._graph.hand_over(name, component, self.t, self._jumps.row)
+        self._graph.hand_over(name, component, self.t, self._jumps.row, transfer=transfer)
         self._engine.compile()
         self._find_compiled()
-        self.change(name, settings)
+        self.change(name, settings, cause=cause)
 
-    def change(self, name: str, settings: ParameterValues) -> None:
+    def change(self, name: str, settings: ParameterValues, *, cause: EventCause = "set") -> None:
         """Let the outputs of a component follow its parameters, which were set.
 
         Raises
@@ -659,16 +670,21 @@ class Simulation:
         """
         self._check_ready("change")
         try:
-            self._jumps.change(name, self.t, settings)
+            self._jumps.change(name, self.t, settings, cause)
         except RunError as error:
             self._end_with(error)
             raise
 
     def take_outputs(
-        self, name: str, settings: ParameterValues, given: Sequence[tuple[slice, Vector]]
+        self,
+        name: str,
+        settings: ParameterValues,
+        given: Sequence[tuple[slice, Vector]],
+        *,
+        cause: EventCause = "set",
     ) -> None:
         """Let outputs of a recorded component jump, whose parameters were set."""
-        self._jumps.take_outputs(name, settings, given)
+        self._jumps.take_outputs(name, settings, given, cause)
 
     def _put_back(self, index: int = -1) -> None:
         """Put the components in their places that are there behind the actions at a point."""

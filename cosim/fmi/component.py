@@ -67,8 +67,10 @@ class Fmu:
         folder: TemporaryFolder,
         solving: Mapping[str, str | float],
         notes: tuple[str, ...] = (),
+        model_exchange: ModelExchange | None = None,
     ) -> None:
         self.component = component
+        self.model_exchange = model_exchange
         self.interface_type = interface_type
         self._archive = archive
         self._instance = instance
@@ -234,6 +236,7 @@ def load(
             label=str(archive.path),
         )
         component, solving = _component(instance, interface_type, options)
+        model_exchange = component if isinstance(component, ModelExchange) else None
     except BaseException:
         if instance is not None:
             instance.free_instance()
@@ -249,6 +252,7 @@ def load(
         folder=temporary,
         solving=solving,
         notes=(*notes, *_notes_on_loading(description.name, changes)),
+        model_exchange=model_exchange,
     )
 
 

@@ -16,6 +16,9 @@ from cosim.errors import LogError
 SignalColumnsByName: TypeAlias = Mapping[str, slice]  # of signals, in the rows of their components
 
 
+OF_COMPONENTS = ("set", "swap")  # causes of events that name no signal
+
+
 class ElementEvent(NamedTuple):
     """Why an element jumped, and where to."""
 
@@ -118,8 +121,8 @@ def compare_events(
 
 
 def _settings(run: Recording) -> list[SignalEvent]:
-    """Return where parameters were set."""
-    return [event for event in run.events() if event.cause == "set"]
+    """Return where parameters were set, or components swapped."""
+    return [event for event in run.events() if event.cause in OF_COMPONENTS]
 
 
 def _jumps(
@@ -134,7 +137,7 @@ def _jumps(
     jumps = {}
     for event in run.events():
         is_compared = False
-        if event.cause == "set":
+        if event.cause in OF_COMPONENTS:
             continue
         for column, value in _elements(run, event):
             for signal, element in known.get((Port.parse(event.signal).component, column), ()):

@@ -28,6 +28,7 @@ CAUSES: tuple[EventCause, ...] = (
     *get_args(FaultKind),
     "release",
     "set",
+    "swap",
     "follow",
 )
 

@@ -264,6 +264,9 @@ def _action_row(action: ActionTable) -> Section:
     effect = effect_of(action)
     value = getattr(action, effect)
     signals = ", ".join(signals_of(action) or action.set or ())
+    if action.swap is not None:
+        signals = ", ".join(action.swap)
+        value = ", ".join(action.swap.values())
     if action.set is not None:
         value = ", ".join(map(str, action.set.values()))
     t = action.when if action.at is None else action.at

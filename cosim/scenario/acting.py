@@ -31,6 +31,7 @@ from cosim.scenario.problems import Key, Problem, TableProblems
 from cosim.scenario.schema import ActionTable
 from cosim.scenario.settings import SettingBuilder
 from cosim.scenario.stopping import condition_problem
+from cosim.scenario.timed_swaps import SwapBuilder
 
 Place: TypeAlias = tuple[int, Key]  # of a value: the number of the action, and its key there
 
@@ -55,8 +56,10 @@ class ActionChecker:
     invalid : set of str
         Components that are not right: actions on their signals are not checked.
     clock : Clock
-    settings : SettingBuilder or None
-        None: parameters that are set are not looked at.
+    settings : SettingBuilder, optional
+        Left out: parameters that are set are not looked at.
+    swaps : SwapBuilder, optional
+        Left out: nor are components that are swapped.
 
     Attributes
     ----------
@@ -70,10 +73,13 @@ class ActionChecker:
         components: Mapping[str, Component],
         connections: Mapping[Port, Connection],
         invalid: Set[str],
+        *,
         clock: Clock,
-        settings: SettingBuilder | None,
+        settings: SettingBuilder | None = None,
+        swaps: SwapBuilder | None = None,
     ) -> None:
         self._settings = settings
+        self._swaps = swaps
         self._components = components
         self._ports = Ports(layout_of(components))
         self._connections = connections
@@ -90,6 +96,8 @@ class ActionChecker:
         instants = self._instants(actions)
         if self._settings is not None:
             self._check_settings(actions, instants, self._settings)
+        if self._swaps is not None:
+            self._check_swaps(actions, instants, self._swaps)
         # Those at conditions first: what they may have done decides what others may release.
         for number in sorted(instants, key=lambda number: (instants[number], number)):
             table = actions[number]
@@ -162,6 +170,32 @@ class ActionChecker:
                 pass
             except (CosimError, ValueError) as error:
                 self._add(number, [(place, str(error))])
+
+    def _check_swaps(
+        self,
+        actions: Mapping[int, ActionTable],
+        instants: Mapping[int, int],
+        builder: SwapBuilder,
+    ) -> None:
+        """Check the components that are swapped: each once, and not set beside it."""
+        changed: dict[str, int] = {}
+        for number in instants:
+            for text in actions[number].set or {}:
+                changed.setdefault(text.partition(".")[0], number)
+        for number, index in instants.items():
+            for name, path in (actions[number].swap or {}).items():
+                try:
+                    self._check_component(name)
+                    if name in changed:
+                        raise GraphError(
+                            f"{name!r} is changed by actions.{changed[name]} too; needed one action"
+                        )
+                    changed[name] = number
+                    self._take(number, index, builder.action(name, path))
+                except NotChecked:
+                    pass
+                except (CosimError, ValueError) as error:
+                    self._add(number, [(("swap", name), str(error))])
 
     def _check_component(self, name: str) -> None:
         """Check that there is a component, and that it is right.

@@ -21,6 +21,7 @@ EFFECTS: Final = (
     "delay",
     "release",
     "set",
+    "swap",
 )  # keys of what happens; an action has one of them
 SWITCHES: Final = ("freeze", "drop", "release")  # that may be true, and not false
 
@@ -68,9 +69,11 @@ def _problems(action: ActionTable) -> list[Problem]:
     if (action.at is None) == (action.when is None):
         found = "neither 'at' nor 'when'" if action.at is None else "both 'at' and 'when'"
         problems.append(((), f"found {found}; needed a time [s], or a condition"))
-    if action.set is not None and action.signal is not None:
-        problems.append((("signal",), "found a signal beside 'set'; needed an action of its own"))
-    if action.set is None and not signals_of(action):
+    of_components = [name for name in ("set", "swap") if getattr(action, name) is not None]
+    if of_components and action.signal is not None:
+        text = f"found a signal beside '{of_components[0]}'; needed an action of its own"
+        problems.append((("signal",), text))
+    if not of_components and not signals_of(action):
         problems.append(((), "'signal' is missing; needed an input, such as plant.u"))
     effects = _effects(action)
     if len(effects) != 1:

@@ -421,6 +421,7 @@ class Builder:
             return
         from cosim.scenario.acting import ActionChecker  # rarely needed
         from cosim.scenario.settings import SettingBuilder
+        from cosim.scenario.timed_swaps import SwapBuilder
 
         known = {name: c for name, c in self.components.items() if name not in self._invalid}
         try:
@@ -428,7 +429,9 @@ class Builder:
         except DependsOnInvalid:
             return
         settings = None
+        swaps = None
         if not self._describes:
+            swaps = SwapBuilder(self.scenario, self.context, known, self._resources)
             settings = SettingBuilder(
                 self.scenario,
                 self.context,
@@ -438,7 +441,9 @@ class Builder:
             )
         connections = self.scenario.connections
         unknown = self._names() - known.keys()
-        checker = ActionChecker(known, connections, unknown, clock, settings)
+        checker = ActionChecker(
+            known, connections, unknown, clock=clock, settings=settings, swaps=swaps
+        )
         checker.check(self.scenario.actions)
         self.problems += checker.problems
         self._actions = tuple(checker.timed)

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from cosim.blocks.field_data import FieldData
     from cosim.fmi.binary.messages import Message
     from cosim.fmi.component import Fmu
+    from cosim.fmi.driving.model_exchange import ModelExchange
     from cosim.fmi.linearizing.linearization import Linearization
     from cosim.fmi.linearizing.moving import MovingLinearization
     from cosim.fmi.linearizing.request import LinearizationRequest
@@ -141,6 +142,7 @@ class ScenarioBuildContext:
         self.reads: dict[str, frozenset[str]] = {"": frozenset()}
         self.attachments: dict[str, str] = {}
         self.fmus: dict[str, Fmu] = {}
+        self.model_exchange: dict[str, ModelExchange] = {}
         self._linearized: dict[str, Linearization] = {}
         self._field_data: dict[str, FieldData] = {}
         self._designs: dict[str, tuple[Any, frozenset[str]]] = {}
@@ -549,7 +551,13 @@ class ScenarioBuildContext:
         for note in loaded.notes:
             self.warn(name, note)
         self.fmus[name] = loaded
+        if loaded.model_exchange is not None:
+            self.add_states(name, loaded.model_exchange)
         return loaded.component
+
+    def add_states(self, name: str, component: ModelExchange) -> None:
+        """Record what has the continuous states of a component, to hand them over."""
+        self.model_exchange[name] = component
 
     def opened(self, name: str) -> Fmu:
         """Return the FMU that was loaded for a component.

@@ -240,6 +240,11 @@ class ActionTable(TomlTable):
         description='tunable parameters and their values: { "observer.filter_rate" = 500.0 }; '
         "the state stays",
     )
+    swap: dict[str, str] | None = Field(
+        None,
+        description='components and the .fmu that takes their place: { plant = "other.fmu" }; it '
+        "goes on from the same continuous states",
+    )
 
 
 class File(TomlTable):

@@ -51,6 +51,7 @@ class FmuSetting:
     fmu: Fmu
     settings: ParameterValues
     variants: ClassVar[Mapping[str, Component]] = NO_VARIANTS
+    transfers: ClassVar[bool] = False
 
     def perform(self, simulation: ActedOn) -> None:
         """Set them; the outputs follow."""
@@ -263,7 +264,9 @@ def prepare_settings(
         for component in action.variants.values():
             key = f"{time_ns} {name}"
             taken = recorded.get(key) or recorded.get(f"{AT_CONDITION} {name}") or {}
-            design = graph.prepare_variant(name, component, step_ns, taken)
+            design = graph.prepare_variant(
+                name, component, step_ns, taken, transfers=action.transfers
+            )
             designs[key] = encode_design(design)
     return designs
 

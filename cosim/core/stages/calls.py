@@ -23,6 +23,7 @@ from cosim.core.contracts import (
     Preparable,
     Rollback,
     Stopped,
+    Transfer,
     linearized,
     prepare,
 )
@@ -77,18 +78,34 @@ class GuardedComponent:
             self._component = Timed(component, self.name, self._seconds)
             self._seconds[self.name] = elapsed
 
-    def hand_over(self, component: Component, t: float, u: Vector) -> None:
+    def hand_over(
+        self, component: Component, t: float, u: Vector, transfer: Transfer | None
+    ) -> None:
         """Go on with another component, which is prepared, from the state that this one has.
+
+        Parameters
+        ----------
+        component : Component
+        t : float
+            The time reached [s].
+        u : Vector, shape (n_u,)
+            The inputs there.
+        transfer : Transfer or None
+            None: the other one takes the state that this one saves.
 
         Raises
         ------
         RunError
             If one of them raises what is no error of cosim.
         """
-        state = self.save()
+        state = self.save() if transfer is None else transfer.take()
         self.exchange(component)
         self.initialize(t, u)
-        self.restore(state)
+        if transfer is None:
+            self.restore(state)
+        else:
+            self.outputs(t, u)
+            transfer.give(state)
 
     def measure(self, seconds: dict[str, float]) -> None:
         """Add the wall time of every call from now on to ``seconds``, under its name."""

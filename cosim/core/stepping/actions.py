@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import ClassVar, Final, Protocol, final
 
-from cosim.core.contracts import Component
+from cosim.core.contracts import Component, EventCause, Transfer
 from cosim.core.signals import FaultKind
 from cosim.core.stages.overrides import OverrideValue
 from cosim.core.stepping.jumps import ParameterValues
@@ -43,7 +43,15 @@ class ActedOn(Protocol):
         """Release those elements of an input that are overridden."""
         ...
 
-    def exchange(self, name: str, component: Component, settings: ParameterValues) -> None:
+    def exchange(
+        self,
+        name: str,
+        component: Component,
+        settings: ParameterValues,
+        *,
+        cause: EventCause = "set",
+        transfer: Transfer | None = None,
+    ) -> None:
         """Put a component in the place of another one, with its state."""
         ...
 
@@ -64,6 +72,11 @@ class Action(Protocol):
         """The components by name that it puts in the place of others."""
         ...
 
+    @property
+    def transfers(self) -> bool:
+        """Whether it hands their states over by what knows both."""
+        ...
+
 
 @dataclass(frozen=True, slots=True)
 class Override:
@@ -72,6 +85,7 @@ class Override:
     to: str
     values: tuple[float, ...]
     variants: ClassVar[Mapping[str, Component]] = NO_VARIANTS
+    transfers: ClassVar[bool] = False
 
     def perform(self, simulation: ActedOn) -> None:
         """Override it."""
@@ -86,6 +100,7 @@ class Injection:
     kind: FaultKind
     parameters: tuple[float, ...]
     variants: ClassVar[Mapping[str, Component]] = NO_VARIANTS
+    transfers: ClassVar[bool] = False
 
     def perform(self, simulation: ActedOn) -> None:
         """Inject it."""
@@ -106,6 +121,7 @@ class Release:
     to: str
     is_needed: bool = True
     variants: ClassVar[Mapping[str, Component]] = NO_VARIANTS
+    transfers: ClassVar[bool] = False
 
     def perform(self, simulation: ActedOn) -> None:
         """Release it."""
@@ -130,6 +146,7 @@ class Setting:
     name: str
     component: Component
     settings: ParameterValues
+    transfers: ClassVar[bool] = False
 
     @property
     def variants(self) -> Mapping[str, Component]:
@@ -139,6 +156,39 @@ class Setting:
     def perform(self, simulation: ActedOn) -> None:
         """Exchange the component."""
         simulation.exchange(self.name, self.component, self.settings)
+
+
+@dataclass(frozen=True, slots=True)
+class Swap:
+    """Another component takes the place of one, with its state.
+
+    Parameters
+    ----------
+    name : str
+    component : Component
+        As :meth:`Graph.prepare_variant` prepared it.
+    source : str
+        Where it comes from, for the record.
+    transfer : Transfer
+        Hands the state over.
+    """
+
+    name: str
+    component: Component
+    source: str
+    transfer: Transfer
+    transfers: ClassVar[bool] = True
+
+    @property
+    def variants(self) -> Mapping[str, Component]:
+        """The other component."""
+        return {self.name: self.component}
+
+    def perform(self, simulation: ActedOn) -> None:
+        """Exchange the component."""
+        simulation.exchange(
+            self.name, self.component, {self.source: ()}, cause="swap", transfer=self.transfer
+        )
 
 
 @dataclass(frozen=True, slots=True)

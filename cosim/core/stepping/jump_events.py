@@ -15,7 +15,7 @@ def events_of(jumps: Jumps, layout: Layout, t_ns: int) -> list[SignalEvent]:
     """Return what was set, overridden or released at ``t_ns`` [ns], then what followed."""
     events = _own_events(jumps, t_ns)
     own = {jumps.input(event.signal).whole for event in events}
-    settings = [SignalEvent(t_ns, "set", name, values) for name, values in jumps.settings]
+    settings = [SignalEvent(t_ns, *setting) for setting in jumps.settings]
     events = settings + events
     for channel in layout.channels:
         if jumps.row[channel.columns].tobytes() == jumps.left_row[channel.columns].tobytes():

@@ -107,8 +107,9 @@ class Jumps:
         Inputs whose jumps are still to be recorded, the last change last.
     overridden_before : dict of Port to dict of column to ActiveFault or None
         Of the inputs that have jumped, the columns that were overridden before; None: with a value.
-    settings : list of (str, tuple of float)
-        Parameters that were set and are still to be recorded, ``component.parameter``.
+    settings : list of (EventCause, str, tuple of float)
+        Parameters that were set, ``component.parameter``, and components that were swapped, which
+        are still to be recorded.
     left_row : Vector, shape (width,)
         The left limits; the same array as the right ones where nothing has jumped.
     """
@@ -117,7 +118,7 @@ class Jumps:
         self._are_recorded = are_recorded
         self.waiting: set[Port] = set()
         self.changes: dict[OverridableInput, EventCause] = {}
-        self.settings: list[tuple[str, tuple[float, ...]]] = []
+        self.settings: list[tuple[EventCause, str, tuple[float, ...]]] = []
         self.overridden_before: dict[Port, dict[int, ActiveFault | None]] = {}
         self._graph = graph
         self._inputs: dict[str | Port, OverridableInput] = {}
@@ -225,7 +226,7 @@ class Jumps:
         if released.follows:
             self._let_follow(released)
 
-    def change(self, name: str, t: float, settings: ParameterValues) -> None:
+    def change(self, name: str, t: float, settings: ParameterValues, cause: EventCause) -> None:
         """Let the outputs of a component jump, whose parameters were set.
 
         Parameters
@@ -234,6 +235,7 @@ class Jumps:
         t : float
             The time reached [s].
         settings : mapping of parameter to values
+        cause : {"set", "swap"}
 
         Raises
         ------
@@ -250,10 +252,14 @@ class Jumps:
         bad = member.first_non_finite_output(y)
         if bad is not None:
             raise bad.error(t)
-        self.take_outputs(name, settings, [(member.outputs, y)])
+        self.take_outputs(name, settings, [(member.outputs, y)], cause)
 
     def take_outputs(
-        self, name: str, settings: ParameterValues, given: Sequence[tuple[slice, Vector]]
+        self,
+        name: str,
+        settings: ParameterValues,
+        given: Sequence[tuple[slice, Vector]],
+        cause: EventCause,
     ) -> None:
         """Let outputs of a component jump to values that are known, where its parameters were set.
 
@@ -263,10 +269,12 @@ class Jumps:
         settings : mapping of parameter to values
         given : sequence of (slice, Vector)
             Columns of outputs, and their values.
+        cause : {"set", "swap"}
         """
         self._part_rows()
         if self._are_recorded:
-            self.settings += [(f"{name}.{key}", values) for key, values in settings.items()]
+            for key, numbers in settings.items():
+                self.settings.append((cause, f"{name}.{key}", numbers))
         before = self.row.copy()
         for columns, values in given:
             self.row[columns] = values

@@ -143,9 +143,15 @@ def _apply(
             if jump.cause == "follow" and port.component in recorded:
                 columns = _output_columns(graph, jump, port)
                 given.setdefault(port.component, []).append((columns, np.array(jump.values)))
-            elif jump.cause == "set":
+        for jump in jumps:
+            port = Port.parse(jump.signal)
+            if jump.cause == "set":
                 own = values.setdefault((jump.time_ns, port.component), {})
                 own[port.name] = jump.values
+            elif jump.cause == "swap":
+                # a swapped component is always recorded
+                outputs = given.get(port.component, ())
+                simulation.take_outputs(port.component, {port.name: ()}, outputs, cause="swap")
         for key, set_values in values.items():
             _, name = key
             if name in recorded:
@@ -166,7 +172,7 @@ def _change_input(simulation: Simulation, jump: SignalEvent) -> None:
             simulation[jump.signal] = jump.values
         case "release":
             simulation.release(jump.signal)
-        case "set" | "follow":
+        case "set" | "swap" | "follow":
             pass
         case kind:
             simulation.inject(jump.signal, kind, jump.parameters)

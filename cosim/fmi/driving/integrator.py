@@ -506,6 +506,17 @@ class Integrator:
         if not state.ended:
             self._restart_solver()
 
+    def continue_from(self, x: Vector) -> None:
+        """Go on from other states; what follows from them is an event at the time reached."""
+        state = self.state
+        if state.ended:
+            return
+        self._instance.set_continuous_states(x)
+        state.x = x.copy()
+        self._handle_event(state.inputs, at_point=False)
+        if not state.ended:
+            self._restart_solver()
+
     def _set_jumped_inputs(self, u: Vector) -> None:
         """Set continuous inputs that are not what they were a moment ago; that may be an event."""
         state = self.state

@@ -6,6 +6,7 @@ requests is remembered, and comes with the next ``advance`` at the latest.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final, NamedTuple, final
 
@@ -35,6 +36,7 @@ from cosim.fmi.driving.saved import SavedState, restore, save
 from cosim.fmi.driving.solvers import LIBRARIES, SOLVERS, STEPPING, TOLERANT
 from cosim.fmi.driving.tuning import TunedParameters
 from cosim.fmi.instance import TERMINATED, ModelExchangeInstance
+from cosim.fmi.variable import Variable
 from cosim.native.fmi.model_exchange import AT_BEGIN
 from cosim.native.step import NativeStep
 
@@ -259,6 +261,34 @@ class ModelExchange:
         self._integrator.tune(parameters)
         self._hand_over()
 
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """The names of the elements of the continuous states, vectors numbered from 0.
+
+        Empty where they have no names, of FMI 1, or others beside them, in the residual form.
+        """
+        description = self._instance.description
+        if description.unnamed_states or self.solver == RADAU:
+            return ()
+        return element_names_of([description[name] for name in description.states])
+
+    def states(self) -> Vector:
+        """Return the continuous states at the time reached."""
+        self._finish(self._take_over())
+        self._leave_initialization()
+        x = self._integrator.state.x.copy()
+        self._hand_over()
+        return x
+
+    def continue_from(self, x: Vector) -> None:
+        """Go on from other continuous states, at the time reached; what follows is an event."""
+        self._finish(self._take_over())
+        self._leave_initialization()
+        self._integrator.continue_from(x)
+        if self._exact:
+            self._exact.begin()
+        self._hand_over()
+
     def native(self) -> NativeStep | None:
         """Return the compiled step; see :class:`cosim.core.contracts.Native`."""
         self._finish(self._take_over())
@@ -363,6 +393,36 @@ class ModelExchange:
             if self._integrator.state.ended:
                 raise Stopped(y[: k + completed].copy(), TERMINATED, failed=False)
         return y
+
+
+def element_names_of(states: Sequence[Variable]) -> tuple[str, ...]:
+    """Return the names of the elements of states, vectors numbered from 0.
+
+    A vector is one array, or variables ``x[1]``, ``x[2]`` with the numbers of its elements.
+    """
+    names: list[str] = []
+    for variable in states:
+        is_vector = variable.size > 1 or bool(variable.dimensions)
+        own = [f"{variable.name}[{i}]" for i in range(variable.size)]
+        names += own if is_vector else [variable.name]
+    lowest: dict[str, int] = {}
+    for name in names:
+        stem, number = split_index(name)
+        if number is not None:
+            lowest[stem] = min(number, lowest.get(stem, number))
+    shifted = []
+    for name in names:
+        stem, number = split_index(name)
+        shifted.append(name if number is None else f"{stem}[{number - lowest[stem]}]")
+    return tuple(shifted)
+
+
+def split_index(name: str) -> tuple[str, int | None]:
+    """Return a name without its index, and the index; None: it has none."""
+    stem, bracket, rest = name.rpartition("[")
+    number = rest.removesuffix("]")
+    is_index = bool(bracket) and rest.endswith("]") and number.isascii() and number.isdigit()
+    return (stem, int(number)) if is_index else (name, None)
 
 
 def _notes(name: str, solver: str) -> tuple[str, ...]:

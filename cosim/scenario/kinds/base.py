@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from cosim.blocks.renaming import Renaming
     from cosim.fmi.component import Fmu
     from cosim.fmi.description import Description, InterfaceType
+    from cosim.fmi.driving.model_exchange import ModelExchange
     from cosim.fmi.exporting.specifications import Exportable
     from cosim.fmi.linearizing.linearization import Linearization
     from cosim.fmi.linearizing.moving import MovingLinearization
@@ -183,6 +184,10 @@ class BuildContext(Protocol):
 
     def fmu(self, name: str, path: str, options: FmuOptions) -> Component:
         """Load an FMU; it is freed at the end of the run."""
+        ...
+
+    def add_states(self, name: str, component: ModelExchange) -> None:
+        """Record what has the continuous states of a component, to hand them over."""
         ...
 
     def opened(self, name: str) -> Fmu:

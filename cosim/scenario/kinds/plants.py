@@ -81,6 +81,7 @@ class DescriptorKind(PlantKind, LinearKind):
             context.warn(name, inaccuracy)
         component = ModelExchange(instance, solver=self.solver)
         context.add_metadata(name, component.metadata)
+        context.add_states(name, component)
         return component
 
     def description(
