@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.errors import ScenarioError
+from cosim.core.contracts import SignalEvent
+from cosim.errors import LogError, ScenarioError
 from cosim.report.inspection import describe_log, describe_scenario
 from cosim.report.verification import verify
 from tests.fmi.test_tuning import friction
@@ -253,3 +254,19 @@ def test_what_others_are_designed_on_cannot_be_set():
     actions = [{"at": 1.0, "set": {"observer.filter_rate": 500.0}}]
     with pytest.raises(ScenarioError, match=r"'observer' cannot change in the run: regressor"):
         cosim.run("academic", set={"actions": actions})
+
+
+@pytest.mark.parametrize(
+    ("signal", "text"),
+    [
+        ("x.initial", r"the event of 'x' at t = 1\.0 s does not fit: .*no tunable parameter"),
+        ("y.K", r"the event of 'y' at t = 1\.0 s does not fit"),
+    ],
+)
+def test_a_log_with_a_setting_that_does_not_fit_is_refused(write, tmp_path, signal, text):
+    """It was written by another version, or is damaged."""
+    log = cosim.run(write(), out=tmp_path / "a.mcap")
+    events = [SignalEvent(10**9, "set", signal, (1.0,))]
+    log.events = lambda: events
+    with pytest.raises(LogError, match=text):
+        cosim.replay(log)

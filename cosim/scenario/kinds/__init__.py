@@ -61,6 +61,8 @@ of its kinds is asked for.
 * ``lag`` returns how far an output is behind what it estimates, where that is known: a regressor
   reads its alphas that much earlier. ``is_static`` says that the component hands on the lag of its
   inputs.
+* ``tunable`` names keys with numbers that an action may set in a run. A component that is built
+  with other values then goes on from the state that ``save`` returned of the first one.
 * ``advice`` returns warnings that depend on what drives the inputs, ``linear_system`` the matrices
   that a report of a swap compares.
 
