@@ -75,9 +75,10 @@ def xml(clocks: tuple[str, ...], can: tuple[str, ...], changes: dict[str, str]) 
         '<Float64 name="der(x)" valueReference="23" derivative="22"/>',
     ]
     for name, (reference, start) in PARAMETERS.items():
+        variability = "tunable" if name == "period" else "fixed"
         variables.append(
             f'<Float64 name="{name}" valueReference="{reference}" causality="parameter" '
-            f'variability="fixed" start="{start}"/>'
+            f'variability="{variability}" start="{start}"/>'
         )
     state = CAN["state"] if "state" in can else ""
     abilities = " ".join(CAN[key] for key in can)

@@ -154,6 +154,31 @@ def test_a_changing_interval_is_asked_for_at_every_tick(opened, interface_type):
 
 
 @TYPES
+@pytest.mark.parametrize("can", [("any step", "events"), ("any step", "events", "state")])
+@pytest.mark.parametrize("k", [25, 30])
+def test_a_tuned_interval_begins_where_it_is_tuned(opened, interface_type, can, k):
+    """300 ms until 1 s or 1.2 s, 50 ms from there; of the two a tick is at 1.2 s, and is not lost.
+
+    An FMU that can go back has not had that tick yet when it is tuned.
+    """
+    interval = {"asked": 'intervalVariability="tunable"'}
+    fmu = opened(interface_type, "asked", can=can, changes=interval)
+    component = fmu.component
+    t = np.arange(STEPS + 1) * round(H * 1e9) / 1e9
+    u = np.zeros((STEPS + 1, 0))
+    component.prepare(H, np.zeros(0, np.bool_), {})
+    component.initialize(0.0, u[0])
+    first = component.outputs(0.0, u[0])
+    rows = [first, *component.advance(t[: k + 1], H, u[: k + 1])]
+    fmu.tune(float(t[k]), {"period": (0.05,)})
+    rows += list(component.advance(t[k:], H, u[k:]))
+    before = np.arange(0, k * 40_000_000 + 1, 300_000_000)
+    ticks = np.concatenate([before, every(50_000_000, k * 40_000_000 + 50_000_000)])
+    column = [signal.name for signal in component.interface.outputs].index("asked_count")
+    assert [row[column] for row in rows] == ticks_by(t, ticks).tolist()
+
+
+@TYPES
 def test_several_clocks_at_once(opened, interface_type):
     """Also where they tick at one instant."""
     trace = Trace(opened(interface_type, "sample", "asked", "next", period=0.05))

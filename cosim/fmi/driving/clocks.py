@@ -437,7 +437,10 @@ class EventClocks:
                 if answer.changed:
                     interval = self._positive(clock, answer.interval)
                     interval_ns = self._nanoseconds(clock, "interval", interval)
-                    schedules[clock.name] = TickSchedule(now + interval_ns, interval_ns)
+                    last = schedules[clock.name]
+                    # A tick that waits for the inputs of a communication point is not lost.
+                    first = last.next if last.time - t <= close(t) else now + interval_ns
+                    schedules[clock.name] = TickSchedule(first, interval_ns)
         self._set(self.state._replace(schedules=schedules))
 
 

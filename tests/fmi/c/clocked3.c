@@ -53,7 +53,7 @@ static const int clock_of[VALUES] = {
 typedef enum { INSTANTIATED, INITIALIZATION, EVENT_MODE, TIME_MODE } Mode;
 
 typedef struct {
-    double before[VALUES], now[VALUES], t;
+    double before[VALUES], now[VALUES], t, last_period;
     int active[CLOCKS], event_mode_used, waits, told;
     Mode mode;
     fmi3LogMessageCallback log;
@@ -75,7 +75,7 @@ static void set_start(Instance *instance)
     instance->before[STEP] = 0.01;
     instance->before[DELAY] = 0.025;
     memcpy(instance->now, instance->before, sizeof instance->now);
-    instance->t = 0.0;
+    instance->t = instance->last_period = 0.0;
     instance->waits = instance->told = 0;
     instance->mode = INSTANTIATED;
 }
@@ -254,8 +254,9 @@ fmi3Status fmi3GetIntervalDecimal(fmi3Instance c, const fmi3ValueReference vr[],
         qualifiers[i] = fmi3IntervalChanged;
         if (vr[i] == ASKED) {
             intervals[i] = instance->now[PERIOD];
-            if (instance->mode == EVENT_MODE)
+            if (intervals[i] == instance->last_period)
                 qualifiers[i] = fmi3IntervalUnchanged;
+            instance->last_period = intervals[i];
         }
         else if (vr[i] == NEXT)
             intervals[i] = (instance->now[NEXT_COUNT] + 1.0) * instance->now[STEP];
