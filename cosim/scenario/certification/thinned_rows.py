@@ -94,9 +94,10 @@ class ThinnedRows:
 class JumpWatch:
     """Finds what changes within one step of a run as it does in none beside it.
 
-    A signal whose steps are small enough changes in each about as much as in the one before and the
-    one after. Where it changes more than ``JUMP`` times as much, it jumps, or the step does not
-    resolve what happens.
+    A signal whose steps are small enough changes in each about as much as in those before and after
+    it. Where it changes more than ``JUMP`` times as much as in any of the ``QUARTERS`` steps before
+    and after, it jumps, or the step does not resolve what happens. So many, as a change of noise,
+    which comes with every step of the run that is certified, may be small once.
 
     Parameters
     ----------
@@ -125,10 +126,10 @@ class JumpWatch:
         self._smallest = np.full(width, np.inf)
         self._largest = np.full(width, -np.inf)
         self.expected_ns: set[int] = set()
-        # of the two steps before the next block
-        self._changes = np.zeros((2, width))
-        self._times = np.zeros(2, np.int64)
-        self._numbers = np.ones(2, np.int64)
+        # of the steps before the next block
+        self._changes = np.zeros((2 * QUARTERS, width))
+        self._times = np.zeros(2 * QUARTERS, np.int64)
+        self._numbers = np.ones(2 * QUARTERS, np.int64)
 
     @property
     def ranges(self) -> Vector:
@@ -155,16 +156,18 @@ class JumpWatch:
         changes = np.vstack([self._changes, changes])
         times = np.concatenate([self._times, block.time_ns[1:]])
         numbers = np.concatenate([self._numbers, block.index + np.arange(1, block.steps + 1)])
-        self._changes = changes[-2:]
-        self._times = times[-2:]
-        self._numbers = numbers[-2:]
-        neighbors = np.maximum(changes[:-2], changes[2:])
-        jumps = np.where(changes[1:-1] / JUMP > neighbors, changes[1:-1], 0.0)
+        kept = slice(-2 * QUARTERS, None)
+        self._changes = changes[kept]
+        self._times = times[kept]
+        self._numbers = numbers[kept]
+        inner = slice(QUARTERS, -QUARTERS)
+        jumps = _isolated(changes)
+        times_before = times[QUARTERS - 1 : -QUARTERS - 1]
         if self.expected_ns:
-            jumps[self._is_expected(times[:-2], numbers[1:-1])] = 0.0
-        is_end = numbers[1:-1] % QUARTERS == 0
-        _keep(jumps[~is_end], times[1:-1][~is_end], self.within, self.within_ns)
-        _keep(jumps[is_end], times[1:-1][is_end], self.at_ends, self.at_ends_ns)
+            jumps[self._is_expected(times_before, numbers[inner])] = 0.0
+        is_end = numbers[inner] % QUARTERS == 0
+        _keep(jumps[~is_end], times[inner][~is_end], self.within, self.within_ns)
+        _keep(jumps[is_end], times[inner][is_end], self.at_ends, self.at_ends_ns)
         at_ends = np.sort(np.vstack([self._largest_at_ends, jumps[is_end]]), axis=0)
         self._largest_at_ends = at_ends[-SEVERAL:]
 
@@ -173,6 +176,21 @@ class JumpWatch:
         begin_step = numbers % QUARTERS == 1
         expected: Mask = begin_step & np.isin(starts_ns, list(self.expected_ns))
         return expected
+
+
+def _isolated(changes: Matrix) -> Matrix:
+    """Return those changes that are larger than all around them, 0 for the others.
+
+    Of the first and the last, around which not all are known, there is nothing.
+    """
+    inner = changes[QUARTERS:-QUARTERS]
+    count = len(inner)
+    largest = np.zeros_like(inner)
+    for shift in range(2 * QUARTERS + 1):
+        if shift != QUARTERS:
+            np.maximum(largest, changes[shift : shift + count], out=largest)
+    isolated: Matrix = np.where(inner / JUMP > largest, inner, 0.0)
+    return isolated
 
 
 def _keep(
