@@ -17,8 +17,7 @@ on the way from the converter.
 
 Between samples y is interpolated linearly where the input is, as everything here that reads sampled
 data assumes: held, it would lag by half a step, and a derivative filter behind it would read a ramp
-too high. y holds where the input holds, and where the sensor samples less often than at every
-communication point.
+too high. y holds where the input holds, and where the sensor has a period of its own.
 
 Who must not take kept or interpolated values for measured ones finds the samples themselves beside
 y: ``y_samples`` and ``sample_times`` have them where one was taken, and no value (NaN) elsewhere
@@ -83,6 +82,8 @@ class Sensor:
         The samples are there beside y.
     stamped : bool
         Their times are the sampling instants.
+    holds : bool
+        y holds between samples also where there is one at every communication point.
 
     Raises
     ------
@@ -99,11 +100,13 @@ class Sensor:
         unit: str | None = None,
         samples: bool = False,
         stamped: bool = False,
+        holds: bool = False,
     ) -> None:
         if stamped:
             _check_stamps(parameters, size)
         self._samples = samples
         self._period = parameters.period
+        self._holds = holds or parameters.period > 1
         self._drops = parameters.dropout is not None
         self._instants = SamplingInstants(parameters, size)
         chain = MeasuringChain(parameters, size)
@@ -124,7 +127,7 @@ class Sensor:
 
     def _interface(self, size: int, unit: str | None) -> Interface:
         u = Signal("u", size, unit)
-        y = Signal("y", size, unit, "inherited" if self._period == 1 else "discrete")
+        y = Signal("y", size, unit, "discrete" if self._holds else "inherited")
         outputs: tuple[Signal, ...] = (y,)
         if self._drops:
             valid = Signal("valid", size, variability="discrete", type="boolean")

@@ -383,6 +383,29 @@ def test_noise_with_a_period_stays(tmp_path):
     assert len(np.unique(log["noise.y"])) == 101
 
 
+@pytest.mark.parametrize("period", [0.01, 0.02])
+def test_a_noisy_sensor_with_a_period_keeps_the_order(period):
+    """Also with that of a step: y holds over it in all three runs, with the same noise.
+
+    What it samples errs by the straight lines of the sine, and so does what follows.
+    """
+    scenario = certified.parsed(f"""
+        [components]
+        sine = {{ kind = "sine", rate = 1.0 }}
+        plant = {{ kind = "lag", time_constant = 0.5, initial = 0.0 }}
+        sensor = {{ kind = "sensor", noise = 1e-2, seed = 1, period = {period} }}
+        lag = {{ kind = "lag", time_constant = 0.1 }}
+
+        [connections]
+        "plant.u" = "sine.y"
+        "sensor.u" = "plant.y"
+        "lag.u" = "sensor.y"
+        """)
+    certificate = cosim.certificate(cosim.run(scenario, certify=True))
+    for signal in ("plant.y", "sensor.y", "lag.y"):
+        assert certificate[signal].order == pytest.approx(2.0, abs=0.02), signal
+
+
 def test_a_step_without_a_quarter_is_refused():
     scenario = certified.parsed(certified.SPRING)
     with pytest.raises(UsageError, match=r"a quarter of the step 2e-09 s is not a whole number"):

@@ -130,6 +130,7 @@ class SensorKind(PeriodicKind):
             unit=self.unit_name,
             samples=self._offers_samples,
             stamped=self.time_stamps,
+            holds=self.period is not None,
         )
 
 
