@@ -132,8 +132,8 @@ class Preparable(Protocol):
 class Rollback(Protocol[State]):
     """For components that can go back; their interface declares ``rollback``.
 
-    Iterative coupling and step control will call it; today :func:`cosim.testing.check_component`
-    and the trials of ``cosim check`` do.
+    Loops that iterate go back to the start of a step, sessions to a state that was saved, and a run
+    that a condition ends inside a block to its row.
     """
 
     def save(self) -> State:

@@ -352,3 +352,14 @@ def test_a_jump_that_leaves_no_solution_is_told():
     )
     with pytest.raises(RunError, match=expected):
         simulation.step(1)
+
+
+def test_the_schedule_tells_iterations_and_what_is_solved_for():
+    """A log keeps it, and a saved state is known by it."""
+    schedules = []
+    for options in ({}, {"coupling": "gauss-seidel", "iterations": 3}):
+        schedules += pair(**options).prepare(10**7).schedule
+    assert schedules == [
+        "newton one two [one.u] (second order)",
+        "gauss-seidel one two [one.u] (3 iterations)",
+    ]

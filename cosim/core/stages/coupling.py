@@ -210,6 +210,9 @@ class Loop:
             words.append(member.name if kind == "advance" else f"({member.name})")
         if self.torn is not None:
             words.append(f"[{', '.join(self.torn.labels)}]")
+            iterations = self.torn.solver.iterations
+            if iterations:
+                words.append(f"({iterations} iterations)")
         if not self.is_first_order:
             words.append("(second order)")
         return " ".join(words)
