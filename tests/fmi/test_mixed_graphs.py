@@ -45,7 +45,7 @@ COUPLINGS = (
 
 @pytest.fixture(scope="module")
 def lags(tmp_path_factory):
-    """Return copies of the lag with some capabilities, with their versions."""
+    """Return copies of the lag with some capabilities: versions, and whether they go back."""
     folder = tmp_path_factory.mktemp("lags")
     draw = random.Random(3)
     copies = []
@@ -56,16 +56,17 @@ def lags(tmp_path_factory):
             if "events" not in can and "d moves" in can:
                 can.remove("d moves")
             target = folder / f"lag{version}-{number}.fmu"
-            copies.append((lag.able(fmu, target, version, *can), version))
+            copies.append((lag.able(fmu, target, version, *can), version, "state" in can))
     return copies
 
 
 class Mixture:
-    """Draws a graph, the same one again for the same seed."""
+    """Draws a graph, the same one again for the same seed; one that ``goes_back`` can as a whole."""
 
-    def __init__(self, seed, lags, stack):
+    def __init__(self, seed, lags, stack, *, goes_back=False):
         self._draw = random.Random(seed)
-        self._lags = lags
+        self._goes_back = goes_back
+        self._lags = [own for own in lags if own[2] or not goes_back]
         self._stack = stack
         self.fmus = []
         self.graph_options = self._draw.choice(COUPLINGS)
@@ -91,13 +92,14 @@ class Mixture:
     def _eventful(self):
         draw = self._draw
         model = draw.choice(list(LEVELS))
-        path = eventful.build(model, draw.choice([2, 3]), saves=draw.random() < 0.5)
+        saves = draw.random() < 0.5 or self._goes_back
+        path = eventful.build(model, draw.choice([2, 3]), saves=saves)
         level = LEVELS[model] if LEVELS[model] < STEPS * H else 0.145  # is reached
         return self._loaded(path, FmuOptions(solver=draw.choice(EXPLICIT), start={"p": level}))
 
     def _lag(self):
         draw = self._draw
-        path, version = draw.choice(self._lags)
+        path, version, _ = draw.choice(self._lags)
         start = {}
         if draw.random() < 0.3:
             start["longest"] = 0.006
@@ -135,14 +137,24 @@ class Mixture:
             **self.graph_options,
         )
 
+    def condition(self):
+        """Draw a condition over an output, which a run may well meet."""
+        draw = self._draw
+        name = draw.choice(list(self.components))
+        channel = self.graph(native=True, threads=1).layout[name]
+        signal = draw.choice(channel.interface.outputs)
+        level = draw.choice([0.0, 0.05, 0.3, 1.0])
+        duration = draw.choice(["", "", " for 30 ms"])
+        return f"{name}.{signal.name} {draw.choice(['<', '>', '!='])} {level}{duration}"
 
-def by_hand(graph, clock, memory):
+
+def by_hand(graph, clock, memory, until=None):
     """Take steps one by one, then the others at once."""
     try:
         with memory:
             plan = graph.prepare(clock.step_ns)
             memory.begin(plan)
-            simulation = Simulation(graph, clock, plan, recorder=memory)
+            simulation = Simulation(graph, clock, plan, recorder=memory, until=until)
             for _ in range(STEPS // 2):
                 simulation.step()
             simulation.step(simulation.steps_left)
@@ -151,21 +163,26 @@ def by_hand(graph, clock, memory):
             raise
 
 
-def outcome(seed, lags, *, native=True, threads=1, block=None, way=run):
-    """Return how a run ended, its rows, and what the FMUs said if it is complete."""
+def outcome(seed, lags, *, native=True, threads=1, block=None, way=run, ends=False):
+    """Return how a run ended, its rows, and what the FMUs said if it is complete.
+
+    With ``ends`` a condition may end it.
+    """
     with ExitStack() as stack:
-        mixture = Mixture(seed, lags, stack)
+        mixture = Mixture(seed, lags, stack, goes_back=ends and seed % 2 == 0)
         memory = Memory()
         error = ""
         try:
-            way(mixture.graph(native=native, threads=threads), Clock(STEPS * H, H, block), memory)
+            until = mixture.condition() if ends else None
+            graph = mixture.graph(native=native, threads=threads)
+            way(graph, Clock(STEPS * H, H, block), memory, until=until)
         except GraphError:  # components that cannot go back, or no initial values
             return None
         except CosimError as raised:
             error = str(raised)
         rows = [memory.rows(name).tobytes() for name in mixture.components]
         said = []
-        if not memory.reason:
+        if not memory.reason or memory.reason.startswith("until"):
             said = [(m.time, m.level, m.text) for fmu in mixture.fmus for m in fmu.drain()]
         return error, memory.status, memory.reason, rows, said
 
@@ -183,3 +200,15 @@ def test_mixed_graphs_have_one_outcome(lags, seed):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Branches, "_chooses_two", lambda self: True)
         assert outcome(seed, lags, threads=2, block=7) == expected
+
+
+@settings(deadline=None, max_examples=12)
+@given(st.integers(0, 10**6))
+def test_a_condition_ends_mixed_graphs_alike(lags, seed):
+    """At one row, in whatever way; no FMU has said anything of what is behind it."""
+    expected = outcome(seed, lags, native=False, block=1, ends=True)
+    assume(expected is not None)
+    for block in BLOCKS:
+        assert outcome(seed, lags, block=block, ends=True) == expected
+    assert outcome(seed, lags, native=False, block=None, ends=True) == expected
+    assert outcome(seed, lags, way=by_hand, ends=True) == expected
