@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+import cosim
 from cosim.cli import main
 from cosim.report.tables import console
 
@@ -107,6 +108,18 @@ def test_a_run_with_faults_takes_15_lines():
     """A sensor fault, a parameter step, an override released and a stop condition."""
     shown = [block for block in blocks("README", "toml") if 'name = "faults"' in block]
     assert len([line for line in shown[0].splitlines() if line.strip()]) <= 15
+
+
+def test_a_derived_signal_stands_for_its_expression(tmp_path):
+    """In the condition of the scenario with faults, which ends at the same row then."""
+    write_scenario(tmp_path)
+    path = tmp_path / "faults.toml"
+    (line,) = [block for block in blocks("README", "toml") if block.startswith("error = ")]
+    path.write_text(path.read_text().replace("[components]\n", f"[components]\n{line}"))
+    until = "error.y < 1e-3 for 15 s"
+    run = cosim.run(path, set={"scenario.until": until})
+    assert run.reason == f"until {until!r}: came true at t = 45.15 s"
+    np.testing.assert_array_equal(run["error.y"], np.abs(run["setpoint.y"] - run["plant.y"]))
 
 
 def block_with(text):

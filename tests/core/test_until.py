@@ -311,20 +311,30 @@ def test_what_is_no_condition_of_the_graph_is_refused(until):
         recorded(1)
 
 
+LOOPS = (
+    {"coupling": "newton"},
+    {"coupling": "gauss-seidel", "iterations": 3},
+    {"coupling": "jacobi", "iterations": 2},
+    {"coupling": "gauss-seidel", "input_interpolation": "latest"},
+    {"coupling": "gauss-seidel", "input_interpolation": "zero-order"},
+)
+
+
 @pytest.mark.parametrize("native", [True, False])
 @pytest.mark.parametrize("block", BLOCKS)
-def test_a_loop_that_iterates_goes_back_with_its_solver(block, native):
-    """What it keeps from step to step decides the last bits of those that follow."""
+@pytest.mark.parametrize("options", LOOPS, ids=lambda options: " ".join(map(str, options.values())))
+def test_a_loop_goes_back_with_all_that_it_keeps(options, block, native):
+    """What loops that iterate keep from step to step decides the last bits of those that follow."""
 
     def loop(native):
         components = {
             "u": sine(rate=3.0, amplitude=2.0),
             "x": through(0.9),
-            "z": through(0.9),
+            "z": through(0.9) if options["coupling"] == "newton" else integrator(),
             "d": Product("**"),
         }
         connections = {"x.u": "d.y", "z.u": "x.y", "d.u1": "z.y", "d.u2": "u.y"}
-        return Graph(components, connections, native=native, coupling="newton")
+        return Graph(components, connections, native=native, **options)
 
     whole = recorded(None, native=native, graph=loop)
     memory = recorded("t > 1.72", block=block, native=native, graph=loop)

@@ -61,7 +61,7 @@ def lags(tmp_path_factory):
 
 
 class Mixture:
-    """Draws a graph, the same one again for the same seed; one that ``goes_back`` can as a whole."""
+    """Draws a graph, the same one again for the same seed; with ``goes_back`` one that can."""
 
     def __init__(self, seed, lags, stack, *, goes_back=False):
         self._draw = random.Random(seed)
