@@ -13,6 +13,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from time import perf_counter
 from typing import Final, final
 
 import numpy as np
@@ -25,7 +26,7 @@ from cosim.core.graph import Graph
 from cosim.core.recorders import memory_of
 from cosim.core.stages.looking_ahead import LookingAhead
 from cosim.core.stages.native_stage import advancing_stages
-from cosim.core.stages.pacing import Pacer
+from cosim.core.stages.pacing import PIECE_WORK, Pacer
 from cosim.errors import RunError, UsageError
 
 BLOCK_BYTES: Final = 2**24  # of the rows of one block
@@ -160,14 +161,23 @@ class Engine:
         if block.index == 0:
             yield block.part(0, 0), signals[:1]
         self._end = self.conditions.end_at(float(block.time[0]))
+        first = 0
         reached = 0
+        deadline = perf_counter() + PIECE_WORK
         while reached < block.steps and self._end is None:
-            self.check_current()
             rest = block.part(reached, block.steps)
-            steps = self._looking_ahead.advance(rest, signals[reached:])
-            first = reached
-            reached += steps
+            try:
+                self.check_current()
+                reached += self._looking_ahead.advance(rest, signals[reached:])
+            except BaseException:  # what is completed is passed on all the same
+                yield block.part(first, reached), signals[first : reached + 1]
+                raise
             self._end = self.conditions.end_at(float(block.time[reached]))
-            yield block.part(first, reached), signals[first : reached + 1]
             if self._pacer.error is not None or self.conditions.came_true:
                 break
+            if perf_counter() > deadline:
+                yield block.part(first, reached), signals[first : reached + 1]
+                first = reached
+                deadline = perf_counter() + PIECE_WORK
+        if reached > first:
+            yield block.part(first, reached), signals[first : reached + 1]
