@@ -21,6 +21,7 @@ from cosim.core.structure.cycles import strongly_connected
 from cosim.core.structure.feedthrough import UnknownFeedthrough
 from cosim.core.structure.order import order_loop
 from tests.core.parts import half_through, integrator, through, times
+from tests.core.test_native_stage import InPython
 
 
 def reference():
@@ -417,3 +418,19 @@ def test_recorded_designs_are_used():
         + designs["x2"]["B1"][0, 0] * first["x2.u"][1]
     )
     assert (table(second)[2:] != table(first)[2:]).any()
+
+
+@pytest.mark.parametrize("native", [True, False])
+def test_latest_values_are_the_same_in_blocks_of_any_length(native):
+    """Of a component outside every loop, too, whose output feeds through from them."""
+    memories = []
+    for block in (1, 3, 20):
+        components = {"u": sine(rate=5.0), "x": InPython(through()), "z": through()}
+        connections = {"x.u": "u.y", "z.u": "x.y"}
+        graph = Graph(components, connections, input_interpolation="latest", native=native)
+        memory = Memory()
+        run(graph, Clock(1.0, 0.05, block), memory)
+        memories.append(memory)
+    for memory in memories[1:]:
+        for name in memory:
+            assert memory[name].tobytes() == memories[0][name].tobytes()

@@ -159,10 +159,20 @@ class Cascade:
         return ("advance", self.members), ("check", self.members)
 
     def advance(self, block: Block, signals: Matrix) -> None:
-        """Advance the whole block in one call."""
-        member = self.member
+        """Advance the whole block in one call; by steps where an input jumps between them."""
         # Row 0 is the last row of the block before: its inputs are there.
-        member.gather(signals, slice(1, None))
+        self.member.gather(signals, slice(1, None))
+        if not self.member.takes_latest:
+            self._advance(block, signals)
+            return
+        for k in range(block.steps):
+            try:
+                self._advance(block.part(k, k + 1), signals[k : k + 2])
+            except Cut as cut:
+                raise Cut(k + cut.steps, cut.error, cut.component) from cut
+
+    def _advance(self, block: Block, signals: Matrix) -> None:
+        member = self.member
         u = member.inputs_over(read_only(signals))
         try:
             signals[1:, member.outputs] = member.component.advance(block.time, block.h, u)

@@ -116,7 +116,10 @@ class Member:
             self.overrides.copy(signals, rows)
 
     def inputs_over(self, rows: Matrix) -> Matrix:
-        """Return its inputs at the ends of steps, shape (K+1, n_u), as it is to take them."""
+        """Return its inputs at the ends of steps, shape (K+1, n_u), as it is to take them.
+
+        Where it takes the latest values they jump between two steps: then for one step at a time.
+        """
         u = rows[:, self.inputs]
         return read_only(np.vstack([u[1:], u[-1:]])) if self.takes_latest else u
 
