@@ -6,7 +6,7 @@ from pathlib import Path
 from cosim.fmi.platforms import SUFFIX, folders
 from tests.fmi.compiled import compile_fmu
 
-NAMES = ("u", "v", "x", "y", "z", "A", "B", "C", "D", "KIND")
+NAMES = ("u", "v", "x", "y", "z", "A", "B", "C", "D", "KIND", "SAYS")
 CAN = {
     "state": 'canGetAndSetFMUstate="true"',
     "slopes": 'canInterpolateInputs="true"',

@@ -41,6 +41,7 @@ def opened(fmu, tmp_path):
         fmus.append(load(path, FmuOptions(start=values)))
         return fmus[-1].component
 
+    open_fmu.fmus = fmus
     yield open_fmu
     for opened_fmu in fmus:
         opened_fmu.close()
@@ -124,6 +125,18 @@ def test_compiled_steps_of_newton_have_the_same_bits(pair, can):
         found = record(pair(*can), 0.01, block=block)
         for signal in ("one.u", "one.x", "one.y", "two.u", "two.x", "two.y"):
             assert found[signal].tobytes() == expected[signal].tobytes()
+
+
+@pytest.mark.parametrize("native", [True, False])
+def test_what_is_said_in_a_sweep_that_is_taken_back_is_not_said(opened, native):
+    """One message a step, though Newton's method takes each step at least twice."""
+    can = ("state", "steps", "slopes")
+    one = opened(*can, **ONE, SAYS=1.0)
+    components = {"one": one, "two": opened(*can, **TWO)}
+    connections = {"one.u": "two.y", "two.u": "one.y"}
+    record(Graph(components, connections, coupling="newton", native=native), 0.01, stop=0.05)
+    texts = [message.text for message in opened.fmus[0].drain()]
+    assert texts == ["to 0.01 s", "to 0.02 s", "to 0.03 s", "to 0.04 s", "to 0.05 s"]
 
 
 @pytest.mark.parametrize("native", [True, False])

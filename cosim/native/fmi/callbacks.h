@@ -40,6 +40,13 @@ void cosim_messages_close(cosim_messages *self);
 /* Copy the oldest message and drop it (last: the newest one, which stays); 0: there is none. */
 int32_t cosim_messages_take(cosim_messages *self, cosim_message *out);
 int32_t cosim_messages_last(cosim_messages *self, cosim_message *out);
+/* What the messages up to now are known by; and forget those behind it that were not taken yet. */
+typedef struct {
+    int32_t first, count;
+    int64_t dropped;
+} cosim_messages_mark;
+cosim_messages_mark cosim_messages_up_to_now(cosim_messages *self);
+void cosim_messages_forget(cosim_messages *self, cosim_messages_mark mark);
 /* How many were dropped since the last call. */
 int64_t cosim_messages_dropped(cosim_messages *self);
 

@@ -294,9 +294,12 @@ int32_t cosim_co_simulation_save(void *self)
     c->note = COSIM_NOTHING;
     if (!can_step(c))
         return COSIM_DECLINED;
+    copy->messages = cosim_messages_up_to_now(c->fmu->messages);
+    copy->has_warned = c->do_step.call->warned;
     const get_state_function get = (get_state_function)copy->get->function;
     if (cosim_fmu_check(c->fmu, copy->get, get(c->fmu->instance, copy->fmu_state)) != COSIM_OK)
         return leave(c, COSIM_FAILED);
+    cosim_messages_forget(c->fmu->messages, copy->messages);
     copy->interpolates = c->interpolates;
     copy->stepped = c->stepped;
     copy->ended = c->ended;
@@ -315,6 +318,9 @@ int32_t cosim_co_simulation_restore(void *self)
     const set_state_function set = (set_state_function)copy->set->function;
     if (cosim_fmu_check(c->fmu, copy->set, set(c->fmu->instance, *copy->fmu_state)) != COSIM_OK)
         return leave(c, COSIM_FAILED);
+    cosim_messages_forget(c->fmu->messages, copy->messages);
+    if (!copy->has_warned)
+        c->do_step.call->warned = 0;
     c->interpolates = copy->interpolates;
     c->stepped = copy->stepped;
     c->ended = copy->ended;

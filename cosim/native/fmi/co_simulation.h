@@ -28,6 +28,9 @@ typedef struct {
     double next_event;
     int64_t inner_steps;
     cosim_inner_step inner_step;
+    /* what was said up to the copy is said; what comes behind it is not, where the FMU goes back */
+    cosim_messages_mark messages;
+    int32_t has_warned; /* do_step had */
 } cosim_co_simulation_copy;
 
 typedef struct {

@@ -27,6 +27,12 @@ class InnerStepStruct(Structure):
     )
 
 
+class MessagesMarkStruct(Structure):
+    """cosim_messages_mark."""
+
+    _fields_ = (("first", c_int32), ("count", c_int32), ("dropped", c_int64))
+
+
 class CoSimulationCopyStruct(Structure):
     """cosim_co_simulation_copy."""
 
@@ -36,6 +42,8 @@ class CoSimulationCopyStruct(Structure):
         ("next_event", c_double),
         ("inner_steps", c_int64),
         ("inner_step", InnerStepStruct),
+        ("messages", MessagesMarkStruct),
+        ("has_warned", c_int32),
     )
 
 

@@ -2,17 +2,19 @@
  *
  * KIND 0: x' = A x + B u, y = C x + D u, with an inner step that is exact for inputs on a line.
  * KIND 1: y and z with u + y + z = 0, 2 u - 3 y + 2 z = 9.
- * KIND 2: y with y^2 + u^2 + v^2 = 5, y > 0. */
+ * KIND 2: y with y^2 + u^2 + v^2 = 5, y > 0.
+ * SAYS 1: a message in every step. */
 #include "fmi2Functions.h"
 
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
-enum { U, V, X, Y, Z, A, B, C, D, KIND, VALUES };
+enum { U, V, X, Y, Z, A, B, C, D, KIND, SAYS, VALUES };
 
 typedef struct {
     double value[VALUES], slope;
+    const fmi2CallbackFunctions *functions;
     int steps; /* in initialization outputs follow inputs at once, later only in steps */
 } Instance;
 
@@ -33,9 +35,10 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type kind, fmi2String guid, f
                               const fmi2CallbackFunctions *functions, fmi2Boolean visible,
                               fmi2Boolean logging)
 {
-    (void)name, (void)kind, (void)guid, (void)resources, (void)functions, (void)visible,
-        (void)logging;
-    return calloc(1, sizeof(Instance));
+    (void)name, (void)kind, (void)guid, (void)resources, (void)visible, (void)logging;
+    Instance *instance = calloc(1, sizeof(Instance));
+    instance->functions = functions;
+    return instance;
 }
 
 void fmi2FreeInstance(fmi2Component c) { free(c); }
@@ -58,7 +61,9 @@ fmi2Status fmi2ExitInitializationMode(fmi2Component c)
 
 fmi2Status fmi2Reset(fmi2Component c)
 {
+    const fmi2CallbackFunctions *functions = ((Instance *)c)->functions;
     memset(c, 0, sizeof(Instance));
+    ((Instance *)c)->functions = functions;
     return fmi2OK;
 }
 
@@ -108,7 +113,10 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_wa
 {
     Instance *instance = c;
     double *p = instance->value, a = p[A];
-    (void)t, (void)no_way_back;
+    (void)no_way_back;
+    if (p[SAYS] != 0.0)
+        instance->functions->logger(instance->functions->componentEnvironment, "small", fmi2OK,
+                                    "step", "to %g s", t + h);
     if (p[KIND] == 0.0) {
         const double grown = expm1(a * h), slope = instance->slope;
         p[X] += grown * p[X] + p[B] * (p[U] * grown / a + slope * (grown / a - h) / a);
