@@ -75,7 +75,7 @@ PlotOption = Annotated[
 
 @contextmanager
 def prints_to_stderr() -> Iterator[None]:
-    """Let what the code of users prints go to stderr: stdout is for data."""
+    """Redirect what the code of users prints to stderr: stdout is for data."""
     with redirect_stdout(sys.stderr):
         yield
 

@@ -8,11 +8,12 @@ In the order in which to read it::
       gain/                    how much the coupling of a loop multiplies an error
       initialization/          its initial values
     master                     run and simulate: the pseudocode of a run
+      conditions               where a run ends, or an action is performed
       stages/                  the engine under it: components in their places, cascades and loops,
                                in Python and in compiled code
     recorders, recorded        what takes the rows, and gives them back by name
     simulation                 the same engine, step by step
-      stepping/                jumps of inputs, states, rows
+      stepping/                actions and faults, jumps of inputs, states, rows
     ensemble                   many members of one graph
     linear, linearization      linear models with their exact solver; components near a point
 """

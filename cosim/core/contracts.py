@@ -146,14 +146,17 @@ class Rollback(Protocol[State]):
 
 
 class Transfer(Protocol):
-    """Hands the state of a component over to another one, which saves states otherwise."""
+    """Hands the state of a component over to its successor, which saves states otherwise.
+
+    Both are known to it: ``take`` is called first, then the successor is initialized.
+    """
 
     def take(self) -> Any:
-        """Return the state of the one."""
+        """Return the state of the component."""
         ...
 
     def give(self, state: Any) -> None:
-        """Let the other one, which is initialized, go on from it."""
+        """Set the state of the successor, which is initialized."""
         ...
 
 
@@ -347,7 +350,8 @@ class Recorder(Protocol):
     It does so however the run ends. Order of the calls: ``__enter__``; ``begin``, unless a
     component cannot be prepared; ``write`` after every block; ``__exit__``.
     :func:`cosim.core.run` calls neither ``message`` nor ``result``; running a scenario does. There
-    are events only where inputs are overridden (:class:`cosim.core.Simulation`).
+    are events only where signals jump: inputs that are overridden or faulty, parameters that are
+    set, components that are swapped (:class:`cosim.core.Simulation`), and what follows them.
     """
 
     def __enter__(self) -> Self: ...

@@ -661,7 +661,7 @@ class Simulation:
         self.change(name, settings, cause=cause)
 
     def change(self, name: str, settings: ParameterValues, *, cause: EventCause = "set") -> None:
-        """Let the outputs of a component follow its parameters, which were set.
+        """Evaluate the outputs of a component, whose parameters were set.
 
         Raises
         ------
@@ -683,7 +683,7 @@ class Simulation:
         *,
         cause: EventCause = "set",
     ) -> None:
-        """Let outputs of a recorded component jump, whose parameters were set."""
+        """Set outputs of a recorded component, whose parameters were set, to their right limits."""
         self._jumps.take_outputs(name, settings, given, cause)
 
     def _put_back(self, index: int = -1) -> None:

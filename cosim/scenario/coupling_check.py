@@ -1,4 +1,4 @@
-"""The gain of the loops of a scenario, before its run: refused, warned of, or told.
+"""The gain of the loops of a scenario, before its run: refused, warned of, or reported.
 
 A coupling that multiplies an error by more than 10 over the run leaves nothing of its results. It
 is refused, with a step or a coupling that would do; ``coupling_check = "warn"`` runs it all the
@@ -81,8 +81,9 @@ def with_loop_gains(experiment: Experiment, rebuild: Callable[[], Experiment]) -
             problems.append((("scenario", "step"), text + way_out))
         raise document.report(problems)
     _note(experiment.graph, report.gains)
-    told = tuple((COUPLING, text) for text in warnings)
-    return replace(experiment, gains=report.gains, warnings=(*experiment.warnings, *told))
+    coupling_warnings = tuple((COUPLING, text) for text in warnings)
+    all_warnings = (*experiment.warnings, *coupling_warnings)
+    return replace(experiment, gains=report.gains, warnings=all_warnings)
 
 
 class _Beginning:
@@ -127,7 +128,7 @@ class _Beginning:
 
 
 def _note(graph: Graph, gains: tuple[LoopGain, ...]) -> None:
-    """Let the errors of a loop name its gain."""
+    """Add its gain to the errors of a loop."""
     for gain in gains:
         if gain.rho is not None:
             for name in gain.components:

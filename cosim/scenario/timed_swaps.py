@@ -40,12 +40,12 @@ class StateTransfer:
     target: ModelExchange
 
     def take(self) -> dict[str, float]:
-        """Return the states of the one by name."""
+        """Return the states of the source by name."""
         values = self.source.states().tolist()
         return dict(zip(self.source.state_names, values, strict=True))
 
     def give(self, state: Mapping[str, float]) -> None:
-        """Let the other one go on from them."""
+        """Set the states of the target."""
         x = np.array([state[name] for name in self.target.state_names])
         self.target.continue_from(x)
 

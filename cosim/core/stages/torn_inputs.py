@@ -108,7 +108,7 @@ class TornInputs:
         return columns, self.solver.v[places]
 
     def put(self, rows: Matrix, member: Member) -> None:
-        """Give inputs of a component, at the end of the step, what is tried for them."""
+        """Set inputs of a component, at the end of the step, to what is tried for them."""
         own = self._own.get(member.name)
         if own is not None:
             columns, places = own

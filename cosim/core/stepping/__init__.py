@@ -1,1 +1,1 @@
-"""A graph that is advanced by hand: jumps, states, the rows of steps."""
+"""A graph that is advanced by hand or by actions: faults, jumps, states, the rows of steps."""

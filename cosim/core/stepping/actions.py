@@ -56,7 +56,7 @@ class ActedOn(Protocol):
         ...
 
     def change(self, name: str, settings: ParameterValues) -> None:
-        """Let the outputs of a component follow its parameters, which were set."""
+        """Evaluate the outputs of a component, whose parameters were set."""
         ...
 
 

@@ -227,7 +227,7 @@ class Jumps:
             self._let_follow(released)
 
     def change(self, name: str, t: float, settings: ParameterValues, cause: EventCause) -> None:
-        """Let the outputs of a component jump, whose parameters were set.
+        """Evaluate the outputs of a component, whose parameters were set; record the jumps.
 
         Parameters
         ----------
@@ -261,7 +261,7 @@ class Jumps:
         given: Sequence[tuple[slice, Vector]],
         cause: EventCause,
     ) -> None:
-        """Let outputs of a component jump to values that are known, where its parameters were set.
+        """Set outputs of a component, whose parameters were set, to right limits that are known.
 
         Parameters
         ----------

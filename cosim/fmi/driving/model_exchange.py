@@ -328,7 +328,7 @@ class ModelExchange:
             self._compiled.finish(interruption)
 
     def _hand_over(self) -> None:
-        """Let compiled steps go on from here, unless the initialization is not over."""
+        """Hand over to compiled steps, unless the initialization is not over."""
         if self._initialization.mode_time is not None:
             return
         if self._compiled:

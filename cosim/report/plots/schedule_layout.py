@@ -116,7 +116,7 @@ def _layers(schedule: GraphSchedule, edges: Sequence[tuple[int, int]]) -> dict[i
 
 
 def _connect(source: _Block, target: _Block, columns: Sequence[list[_Block]]) -> list[_Block]:
-    """Give a connection its places in the layers between; return them."""
+    """Add places of a connection to the layers between; return them."""
     passed = []
     last = source
     for layer in range(source.layer + 1, target.layer):
