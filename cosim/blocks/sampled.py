@@ -141,11 +141,11 @@ class Sampled:
         return rows
 
     def linearized(self, t: float, u: Vector) -> Linearized | None:
-        """Linearize the component, with steps of its own; None: also where they begin later."""
-        if self._offset:
-            return None
+        """Linearize the component, with steps of its own."""
         inner = linearized(self._component, t, u)
-        return None if inner is None else inner.sampled(self._n, hold=self._hold)
+        return (
+            None if inner is None else inner.sampled(self._n, hold=self._hold, offset=self._offset)
+        )
 
     def save(self) -> SampledState:
         """Copy the state, and that of the component, which can go back too."""

@@ -31,7 +31,9 @@ an effect that is switched on changes no number of another. Elements of a vector
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.blocks.field_data import SAMPLE_TIMES, samples_of
@@ -43,6 +45,7 @@ from cosim.blocks.measurement import (
     StreamState,
 )
 from cosim.core.contracts import Design
+from cosim.core.linearization import Linearized, static
 from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError, steps_text
 from cosim.native.blocks.sensor import SensorConstants, SensorStep
@@ -108,6 +111,10 @@ class Sensor:
         self._period = parameters.period
         self._holds = holds or parameters.period > 1
         self._drops = parameters.dropout is not None
+        self._delay = parameters.delay
+        # What is sampled between two communication points, or lost, is no linear function of them.
+        is_regular = not (parameters.jitter or self._drops or parameters.delay % 1.0)
+        self._is_linear = is_regular and (self._period == 1 or not parameters.delay)
         self._instants = SamplingInstants(parameters, size)
         chain = MeasuringChain(parameters, size)
         self._streams = SampleStreams(parameters, size)
@@ -149,6 +156,7 @@ class Sensor:
             prepares=True,
             rollback=True,
             native=True,
+            linearizable=self._is_linear,
         )
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
@@ -177,6 +185,19 @@ class Sensor:
         """Draw the random numbers of the next steps."""
         self._streams.draw_more()
         self._kernel.next = 0
+
+    def linearized(self, t: float, u: Vector) -> Linearized | None:
+        """Return what y is of u: the same, later where it is late, held where it is sampled.
+
+        That is between the limits, and of many levels.
+        """
+        D = np.zeros((self.interface.n_y, len(u)))
+        D[: len(u)] = np.eye(len(u))
+        if self._delay:
+            return replace(static(D), delay=int(self._delay))
+        if self._period > 1:
+            return static(D).sampled(self._period, hold=False)
+        return static(D)
 
     def native(self) -> NativeStep:
         """Return the compiled step: it takes the numbers that were drawn."""

@@ -36,6 +36,8 @@ class Linearized:
         they change at every one.
     delay : int
         Communication steps that its inputs are late; then there is no state.
+    offset : int
+        Communication steps until the first step of its own begins.
 
     Raises
     ------
@@ -53,6 +55,7 @@ class Linearized:
     own_steps: int = 0
     shown_every: int = 0
     delay: int = 0
+    offset: int = 0
 
     def __post_init__(self) -> None:
         n_x = len(self.A)
@@ -80,15 +83,15 @@ class Linearized:
             return np.ones(len(self.D), np.bool_)
         return self.corrected
 
-    def sampled(self, n: int, *, hold: bool) -> Linearized | None:
+    def sampled(self, n: int, *, hold: bool, offset: int = 0) -> Linearized | None:
         """Return it with steps of its own, n communication steps long; None: it has others.
 
-        ``hold``: its inputs are those at the start of these.
+        ``hold``: its inputs are those at the start of these, of which the first is at ``offset``.
         """
         if self.delay or self.shown_every or self.own_steps > 1:
             return None
         use = "start" if hold else self.input_use
-        return replace(self, own_steps=n, input_use=use)
+        return replace(self, own_steps=n, input_use=use, offset=offset)
 
     def decimated(self, n: int) -> Linearized | None:
         """Return it with outputs that change at every n-th step; None: they do otherwise."""
@@ -105,6 +108,7 @@ class Linearized:
             own_steps=self.own_steps * parts,
             shown_every=self.shown_every * parts,
             delay=self.delay * parts,
+            offset=self.offset * parts,
         )
 
 

@@ -10,6 +10,7 @@ from cosim.blocks.look_up import LookUpTable
 from cosim.blocks.pid import Pid, PidParameters
 from cosim.blocks.product import Product
 from cosim.blocks.sampled import Decimated, Sampled
+from cosim.blocks.sensor import Sensor, SensorParameters
 from cosim.blocks.source import sine
 from cosim.blocks.static import Static
 from cosim.core.contracts import linearized, prepare
@@ -63,6 +64,9 @@ COMPONENTS = {
     "decimated": lambda: Decimated(through(), 4),
     "decimated at every step": lambda: Decimated(through(), 1),
     "in other units": lambda: with_units(Linear(lag(time_constant=0.01)), {"y": "degC"}),
+    "sensor": lambda: Sensor(SensorParameters(noise=0.1, bias=0.5, seed=1), size=2),
+    "sensor with a delay": lambda: Sensor(SensorParameters(delay=3.0), size=2),
+    "sensor with a period": lambda: Sensor(SensorParameters(noise=0.1, period=4, seed=1)),
     "renamed": lambda: renamed(CASES["vectors"]),
     "elements renamed": lambda: renamed(CASES["elements of a vector"]),
 }
@@ -122,6 +126,8 @@ def test_an_integrator_at_its_limit_does_not_move():
         lambda: Decimated(Sampled(through(), 2), 3),
         lambda: Decimated(Delay(2), 2),
         lambda: sine(amplitude=1.0, rate=1.0),
+        lambda: Sensor(SensorParameters(delay=0.4)),
+        lambda: Sensor(SensorParameters(dropout=0.4, seed=1)),
     ],
 )
 def test_what_has_no_steps_of_one_kind_is_not_linearized(make):

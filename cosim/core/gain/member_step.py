@@ -92,7 +92,7 @@ def phase_of(linearized: Linearized, step: int) -> Phase:
     period = linearized.period
     if period == 1:
         return "only"
-    place = step % period
+    place = (step - linearized.offset) % period
     if place == 0:
         return "first"
     return "last" if place == period - 1 else "middle"

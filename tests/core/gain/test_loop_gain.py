@@ -437,3 +437,17 @@ def test_a_loop_without_a_solution_has_no_gain():
     (gain,) = LinearizedLoops.of(graph, clock, row).gains()
     assert gain.verdict == "unknown"
     assert gain.reason == "its algebraic loop has no one solution at the start"
+
+
+@pytest.mark.parametrize("offset", [1, 2])
+def test_when_the_first_sample_is_taken_does_not_change_the_gain(offset):
+    """Of a loop with one period: its maps are the same ones in turn."""
+    connections = {"p.u": "k.y", "k.u": "p.y"}
+    gains = []
+    for first in (0, offset):
+        k = Sampled(scalar(-1.0, 1.0, -9.0, -0.2), 3, hold=True, offset=first)
+        gains.append(
+            gain_of(Graph({"p": scalar(0.4, 1.0, 1.0), "k": k}, connections), Clock(6.0, 0.01))
+        )
+    assert gains[1].rho == pytest.approx(gains[0].rho, rel=1e-12)
+    assert gains[1].rate == pytest.approx(gains[0].rate, rel=1e-9)
