@@ -91,15 +91,7 @@ void cosim_log(void *key, const char *instance, int status, const char *category
     cosim_log_text(key, status, category, text);
 }
 
-cosim_messages_mark cosim_messages_up_to_now(cosim_messages *self)
-{
-    lock();
-    const cosim_messages_mark mark = {self->first, self->count, self->dropped};
-    unlock();
-    return mark;
-}
-
-void cosim_messages_forget(cosim_messages *self, cosim_messages_mark mark)
+void cosim_messages_forget_behind(cosim_messages *self, cosim_messages_mark mark)
 {
     lock();
     /* unless some were taken, or overwritten, since then */

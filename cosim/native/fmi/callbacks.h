@@ -45,8 +45,17 @@ typedef struct {
     int32_t first, count;
     int64_t dropped;
 } cosim_messages_mark;
-cosim_messages_mark cosim_messages_up_to_now(cosim_messages *self);
-void cosim_messages_forget(cosim_messages *self, cosim_messages_mark mark);
+void cosim_messages_forget_behind(cosim_messages *self, cosim_messages_mark mark);
+/* Both without the lock, as most FMUs say nothing: called between the calls of the FMU. */
+static inline cosim_messages_mark cosim_messages_up_to_now(const cosim_messages *self)
+{
+    return (cosim_messages_mark){self->first, self->count, self->dropped};
+}
+static inline void cosim_messages_forget(cosim_messages *self, cosim_messages_mark mark)
+{
+    if (self->count != mark.count || self->first != mark.first)
+        cosim_messages_forget_behind(self, mark);
+}
 /* How many were dropped since the last call. */
 int64_t cosim_messages_dropped(cosim_messages *self);
 

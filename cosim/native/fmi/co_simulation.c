@@ -262,29 +262,39 @@ int32_t cosim_co_simulation_outputs(void *self, double t, const double *u, doubl
 
 typedef enum { TO_COPY, FROM_COPY } Direction;
 
-static double *move(double *copy, double *values, int32_t count, Direction direction)
+static inline double *move(double *copy, double *values, int32_t count, Direction direction)
 {
-    const size_t size = (size_t)count * sizeof *values;
-    if (direction == TO_COPY)
-        memcpy(copy, values, size);
-    else
-        memcpy(values, copy, size);
+    volatile double *to = direction == TO_COPY ? copy : values; /* volatile: as of inputs */
+    const double *from = direction == TO_COPY ? values : copy;
+    for (int32_t i = 0; i < count; ++i)
+        to[i] = from[i];
     return copy + count;
 }
 
-/* Copy the arrays of the state, or put their copy back. */
-static void move_values(Component *c, Direction direction)
+/* Copy what shows an inner step, or put its copy back. */
+RARE static void move_inner_step(Component *c, double *copy, Direction direction)
 {
-    const cosim_inner_step *inner = c->inner_step;
+    cosim_inner_step *inner = c->inner_step;
+    if (direction == TO_COPY)
+        c->copy->inner_step = *inner;
+    else
+        *inner = c->copy->inner_step;
+    copy = move(copy, inner->outputs, inner->n, direction);
+    copy = move(copy, inner->inputs, inner->n_u, direction);
+    move(copy, inner->outputs_before, inner->n, direction);
+}
+
+/* Copy the arrays of the state, or put their copy back. */
+static inline void move_values(Component *c, Direction direction)
+{
     double *copy = c->copy->values;
     copy = move(copy, c->outputs, c->n_y, direction);
     copy = move(copy, c->inputs, c->n_u, direction);
     copy = move(copy, c->event_inputs, c->n_event, direction);
-    if (!inner->watches)
-        return;
-    copy = move(copy, inner->outputs, inner->n, direction);
-    copy = move(copy, inner->inputs, inner->n_u, direction);
-    move(copy, inner->outputs_before, inner->n, direction);
+    if (direction == TO_COPY)
+        c->copy->watches = c->inner_step->watches;
+    if (c->copy->watches) /* once it is decided it stays so */
+        move_inner_step(c, copy, direction);
 }
 
 int32_t cosim_co_simulation_save(void *self)
@@ -305,7 +315,6 @@ int32_t cosim_co_simulation_save(void *self)
     copy->ended = c->ended;
     copy->next_event = c->next_event;
     copy->inner_steps = c->inner_steps;
-    copy->inner_step = *c->inner_step;
     move_values(c, TO_COPY);
     return COSIM_OK;
 }
@@ -326,7 +335,6 @@ int32_t cosim_co_simulation_restore(void *self)
     c->ended = copy->ended;
     c->next_event = copy->next_event;
     c->inner_steps = copy->inner_steps;
-    *c->inner_step = copy->inner_step;
     move_values(c, FROM_COPY);
     return COSIM_OK;
 }

@@ -31,6 +31,7 @@ typedef struct {
     /* what was said up to the copy is said; what comes behind it is not, where the FMU goes back */
     cosim_messages_mark messages;
     int32_t has_warned; /* do_step had */
+    int32_t watches;    /* `inner_step` is a copy; else nothing was watched */
 } cosim_co_simulation_copy;
 
 typedef struct {

@@ -44,6 +44,7 @@ class CoSimulationCopyStruct(Structure):
         ("inner_step", InnerStepStruct),
         ("messages", MessagesMarkStruct),
         ("has_warned", c_int32),
+        ("watches", c_int32),
     )
 
 
