@@ -240,7 +240,9 @@ class Loop:
             return (*self._sweep_program, check)
         program: list[ProgramOperation] = []
         for member in self.members:
-            program += [("save", (member,)), ("keep", (member,))]
+            program.append(("save", (member,)))
+            if self.torn.solver.iterations:  # the first sweep takes what the outputs are so far
+                program.append(("keep", (member,)))
         program.append(("begin", self.members))
         program += [("restore", (member,)) for member in self.members]
         return (*program, *self._sweep_program, ("solve", self.members), check)

@@ -97,10 +97,14 @@ class TornInputs:
     def begin(self, t1: float, rows: Matrix) -> None:
         """Begin a step that ends at ``t1`` [s].
 
-        The guess is what the sources have at its start, which row 1 has so far.
+        The guess is what the inputs have at its start; with a fixed number of iterations what
+        their sources have there, which row 1 has so far.
         """
-        self._gather(rows)
-        self.solver.begin(t1, self.answer)
+        if self.solver.iterations:
+            self._gather(rows)
+            self.solver.begin(t1, self.answer)
+        else:
+            self.solver.begin(t1, rows[0, list(self.columns)])
 
     def inputs_of(self, member: Member) -> tuple[NDArray[np.intp], Vector]:
         """Return the columns of a component's elements, and what is tried for them, to be read."""

@@ -264,14 +264,23 @@ static double *answer(cosim_stage *s, const cosim_member *m, double *row, double
     return w;
 }
 
-/* The guess is what the sources have at the start of the step, which the new row has so far. */
+/* The guess is what the inputs have at the start of the step; with a fixed number of iterations what
+ * their sources have there, which the new row has so far. */
 RARE static int32_t begin(cosim_stage *s, const cosim_operation *operation, const Step *step)
 {
     cosim_unknowns *unknowns = s->segments[s->segment].unknowns;
     double *v = unknowns->solver->v;
-    for (int32_t i = 0; i < operation->count; ++i)
-        if (operation->members[i].n_torn)
-            v = answer(s, operation->members + i, step->row, v);
+    for (int32_t i = 0; i < operation->count; ++i) {
+        const cosim_member *m = operation->members + i;
+        if (!m->n_torn)
+            continue;
+        if (unknowns->solver->iterations) {
+            v = answer(s, m, step->row, v);
+            continue;
+        }
+        for (int32_t j = 0; j < m->n_torn; ++j)
+            *v++ = step->before[m->torn[j]];
+    }
     unknowns->stopped = 0;
     cosim_loop_solver_begin(unknowns->solver, step->t[1]);
     return jump(s, unknowns->sweep);
