@@ -363,3 +363,28 @@ def test_the_schedule_tells_iterations_and_what_is_solved_for():
         "newton one two [one.u] (second order)",
         "gauss-seidel one two [one.u] (3 iterations)",
     ]
+
+
+def test_a_loop_of_very_different_values_is_solved_in_each_of_them():
+    """b = cos(3 t) + b / 2, with 1e16 b in the same loop: by hand b = 2 cos(3 t)."""
+    graph = functions(
+        a=(lambda t, u: 1e16 * u, "b"), b=(lambda t, u: 0.5e-16 * u + np.cos(3.0 * t), "a")
+    )
+    memory = record(graph, step=0.1)
+    # the residual allowed, 2e-13 of the value, by (1 - 1 / 2)^-1; cos(3 t) is 0.06 at the least
+    expected = 2.0 * np.cos(3.0 * memory.time("b"))
+    np.testing.assert_allclose(memory["b.y"].ravel(), expected, rtol=1e-11)
+
+
+@pytest.mark.parametrize("k", [5.0, 20.0, 100.0])
+def test_a_steep_saturation_is_solved(k):
+    """v = sin(5 t) - tanh(k v): it rises throughout, so that there is one solution."""
+    graph = functions(
+        a=(lambda t, v: np.sin(5.0 * t) - np.tanh(k * v), "b"), b=(lambda t, v: v, "a")
+    )
+    memory = record(graph, stop=2.0, step=0.01)
+    for t, v in zip(memory.time("b"), memory["b.y"], strict=True):
+        expected = scipy.optimize.brentq(
+            lambda v, t=t: np.sin(5.0 * t) - np.tanh(k * v) - v, -2.0, 2.0, xtol=1e-15
+        )
+        assert abs(v - expected) < 1e-11

@@ -5,13 +5,14 @@
 #include <stdbool.h>
 #include <string.h>
 
-#define GOAL 2e-13                  /* residual that is a solution, relative to the values */
-#define LIMIT 1e-9                  /* one that is, where it does not fall any more */
-#define ROUNDING (64 * DBL_EPSILON) /* relative to the largest value involved */
+#define GOAL 2e-13                  /* residual that is a solution, relative to the unknown */
+#define LIMIT 1e-9                  /* one that is, where it does not fall any more ... */
+#define ROUNDING (64 * DBL_EPSILON) /* ... and what rounding leaves, by the largest value */
 #define DIFFERENCE (-20) /* power of two, relative: rounding leaves 2^-32 in a derivative */
 #define SINGULAR 1e-8    /* smallest pivot, relative to its row, or 1 */
 #define FALLS 0.25       /* the residual by one correction, where a matrix is kept */
-#define CORRECTIONS 20   /* points of one step, at most */
+#define CORRECTIONS 50   /* points of one step, at most */
+#define HALVINGS 30      /* of one correction */
 
 typedef cosim_loop_solver Solver;
 
@@ -40,21 +41,24 @@ static double *order_of(const Solver *s)
     return s->memory + 1 + 2 * s->n + s->n * s->n;
 }
 
-/* Look at the residual; the worst, in units of what is allowed. */
+/* Look at the residual; the worst, in units of GOAL. Whether it may be all that rounding leaves. */
 static double measure(Solver *s, const double *w, double largest)
 {
     double worst = 0.0;
     s->worst = 0;
     s->residual = 0.0;
+    s->is_rounding = 1;
     for (int64_t i = 0; i < s->n; ++i) {
         const double residual = fabs(w[i] - s->v[i]);
         const double size = larger(fabs(s->v[i]), fabs(w[i]));
-        const double tolerance = larger(GOAL * size + ROUNDING * largest, DBL_MIN);
+        const double tolerance = larger(GOAL * size, DBL_MIN);
         if (!(residual <= DBL_MAX)) {
             s->worst = i;
             s->residual = residual;
             return NAN;
         }
+        if (residual > LIMIT * size + ROUNDING * largest)
+            s->is_rounding = 0;
         if (residual > worst * tolerance) {
             worst = residual / tolerance;
             s->worst = i;
@@ -205,7 +209,27 @@ void cosim_loop_solver_begin(cosim_loop_solver *s, double t1)
     s->sweeps = 0;
     s->column = -1;
     s->is_new = 0;
+    s->halvings = 0;
+    s->is_last = 0;
     s->before = INFINITY;
+}
+
+/* Go half as far from the point as with the last candidate. */
+static int32_t halve(Solver *s)
+{
+    ++s->halvings;
+    for (int64_t i = 0; i < s->n; ++i)
+        s->v[i] = s->point[i] + 0.5 * (s->v[i] - s->point[i]);
+    return COSIM_SWEEP;
+}
+
+/* Take the point itself: rounding leaves no matrix, and no more than rounding is left. */
+static int32_t go_back(Solver *s)
+{
+    memcpy(s->v, s->point, (size_t)s->n * sizeof *s->v);
+    s->column = -1;
+    s->is_last = 1;
+    return COSIM_SWEEP;
 }
 
 /* What follows the sweep with a candidate. */
@@ -214,21 +238,25 @@ static int32_t judge(Solver *s, const double *w, double largest)
     const size_t size = (size_t)s->n * sizeof *w;
     const double excess = measure(s, w, largest);
     const bool falls = excess <= FALLS * s->before;
-    s->before = excess;
     if (isnan(excess))
         return COSIM_INVALID;
-    if (excess <= 1.0)
+    if (excess <= 1.0 || s->is_last)
         return accept(s);
+    if (s->is_new && !falls && s->is_rounding)
+        return accept(s); /* as near as differences and rounding let it come */
+    if (s->is_new && excess > s->before && s->halvings < HALVINGS)
+        return halve(s);
     if (++s->sweeps > CORRECTIONS)
         return COSIM_UNSOLVED;
+    s->before = excess;
+    s->halvings = 0;
     memcpy(s->point, s->v, size);
     memcpy(s->point + s->n, w, size);
+    s->point_is_rounding = s->is_rounding;
     if (s->memory[0] != 0.0 && falls) {
         s->is_new = 0;
         return correct(s);
     }
-    if (s->is_new && excess <= LIMIT / GOAL)
-        return accept(s); /* as near as differences and rounding let it come */
     return take_matrix(s);
 }
 
@@ -252,7 +280,7 @@ int32_t cosim_loop_solver_next(cosim_loop_solver *s, const double *w, double lar
     if (s->column + 1 < s->n)
         return shift(s, s->column + 1);
     if (!factorize(s))
-        return COSIM_UNDECIDED;
+        return s->point_is_rounding ? go_back(s) : COSIM_UNDECIDED;
     s->memory[0] = 1.0;
     return correct(s);
 }

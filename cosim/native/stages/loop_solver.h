@@ -33,11 +33,13 @@ typedef struct {
     double *v; /* (n) what the next sweep takes */
     /* scratch: v and w at the point (2 n); the residual (n) */
     double *point;
-    /* of this step: sweeps so far, the column that is differenced, or -1; whether the matrix is one
-     * of this point; the residual in units of its tolerance, before and least */
-    int64_t sweeps, column, is_new;
+    /* of this step: points so far, the column that is differenced, or -1; whether the matrix is one
+     * of this step's points; how often the correction was halved; whether the next sweep is the
+     * last; whether rounding may be all that is left at the candidate, and at the point; the
+     * residual there in units of its tolerance */
+    int64_t sweeps, column, is_new, halvings, is_last, is_rounding, point_is_rounding;
     double before;
-    /* of the point: the worst element, its residual and what is allowed */
+    /* of the candidate: the worst element, its residual and what is allowed */
     int64_t worst;
     double residual, tolerance;
 } cosim_loop_solver;

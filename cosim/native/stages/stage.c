@@ -264,8 +264,8 @@ static double *answer(cosim_stage *s, const cosim_member *m, double *row, double
     return w;
 }
 
-/* The guess is what the inputs have at the start of the step; with a fixed number of iterations what
- * their sources have there, which the new row has so far. */
+/* The guess is what the inputs have at the start of the step; with a fixed number of iterations
+ * what their sources have there, which the new row has so far. */
 RARE static int32_t begin(cosim_stage *s, const cosim_operation *operation, const Step *step)
 {
     cosim_unknowns *unknowns = s->segments[s->segment].unknowns;
