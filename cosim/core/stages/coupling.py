@@ -319,7 +319,8 @@ class Loop:
         if self.torn is None:
             return self._sweep(time, h, rows, known, results)
         states = [(member, member.component.save()) for member in self.members]
-        self._keep(rows)
+        if self.torn.solver.iterations:  # the first sweep takes what the outputs are so far
+            self._keep(rows)
         self.torn.begin(float(time[1]), rows)
         while True:
             results.clear()

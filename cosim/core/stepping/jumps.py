@@ -227,7 +227,7 @@ class Jumps:
             self._let_follow(released)
 
     def change(self, name: str, t: float, settings: ParameterValues, cause: EventCause) -> None:
-        """Evaluate the outputs of a component, whose parameters were set; record the jumps.
+        """Evaluate the outputs of a component, whose parameters were set; mark what jumps.
 
         Parameters
         ----------
