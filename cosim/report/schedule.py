@@ -15,8 +15,17 @@ from cosim.core.stages.coupling import Stage
 from cosim.errors import UsageError, command
 from cosim.scenario.build import DescribedScenario, describe
 from cosim.scenario.document import find
+from cosim.scenario.kinds.base import Sampling
 
-InputCourse: TypeAlias = Literal["linear", "zero-order hold", "delayed", "extrapolated", "solved"]
+InputCourse: TypeAlias = Literal[
+    "linear",
+    "linear over period",
+    "zero-order hold",
+    "sampled",
+    "delayed",
+    "extrapolated",
+    "solved",
+]
 
 
 @dataclass(frozen=True)
@@ -30,6 +39,8 @@ class ScheduledComponent:
         Number of its stage, from 1 on.
     period : float or None
         Its own [s]; None: every communication step.
+    offset : float
+        From the start of the run to the first instant of its period [s].
     feedthrough : mapping of output to tuple of str, or None
         On which inputs each output depends directly; None: not known.
     """
@@ -38,7 +49,18 @@ class ScheduledComponent:
     kind: str
     stage: int
     period: float | None
+    offset: float
     feedthrough: Mapping[str, tuple[str, ...] | None]
+
+    @property
+    def rate(self) -> str:
+        """How often its outputs change, in words."""
+        if self.period is None:
+            return "every step"
+        text = f"every {self.period:g} s"
+        if self.offset:
+            text += f", first {self.offset:g} s after the start"
+        return text
 
 
 @dataclass(frozen=True)
@@ -51,8 +73,9 @@ class ScheduledConnection:
         Ports, or elements of them.
     course : str
         What the input has within a communication step: "linear" interpolation, or a "zero-order
-        hold". In a loop also: "extrapolated" from the start of the step; "delayed", so that only
-        its value there counts; "solved" for in every step.
+        hold". Of a component with a period: "linear over period", or "sampled", with a zero-order
+        hold over the period. In a loop also: "extrapolated" from the start of the step; "delayed",
+        so that only its value there counts; "solved" for in every step.
     is_feedback : bool
         It leads to a component of its loop that advances before.
     """
@@ -146,7 +169,7 @@ def schedule_of(name: str) -> GraphSchedule:
     for stage in stages:
         for member in stage.members:
             components.append(_component(described, graph, member, stage.number))
-    connections = tuple(_connections(graph))
+    connections = tuple(_connections(described, graph))
     step = described.clock.step_ns / NANOSECONDS
     title = described.scenario.name
     return GraphSchedule(title, step, stages, tuple(components), connections)
@@ -176,11 +199,18 @@ def _component(
     described: DescribedScenario, graph: Graph, name: str, stage: int
 ) -> ScheduledComponent:
     channel = graph.layout[name]
-    period = None
-    if channel.period > 1:
-        period = channel.period * described.clock.step_ns / NANOSECONDS
+    step_ns = described.clock.step_ns
+    sampling = _sampling(described, name)
+    steps = channel.period if sampling is None else sampling.period
+    period = steps * step_ns / NANOSECONDS if steps > 1 else None
+    offset = 0.0 if sampling is None else sampling.offset * step_ns / NANOSECONDS
     kind = described.scenario.specs[name].kind
-    return ScheduledComponent(name, kind, stage, period, _feedthrough(channel.interface))
+    return ScheduledComponent(name, kind, stage, period, offset, _feedthrough(channel.interface))
+
+
+def _sampling(described: DescribedScenario, name: str) -> Sampling | None:
+    spec = described.scenario.specs[name]
+    return spec.sampling(spec.period_steps(name, described.clock.step_ns))
 
 
 def _feedthrough(interface: Interface) -> dict[str, tuple[str, ...] | None]:
@@ -191,18 +221,23 @@ def _feedthrough(interface: Interface) -> dict[str, tuple[str, ...] | None]:
     return feedthrough
 
 
-def _connections(graph: Graph) -> Iterator[ScheduledConnection]:
+def _connections(described: DescribedScenario, graph: Graph) -> Iterator[ScheduledConnection]:
     """Yield the connections, one for each source."""
     loops: dict[str, Stage] = {}
     for stage in graph.stages:
         if stage.is_loop:
             loops |= {member.name: stage for member in stage.members}
     for to, connection in graph.connections.items():
-        yield from _by_sources(graph, loops.get(to.component), to, connection)
+        sampling = _sampling(described, to.component)
+        yield from _by_sources(graph, loops.get(to.component), to, connection, sampling)
 
 
 def _by_sources(
-    graph: Graph, loop: Stage | None, to: Port, connection: Connection
+    graph: Graph,
+    loop: Stage | None,
+    to: Port,
+    connection: Connection,
+    sampling: Sampling | None,
 ) -> Iterator[ScheduledConnection]:
     end = graph.ports.input(to)
     first = end.columns.start - end.channel.inputs.start
@@ -215,14 +250,27 @@ def _by_sources(
             member.name for member in loop.members
         }
         is_feedback = is_inside and end.signal.name in late
-        course: InputCourse = "zero-order hold" if is_held else "linear"
+        course = _own_course(sampling, is_held=is_held)
         if loop is not None and is_inside and _is_solved(loop, end.port):
             course = "solved"
+        elif course == "sampled":
+            pass  # late in a loop, and nothing lost
         elif is_feedback and end.signal.name in end.channel.interface.delayed:
             course = "delayed"
         elif is_feedback and graph.variability(source) != "discrete":
             course = "extrapolated"
         yield ScheduledConnection(str(source), str(to), course, is_feedback)
+
+
+def _own_course(sampling: Sampling | None, *, is_held: bool) -> InputCourse:
+    """Return what an input has outside a loop."""
+    if sampling is None:
+        return "zero-order hold" if is_held else "linear"
+    if sampling.holds:
+        return "sampled"
+    if sampling.period == 1:
+        return "zero-order hold" if is_held else "linear"
+    return "sampled" if is_held else "linear over period"
 
 
 def _is_solved(loop: Stage, to: Port) -> bool:

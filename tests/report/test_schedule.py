@@ -3,10 +3,12 @@
 import json
 from itertools import pairwise
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import cosim
 from cosim.cli import main
 from cosim.report.plots.schedule_layout import layout_of
 from cosim.report.schedule import GraphSchedule, ScheduledConnection, ScheduledStage, schedule_of
@@ -59,6 +61,69 @@ def test_delayed_and_held_inputs_are_named(tmp_path):
         encoding="utf-8",
     )
     assert courses(path) == {("step.y", "lag.u"): "zero-order hold"}
+
+
+SAMPLED = """
+scenario = {{ name = "sampled", stop = 1.2, step = 0.1 }}
+[components]
+sine = {{ kind = "sine", rate = 1.0 }}
+step = {{ kind = "step", time = 0.5 }}
+own = {{ kind = "controller", A = [[-1.0]], B = [[1.0]], C = [[1.0]]{keys} }}
+meter = {{ kind = "sensor", period = 0.2 }}
+[connections]
+"own.u" = "{source}.y"
+"meter.u" = "own.y"
+"""
+
+
+@pytest.mark.parametrize(
+    ("keys", "source", "rate", "course"),
+    [
+        (", period = 0.6, offset = 0.2", "sine", (0.6, 0.2), "sampled"),
+        (", period = 0.1", "sine", (None, 0.0), "sampled"),
+        (
+            ', period = 0.6, input_interpolation = "linear"',
+            "sine",
+            (0.6, 0.0),
+            "linear over period",
+        ),
+        (', period = 0.6, input_interpolation = "linear"', "step", (0.6, 0.0), "sampled"),
+        (', period = 0.1, input_interpolation = "linear"', "sine", (None, 0.0), "linear"),
+        ("", "step", (None, 0.0), "zero-order hold"),
+        ("", "sine", (None, 0.0), "linear"),
+    ],
+)
+def test_period_and_offset_say_what_an_input_has(tmp_path, keys, source, rate, course):
+    """A component with a period takes its inputs at its own instants, whatever they do between."""
+    path = tmp_path / "sampled.toml"
+    path.write_text(SAMPLED.format(keys=keys, source=source), encoding="utf-8")
+    own = {entry.name: entry for entry in schedule_of(path).components}["own"]
+    assert (own.period, own.offset) == rate
+    assert courses(path)[f"{source}.y", "own.u"] == course
+    assert courses(path)["own.y", "meter.u"] == "sampled"
+
+
+def test_sampled_input_is_held_from_the_offset_on(tmp_path):
+    """The first step of its own takes sin(0.2 s), and ends 0.6 s later: x = (1 - e^-0.6) sin 0.2.
+
+    It is right to some roundings of numbers below 1.
+    """
+    path = tmp_path / "sampled.toml"
+    path.write_text(SAMPLED.format(keys=", period = 0.6, offset = 0.2", source="sine"))
+    recorded = cosim.run(path)
+    changes = np.flatnonzero(np.diff(recorded["own.x"])) + 1
+    assert recorded.time("own.x")[changes] == pytest.approx([0.8])
+    assert recorded["own.x"][-1] == pytest.approx(-np.expm1(-0.6) * np.sin(0.2), abs=1e-15)
+
+
+def test_text_shows_period_and_offset(tmp_path, capsys):
+    path = tmp_path / "sampled.toml"
+    keys = ", period = 0.6, offset = 0.2"
+    path.write_text(SAMPLED.format(keys=keys, source="sine"), encoding="utf-8")
+    lines = run(capsys, "info", path, "--graph").splitlines()
+    rate = "every 0.6 s, first 0.2 s after the start"
+    assert f"own\t2\tcontroller\t{rate}\tnone" in lines
+    assert "sine.y\town.u\tzero-order hold of its samples, over its period" in lines
 
 
 def test_newton_solves_for_its_inputs(tmp_path):

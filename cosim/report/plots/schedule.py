@@ -18,7 +18,9 @@ HEIGHT: Final = 2.1  # cm of a component
 BOX: Final = (0.56, 0.66)  # of a component, of these
 STYLES: Final[Mapping[InputCourse, tuple[str, str]]] = {  # color, line
     "linear": ("#444444", "-"),
+    "linear over period": ("#444444", "-."),
     "zero-order hold": ("#1f6fb2", ":"),
+    "sampled": ("#1f6fb2", "-."),
     "delayed": ("#1f6fb2", "--"),
     "extrapolated": ("#c0392b", "--"),
     "solved": ("#2e7d32", "-"),
@@ -106,7 +108,7 @@ def _draw_component(
     panel.add_patch(patch)
     kind = component.kind
     if component.period is not None:
-        kind += f", every {component.period:g} s"
+        kind += f", {component.rate}"
     lines = [(f"{order}{component.name}", 9, "bold"), (kind, 7, "normal")]
     lines.append((_feedthrough(component), 7, "normal"))
     for row, (text, size, weight) in enumerate(lines):

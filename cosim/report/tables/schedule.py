@@ -22,7 +22,7 @@ def print_schedule(schedule: GraphSchedule, *, as_json: bool) -> None:
             component.name,
             str(component.stage),
             component.kind,
-            rate_text(component),
+            component.rate,
             feedthrough_text(component),
         )
     print_table(table)
@@ -34,7 +34,9 @@ def print_schedule(schedule: GraphSchedule, *, as_json: bool) -> None:
 
 COURSES = {
     "linear": "linear interpolation",
+    "linear over period": "linear interpolation over its period",
     "zero-order hold": "zero-order hold",
+    "sampled": "zero-order hold of its samples, over its period",
     "delayed": "late, and nothing lost: its value at the start of the step is what counts",
     "extrapolated": "extrapolated: its value at the start of the step",
     "solved": "solved for",
@@ -51,11 +53,6 @@ def stage_text(stage: ScheduledStage) -> str:
     if stage.is_first_order:
         text += "; error of first order in the step"
     return text
-
-
-def rate_text(component: ScheduledComponent) -> str:
-    """Return how often the outputs of a component change."""
-    return "every step" if component.period is None else f"every {component.period:g} s"
 
 
 def feedthrough_text(component: ScheduledComponent) -> str:

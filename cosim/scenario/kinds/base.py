@@ -82,6 +82,26 @@ class Spectrum:
     assumption: str
 
 
+@dataclass(frozen=True, slots=True)
+class Sampling:
+    """At which communication points a component takes its inputs.
+
+    Parameters
+    ----------
+    period : int
+        Communication steps between two of them.
+    offset : int
+        Communication steps before the first one.
+    holds : bool
+        It holds the inputs of a point up to the next one; else those without a zero-order hold are
+        interpolated linearly.
+    """
+
+    period: int
+    offset: int
+    holds: bool
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ImpliedConnection:
     """A connection that [connections] does not write, for it follows from what the file does.
@@ -417,6 +437,10 @@ class Kind(TomlTable):
     def with_period(self, component: Component, n: int) -> Component:
         """Return the component with its sample period of ``n`` communication steps."""
         return component
+
+    def sampling(self, n: int) -> Sampling | None:
+        """Return when it takes its inputs, with a period of ``n`` steps; None: at every step."""
+        return None
 
     def recorded_period(self, n: int) -> int:
         """Return which rows the log keeps, one in so many, with a period of ``n`` steps."""

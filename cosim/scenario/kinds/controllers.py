@@ -25,6 +25,7 @@ from cosim.scenario.kinds.base import (
     ExportableKind,
     LinearKind,
     PeriodicKind,
+    Sampling,
     Wiring,
 )
 from cosim.scenario.schema import Number, NumberRow, NumberRows, matrix
@@ -50,6 +51,11 @@ class SampledKind(PeriodicKind):
             return component
         # A period of one communication step still holds u over it.
         return Sampled(component, n, hold=self._holds, offset=offset)
+
+    def sampling(self, n: int) -> Sampling | None:
+        if self.period is None:
+            return None
+        return Sampling(n, self._offset_steps(n), self._holds)
 
     def recorded_period(self, n: int) -> int:
         """Return the steps between two rows of the log: a sample is in one of them."""

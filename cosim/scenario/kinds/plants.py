@@ -24,6 +24,7 @@ from cosim.scenario.kinds.base import (
     LinearKind,
     LinearSystem,
     PeriodicKind,
+    Sampling,
 )
 from cosim.scenario.recorded_metadata import component_record
 from cosim.scenario.schema import Flag, Number, NumberRow, Whole
@@ -196,6 +197,11 @@ class FmuKind(PlantKind, PeriodicKind):
                 "both, or neither"
             )
         return component if n == 1 and not hold else Sampled(component, n, hold=hold)
+
+    def sampling(self, n: int) -> Sampling | None:
+        if self.period is None:
+            return None
+        return Sampling(n, 0, self.input_interpolation == "zero-order")
 
     def build(self, name: str, context: BuildContext) -> Component:
         from cosim.fmi.options import FmuOptions

@@ -14,7 +14,7 @@ from cosim.blocks.sensor import Sensor
 from cosim.core.clock import nanoseconds
 from cosim.core.contracts import Component
 from cosim.errors import UsageError
-from cosim.scenario.kinds.base import BuildContext, PeriodicKind, PortUnits, unit_of
+from cosim.scenario.kinds.base import BuildContext, PeriodicKind, PortUnits, Sampling, unit_of
 from cosim.scenario.schema import Flag, Number, NumberRow, Size, Whole
 
 EACH = ", one number or one for each element"
@@ -79,6 +79,9 @@ class SensorKind(PeriodicKind):
 
     def with_period(self, component: Component, n: int) -> Component:
         return component
+
+    def sampling(self, n: int) -> Sampling | None:
+        return None if self.period is None else Sampling(n, 0, True)
 
     @property
     def _offers_samples(self) -> bool:
