@@ -40,6 +40,7 @@ from cosim.scenario.replaying import (
 from cosim.scenario.swap import PortNames
 
 if TYPE_CHECKING:
+    from cosim.scenario.certification.certificate import Certification
     from cosim.scenario.session import Session
 
 OwnRecorder = TypeVar("OwnRecorder", bound=Recorder)
@@ -196,42 +197,50 @@ def run(
     pace = None if realtime is None else _pace_of(realtime)
     loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
     edited = loaded.edit(swap=swap, map=map, set=set)
-    beside = None
+    certification: Certification | None = None
     if find_step is not None:
-        edited, beside = _with_found_step(
+        edited, certification = _with_found_step(
             edited, mapping_argument("find_step", find_step), progress
         )
     elif certify:
-        beside = _certifying(edited, progress)
+        certification = _certification_of(edited, progress)
+    beside: Beside | None = None if certification is None else certification.beside
     with ExitStack() as resources:
         experiment = build_experiment(edited, resources, block)
         if pace is not None:
             experiment, beside = _paced(experiment, pace, beside)
+
+        def behind() -> None:
+            if certification is not None:
+                certification.complete(resources)
+
         if recorder is not None:
             taking = recorder if beside is None else beside(recorder)
             run_into(taking, experiment, progress=progress, profile=profile)
+            behind()
             return recorder
         target = Target(out, force, numbered, notice)
-        return record(experiment, target, progress=progress, profile=profile, beside=beside)
+        return record(
+            experiment, target, progress=progress, profile=profile, beside=beside, behind=behind
+        )
 
 
-def _certifying(scenario: Scenario, progress: Progress | None) -> Beside:
-    """Run a scenario with smaller steps; return what adds the certificate to a recorder."""
+def _certification_of(scenario: Scenario, progress: Progress | None) -> Certification:
     # Most runs need none of it.
-    from cosim.scenario.certification.certificate import certifier_of
+    from cosim.scenario.certification.certificate import certification_of
 
-    return certifier_of(scenario, progress).beside
+    return certification_of(scenario, progress)
 
 
 def _with_found_step(
     scenario: Scenario, tolerances: Mapping[str, float], progress: Progress | None
-) -> tuple[Scenario, Beside]:
-    """Return a scenario with the step that keeps tolerances, and what adds its certificate."""
+) -> tuple[Scenario, Certification]:
+    """Return a scenario with the step that keeps tolerances, and what certifies its run."""
     # Most runs need none of it.
     from cosim.scenario.certification.step_search import find_step
 
     found = find_step(scenario, tolerances, progress)
-    return scenario.edit(set={"scenario.step": found.step}), found.certifier.beside
+    return scenario.edit(set={"scenario.step": found.step}), found.certifier.certification()
 
 
 def _pace_of(factor: float) -> float:

@@ -27,6 +27,10 @@ Beside = Callable[[Recorder], Recorder]  # adds something to what a recorder tak
 _LARGE = 10**9  # bytes of a log that are worth a word
 
 
+def _nothing() -> None:
+    """Do nothing."""
+
+
 @dataclass(frozen=True, slots=True)
 class Target:
     """Where a run is recorded: over or beside a log that is there; None: in memory."""
@@ -67,6 +71,7 @@ def record(
     progress: Progress | None,
     profile: dict[str, float] | None = None,
     beside: Beside | None = None,
+    behind: Callable[[], None] = _nothing,
 ) -> Log | Memory:
     """Run an experiment and return its recording: the log file if a path is given.
 
@@ -79,6 +84,8 @@ def record(
         Filled with wall seconds by component.
     beside : callable, optional
         Returns what takes the run and passes it on to the recorder of the recording.
+    behind : callable, optional
+        Ends the recording, where ``beside`` leaves that to it.
     """
     out = target.out
     if out is None:
@@ -86,6 +93,7 @@ def record(
         memory = Memory(metadata_of(experiment), attachments)
         taking = memory if beside is None else beside(memory)
         run_into(taking, experiment, progress=progress, profile=profile)
+        behind()
         return memory
     is_read = Path(os.path.realpath(out)) in experiment.files
     if is_read and not target.numbered:
@@ -99,6 +107,7 @@ def record(
     taking = log if beside is None else beside(log)
     try:
         run_into(taking, experiment, progress=progress, profile=profile, began=began)
+        behind()
     except RunError as error:
         with suppress(LogError):  # nothing was written
             recorded = log.recorded()

@@ -1,14 +1,15 @@
 """The certificate of a run: right where it gives a number, and none where it cannot know one."""
 
 import json
-from functools import cache
+from functools import cache, partial
+from signal import SIGINT, raise_signal
 
 import numpy as np
 import pytest
 from scipy.linalg import block_diag, expm
 
 import cosim
-from cosim.errors import LogError, ScenarioError, UsageError
+from cosim.errors import Interrupted, LogError, ScenarioError, UsageError
 from cosim.report.tables.certificate import notes
 from cosim.scenario.certification import certificate as certificate_module
 from tests.scenario import certified
@@ -125,6 +126,77 @@ def test_rows_and_hash_are_those_of_the_run_without_a_certificate(tmp_path):
         cosim.certificate(plain)
     with pytest.raises(LogError, match=r"the certificate has no 'observer\.x'; it has: u\.y"):
         cosim.certificate(log)["observer.x"]
+
+
+class InRun:
+    """Does something when a run of some number, from 0 on, has reached its end; for progress."""
+
+    def __init__(self, number, act):
+        self.number = number
+        self.act = act
+
+    def __call__(self, time, end):
+        if time < end:
+            return
+        if self.number == 0:
+            self.act()
+        self.number -= 1
+
+
+@pytest.mark.parametrize(("number", "ends"), [(1, [2.0]), (2, [2.0])])
+def test_an_interrupt_behind_the_run_leaves_its_log_whole(tmp_path, number, ends):
+    """In the run with half the step, or a quarter: the certificate is missing, nothing else."""
+    set_ = {**STARTS, "scenario.stop": 2.0}
+    plain = cosim.run("academic", set=set_)
+    path = tmp_path / "a.mcap"
+    cosim.run("academic", set={"scenario.stop": 0.1}, out=path)  # an older one of that name
+    interrupt = InRun(number, partial(raise_signal, SIGINT))
+    with pytest.raises(Interrupted, match="interrupted by the user") as raised:
+        cosim.run("academic", set=set_, out=path, force=True, certify=True, progress=interrupt)
+    assert raised.value.exit_code == 130
+    assert raised.value.__notes__ == [
+        "no certificate: a run with a smaller step did not come to its end",
+        f"{path} has the run up to t = 2.0 s",
+    ]
+    log = cosim.open_log(path)
+    assert (log.status, log.reason) == ("complete", "")
+    assert log.content_hash() == log.recorded_hash
+    assert cosim.diff(log, plain).equal
+    certificate = cosim.certificate(log)
+    reason = "a run with a smaller step did not come to its end: interrupted by the user"
+    assert (certificate.problem, list(certificate.ends)) == (reason, ends)
+    assert not certificate.signals
+
+
+def test_an_interrupt_in_the_run_itself_ends_it_there(tmp_path):
+    """What there is of it is its log; nothing runs behind it."""
+    path = tmp_path / "a.mcap"
+    runs = []
+
+    def interrupt(time, end):
+        runs.append(time)
+        raise_signal(SIGINT)
+
+    set_ = {**STARTS, "scenario.stop": 20.0}
+    with pytest.raises(Interrupted) as raised:
+        cosim.run("academic", set=set_, out=path, certify=True, progress=interrupt, block=100)
+    assert len(runs) == 1
+    log = cosim.open_log(path)
+    assert log.status == "interrupted"
+    assert raised.value.__notes__ == [f"{path} has the run up to t = {log.end_ns / 1e9} s"]
+    assert cosim.certificate(log).problem == "the run ended early: interrupted by the user"
+
+
+def test_an_interrupted_search_says_that_nothing_is_written(tmp_path):
+    """An older log of that name is as it was."""
+    path = tmp_path / "a.mcap"
+    old = cosim.run("academic", set={"scenario.stop": 0.1}, out=path).recorded_hash
+    interrupt = InRun(1, partial(raise_signal, SIGINT))
+    tolerances = {"plant.y": 1e-3}
+    with pytest.raises(Interrupted) as raised:
+        cosim.run("academic", out=path, force=True, find_step=tolerances, progress=interrupt)
+    assert raised.value.__notes__ == ["no step is found yet, so that nothing is recorded"]
+    assert cosim.open_log(path).recorded_hash == old
 
 
 def test_certificate_does_not_depend_on_blocks():

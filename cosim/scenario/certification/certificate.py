@@ -17,11 +17,11 @@ errs by terms of the order of its smooth part, of which an estimate may be a thi
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from types import TracebackType
-from typing import Any, Final, Self
+from typing import Any, Final, Self, final
 
 import numpy as np
 
@@ -30,7 +30,7 @@ from cosim.core.clock import NANOSECONDS, nanoseconds
 from cosim.core.contracts import Block, MessageLevel, Plan, Recorder, SignalEvent
 from cosim.core.graph import Graph
 from cosim.core.port import Port
-from cosim.core.recorders import end_of_run
+from cosim.core.recorders import end_of_run, error_text
 from cosim.core.signals import Layout
 from cosim.errors import CosimError, Interrupted, RunError, UsageError, option
 from cosim.scenario.action_tables import signals_of
@@ -90,6 +90,31 @@ class Subject:
     def every(self) -> int:
         """Communication steps between two rows that are compared: memory is bounded."""
         return max(1, math.ceil((self.steps + 1) * self.layout.width / MOST_VALUES))
+
+    def own_rows(self) -> ThinnedRows:
+        """Return what keeps the rows of the run."""
+        return ThinnedRows(self.every, self.steps)
+
+    def certificate(self, runs: Sequence[ThinnedRows], problem: str) -> dict[str, Any]:
+        """Return what a certificate says of the runs, as plain values, and of no signal yet.
+
+        Parameters
+        ----------
+        runs : sequence of ThinnedRows
+            The run itself, and those behind it, if there are any.
+        problem : str
+            Why nothing is compared; empty where something is.
+        """
+        step = self.step_ns / NANOSECONDS
+        return {
+            "step": step,
+            "finer_steps": [step / finer for finer in FINER],
+            "ends": [run.end_ns / NANOSECONDS for run in runs],
+            "every": self.every,
+            "problem": problem,
+            "solvers": list(self.solvers),
+            "signals": {},
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,13 +267,7 @@ def finer_run(
     rows = ThinnedRows(subject.every * finer, subject.steps * finer, jumps)
     problem = ""
     with ExitStack() as resources:
-        try:
-            changed = scenario.edit(set={**subject.changes, "scenario.step": step})
-            experiment = build_experiment(changed, resources, None)
-        except CosimError as error:
-            raise UsageError(
-                f"certificate: the scenario needs to run with {step} s too, and cannot:\n{error}"
-            ) from error
+        experiment = _finer_experiment(scenario, subject, finer, resources)
         experiment = replace(experiment, identified={})
         try:
             run_into(rows, experiment, progress=progress, profile=None)
@@ -257,6 +276,19 @@ def finer_run(
         except RunError as error:
             problem = f"the run with steps of {step} s ended early: {error}"
     return FinerRun(rows, jumps, problem)
+
+
+def _finer_experiment(
+    scenario: Scenario, subject: Subject, finer: int, resources: ExitStack
+) -> Experiment:
+    step = subject.step_ns / finer / NANOSECONDS
+    try:
+        changed = scenario.edit(set={**subject.changes, "scenario.step": step})
+        return build_experiment(changed, resources, None)
+    except CosimError as error:
+        raise UsageError(
+            f"certificate: the scenario needs to run with {step} s too, and cannot:\n{error}"
+        ) from error
 
 
 class Certifier:
@@ -292,38 +324,20 @@ class Certifier:
         """Why a run with a smaller step ended early; empty where none did."""
         return self._half.problem or self._quarter.problem
 
-    def beside(self, recorder: Recorder) -> Recorder:
-        """Return a recorder that adds the certificate to what another one records."""
-        return _Certified(recorder, self)
-
     def rows(self) -> ThinnedRows:
         """Return what keeps the rows of the run."""
-        return ThinnedRows(self._subject.every, self._subject.steps)
+        return self._subject.own_rows()
 
-    def certificate(self, own: ThinnedRows, problem: str) -> dict[str, Any]:
-        """Return the certificate, as plain values.
+    def certification(self) -> Certification:
+        """Return the certificate that it gives a run."""
+        return Certification(self._subject, lambda: self)
 
-        Parameters
-        ----------
-        own : ThinnedRows
-            Of the run.
-        problem : str
-            Why it ended early; empty where it did not.
-        """
-        subject = self._subject
-        step = subject.step_ns / NANOSECONDS
-        content: dict[str, Any] = {
-            "step": step,
-            "finer_steps": [step / finer for finer in FINER],
-            "ends": [run.end_ns / NANOSECONDS for run in self._runs(own)],
-            "every": subject.every,
-            "problem": problem or self.problem,
-            "solvers": list(subject.solvers),
-            "signals": {},
-        }
+    def certificate(self, own: ThinnedRows) -> dict[str, Any]:
+        """Return the certificate, as plain values; ``own`` are the rows of the run."""
+        content = self._subject.certificate(self._runs(own), self.problem)
         if self._search is not None:
             content["search"] = dict(self._search)
-        if not content["problem"]:
+        if not self.problem:
             content["signals"] = {label: asdict(error) for label, error in self.errors(own).items()}
         return content
 
@@ -392,24 +406,108 @@ def certifier_of(scenario: Scenario, progress: Progress | None) -> Certifier:
     UsageError
         If a smaller step would be another run, or the scenario cannot run with one.
     """
-    subject = subject_of(scenario)
+    return _certifier(scenario, subject_of(scenario), progress)
+
+
+def _certifier(scenario: Scenario, subject: Subject, progress: Progress | None) -> Certifier:
     half, quarter = (finer_run(scenario, subject, finer, progress) for finer in FINER)
     return Certifier(subject, half, quarter)
 
 
-class _Certified:
-    """Passes everything on to another recorder, and at the end the certificate.
+def certification_of(scenario: Scenario, progress: Progress | None) -> Certification:
+    """Return what certifies a run of a scenario, by others that follow it.
+
+    Raises
+    ------
+    UsageError
+        If a smaller step would be another run, or the scenario cannot run with one.
+    """
+    subject = subject_of(scenario)
+    for finer in FINER:
+        with ExitStack() as resources:
+            _finer_experiment(scenario, subject, finer, resources)
+    return Certification(subject, lambda: _certifier(scenario, subject, progress))
+
+
+@final
+class Certification:
+    """The certificate of a run: computed behind it, and recorded before its recording ends.
+
+    Parameters
+    ----------
+    subject : Subject
+    certifier : callable
+        Returns what certifies the run, and makes the runs that it needs.
+    """
+
+    def __init__(self, subject: Subject, certifier: Callable[[], Certifier]) -> None:
+        self._subject = subject
+        self._certifier = certifier
+        self._run: _CertifiedRun | None = None
+
+    def beside(self, recorder: Recorder) -> Recorder:
+        """Return a recorder that keeps what is compared, and leaves another one open behind."""
+        self._run = _CertifiedRun(recorder, self._subject)
+        return self._run
+
+    def complete(self, resources: ExitStack) -> None:
+        """Compute the certificate, record it, and end the recording.
+
+        Parameters
+        ----------
+        resources : ExitStack
+            Of the run, closed before: there are FMUs of which a process has one instance only.
+
+        Raises
+        ------
+        CosimError
+            If the runs behind do not come to their end; the recording is whole, and says so.
+        """
+        run = self._run
+        assert run is not None, "beside a recorder"
+        try:
+            resources.close()
+            run.record(self._certifier())
+        except BaseException as error:
+            reason = error_text(error) or "interrupted by the user"
+            run.record_problem(f"a run with a smaller step did not come to its end: {reason}")
+            error.add_note("no certificate: a run with a smaller step did not come to its end")
+            raise
+        finally:
+            run.end()
+
+
+class _CertifiedRun:
+    """Passes everything on to another recorder but the end, and keeps the rows.
+
+    A run that ends early has no certificate, and its recording ends with it.
 
     Parameters
     ----------
     recorder : Recorder
-    certifier : Certifier
+    subject : Subject
     """
 
-    def __init__(self, recorder: Recorder, certifier: Certifier) -> None:
+    def __init__(self, recorder: Recorder, subject: Subject) -> None:
         self._recorder = recorder
-        self._certifier = certifier
-        self._rows = certifier.rows()
+        self._subject = subject
+        self._rows = subject.own_rows()
+        self._end: BaseException | None = None  # with which a complete run ended
+
+    def record(self, certifier: Certifier) -> None:
+        """Record the certificate."""
+        self._recorder.result({CERTIFICATE: certifier.certificate(self._rows)})
+
+    def record_problem(self, problem: str) -> None:
+        """Record why there is none."""
+        content = self._subject.certificate([self._rows], problem)
+        self._recorder.result({CERTIFICATE: content})
+
+    def end(self) -> None:
+        """End the recording of a complete run."""
+        error = self._end
+        trace = None if error is None else error.__traceback__
+        self._recorder.__exit__(None if error is None else type(error), error, trace)
 
     def __enter__(self) -> Self:
         self._recorder.__enter__()
@@ -422,9 +520,11 @@ class _Certified:
         trace: TracebackType | None,
     ) -> None:
         ended = end_of_run(error)
-        problem = "" if ended.status == "complete" else f"the run ended early: {ended.reason}"
+        if ended.status == "complete":
+            self._end = error
+            return
         try:
-            self._recorder.result({CERTIFICATE: self._certifier.certificate(self._rows, problem)})
+            self.record_problem(f"the run ended early: {ended.reason}")
         finally:
             self._recorder.__exit__(error_type, error, trace)
 

@@ -145,8 +145,12 @@ def find_step(
         )
     wanted = _tolerances(scenario, tolerances)
     search = _StepSearch(scenario, wanted, progress)
-    found = search.first_fine()
-    found = search.largest_above(found)
+    try:
+        found = search.first_fine()
+        found = search.largest_above(found)
+    except Interrupted as error:
+        error.add_note("no step is found yet, so that nothing is recorded")
+        raise
     step = found.step_ns / NANOSECONDS
     record = {
         "tolerances": dict(tolerances),
