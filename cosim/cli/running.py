@@ -85,7 +85,9 @@ FindStepOption = Annotated[
         "--find-step",
         metavar="SIGNAL=TOLERANCE",
         help="Run with the largest step with which the error of the step in a signal is within a "
-        "tolerance, in its unit, such as observer.delta=1e-4; implies --certify. Repeatable.",
+        "tolerance, in its unit, such as observer.delta=1e-4; implies --certify. The search "
+        "begins with the largest step that divides all times, whatever the scenario's own step is; "
+        "--step beside it is refused. Repeatable.",
     ),
 ]
 
@@ -137,6 +139,10 @@ def run(
     if dry_run and (certify or find_step):
         name = "--certify" if certify else "--find-step"
         raise UsageError(f"found --dry-run, which runs nothing, and {name}; needed one of them")
+    if find_step and step is not None:
+        raise UsageError(
+            "found both --find-step and --step; needed one of them: the search chooses the step"
+        )
     if dry_run and COMMAND_VARIABLE not in os.environ:
         options = {"--set": changes, "--swap": swaps, "--map": maps}
         _dry_run_in_child(scenario, options, {"--stop": stop, "--step": step}, as_json=as_json)

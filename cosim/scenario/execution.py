@@ -164,7 +164,7 @@ def run(
     find_step : mapping of signal to float, optional
         Run with the largest step with which the errors of the step in these signals are within
         these tolerances, each in the unit of its signal, and certify that run. The step divides
-        all times that the scenario gives; its own is one of those that do.
+        all times that the scenario gives, whatever its own is; one that ``set`` gives is refused.
     realtime : float, optional
         Simulated time by wall time: 1.0 keeps the pace of the wall clock, block by block of about
         10 ms. How late the run was is recorded; the rows are the same.

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import cosim
+from cosim.cli import main
 from cosim.errors import RunError, UnknownSignalError, UsageError
 from cosim.scenario.certification import step_search
 from tests.scenario import certified
@@ -55,6 +56,30 @@ def test_what_is_exact_takes_the_largest_step():
     """Of an output that no run changes: any step is fine, and leaves 16 points."""
     log = cosim.run(certified.parsed(certified.EXACT), find_step={"third.y": 1e-6})
     assert log.step_ns == 250_000_000
+
+
+def test_a_step_that_is_given_beside_is_refused(tmp_path, capsys):
+    """One of both would be ignored; that of the file is only where the search begins."""
+    path = write(tmp_path, certified.EXACT)
+    tolerances = {"third.y": 1e-6}
+    edits = {"scenario.step": 0.1}
+    for scenario, set_ in ((path, edits), (cosim.load(path).set(edits), {})):
+        with pytest.raises(UsageError) as raised:
+            cosim.run(scenario, find_step=tolerances, set=set_)
+        assert str(raised.value) == (
+            "found both find_step and set['scenario.step']; needed one of them: the search "
+            "chooses the step"
+        )
+    command = ["run", str(path), "--find-step", "third.y=1e-6"]
+    for given in (["--step", "0.1"], ["--set", "scenario.step=0.1"]):
+        with pytest.raises(SystemExit) as left:
+            main([*command, *given])
+        assert left.value.code == 2
+        name = given[0] if given[0] == "--step" else "--set scenario.step"
+        assert capsys.readouterr().err == (
+            f"cosim: found both --find-step and {name}; needed one of them: the search chooses the "
+            "step\n"
+        )
 
 
 # --- where the confident sentence would be false ---

@@ -132,8 +132,8 @@ def find_step(
     Raises
     ------
     UsageError
-        If there is no such signal, a tolerance is no positive number, or a smaller step would be
-        another run.
+        If there is no such signal, a tolerance is no positive number, a step was set beside it, or
+        a smaller step would be another run.
     RunError
         If no step keeps the tolerances.
     Interrupted
@@ -142,6 +142,11 @@ def find_step(
     if not tolerances:
         raise UsageError(
             f"{option(FIND_STEP)}: found no signal; needed at least one, with its tolerance"
+        )
+    if "scenario.step" in scenario.document.changes:
+        raise UsageError(
+            f"found both {option(FIND_STEP)} and {option('set', 'scenario.step')}; needed one of "
+            "them: the search chooses the step"
         )
     wanted = _tolerances(scenario, tolerances)
     search = _StepSearch(scenario, wanted, progress)
