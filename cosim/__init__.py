@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from cosim.report.comparing import compare
     from cosim.report.estimator_comparison import compare_estimators
     from cosim.scenario.assumptions.report import check_assumptions
-    from cosim.scenario.execution import load, replay, run
+    from cosim.scenario.building.models import model_table
+    from cosim.scenario.data_files.field_file import read_field_data
     from cosim.scenario.experiment_design.ranking import design
-    from cosim.scenario.field_file import read_field_data
     from cosim.scenario.identification.from_logs import identify
-    from cosim.scenario.models import model_table
+    from cosim.scenario.running.execution import load, replay, run
 
 _HOMES = {
     "certificate": "cosim.report.certificate",
@@ -34,12 +34,12 @@ _HOMES = {
     "diff": "cosim.log.diff",
     "identify": "cosim.scenario.identification.from_logs",
     "linearize": "cosim.fmi.linearizing.linearize",
-    "load": "cosim.scenario.execution",
-    "model_table": "cosim.scenario.models",
+    "load": "cosim.scenario.running.execution",
+    "model_table": "cosim.scenario.building.models",
     "open_log": "cosim.log.reader",
-    "read_field_data": "cosim.scenario.field_file",
-    "replay": "cosim.scenario.execution",
-    "run": "cosim.scenario.execution",
+    "read_field_data": "cosim.scenario.data_files.field_file",
+    "replay": "cosim.scenario.running.execution",
+    "run": "cosim.scenario.running.execution",
 }
 
 __all__ = [

@@ -25,7 +25,7 @@ SETTINGS = "scenario"  # the table whose keys --set reaches like those of a comp
 
 def complete_scenario(incomplete: str) -> list[str]:
     """Return the shipped scenarios and the scenario files that begin so."""
-    from cosim.scenario.document import shipped
+    from cosim.scenario.document.document import shipped
 
     names = [name for name in shipped() if name.startswith(incomplete)]
     return names + list(_files(incomplete, "scenario"))
@@ -43,8 +43,8 @@ def complete_checked(incomplete: str) -> list[str]:
 
 def complete_kind(incomplete: str) -> list[str]:
     """Return the component kinds that begin so."""
-    from cosim.scenario.installed_kinds import installed_classes
     from cosim.scenario.kinds import KINDS
+    from cosim.scenario.user_kinds.installed_kinds import installed_classes
 
     names = dict.fromkeys([*KINDS, *installed_classes()])
     return [name for name in names if name.startswith(incomplete)]
@@ -93,8 +93,8 @@ def complete_estimators(incomplete: str) -> list[str]:
 
 
 def _settings(scenario: Scenario) -> Iterator[str]:
+    from cosim.scenario.document.schema import Settings
     from cosim.scenario.kinds.parameters import parameters_of
-    from cosim.scenario.schema import Settings
 
     for name, kind in scenario.specs.items():
         for parameter in parameters_of(type(kind)):
@@ -113,8 +113,8 @@ def _scenario(context: typer.Context) -> Scenario | None:
 
     Nothing of it is built, as that may run code of its user.
     """
-    from cosim.scenario.build import parse
-    from cosim.scenario.document import find
+    from cosim.scenario.building.build import parse
+    from cosim.scenario.document.document import find
     from cosim.scenario.parsing import read
 
     # an option that still lacks its value leaves the arguments before it unread

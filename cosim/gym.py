@@ -16,9 +16,9 @@ from cosim.core.arguments import kind_of
 from cosim.core.contracts import Stopped
 from cosim.core.stepping.step_rows import StepRows
 from cosim.errors import UsageError
-from cosim.scenario.execution import load
 from cosim.scenario.parsing import Scenario
-from cosim.scenario.session import Session
+from cosim.scenario.running.execution import load
+from cosim.scenario.running.session import Session
 
 try:
     import gymnasium

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, TextIO
 from cosim.interrupts import INTERRUPTED, REASONS
 
 if TYPE_CHECKING:
-    from cosim.scenario.recording import Progress
+    from cosim.scenario.recordings.recording import Progress
 
 
 @contextmanager

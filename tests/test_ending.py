@@ -26,7 +26,7 @@ from tests.fmi.test_check import XML
 ONE = "from cosim.cli import main; main()"
 EIGHT = """
 import os, sys
-import cosim.report.tables.run, cosim.scenario.execution
+import cosim.report.tables.run, cosim.scenario.running.execution
 from cosim.cli import main
 children = []
 for _ in range(8):
@@ -392,7 +392,7 @@ def test_a_place_that_cannot_be_written_is_refused_before_the_run(
     """Every output file of every command: the error names it, and nothing has been computed."""
     if "a.mcap" in command or "plant=a.mcap" in command:
         cosim.run("academic", out="a.mcap", set={"scenario.stop": 0.01})
-    monkeypatch.setattr("cosim.scenario.recording.run_into", None)
+    monkeypatch.setattr("cosim.scenario.recordings.recording.run_into", None)
     monkeypatch.setattr("cosim.scenario.exporting.export", None)
     before = set(os.listdir(tmp_path))
     for place, named in PLACES:
@@ -405,7 +405,7 @@ def test_a_place_that_cannot_be_written_is_refused_before_the_run(
 
 def test_a_picture_cannot_replace_a_log_or_go_to_a_pipe(call, tmp_path, monkeypatch):
     """Two outputs need two paths; a pipe may have no other end."""
-    monkeypatch.setattr("cosim.scenario.recording.run_into", None)
+    monkeypatch.setattr("cosim.scenario.recordings.recording.run_into", None)
     for arguments, text in [
         (("--out", "a.mcap", "--plot", "a.mcap"), "found the ending '.mcap'"),
         (("--out", "a.mcap", "--plot", "a.mcap/x.png"), "found the path of the log"),
@@ -422,7 +422,7 @@ def test_a_comparison_is_refused_before_its_first_run(call, tmp_path, monkeypatc
     cosim.run("academic", out="a.mcap", set={"scenario.stop": 0.01})
     (tmp_path / "logs").mkdir()
     (tmp_path / "logs" / "a.mcap").touch()
-    monkeypatch.setattr("cosim.scenario.recording.run_into", None)
+    monkeypatch.setattr("cosim.scenario.recordings.recording.run_into", None)
     command = ("compare", "academic", "--swap", "plant=a.mcap", "--out")
     code, err = call(*command, "logs")
     assert (code, "logs/a.mcap exists" in err) == (2, True), err

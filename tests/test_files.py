@@ -9,8 +9,8 @@ import pytest
 import cosim
 from cosim.errors import ScenarioError
 from cosim.files import read_bounded, regular
-from cosim.scenario.build import parse
-from cosim.scenario.document import Document, find
+from cosim.scenario.building.build import parse
+from cosim.scenario.document.document import Document, find
 
 SCENARIO = '[scenario]\nname = "a"\nstop = 1.0\nstep = 0.5\n[components.u]\n'
 

@@ -12,8 +12,8 @@ from cosim.core.contracts import Stopped
 from cosim.errors import GraphError, UnknownSignalError, UsageError
 from cosim.gym import Env
 from cosim.report.verification import verify
-from cosim.scenario.execution import replay
-from cosim.scenario.session import Session
+from cosim.scenario.running.execution import replay
+from cosim.scenario.running.session import Session
 
 pytestmark = pytest.mark.usefixtures("without_verdicts")
 

@@ -114,7 +114,7 @@ def compare(
     """
     from cosim.report.comparing import compare as compare_plants
     from cosim.report.tables.comparison import print_plants
-    from cosim.scenario.execution import load
+    from cosim.scenario.running.execution import load
 
     if estimators:
         if not base:
@@ -191,7 +191,7 @@ def _compare_estimators(
 ) -> None:
     from cosim.report.estimator_comparison import ALL, compare_estimators
     from cosim.report.tables.comparison import print_estimators
-    from cosim.scenario.execution import load
+    from cosim.scenario.running.execution import load
 
     names = [name.strip() for name in ",".join(estimators).split(",")]
     loaded = load(scenario)

@@ -165,7 +165,7 @@ def list_(
 
 def show(scenario: ScenarioArgument) -> None:
     """Print the text of a scenario, to start your own from."""
-    from cosim.scenario.document import find
+    from cosim.scenario.document.document import find
 
     text = find(scenario).text
     typer.echo(printable(text) if sys.stdout.isatty() else text, nl=False)

@@ -133,8 +133,8 @@ def run(
     """Run a scenario and record every signal to an MCAP log."""
     from cosim.processes import COMMAND_VARIABLE, end_with_parent, note_own_end
     from cosim.report.tables.run import print_summary
-    from cosim.scenario.execution import load
-    from cosim.scenario.execution import run as run_scenario
+    from cosim.scenario.running.execution import load
+    from cosim.scenario.running.execution import run as run_scenario
 
     if dry_run and (certify or find_step):
         name = "--certify" if certify else "--find-step"
@@ -219,7 +219,7 @@ def _dry_run(scenario: Scenario, *, as_json: bool) -> None:
         If the scenario cannot run with them.
     """
     from cosim.report.tables.comparison import print_dry_run
-    from cosim.scenario.swap_comparison import compare_swaps
+    from cosim.scenario.swapping.swap_comparison import compare_swaps
 
     with prints_to_stderr():
         reports = compare_swaps(scenario)
@@ -264,7 +264,7 @@ def replay(
     from cosim.log import open_log
     from cosim.report.tables.run import print_summary, print_verification
     from cosim.report.verification import verify as verify_replay
-    from cosim.scenario.execution import replay as replay_log
+    from cosim.scenario.running.execution import replay as replay_log
 
     start_collecting()
     imported = perf_counter()

@@ -21,12 +21,12 @@ from cosim.files import file_type
 from cosim.log import Log
 from cosim.report.recorded_rows import difference, has_signal
 from cosim.report.summary import Summary, summarize
-from cosim.scenario.edits import short
-from cosim.scenario.execution import load, run
+from cosim.scenario.document.edits import short
+from cosim.scenario.document.swap import PortNames, component_table, port_names
 from cosim.scenario.parsing import Scenario
-from cosim.scenario.recorded_metadata import truth_of
-from cosim.scenario.recording import check_target
-from cosim.scenario.swap import PortNames, component_table, port_names
+from cosim.scenario.recordings.recorded_metadata import truth_of
+from cosim.scenario.recordings.recording import check_target
+from cosim.scenario.running.execution import load, run
 
 
 @dataclass(frozen=True)

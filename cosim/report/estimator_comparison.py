@@ -18,19 +18,19 @@ from cosim.core.recorders import Memory
 from cosim.errors import CosimError, Interrupted, UsageError, nearest, option, quoted
 from cosim.log import Log
 from cosim.report.recorded_rows import has_signal, rows_of, stacked_rows_of
-from cosim.scenario.execution import load, replay, run
+from cosim.scenario.document.schema import truth_ports
+from cosim.scenario.document.swap import PortNames
 from cosim.scenario.kinds.identification import IdentifierKind
 from cosim.scenario.kinds.methods import METHODS, IdentificationMethod
 from cosim.scenario.kinds.variants import foreign_keys
 from cosim.scenario.parsing import Scenario
-from cosim.scenario.recorded_metadata import (
+from cosim.scenario.recordings.recorded_metadata import (
     ParameterRecord,
     recorded_identification,
     truth_of,
 )
-from cosim.scenario.recording import check_target
-from cosim.scenario.schema import truth_ports
-from cosim.scenario.swap import PortNames
+from cosim.scenario.recordings.recording import check_target
+from cosim.scenario.running.execution import load, replay, run
 from cosim.temporary import TemporaryFolder
 from cosim.theory.quantiles import CONFIDENCE, normal_two_sided
 

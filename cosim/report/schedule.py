@@ -13,8 +13,8 @@ from cosim.core.port import Port
 from cosim.core.signals import Interface
 from cosim.core.stages.coupling import Stage
 from cosim.errors import UsageError, command
-from cosim.scenario.build import DescribedScenario, describe
-from cosim.scenario.document import find
+from cosim.scenario.building.build import DescribedScenario, describe
+from cosim.scenario.document.document import find
 from cosim.scenario.kinds.base import Sampling
 
 InputCourse: TypeAlias = Literal[

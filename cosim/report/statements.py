@@ -36,7 +36,7 @@ from cosim.errors import quoted
 from cosim.log import Log
 from cosim.log.layout import signals_json
 from cosim.log.result import RESULT, RESULT_FILE
-from cosim.scenario.recorded_metadata import (
+from cosim.scenario.recordings.recorded_metadata import (
     EIGENVALUE_FIGURES,
     IdentificationRecord,
     ParameterRecord,
@@ -46,7 +46,7 @@ from cosim.scenario.recorded_metadata import (
     recorded_warnings,
     run_metadata,
 )
-from cosim.scenario.replaying import recorded_stop
+from cosim.scenario.recordings.replaying import recorded_stop
 
 COMPARED = (
     "truth, connections, schedule, times, component tables, overrides, warnings, last row, verdicts"

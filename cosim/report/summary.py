@@ -22,9 +22,9 @@ from cosim.report.recorded_rows import (
     lag_of,
     rows_of,
 )
+from cosim.scenario.document.schema import truth_ports
 from cosim.scenario.identification.run_verdicts import OUTPUT_ERROR
-from cosim.scenario.real_time import Lateness
-from cosim.scenario.recorded_metadata import (
+from cosim.scenario.recordings.recorded_metadata import (
     ComponentRecord,
     IdentificationRecord,
     IrregularRecord,
@@ -43,7 +43,7 @@ from cosim.scenario.recorded_metadata import (
     truth_of,
     until_came_true,
 )
-from cosim.scenario.schema import truth_ports
+from cosim.scenario.running.real_time import Lateness
 from cosim.theory.assessment.consistency import NOTHING_ELSE
 from cosim.theory.disturbances.excitation import describe_excitation, information
 

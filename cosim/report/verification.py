@@ -24,8 +24,8 @@ from cosim.errors import command, flag
 from cosim.log import Log
 from cosim.log.diff import LogDifference, SignalDifference, diff
 from cosim.report.statements import COMPARED, NOT_COMPARED, Contradiction, contradictions
-from cosim.scenario.recorded_metadata import component_record, replay_origin
-from cosim.scenario.replaying import recorded_document
+from cosim.scenario.recordings.recorded_metadata import component_record, replay_origin
+from cosim.scenario.recordings.replaying import recorded_document
 
 _MOST_SHOWN = 8  # contradictions
 

@@ -2,17 +2,17 @@
 
 In the order in which a file passes through it::
 
-    document, lines, places    the text, and where its keys stand
-    edits, swap                what is changed in it from outside
-    parsing, schema            its tables, checked by themselves
-    kinds/, models             what components are made of
-    build, context             the graph and the clock
-      acting, settings,        its actions, checked against the components; the condition that
-      timed_swaps, stopping    ends it
-      coupling_check           the gain of its loops, before the run
-    execution, recording       a run into a log, or again from one (replaying)
-    starting, session          the same, advanced by hand
-    certification/             runs with finer steps: the error of the coupling
+    document/      the text: its tables and their schema, where its keys stand, edits and swaps
+    parsing        its tables, checked by themselves
+    kinds/         what components are made of: with data_files/, and user_kinds/ of users
+    building/      the graph and the clock, models, the condition that ends a run, the gain of loops
+    actions/       what happens in a run, checked against the components
+    swapping/      swapped components beside those that they replace
+    running/       runs at once, paced, or advanced by hand
+    recordings/    what is kept of a run, and what a replay takes from there
+    exporting      a component as an FMU
+    certification/ runs with finer steps: the error of the coupling
     assumptions/, identification/, experiment_design/
-                               what is asked of a scenario or a log beside its run
+                   what is asked of a scenario or a log beside its run
+    library/       the shipped scenarios
 """

@@ -22,11 +22,11 @@ from cosim.files import check_writable, file_type
 from cosim.fmi.exporting.export import export
 from cosim.fmi.exporting.kernels import DiscreteModel
 from cosim.fmi.exporting.specifications import Exportable
-from cosim.scenario.build import Builder, build_context
-from cosim.scenario.execution import load
+from cosim.scenario.building.build import Builder, build_context
 from cosim.scenario.kinds import KINDS, ExportableKind
 from cosim.scenario.kinds.plants import DescriptorKind
 from cosim.scenario.parsing import Scenario
+from cosim.scenario.running.execution import load
 
 ZERO_ORDER_HOLD_OUTPUTS = (
     "its inputs have a zero-order hold over a step here, so its outputs have one too; "

@@ -14,15 +14,15 @@ from cosim.arguments import mapping_argument
 from cosim.core.connections import ONE_SOURCE, Connection, components_driving
 from cosim.core.port import Port
 from cosim.errors import CosimError, GraphError, nearest, quoted
-from cosim.scenario.action_tables import validate_actions
-from cosim.scenario.document import Document
+from cosim.scenario.actions.action_tables import validate_actions
+from cosim.scenario.document.document import Document
+from cosim.scenario.document.problems import Key, Problem, TableProblems, problems_of
+from cosim.scenario.document.schema import ActionTable, ConnectionTable, File
+from cosim.scenario.document.swap import MapEntry, PortNames, ports_in, resolve_maps
 from cosim.scenario.kinds import KINDS, Kind
-from cosim.scenario.problems import Key, Problem, TableProblems, problems_of
-from cosim.scenario.schema import ActionTable, ConnectionTable, File
-from cosim.scenario.swap import MapEntry, PortNames, ports_in, resolve_maps
 
 if TYPE_CHECKING:
-    from cosim.scenario.session import Session
+    from cosim.scenario.running.session import Session
 
 STAND_INS = {"name": "unnamed", "stop": 1.0, "step": 1.0}  # for settings without a right value
 
@@ -56,14 +56,14 @@ class Scenario:
     tree : mapping
         The tables as they stand in the file, edits applied.
     parse : callable
-        Makes a scenario of an edited document (:func:`cosim.scenario.build.parse`).
+        Makes a scenario of an edited document (:func:`cosim.scenario.building.build.parse`).
     invalid : frozenset of Key
         The tables and their entries that are wrong, so that they are missing in ``file`` or have
         values that stand for others; what rests on them cannot be checked.
     actions : mapping of number to ActionTable
         Those of [[actions]] whose tables are right.
     starter : callable or None
-        Starts the scenario (:mod:`cosim.scenario.starting`); None: it is only read here.
+        Starts the scenario (:mod:`cosim.scenario.running.starting`); None: it is only read here.
     """
 
     document: Document
@@ -165,7 +165,7 @@ class Scenario:
         """Replace components: by an FMU (.fmu), a recorded one (.mcap), samples (.csv, .parquet).
 
         ``map`` gives the names that ports have there, such as ``{"observer.y": "out1"}``; see
-        :mod:`cosim.scenario.swap`.
+        :mod:`cosim.scenario.document.swap`.
         """
         return self.edit(swap=paths, map=map)
 
@@ -320,8 +320,8 @@ def _kind(table: Mapping[str, Any], foreign: Collection[str]) -> type[Kind]:
     kind = table.get("kind")
     if isinstance(kind, str) and kind in KINDS:
         return KINDS[kind]
-    from cosim.scenario.installed_kinds import installed_classes
     from cosim.scenario.kinds.user_component import InstalledKind
+    from cosim.scenario.user_kinds.installed_kinds import installed_classes
 
     if isinstance(kind, str) and kind in foreign:
         return InstalledKind

@@ -18,7 +18,7 @@ from cosim.theory.assessment.problem import OutputErrorProblem
 from cosim.theory.disturbances.families import Exponential
 from cosim.theory.disturbed_plant import DataSet, disturbed_plant
 from cosim.theory.plants.descriptor import reduce
-from tests.scenario.test_field_data import TRUTH, academic, alpha, outputs_at
+from tests.scenario.kinds.test_field_data import TRUTH, academic, alpha, outputs_at
 from tests.theory.academic import THETA
 
 RUNS = 3

@@ -12,7 +12,7 @@ from cosim.errors import ScenarioError, UsageError
 from cosim.report import comparing
 from cosim.report.comparing import compare
 from cosim.scenario.exporting import export_component
-from tests.scenario.renamed import MAP, renamed
+from tests.scenario.swapping.renamed import MAP, renamed
 
 SHORT = {"scenario.stop": 7.0}
 
@@ -118,7 +118,7 @@ def test_a_failed_plant_does_not_lose_the_others(folder, tmp_path, capsys):
 
 def test_a_path_that_no_plant_has_is_refused_before_the_first_run(call, monkeypatch):
     """All of them at once, exit 2; that a file is missing is the outcome of its plant."""
-    monkeypatch.setattr("cosim.scenario.recording.run_into", None)
+    monkeypatch.setattr("cosim.scenario.recordings.recording.run_into", None)
     swaps = ("--swap", "plant=/dev/zero", "--swap", "plant=a.fmu", "--swap", "plant=a.fmu#xs")
     code, out, err = call("compare", "academic", *swaps)
     assert (code, out) == (2, "")
@@ -134,7 +134,7 @@ def test_what_no_alternative_can_be_is_refused_before_the_first_run(folder, monk
     """A key that one of them has is set there, and the outcome of the others."""
     plants = {"plant": [folder / "plant.fmu", f"{folder / 'plant.fmu'}#cs"]}
     with monkeypatch.context() as patch:
-        patch.setattr("cosim.scenario.recording.run_into", None)
+        patch.setattr("cosim.scenario.recordings.recording.run_into", None)
         message = r"^set\['plant\.nope'\]: components\.plant\.nope: unknown key 'nope'[^\n]*$"
         with pytest.raises(UsageError, match=message):
             compare("academic", swap=plants, set={"plant.nope": 1.0})

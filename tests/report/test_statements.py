@@ -8,7 +8,7 @@ import cosim
 from cosim.errors import CosimError, RunError
 from cosim.log import open_log
 from cosim.report.verification import verify
-from cosim.scenario.document import shipped
+from cosim.scenario.document.document import shipped
 from tests.log.crafting import put_together, take_apart
 
 FAILS = """

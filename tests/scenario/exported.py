@@ -11,9 +11,9 @@ import pytest
 
 from cosim.core.contracts import Component, prepare
 from cosim.core.linear import LinearModel
-from cosim.scenario.build import Builder, build_context
-from cosim.scenario.execution import load
+from cosim.scenario.building.build import Builder, build_context
 from cosim.scenario.exporting import export_component
+from cosim.scenario.running.execution import load
 from tests.scenario.signals import signals
 
 H = 1e-3

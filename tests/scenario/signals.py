@@ -7,10 +7,10 @@ from typing import Any
 
 from cosim.core import Memory
 from cosim.core import run as run_graph
-from cosim.scenario.build import Builder
-from cosim.scenario.document import PortNames
-from cosim.scenario.execution import load
+from cosim.scenario.building.build import Builder
+from cosim.scenario.document.document import PortNames
 from cosim.scenario.parsing import Scenario
+from cosim.scenario.running.execution import load
 
 
 def signals(

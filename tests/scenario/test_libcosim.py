@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from cosim.scenario.build import build_context
-from cosim.scenario.execution import load
+from cosim.scenario.building.build import build_context
 from cosim.scenario.exporting import export_component
+from cosim.scenario.running.execution import load
 
 pytest.importorskip("libcosimpy")
 

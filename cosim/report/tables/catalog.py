@@ -13,9 +13,9 @@ from cosim.report.tables.console import new_table, print_json, print_line, print
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from cosim.scenario.installed_kinds import InstalledClass
     from cosim.scenario.kinds import Kind
     from cosim.scenario.kinds.parameters import Parameter
+    from cosim.scenario.user_kinds.installed_kinds import InstalledClass
 
 INSTALLED_TITLE = "component kinds of installed packages, by entry points 'cosim.components'"
 KINDS_TITLE = "component kinds; [optional parameters]; 'cosim list KIND' explains the parameters"
@@ -23,11 +23,11 @@ KINDS_TITLE = "component kinds; [optional parameters]; 'cosim list KIND' explain
 
 def print_catalog(*, as_json: bool) -> None:
     """Print the shipped scenarios and the component kinds with their parameters."""
-    from cosim.scenario.document import find, shipped
-    from cosim.scenario.installed_kinds import installed_classes
+    from cosim.scenario.document.document import find, shipped
+    from cosim.scenario.document.schema import ActionTable, ModelTable, Settings
     from cosim.scenario.kinds import KINDS
     from cosim.scenario.kinds.parameters import parameters_of
-    from cosim.scenario.schema import ActionTable, ModelTable, Settings
+    from cosim.scenario.user_kinds.installed_kinds import installed_classes
 
     scenarios = {}
     for name in shipped():
@@ -71,9 +71,9 @@ def print_kind(name: str, *, as_json: bool) -> None:
     UsageError
         If there is no such kind.
     """
-    from cosim.scenario.installed_kinds import installed_class, installed_classes
     from cosim.scenario.kinds import KINDS
     from cosim.scenario.kinds.parameters import parameters_of
+    from cosim.scenario.user_kinds.installed_kinds import installed_class, installed_classes
 
     if name not in KINDS:
         names = dict.fromkeys([*KINDS, *installed_classes()])
@@ -92,8 +92,8 @@ def print_kind(name: str, *, as_json: bool) -> None:
 
 def _installed_table() -> Table:
     """Return a table of the kinds of installed packages, of which nothing is imported."""
-    from cosim.scenario.installed_kinds import installed_classes, refusal
     from cosim.scenario.kinds import KINDS
+    from cosim.scenario.user_kinds.installed_kinds import installed_classes, refusal
 
     table = new_table(INSTALLED_TITLE, ("kind", "class", "package", ""))
     for classes in installed_classes().values():
@@ -105,8 +105,8 @@ def _installed_table() -> Table:
 
 def _plain_installed() -> list[dict[str, Any]]:
     """Return the kinds of installed packages as JSON shows them."""
-    from cosim.scenario.installed_kinds import installed_classes, refusal
     from cosim.scenario.kinds import KINDS
+    from cosim.scenario.user_kinds.installed_kinds import installed_classes, refusal
 
     entries = []
     for classes in installed_classes().values():

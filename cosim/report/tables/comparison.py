@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from cosim.report.comparing import Comparison, EstimateDifference
     from cosim.report.estimator_comparison import EstimatorComparison, EstimatorResult
     from cosim.report.summary import Summary
-    from cosim.scenario.swap_report import SwapReports
+    from cosim.scenario.swapping.swap_report import SwapReports
 
 PlantRow = tuple[str, str, str, str, str, str]  # estimate, truth, plant, value, error, difference
 LargestDifferences = Mapping[tuple[str, str], float]  # by estimate or element, and plant

@@ -52,7 +52,7 @@ def print_contents(source: str, *, as_json: bool) -> None:
 
 def _print_differences(differences: Mapping[str, Sequence[Mapping[str, Any]]]) -> None:
     """Print what differs between swapped components and those that they replaced."""
-    from cosim.scenario.swap_report import row_texts
+    from cosim.scenario.swapping.swap_report import row_texts
 
     for component, rows in differences.items():
         texts = [row_texts(row, whole=row["port"] == component) for row in rows]

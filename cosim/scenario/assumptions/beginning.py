@@ -13,10 +13,10 @@ from cosim.core.gain.loop_gain import LinearizedLoops
 from cosim.core.graph import Graph
 from cosim.errors import AssumptionError, RunError
 from cosim.scenario.assumptions.attempts import Evidence
-from cosim.scenario.build import Builder
-from cosim.scenario.context import DependsOnInvalid
-from cosim.scenario.initial_states import change_text, changed_states
-from cosim.scenario.problems import Problem
+from cosim.scenario.building.build import Builder
+from cosim.scenario.building.context import DependsOnInvalid
+from cosim.scenario.building.initial_states import change_text, changed_states
+from cosim.scenario.document.problems import Problem
 
 BEGINNING: Final = "beginning of the run"
 

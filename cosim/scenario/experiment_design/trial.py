@@ -18,7 +18,7 @@ from cosim.core.master import run
 from cosim.core.recorders import Memory
 from cosim.errors import UsageError
 from cosim.native.estimation.alphas import signals_among
-from cosim.scenario.build import Builder
+from cosim.scenario.building.build import Builder
 from cosim.scenario.experiment_design.subject import DesignSubject
 from cosim.scenario.identification.feedback import inputs_in_feedback
 from cosim.scenario.identification.model import IdentifiedPlant

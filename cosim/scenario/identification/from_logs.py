@@ -25,13 +25,13 @@ from cosim.core.structure.ports import Ports
 from cosim.errors import UsageError, nearest, quoted
 from cosim.log import open_log
 from cosim.native.estimation.alphas import signals_among
-from cosim.scenario.build import Experiment
+from cosim.scenario.building.build import Experiment
 from cosim.scenario.identification.feedback import inputs_in_feedback
 from cosim.scenario.identification.irregular import interval_of
 from cosim.scenario.identification.model import IdentifiedPlant, SampleRows, ThetaBounds, bounds_of
 from cosim.scenario.identification.run_verdicts import OUTPUT_ERROR
-from cosim.scenario.recorded_metadata import component_record
-from cosim.scenario.replaying import rebuilt
+from cosim.scenario.recordings.recorded_metadata import component_record
+from cosim.scenario.recordings.replaying import rebuilt
 from cosim.theory.assessment.advice import advised
 from cosim.theory.assessment.agreement import contradictions, each_alone
 from cosim.theory.assessment.amplitude_verdicts import amplitude_verdicts

@@ -18,9 +18,9 @@ from cosim.core.contracts import Component, Recording
 from cosim.core.linear import Linear, LinearModel
 from cosim.core.port import Port
 from cosim.core.signals import Interface
+from cosim.scenario.building.initial_states import GivenStates
+from cosim.scenario.document.schema import Number, TomlTable, UnitName
 from cosim.scenario.identification.model import IdentifiedPlant
-from cosim.scenario.initial_states import GivenStates
-from cosim.scenario.schema import Number, TomlTable, UnitName
 from cosim.theory.plants.descriptor import DescriptorSystem
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from cosim.fmi.linearizing.moving import MovingLinearization
     from cosim.fmi.linearizing.request import LinearizationRequest
     from cosim.fmi.options import FmuOptions
-    from cosim.scenario.user_code import UserClass
+    from cosim.scenario.user_kinds.user_code import UserClass
 
 T = TypeVar("T")
 

@@ -20,6 +20,7 @@ from cosim.fmi.exporting import kernels
 from cosim.fmi.exporting.kernels import DiscreteModel, Kernel
 from cosim.fmi.exporting.specifications import Exportable
 from cosim.native.numerics.linear import first_order_hold
+from cosim.scenario.document.schema import Number, NumberRow, NumberRows, matrix
 from cosim.scenario.kinds.base import (
     BuildContext,
     ExportableKind,
@@ -28,7 +29,6 @@ from cosim.scenario.kinds.base import (
     Sampling,
     Wiring,
 )
-from cosim.scenario.schema import Number, NumberRow, NumberRows, matrix
 
 
 class SampledKind(PeriodicKind):

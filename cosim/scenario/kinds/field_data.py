@@ -24,10 +24,10 @@ from cosim.core.port import Port
 from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
 from cosim.native.step import LARGEST_MEMORY
-from cosim.scenario.field_file import read_field_data
+from cosim.scenario.data_files.field_file import read_field_data
+from cosim.scenario.document.schema import Number, UnitName
 from cosim.scenario.kinds.base import BuildContext
 from cosim.scenario.kinds.plants import PlantKind
-from cosim.scenario.schema import Number, UnitName
 
 MOST_SAMPLES: Final = 1000  # in one communication step
 FEWEST_SAMPLES: Final = 3  # in a run: fewer are a straight line

@@ -26,6 +26,7 @@ from cosim.core.contracts import Component
 from cosim.core.port import Port
 from cosim.errors import AssumptionError, UsageError
 from cosim.native.estimation.rayleigh import MOST_TERMS
+from cosim.scenario.document.schema import Flag, Limit, Number, NumberRow, NumberRows
 from cosim.scenario.identification.model import IdentifiedPlant, bounds_of
 from cosim.scenario.kinds.alphas import alpha_connections
 from cosim.scenario.kinds.base import (
@@ -47,7 +48,6 @@ from cosim.scenario.kinds.methods import METHODS, IdentificationMethod
 from cosim.scenario.kinds.regressor import RegressorDesign, RegressorKind
 from cosim.scenario.kinds.stated_noise import stated_covariance
 from cosim.scenario.kinds.variants import foreign_keys
-from cosim.scenario.schema import Flag, Limit, Number, NumberRow, NumberRows
 from cosim.theory.disturbances import regression
 from cosim.theory.estimators import defaults
 from cosim.theory.estimators.rayleigh import rayleigh_box, rayleigh_constants

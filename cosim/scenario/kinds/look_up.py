@@ -13,9 +13,9 @@ from cosim.blocks.look_up import LookUpTable
 from cosim.core.contracts import Component
 from cosim.errors import UsageError
 from cosim.native.blocks.functions import Extrapolation
-from cosim.scenario.csv_file import read_csv
+from cosim.scenario.data_files.csv_file import read_csv
+from cosim.scenario.document.schema import NumberRow, NumberRows, matrix
 from cosim.scenario.kinds.base import BuildContext, Kind
-from cosim.scenario.schema import NumberRow, NumberRows, matrix
 
 Points = tuple[list[Vector], Matrix]  # of each input, and the values on their grid
 

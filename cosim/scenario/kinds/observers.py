@@ -18,7 +18,18 @@ from cosim.core.clock import NANOSECONDS, whole_steps
 from cosim.core.contracts import Component
 from cosim.core.linear import Linear, LinearModel
 from cosim.errors import AssumptionError, LogError, UsageError
-from cosim.scenario.initial_states import GivenStates
+from cosim.scenario.building.initial_states import GivenStates
+from cosim.scenario.building.linearizing import DesignModel, MovingModel, design_model, split
+from cosim.scenario.document.schema import (
+    Flag,
+    Number,
+    NumberRow,
+    NumberRows,
+    PoleRow,
+    TomlTable,
+    Whole,
+    matrix,
+)
 from cosim.scenario.kinds.base import (
     BuildContext,
     ExportableKind,
@@ -43,17 +54,6 @@ from cosim.scenario.kinds.reconstruction import (
     recorded_noise,
 )
 from cosim.scenario.kinds.variants import foreign_keys, variants_with
-from cosim.scenario.linearizing import DesignModel, MovingModel, design_model, split
-from cosim.scenario.schema import (
-    Flag,
-    Number,
-    NumberRow,
-    NumberRows,
-    PoleRow,
-    TomlTable,
-    Whole,
-    matrix,
-)
 from cosim.theory.observers import observer
 from cosim.theory.observers.assumptions import plain_modes
 from cosim.theory.plants.descriptor import MATRICES, ReducedSystem, UserCoordinates, reduce

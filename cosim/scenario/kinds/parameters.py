@@ -8,8 +8,8 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from cosim.scenario.document.problems import table_in
 from cosim.scenario.kinds.base import Kind
-from cosim.scenario.problems import table_in
 
 
 @dataclass(frozen=True, slots=True)

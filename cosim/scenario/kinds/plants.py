@@ -17,7 +17,8 @@ from cosim.core.contracts import Component, SignalEvent
 from cosim.core.linear import DescriptorModel, LinearModel
 from cosim.errors import UsageError, nearest
 from cosim.fmi.driving.solvers import SOLVERS, STEPPING
-from cosim.scenario.initial_states import GivenStates
+from cosim.scenario.building.initial_states import GivenStates
+from cosim.scenario.document.schema import Flag, Number, NumberRow, Whole
 from cosim.scenario.kinds.base import (
     BuildContext,
     Kind,
@@ -26,8 +27,7 @@ from cosim.scenario.kinds.base import (
     PeriodicKind,
     Sampling,
 )
-from cosim.scenario.recorded_metadata import component_record
-from cosim.scenario.schema import Flag, Number, NumberRow, Whole
+from cosim.scenario.recordings.recorded_metadata import component_record
 from cosim.theory.plants.descriptor import DescriptorSystem, reduce
 
 if TYPE_CHECKING:

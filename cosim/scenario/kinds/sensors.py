@@ -14,8 +14,8 @@ from cosim.blocks.sensor import Sensor
 from cosim.core.clock import nanoseconds
 from cosim.core.contracts import Component
 from cosim.errors import UsageError
+from cosim.scenario.document.schema import Flag, Number, NumberRow, Size, Whole
 from cosim.scenario.kinds.base import BuildContext, PeriodicKind, PortUnits, Sampling, unit_of
-from cosim.scenario.schema import Flag, Number, NumberRow, Size, Whole
 
 EACH = ", one number or one for each element"
 

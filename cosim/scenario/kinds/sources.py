@@ -24,6 +24,15 @@ from cosim.native.blocks.functions import LinearResponse
 from cosim.native.estimation.alphas import Alpha, AlphaSignal
 from cosim.native.numerics.expression import FUNCTIONS, compile_expression
 from cosim.native.numerics.jumps import depends_on_time, jumps, jumps_with_signals
+from cosim.scenario.document.schema import (
+    Flag,
+    Number,
+    NumberRow,
+    NumberRows,
+    Size,
+    Whole,
+    matrix,
+)
 from cosim.scenario.kinds.alphas import ALPHA, alpha_connections, alphas_of, naming
 from cosim.scenario.kinds.base import BuildContext, ImpliedConnection, Kind, PeriodicKind
 from cosim.scenario.kinds.jumps import (
@@ -33,15 +42,6 @@ from cosim.scenario.kinds.jumps import (
     unseen_rows,
 )
 from cosim.scenario.kinds.terms import LINEAR, ValuedTerm, element_count, function_text
-from cosim.scenario.schema import (
-    Flag,
-    Number,
-    NumberRow,
-    NumberRows,
-    Size,
-    Whole,
-    matrix,
-)
 
 if TYPE_CHECKING:
     from cosim.blocks.modulated_source import Modulation
@@ -314,7 +314,7 @@ class TableKind(Kind):
         return np.array(self.t), matrix(tuple(rows), "y")
 
     def _read(self, path: Path) -> tuple[Vector, Matrix]:
-        from cosim.scenario.csv_file import read_csv  # rarely needed
+        from cosim.scenario.data_files.csv_file import read_csv  # rarely needed
 
         table = read_csv(path)
         names = self.columns

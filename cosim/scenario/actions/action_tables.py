@@ -1,0 +1,90 @@
+"""The tables of [[actions]] by themselves: what happens, to what, and when."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+from pydantic import ValidationError
+
+from cosim.scenario.document.problems import Key, Problem, problems_of
+from cosim.scenario.document.schema import ActionTable
+
+EFFECTS: Final = (
+    "override",
+    "freeze",
+    "offset",
+    "gain",
+    "drift",
+    "noise",
+    "drop",
+    "delay",
+    "release",
+    "set",
+    "swap",
+)  # keys of what happens; an action has one of them
+SWITCHES: Final = ("freeze", "drop", "release")  # that may be true, and not false
+
+
+def validate_actions(
+    tables: Sequence[Mapping[str, Any]],
+) -> tuple[dict[int, ActionTable], list[Problem]]:
+    """Return the actions that are right by themselves, by their numbers, and the problems."""
+    actions: dict[int, ActionTable] = {}
+    problems: list[Problem] = []
+    for number, table in enumerate(tables):
+        key: Key = ("actions", number)
+        try:
+            action = ActionTable.model_validate(table)
+        except ValidationError as error:
+            problems += problems_of(error, ActionTable, table, key)
+            continue
+        own = _problems(action)
+        if own:
+            problems += [((*key, *inner), text) for inner, text in own]
+        else:
+            actions[number] = action
+    return actions, problems
+
+
+def effect_of(action: ActionTable) -> str:
+    """Return the key of what happens, of an action that is right."""
+    return _effects(action)[0]
+
+
+def _effects(action: ActionTable) -> list[str]:
+    return [name for name in EFFECTS if getattr(action, name) is not None]
+
+
+def signals_of(action: ActionTable) -> list[str]:
+    """Return the names of the signals that an action is about, none where it sets parameters."""
+    if action.signal is None:
+        return []
+    return [action.signal] if isinstance(action.signal, str) else action.signal
+
+
+def _problems(action: ActionTable) -> list[Problem]:
+    """Return what is wrong with an action by itself."""
+    problems: list[Problem] = []
+    if (action.at is None) == (action.when is None):
+        found = "neither 'at' nor 'when'" if action.at is None else "both 'at' and 'when'"
+        problems.append(((), f"found {found}; needed a time [s], or a condition"))
+    of_components = [name for name in ("set", "swap") if getattr(action, name) is not None]
+    if of_components and action.signal is not None:
+        text = f"found a signal beside '{of_components[0]}'; needed an action of its own"
+        problems.append((("signal",), text))
+    if not of_components and not signals_of(action):
+        problems.append(((), "'signal' is missing; needed an input, such as plant.u"))
+    effects = _effects(action)
+    if len(effects) != 1:
+        found = " and ".join(effects) or "nothing that happens"
+        problems.append(((), f"found {found}; needed one of: {', '.join(EFFECTS)}"))
+    for name in SWITCHES:
+        if getattr(action, name) is False:
+            problems.append(((name,), "found False; needed true, or another action"))
+    is_random = action.noise is not None or (
+        action.drop is not None and not isinstance(action.drop, bool)
+    )
+    if action.seed is not None and not is_random:
+        problems.append((("seed",), "found a seed without random numbers; leave it out"))
+    return problems

@@ -1,0 +1,158 @@
+"""Components that are swapped in a run, by FMUs that go on from the same continuous states.
+
+Both are for model exchange, where continuous states have names: they are handed over by these. What
+else an FMU remembers, its discrete states, begins anew, with an event.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cosim.blocks.declared import Declared
+from cosim.core.contracts import Component
+from cosim.core.signals import Interface
+from cosim.core.stepping.actions import Swap
+from cosim.errors import UsageError, listing
+from cosim.scenario.building.context import ScenarioBuildContext
+from cosim.scenario.document.swap import component_table
+from cosim.scenario.kinds import KINDS
+from cosim.scenario.parsing import Scenario
+
+if TYPE_CHECKING:
+    from cosim.fmi.driving.model_exchange import ModelExchange
+
+
+@dataclass(frozen=True, slots=True)
+class StateTransfer:
+    """Hands continuous states over by their names.
+
+    Parameters
+    ----------
+    source, target : ModelExchange
+    """
+
+    source: ModelExchange
+    target: ModelExchange
+
+    def take(self) -> dict[str, float]:
+        """Return the states of the source by name."""
+        values = self.source.states().tolist()
+        return dict(zip(self.source.state_names, values, strict=True))
+
+    def give(self, state: Mapping[str, float]) -> None:
+        """Set the states of the target."""
+        x = np.array([state[name] for name in self.target.state_names])
+        self.target.continue_from(x)
+
+
+class SwapBuilder:
+    """Makes actions of the components that are swapped in a run.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    context : ScenarioBuildContext
+        In which the components of the run were built; takes what is opened.
+    components : mapping of name to Component
+    resources : ExitStack
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        context: ScenarioBuildContext,
+        components: Mapping[str, Component],
+        resources: ExitStack,
+    ) -> None:
+        self._scenario = scenario
+        self._context = context
+        self._components = components
+        self._resources = resources
+
+    def action(self, name: str, path: str) -> Swap:
+        """Return what swaps a component.
+
+        Raises
+        ------
+        UsageError
+            If states cannot be handed over, or the FMU does not fit into its place.
+        CosimError
+            If the FMU cannot be opened.
+        """
+        source = self._context.model_exchange.get(name)
+        if source is None or not source.state_names:
+            raise UsageError(
+                f"the state of {name!r} cannot be handed over: it has no continuous states with "
+                "names; needed a plant, or an FMU of FMI 2 or 3 for model exchange"
+            )
+        table = component_table(name, path)
+        spec = KINDS[table["kind"]].model_validate(table)
+        scenario = replace(self._scenario, specs={**self._scenario.specs, name: spec})
+        context = ScenarioBuildContext(scenario, self._resources, None)
+        context.begin(name)
+        component = spec.build(name, context)
+        target = context.model_exchange.get(name)
+        if target is None:
+            raise UsageError(
+                f"the state of {name!r} cannot be handed over to {path}, which has no continuous "
+                "states with names; needed an FMU for model exchange"
+            )
+        _check_states(name, path, source, target)
+        interface = self._components[name].interface
+        _check_interface(name, path, interface, component.interface)
+        self._context.fmus[f"{name} ({path})"] = context.fmus[name]
+        return Swap(name, Declared(component, interface), path, StateTransfer(source, target))
+
+
+def _check_states(name: str, path: str, source: ModelExchange, target: ModelExchange) -> None:
+    """Check that two components have the same states.
+
+    Raises
+    ------
+    UsageError
+        If they have not; names those of both.
+    """
+    if sorted(source.state_names) != sorted(target.state_names):
+        found = listing(target.state_names) or "none"
+        raise UsageError(
+            f"the state of {name!r} cannot be handed over to {path}: found the states {found}; "
+            f"needed {listing(source.state_names)}"
+        )
+
+
+def _check_interface(name: str, path: str, place: Interface, found: Interface) -> None:
+    """Check that a component fits into the place of another one, as it is wired and ordered.
+
+    Raises
+    ------
+    UsageError
+        If it does not.
+    """
+    for kind, needed_signals, found_signals in (
+        ("inputs", place.inputs, found.inputs),
+        ("outputs", place.outputs, found.outputs),
+    ):
+        needed = [(signal.name, signal.size, signal.type) for signal in needed_signals]
+        if needed != [(signal.name, signal.size, signal.type) for signal in found_signals]:
+            names = listing([signal.name for signal in needed_signals])
+            raise UsageError(
+                f"{path} does not fit into the place of {name!r}: needed the {kind} {names}, of "
+                "the same sizes and types, in this order"
+            )
+    for output in place.outputs:
+        more = set(found.feeds(output.name)) - set(place.feeds(output.name))
+        if more:
+            raise UsageError(
+                f"{path} does not fit into the place of {name!r}: {output.name} depends on "
+                f"{listing(sorted(more))} at the same instant, which the order does not know of"
+            )
+    if place.rollback and not found.rollback:
+        raise UsageError(
+            f"{path} cannot save its state, as {name!r} can; needed an FMU that can "
+            "(canGetAndSetFMUstate)"
+        )

@@ -1,0 +1,703 @@
+"""From a scenario to a graph and a clock, with every problem of the file in one report."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import unicodedata
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from cosim.blocks.declared import with_units
+from cosim.blocks.replay import Replay
+from cosim.core.clock import Clock, start_nanoseconds
+from cosim.core.contracts import Component, Design, Plan, Recording, SignalEvent
+from cosim.core.gain.loop_gain import LoopGain
+from cosim.core.graph import Graph
+from cosim.core.port import Port
+from cosim.core.signals import Interface
+from cosim.core.stepping.actions import AT_CONDITION, Action, ConditionalAction, TimedAction
+from cosim.core.structure.connection_checks import check_connections
+from cosim.core.structure.ports import Ports, layout_of
+from cosim.errors import CosimError
+from cosim.scenario.building.context import (
+    DependsOnInvalid,
+    MessageSource,
+    NotImported,
+    ScenarioBuildContext,
+    clock_of,
+)
+from cosim.scenario.building.initial_states import GivenStates
+from cosim.scenario.building.models import form_problems
+from cosim.scenario.building.stopping import check_until, until_warnings
+from cosim.scenario.building.truth import check_truth
+from cosim.scenario.document.document import Document
+from cosim.scenario.document.problems import Key, Problem, TableProblems
+from cosim.scenario.document.swap import MapEntry, ports_in, unknown_ports
+from cosim.scenario.identification.model import IdentifiedPlant
+from cosim.scenario.kinds import BuildContext, Kind
+from cosim.scenario.parsing import Scenario, read
+from cosim.scenario.recordings.recorded_metadata import ReplayOrigin, component_record
+
+if TYPE_CHECKING:
+    from cosim.blocks.port_map import PortMap
+    from cosim.fmi.binary.messages import Message
+
+
+_HELD_IN_LOOP: Final = (
+    "{source} depends on what it drives, so that '{to}' takes it with a zero-order hold, on the "
+    "mean {delay:g} s late: an error of first order in the step, which no identifier has in its "
+    "model; needed a small step"
+)
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A scenario ready to run.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    graph : Graph
+    clock : Clock
+    truth : mapping of estimate to its truth
+        What the report compares.
+    metadata : mapping of component name to plain values
+        What the log keeps of a component.
+    warnings : tuple of (component, text)
+    reads : mapping of component name to names of tables
+        That were read to build the component, beside its own.
+    attachments : mapping of file name to text
+        For the log: modelDescription.xml of each FMU.
+    fmus : mapping of component name to MessageSource
+        What was opened for this run and may have messages.
+    files : frozenset of Path
+        What is read beside the scenario.
+    identified : mapping of identifier to IdentifiedPlant
+        What its estimates are judged by.
+    models : mapping of name to plain values
+        Of those that were read from files: file, hash and matrices.
+    given_states : mapping of component name to GivenStates
+        Initial states that the run may have to change.
+    plan : Plan or None
+        Of the graph, where it was prepared already.
+    gains : tuple of LoopGain
+        Of its loops; of a replay as they were recorded.
+    designs : mapping of component name to Design, or None
+        Of a replay: the recorded designs that it takes.
+    messages : mapping of component name to list of Message
+        What was drained from ``fmus`` already.
+    origin : ReplayOrigin or None
+        Of a replay: the log it is made from.
+    events : tuple of SignalEvent
+        Of a replay: overrides and releases of inputs, and what followed them.
+    actions : tuple of TimedAction
+        What happens at communication points.
+    reactions : tuple of ConditionalAction
+        What happens where conditions come true.
+    until : str or None
+        The condition where it ends before its stop.
+    settings : mapping of (int, str) to Action
+        What sets parameters, by time [ns] and component; those of a replay too.
+    setting_designs : mapping of str to str
+        The designs of the components that take the places of others, for the log.
+    """
+
+    scenario: Scenario
+    graph: Graph
+    clock: Clock
+    truth: Mapping[str, Any]
+    metadata: Mapping[str, Mapping[str, Any]]
+    warnings: tuple[tuple[str, str], ...]
+    reads: Mapping[str, frozenset[str]]
+    attachments: Mapping[str, str]
+    fmus: Mapping[str, MessageSource]
+    files: frozenset[Path]
+    identified: Mapping[str, IdentifiedPlant] = field(default_factory=dict)
+    models: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    given_states: Mapping[str, GivenStates] = field(default_factory=dict)
+    plan: Plan | None = None
+    gains: tuple[LoopGain, ...] = ()
+    designs: Mapping[str, Design] | None = None
+    messages: Mapping[str, Sequence[Message]] = field(default_factory=dict)
+    origin: ReplayOrigin | None = None
+    events: tuple[SignalEvent, ...] = ()
+    actions: tuple[TimedAction, ...] = ()
+    reactions: tuple[ConditionalAction, ...] = ()
+    until: str | None = None
+    settings: Mapping[tuple[int, str], Action] = field(default_factory=dict)
+    setting_designs: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def has_events(self) -> bool:
+        """Whether signals may jump by actions, or by the events of a recording."""
+        return bool(self.events or self.actions or self.reactions)
+
+
+class Builder:
+    """Builds what can be built of a scenario, and collects the problems of the rest.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    resources : ExitStack
+        Closes what was opened, FMUs above all, when the run is over.
+    problems : iterable of Problem
+        Of the scenario, as far as they are known.
+    recording : Recording, optional
+        Take from it every component that cannot be computed again from the log: plants, FMUs,
+        files.
+    named_files : collection of str, optional
+        With a recording: the files that may be opened all the same.
+    block : int, optional
+        Fixed number of communication steps in a block.
+    replaced : mapping of component name to Interface, optional
+        Of the components that swaps replaced, where they are known.
+    describes : bool
+        Read of FMUs their descriptions only: what is built shows what there is, and cannot run.
+
+    Attributes
+    ----------
+    problems : list of Problem
+    components : mapping of name to Component
+        Those that could be built.
+    port_maps : mapping of component name to PortMap
+        Of those of them whose ports are renamed.
+    given_states : mapping of component name to GivenStates
+        Initial states that the run may have to change.
+    unknown : set of str
+        Components of which nothing but the table is known, as nothing of their code runs here.
+
+    Raises
+    ------
+    ScenarioError
+        If nothing can be built.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        resources: ExitStack,
+        *,
+        problems: Iterable[Problem] = (),
+        recording: Recording | None = None,
+        named_files: Collection[str] = (),
+        block: int | None = None,
+        replaced: Mapping[str, Interface] | None = None,
+        describes: bool = False,
+    ) -> None:
+        self.scenario = scenario
+        self.problems = list(problems)
+        self._block = block
+        self._resources = resources
+        self._describes = describes
+        self.context = ScenarioBuildContext(
+            scenario,
+            resources,
+            recording,
+            named_files,
+            invalid=self._check_times(),
+            describes=describes,
+        )
+        self.components: dict[str, Component] = {}
+        self.port_maps: dict[str, PortMap] = {}
+        self._recording = recording
+        self._replaced = replaced or {}
+        self._periods: dict[str, int] = {}
+        self.given_states: dict[str, GivenStates] = {}
+        self.unknown: set[str] = set()
+        self._invalid: set[str] = set()  # components whose connections are not checked
+        self._cause: Exception | None = None  # what the first component raised that was not built
+        self._check_models()
+        for name, interface in self._replaced.items():
+            entries = scenario.maps.get(name, [])
+            self.problems += unknown_ports(scenario.tree, entries, interface)
+        for name, spec in scenario.specs.items():
+            self._build(name, spec)
+        self._drop_repeated_problems()
+        self._invalid |= self._names() - self.components.keys()
+        self._check_connections()
+        self._truth, truth_problems = check_truth(
+            scenario.file, self.components, self._invalid, self.context.warn
+        )
+        self.problems += truth_problems
+        self._actions: tuple[TimedAction, ...] = ()
+        self._reactions: tuple[ConditionalAction, ...] = ()
+        self._check_actions()
+        self._check_until()
+
+    def _check_times(self) -> set[Key]:
+        """Add the problems of the times; return the settings that are then not known."""
+        settings = self.scenario.file.scenario
+        checks: dict[str, Callable[[], object]] = {
+            "step": lambda: Clock(settings.step, settings.step),
+            "start_time": lambda: start_nanoseconds(settings.start_time),
+            "stop": lambda: clock_of(self.scenario),
+        }
+        unknown: set[Key] = set()
+        for name, check in checks.items():
+            key = ("scenario", name)
+            if not self.scenario.invalid.isdisjoint({("scenario",), key}):
+                unknown.add(key)
+            elif name != "stop" or not unknown:  # a stop is checked on the grid of the steps
+                try:
+                    check()
+                except CosimError as error:
+                    self.problems.append((key, str(error)))
+                    unknown.add(key)
+        return unknown
+
+    @property
+    def clock(self) -> Clock:
+        """The clock of the run.
+
+        Raises
+        ------
+        ScenarioError
+            If one of its times is wrong, with every problem of the file.
+        """
+        try:
+            return replace(self.context.clock, block=self._block)
+        except DependsOnInvalid as error:
+            raise self.scenario.document.report(self.problems) from error
+
+    def _names(self) -> set[str]:
+        """Return the names of all components that the file has, right or wrong."""
+        names = set(self.scenario.file.components)
+        for table, *entry in self.scenario.invalid:
+            if table in ("components", "swap"):
+                names |= set(map(str, entry))
+        return names | {unicodedata.normalize("NFC", name) for name in names}
+
+    # --- components ---
+
+    def _check_models(self) -> None:
+        for name, table in self.scenario.file.models.items():
+            problems: list[Problem] = []
+            for key, text in form_problems(table):
+                problems.append((("models", name, key) if key else ("models", name), text))
+            if not problems:
+                try:
+                    self.context.model(name)
+                except (CosimError, ValueError) as error:
+                    problems = [(("models", name), str(error))]
+            if problems:
+                self.problems += problems
+                self.context.invalid.add(("models", name))
+
+    def _build(self, name: str, spec: Kind) -> None:
+        """Build a component, or add the problem of that."""
+        self.context.begin(name)
+        try:
+            component = self._component(name, spec)
+            period = spec.period_steps(name, self.context.step_ns)
+            self.components[name] = spec.with_period(component, period)
+            self._periods[name] = spec.recorded_period(period)
+            given = spec.given_states(name, self.context)
+            if given is not None:
+                self.given_states[name] = given
+        except DependsOnInvalid:
+            pass
+        except NotImported:
+            self.unknown.add(name)
+        except TableProblems as error:
+            self._cause = self._cause or error
+            for key, text in error.problems:
+                self.problems.append((("components", name, *key), text))
+        except (CosimError, ValueError) as error:
+            self._cause = self._cause or error
+            self.problems.append((("components", name), str(error)))
+        except (ArithmeticError, MemoryError) as error:  # of numbers near the largest or smallest
+            self.problems.append((("components", name), out_of_range(error)))
+
+    def _drop_repeated_problems(self) -> None:
+        """Drop what a component says of another that it reads, which says that itself."""
+        known = {(".".join(map(str, key)), text) for key, text in self.problems}
+        kept = []
+        for key, text in self.problems:
+            reads = self.context.reads.get(str(key[1]), ()) if key[:1] == ("components",) else ()
+            others = [table for table in reads if table != f"components.{key[1]}"]
+            if not any((table, text) in known for table in others):
+                kept.append((key, text))
+        self.problems = kept
+
+    def _component(self, name: str, spec: Kind) -> Component:
+        if self._recording is not None and not spec.computable:
+            for model in spec.models:
+                self.context.model(model)  # what it was made of: a replay cannot change that
+            record = component_record(self._recording, name)
+            if record.lags:
+                self.context.add_metadata(name, {"lags": record.lags})
+            if record.code is not None:
+                self.context.add_metadata(name, {"code": record.code.model_dump(by_alias=True)})
+            return Replay(self._recording, name)  # recorded under the scenario's names
+        component = spec.build(name, self.context)
+        entries = self.scenario.maps.get(name)
+        if entries:
+            component = self._renamed(name, spec, component, entries)
+        return with_units(component, spec.units)
+
+    def _renamed(
+        self, name: str, spec: Kind, component: Component, entries: Sequence[MapEntry]
+    ) -> Component:
+        """Show a swapped component under the scenario's names; add the problems of its map."""
+        from cosim.blocks.renamed import Renamed  # rarely needed
+        from cosim.blocks.renaming import resolve
+
+        given = [entry.renaming for entry in entries]
+        renamings = spec.renamings(component.interface, given)
+        replaced = self._replaced.get(name)
+        self.port_maps[name], problems = resolve(component.interface, renamings, replaced)
+        for entry in entries:
+            port = entry.renaming.port
+            text = problems.pop(port, None) or problems.pop(port.whole, None)
+            if text is not None:
+                self.problems.append((entry.key, text))
+                self._invalid.add(name)
+        return Renamed(component, self.port_maps[name])
+
+    # --- connections ---
+
+    def _check_connections(self) -> None:
+        components = dict(self.components)
+        for name in self._invalid & components.keys():
+            del components[name]
+        invalid = self.scenario.invalid
+        if not components or not invalid.isdisjoint({("components",), ("connections",)}):
+            return
+        ports = Ports(layout_of(components))
+        unread = ports_in(key[1] for key in invalid if key[0] == "connections")
+        connections = self.scenario.connections
+        problems = check_connections(ports, connections, self._invalid, unread)
+        for to, text in problems.items():
+            origin = self.scenario.implied.get(to, to)
+            if origin is None:
+                where = "" if str(to) in text else f"'{to}': "
+                self.problems.append((("components", to.component), where + text))
+                self._invalid.add(to.component)
+            elif origin == to or origin not in problems:  # else told of what it follows from
+                self._add_connection_problem(to, origin, text)
+
+    def _add_connection_problem(self, to: Port, origin: Port, text: str) -> None:
+        key = ("connections", str(origin))
+        if key in self.scenario.invalid:
+            return
+        if origin != to:
+            text += f"; '{to}' takes what '{origin}' does, unless it has a source of its own"
+        self.problems.append((key, text))
+
+    def _check_until(self) -> None:
+        """Add the problem of the condition that ends the run."""
+        until = self.scenario.file.scenario.until
+        known = {name: c for name, c in self.components.items() if name not in self._invalid}
+        if until is None or not known:
+            return
+        unknown = self._names() - known.keys()
+        try:
+            step_ns = self.context.step_ns
+        except DependsOnInvalid:
+            return
+        self.problems += check_until(until, known, unknown, step_ns)
+
+    def _settings(self) -> dict[tuple[int, str], Action]:
+        """Return what sets parameters, by time [ns] and component."""
+        settings: dict[tuple[int, str], Action] = {}
+        for timed in self._actions:
+            time_ns = self.clock.start_ns + timed.index * self.clock.step_ns
+            for name in timed.action.variants:
+                settings[time_ns, name] = timed.action
+        for reaction in self._reactions:
+            for action in reaction.actions:
+                for name in action.variants:
+                    settings[AT_CONDITION, name] = action
+        return settings
+
+    def _check_actions(self) -> None:
+        """Check the actions; a replay follows those that were recorded."""
+        if not self.scenario.actions or self._recording is not None:
+            return
+        from cosim.scenario.actions.acting import ActionChecker  # rarely needed
+        from cosim.scenario.actions.settings import SettingBuilder
+        from cosim.scenario.actions.timed_swaps import SwapBuilder
+
+        known = {name: c for name, c in self.components.items() if name not in self._invalid}
+        try:
+            clock = self.context.clock
+        except DependsOnInvalid:
+            return
+        settings = None
+        swaps = None
+        if not self._describes:
+            swaps = SwapBuilder(self.scenario, self.context, known, self._resources)
+            settings = SettingBuilder(
+                self.scenario,
+                self.context,
+                known,
+                resources=self._resources,
+                recording=None,
+            )
+        connections = self.scenario.connections
+        unknown = self._names() - known.keys()
+        checker = ActionChecker(
+            known, connections, unknown, clock=clock, settings=settings, swaps=swaps
+        )
+        checker.check(self.scenario.actions)
+        self.problems += checker.problems
+        self._actions = tuple(checker.timed)
+        self._reactions = tuple(checker.reactions)
+
+    def check(self) -> None:
+        """Check that everything could be built.
+
+        Raises
+        ------
+        ScenarioError
+            With every problem of the file.
+        """
+        if self.problems:
+            problems = [*self.problems, *self.graph_problems()]
+            raise self.scenario.document.report(problems) from self._cause
+
+    def graph_problems(self) -> list[Problem]:
+        """Return the problems of the graph as a whole, where all that it is made of is right."""
+        keys = [key for key, _ in self.problems]
+        if self._invalid or any(key[:1] == ("connections",) for key in keys):
+            return []
+        try:
+            graph = self._graph()
+        except CosimError as error:
+            return [(("connections",), str(error))]
+        return self._jumps(graph)
+
+    def experiment(self) -> Experiment:
+        """Return the experiment.
+
+        Raises
+        ------
+        ScenarioError
+            With every problem of the file.
+        """
+        self.check()
+        context = self.context
+        graph = self.graph()
+        jumps = self._jumps(graph)
+        if jumps:
+            raise self.scenario.document.report(jumps)
+        self._warn(graph)
+        return Experiment(
+            self.scenario,
+            graph,
+            self.clock,
+            truth=self._truth,
+            metadata=context.metadata,
+            warnings=tuple(context.warnings),
+            reads=context.reads,
+            attachments=context.attachments,
+            fmus=context.fmus,
+            files=frozenset(context.files),
+            identified=context.identified,
+            models=context.models,
+            given_states=self.given_states,
+            actions=self._actions,
+            reactions=self._reactions,
+            until=self.scenario.file.scenario.until,
+            settings=self._settings(),
+        )
+
+    def _jumps(self, graph: Graph) -> list[Problem]:
+        """Return the problems of inputs that must not jump."""
+        problems: list[Problem] = []
+        for to, connection in self.scenario.connections.items():
+            way_out = self.scenario.specs[to.component].continuous_inputs.get(to.signal)
+            if way_out is None:
+                continue
+            for source in connection.sources:
+                jumping = graph.jumps(source)
+                if jumping:
+                    text = f"{to.signal} '{source}' {_how(source, jumping)}; {way_out}"
+                    problems.append((("components", to.component), text))
+        return problems
+
+    def _warn(self, graph: Graph) -> None:
+        """Record the warnings of the components, knowing what drives them, and of the graph."""
+        h = self.clock.step_ns / 1e9
+        for name, left_out in self.scenario.unfollowed.items():
+            self.context.warn(
+                name,
+                f"has no inputs: the connections to {', '.join(left_out)} are left out, and what "
+                "[truth] compares with need not be true of the data",
+            )
+        for name, spec in self.scenario.specs.items():
+            held = {}
+            mask = graph.held[name]
+            inputs = self.components[name].interface.input_columns()
+            for signal, columns in inputs.items():
+                held[signal] = bool(mask[columns].any())
+            for text in spec.advice(name, self.context, held=held, h=h):
+                self.context.warn(name, text)
+        keys = ["until"] if self.scenario.file.scenario.until is not None else []
+        keys += ["when"] if self._reactions else []
+        more = (*self._held_disturbances(graph), *until_warnings(keys, graph))
+        for name, text in (*graph.warnings, *more):
+            self.context.warn(name, text)
+
+    def _held_disturbances(self, graph: Graph) -> Iterator[tuple[str, str]]:
+        """Yield (component, text) where a disturbance is in a loop, by signals among its alphas."""
+        if graph.input_interpolation != "linear":
+            return
+        delay = 0.5 * self.clock.step_ns / 1e9
+        for stage in graph.stages:
+            loop = {member.name for member in stage.members}
+            for to, connection in graph.connections.items():
+                if to.component not in loop:
+                    continue
+                end = graph.ports.input(to)
+                first = end.columns.start - end.channel.inputs.start
+                held = graph.held[to.component][first : first + end.size]
+                for source in connection.sources:
+                    is_inside = source.component in loop
+                    if is_inside and held.any() and self._is_modulated(source.component):
+                        text = _HELD_IN_LOOP.format(source=source, to=to, delay=delay)
+                        yield source.component, text
+
+    def _is_modulated(self, name: str) -> bool:
+        """Return whether a component has inputs that must not jump, such as alphas."""
+        inputs = self.components[name].interface.input_names
+        return not inputs.isdisjoint(self.scenario.specs[name].continuous_inputs)
+
+    def graph(self) -> Graph:
+        """Return the graph of the components; what is wrong beside them does not matter.
+
+        Raises
+        ------
+        ScenarioError
+            If one of them cannot be built, with every problem of the file; or they do not fit
+            together.
+        """
+        if not self.scenario.specs.keys() <= self.components.keys() - self._invalid:
+            raise self.scenario.document.report(self.problems) from self._cause
+        try:
+            return self._graph()
+        except CosimError as error:
+            problem = (("connections",), str(error))
+            raise self.scenario.document.report([problem]) from error
+
+    def _graph(self) -> Graph:
+        settings = self.scenario.file.scenario
+        return Graph(
+            self.components,
+            self.scenario.connections,
+            coupling=settings.coupling,
+            iterations=settings.iterations,
+            input_interpolation=settings.input_interpolation,
+            periods=self._periods,
+            threads=settings.threads,
+        )
+
+
+def out_of_range(error: Exception) -> str:
+    """Return in words that a number has left the range of numbers."""
+    return f"a number is too large or too small to compute with: {error}"
+
+
+def _how(source: Port, jumping: Sequence[Port]) -> str:
+    """Return how a signal jumps."""
+    jumps = "is discrete and jumps"
+    if source.whole not in jumping:
+        jumps = f"jumps with {', '.join(map(str, jumping))}, which feeds through"
+    return (
+        f"{jumps}, and a signal that is interpolated linearly cannot: it would become a ramp of a "
+        "whole step"
+    )
+
+
+def parse(document: Document) -> Scenario:
+    """Read and validate a document.
+
+    Raises
+    ------
+    ScenarioError
+        With every problem that shows without building the components; if there is one, with every
+        problem of the file.
+    """
+    scenario, problems = read(document, parse)
+    if problems:
+        with ExitStack() as resources:
+            Builder(scenario, resources, problems=problems).check()
+    return scenario
+
+
+@dataclass(frozen=True)
+class DescribedScenario:
+    """What there is of a scenario, of which nothing runs.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    clock : Clock
+    components : mapping of name to Component
+        Those whose ports are known.
+    graph : Graph or None
+        None: the ports of some components are not known.
+    metadata : mapping of component name to plain values
+    """
+
+    scenario: Scenario
+    clock: Clock
+    components: Mapping[str, Component]
+    graph: Graph | None
+    metadata: Mapping[str, Mapping[str, Any]]
+
+
+def describe(document: Document) -> DescribedScenario:
+    """Read, validate and build a document without running anything of an FMU or a user's class.
+
+    What is built shows what there is, and cannot run.
+
+    Raises
+    ------
+    ScenarioError
+        With every problem of the file.
+    """
+    scenario, problems = read(document, parse)
+    with ExitStack() as resources:
+        builder = Builder(scenario, resources, problems=problems, describes=True)
+        builder.check()
+        graph = None if builder.unknown else builder.experiment().graph
+        metadata = builder.context.metadata
+        return DescribedScenario(scenario, builder.clock, builder.components, graph, metadata)
+
+
+def build_context(scenario: Scenario, resources: ExitStack) -> BuildContext:
+    """Return what a single kind needs to build its component, outside a run.
+
+    Raises
+    ------
+    ClockError
+        If one of the times is off the grid.
+    """
+    clock_of(scenario)
+    return ScenarioBuildContext(scenario, resources, None)
+
+
+def fingerprint(scenario: Scenario, name: str, reads: frozenset[str]) -> str:
+    """Hash everything that the design of a component rests on.
+
+    This is its table, the tables that it read, communication step, input interpolation and
+    coupling.
+    """
+    settings = scenario.file.scenario
+    names = sorted({f"components.{name}", *reads})
+    tables = {dotted: _table(scenario.tree, dotted) for dotted in names}
+    method = [settings.coupling, settings.iterations]
+    values = [tables, settings.step, settings.input_interpolation, *method]
+    text = json.dumps(values, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _table(tree: Mapping[str, Any], dotted: str) -> Any:
+    table, _, name = dotted.partition(".")
+    return tree.get(table, {}).get(name)

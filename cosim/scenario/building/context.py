@@ -1,0 +1,697 @@
+"""What kinds may ask of the scenario while their components are built, and what each records."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from contextlib import ExitStack
+from functools import cached_property, partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
+
+import numpy as np
+
+from cosim.arguments import check_path
+from cosim.arrays import Matrix, Vector
+from cosim.blocks.replay import Replay
+from cosim.core.clock import Clock, nanoseconds, seconds
+from cosim.core.contracts import Component, Recording
+from cosim.core.port import Port
+from cosim.core.recorded import find_channel
+from cosim.core.signals import Interface
+from cosim.core.structure.ports import unknown_port
+from cosim.errors import CosimError, LogError, UsageError, nearest, option, quoted
+from cosim.scenario.building.models import LETTERS, system_of, system_of_file
+from cosim.scenario.document.problems import Key, TableProblems
+from cosim.scenario.document.swap import ports_in
+from cosim.scenario.identification.model import IdentifiedPlant
+from cosim.scenario.kinds import Kind
+from cosim.scenario.kinds.base import KnownSignal, Spectrum
+from cosim.scenario.parsing import Scenario
+from cosim.scenario.recordings.recorded_metadata import (
+    CodeRecord,
+    LinearizationRecord,
+    component_record,
+    recorded_models,
+)
+from cosim.theory.plants.descriptor import DescriptorSystem
+
+if TYPE_CHECKING:
+    from cosim.blocks.field_data import FieldData
+    from cosim.fmi.binary.messages import Message
+    from cosim.fmi.component import Fmu
+    from cosim.fmi.driving.model_exchange import ModelExchange
+    from cosim.fmi.linearizing.linearization import Linearization
+    from cosim.fmi.linearizing.moving import MovingLinearization
+    from cosim.fmi.linearizing.request import LinearizationRequest
+    from cosim.fmi.options import FmuOptions
+    from cosim.scenario.user_kinds.user_code import UserClass
+
+T = TypeVar("T")
+
+_NOT_IMPORTED: Final = (
+    "known to its class alone, which is not imported here; 'cosim run SCENARIO --dry-run' imports "
+    "it, in a process of its own"
+)
+
+
+class MessageSource(Protocol):
+    """An opened FMU, as a run sees it beside its component."""
+
+    def terminate(self) -> None:
+        """End the run; raise RunError where the FMU says that it failed."""
+        ...
+
+    def discard(self) -> None:
+        """Forget the messages since the last call of ``drain``; what warns only once may again."""
+        ...
+
+    def drain(self) -> Sequence[Message]:
+        """Return the messages since the last call."""
+        ...
+
+
+def clock_of(scenario: Scenario) -> Clock:
+    """Return the clock of a scenario.
+
+    Raises
+    ------
+    ClockError
+        If one of its times is off the grid.
+    """
+    settings = scenario.file.scenario
+    return Clock(settings.stop, settings.step, start_time=settings.start_time)
+
+
+def _first_element(port: Port) -> int:
+    """Return where a port begins in its signal."""
+    match port.element:
+        case None:
+            return 0
+        case int():
+            return port.element
+        case range():
+            return port.element.start
+
+
+class DependsOnInvalid(UsageError):
+    """A component cannot be checked because something that it reads is wrong and reported."""
+
+
+class NotImported(UsageError):
+    """A component is of code that does not run here, so that nobody knows its ports."""
+
+
+class ScenarioBuildContext:
+    """Records what each component reads while it is built, and what it opens.
+
+    See :class:`cosim.scenario.kinds.BuildContext`. Where it only ``describes``, nothing of an FMU
+    runs. All that it answers may raise ``DependsOnInvalid``.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    resources : ExitStack
+        Closes what is opened.
+    recording : Recording or None
+    named_files : collection of str
+        What a replay may open.
+    invalid : iterable of Key
+        What is known to be wrong beside ``scenario.invalid``.
+    describes : bool
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        resources: ExitStack,
+        recording: Recording | None,
+        named_files: Collection[str] = (),
+        *,
+        invalid: Iterable[Key] = (),
+        describes: bool = False,
+    ) -> None:
+        self._describes = describes
+        self.invalid = {*scenario.invalid, *invalid}
+        self._scenario = scenario
+        self._resources = resources
+        self._recording = recording
+        self._named_files = named_files
+        self._current = ""
+        self.metadata: dict[str, dict[str, Any]] = {}
+        self.warnings: list[tuple[str, str]] = []
+        self.reads: dict[str, frozenset[str]] = {"": frozenset()}
+        self.attachments: dict[str, str] = {}
+        self.fmus: dict[str, Fmu] = {}
+        self.model_exchange: dict[str, ModelExchange] = {}
+        self._linearized: dict[str, Linearization] = {}
+        self._field_data: dict[str, FieldData] = {}
+        self._designs: dict[str, tuple[Any, frozenset[str]]] = {}
+        self._choices: dict[str, Mapping[str, Any]] = {}
+        self._sources_beside: dict[str, Component] = {}
+        self._systems: dict[str, DescriptorSystem] = {}
+        self.models: dict[str, dict[str, Any]] = {}
+        self.files: set[Path] = set()
+        self.identified: dict[str, IdentifiedPlant] = {}
+
+    def begin(self, name: str) -> None:
+        """Record what is read from now on for a component."""
+        self._current = name
+        self.reads[name] = frozenset()
+
+    # --- what a kind may ask for ---
+
+    @cached_property
+    def step_ns(self) -> int:
+        """Communication step [ns]."""
+        self._need(("scenario", "step"))
+        return nanoseconds(self._scenario.file.scenario.step)
+
+    @cached_property
+    def clock(self) -> Clock:
+        """The clock of the run, with blocks of any size."""
+        for name in ("step", "start_time", "stop"):
+            self._need(("scenario", name))
+        return clock_of(self._scenario)
+
+    def _need(self, key: Key) -> None:
+        """Check that an entry of a table is right, as far as that is known.
+
+        Raises
+        ------
+        DependsOnInvalid
+            If it is not, which is reported.
+        """
+        if not self.invalid.isdisjoint({key, key[:1]}):
+            raise DependsOnInvalid
+
+    def model(self, name: str) -> DescriptorSystem:
+        """Return a model of [models], and record that it was read.
+
+        Raises
+        ------
+        UsageError
+            If there is none of that name, or its matrices do not fit together.
+        ValueError
+            If the rows of a matrix have different lengths.
+        """
+        models = self._scenario.file.models
+        self._need(("models", name))
+        if name not in models:
+            raise UsageError(f"there is no model {name!r} in [models]; {nearest(name, models)}")
+        self._read(f"models.{name}")
+        if name not in self._systems:
+            table = models[name]
+            if table.file is None:
+                self._systems[name] = system_of(name, table)
+            else:
+                self._systems[name] = system_of_file(table, self._matrices(name, table.file))
+        return self._systems[name]
+
+    def _matrices(self, name: str, path: str) -> Mapping[str, Matrix]:
+        """Return the matrices of a model's file, and record them; a replay takes them from there.
+
+        Raises
+        ------
+        UsageError
+            If the file cannot be read, or is not to be opened; see :meth:`file`.
+        LogError
+            If the recorded matrices cannot be understood.
+        """
+        if self._recording is not None:
+            record = recorded_models(self._recording).get(name)
+            if record is not None and record.file == path:
+                self.models[name] = record.model_dump(mode="json")
+                return record.arrays
+        from cosim.scenario.data_files.model_file import (  # rarely needed
+            missing_text,
+            read_model_file,
+        )
+
+        content = read_model_file(self.file(path), LETTERS)
+        missing = [letter for letter in ("A", "C") if letter not in content.matrices]
+        if missing:
+            raise UsageError(missing_text(path, content, missing))
+        matrices = {letter: rows.tolist() for letter, rows in content.matrices.items()}
+        self.models[name] = {"file": path, "sha256": content.sha256, "matrices": matrices}
+        return content.matrices
+
+    def spec(self, name: str) -> Kind:
+        """Return the table of another component, and record that it was read."""
+        self._read(f"components.{name}")
+        if name not in self._scenario.specs:
+            raise DependsOnInvalid
+        return self._scenario.specs[name]
+
+    def driver(self, to: Port) -> str | None:
+        """Return the component that drives an input alone; None: there is no such component."""
+        self._need_connected(to)
+        return self._scenario.driver(to)
+
+    def sources(self, to: Port) -> list[Port]:
+        """Return the outputs, or elements of these, that drive an input, one behind the other.
+
+        None of them: nothing drives it, or a matrix mixes them.
+        """
+        self._need_connected(to)
+        connections = self._scenario.connections
+        ports = [port for port in connections if port.whole == to]
+        sources: list[Port] = []
+        for port in sorted(ports, key=_first_element):
+            if connections[port].matrix.ndim:
+                return []
+            sources += connections[port].sources
+        return sources
+
+    def drivers(self, to: Port) -> Mapping[str, Kind]:
+        """Return the components that drive an input, as a whole or by its elements."""
+        self._need_connected(to)
+        specs = self._scenario.specs
+        return {name: specs[name] for name in sorted(self._scenario.sources(to)) if name in specs}
+
+    def behind(self, to: Port) -> Mapping[str, Kind]:
+        """Return the components that an input follows, up to those that are not computable."""
+        self._need_connected(to)
+        components: dict[str, Kind] = {}
+        waiting = set(self._scenario.sources(to))
+        while waiting:
+            name = waiting.pop()
+            if name in self._scenario.specs:
+                spec = components[name] = self._scenario.specs[name]
+                if spec.computable:
+                    waiting |= self._scenario.sources_of(name) - components.keys()
+        return components
+
+    def _need_connected(self, to: Port) -> None:
+        """Check that what drives an input is right, as far as that is known.
+
+        Raises
+        ------
+        DependsOnInvalid
+            If it is not, which is reported.
+        """
+        self._need(("connections",))
+        for key in self.invalid:
+            if key[0] == "connections" and to in [port.whole for port in ports_in(key[1:2])]:
+                raise DependsOnInvalid
+
+    def designed(self, name: str, design: Callable[[], T]) -> T:
+        """Return the design of a component, which is made once in a build.
+
+        What it was made of counts as read by every component that asks for it.
+        """
+        if name not in self._designs:
+            before = self.reads[self._current]
+            self.reads[self._current] = frozenset()
+            try:
+                made = design()
+                self._designs[name] = made, self.reads[self._current]
+            finally:
+                self.reads[self._current] |= before
+        result: T = self._designs[name][0]
+        self.reads[self._current] |= self._designs[name][1]
+        return result
+
+    def field_data(self, name: str, read: Callable[[], FieldData]) -> FieldData:
+        """Return the samples of a component, which are read once."""
+        if name not in self._field_data:
+            self._field_data[name] = read()
+        return self._field_data[name]
+
+    def recorded(self, name: str) -> Interface | None:
+        """Return the interface of a component that is taken from a recording; None: it is not."""
+        if self._recording is None or self.spec(name).computable:
+            return None
+        return find_channel(self._recording.channels, name, source=self._recording.label).interface
+
+    def lag(self, to: Port) -> float:
+        """Return how far the signal that drives an input lags behind what it estimates [s].
+
+        Signals that pass through static components on their way keep their lag. Of what is wrong in
+        the file, and so reported, nothing is known.
+
+        Raises
+        ------
+        UsageError
+            If it is made of signals that lag differently.
+        """
+        lags: dict[float, Port] = {}
+        seen: set[str] = set()
+        waiting = [to]
+        while waiting:
+            for source in self._sources(waiting.pop()):
+                name = source.component
+                spec = self._scenario.specs.get(name)
+                if spec is None:
+                    continue
+                self._read(f"components.{name}")
+                if not spec.hands_on_lag:
+                    lags[self._lag_of(spec, source)] = source
+                elif name not in seen:
+                    seen.add(name)
+                    waiting += self._inputs(name)
+        if len(lags) > 1:
+            sources = ", ".join(f"{source} by {lag:g} s" for lag, source in lags.items())
+            raise UsageError(
+                f"{to.name!r} is driven by signals that lag behind differently: {sources}; "
+                "needed one lag"
+            )
+        return next(iter(lags), 0.0)
+
+    def _lag_of(self, spec: Kind, source: Port) -> float:
+        if self._recording is not None and not spec.computable:
+            record = component_record(self._recording, source.component)
+            return record.lags.get(source.signal, 0.0)
+        try:
+            return spec.lag(source.component, source.signal, self)
+        except CosimError as error:  # the problem of that component, which reports it itself
+            raise DependsOnInvalid(str(error)) from error
+
+    def _sources(self, to: Port) -> list[Port]:
+        """Return the outputs that drive an input or its elements."""
+        sources: list[Port] = []
+        for port, connection in self._scenario.connections.items():
+            if port.component == to.component and to in (port, port.whole):
+                sources += [source.whole for source in connection.sources]
+        return sources
+
+    def _inputs(self, name: str) -> list[Port]:
+        """Return the inputs of a component that something drives."""
+        ports = {port.whole for port in self._scenario.connections if port.component == name}
+        return sorted(ports, key=str)
+
+    def known(self, source: Port) -> KnownSignal | None:
+        """Return an output, or an element of one, as a function of time, where that is known."""
+        spec = self.spec(source.component)
+        if not spec.is_known or source.component in self._scenario.maps:
+            return None
+        if source.component not in self._sources_beside:
+            self._sources_beside[source.component] = self._source(source.component, spec)
+        component = self._sources_beside[source.component]
+        matched = source.find({signal.name: signal for signal in component.interface.outputs})
+        if matched is None:
+            raise unknown_port(source, component.interface, "output")
+        signal, elements = matched
+        column = component.interface.output_columns()[signal.name].start + elements.start
+        if spec.is_recorded or self._is_replayed(spec):
+            return _interpolated(component, column, self.clock)
+        return partial(_values_at, component, column)
+
+    def _is_replayed(self, spec: Kind) -> bool:
+        return self._recording is not None and not spec.computable
+
+    def _source(self, name: str, spec: Kind) -> Component:
+        """Return a component without inputs, beside that of the run."""
+        if self._recording is not None and self._is_replayed(spec):
+            return Replay(self._recording, name)
+        count = len(self.warnings)
+        try:
+            return spec.build(name, self)
+        except CosimError as error:  # the problem of that component, which reports it itself
+            raise DependsOnInvalid(str(error)) from error
+        finally:
+            del self.warnings[count:]  # it warns where it is built for the run
+
+    def spectra(self, name: str) -> list[Spectrum]:
+        """Return what is known of the signals of a component, by the tables of those it drives."""
+        spectra = []
+        for to, connection in self._scenario.connections.items():
+            spec = self._scenario.specs.get(to.component)
+            sources = {source.component for source in connection.sources}
+            if spec is None or name not in sources:
+                continue
+            spectrum = spec.spectrum(to.component, self)
+            if spectrum is not None:
+                self._read(f"components.{to.component}")
+                spectra.append(spectrum)
+        return spectra
+
+    def chosen(
+        self, name: str, request: Mapping[str, Any], choose: Callable[[], Mapping[str, Any]]
+    ) -> Mapping[str, Any]:
+        """Return what was chosen for a component, or the recorded choice of the same request."""
+        if name not in self._choices:
+            recorded = None
+            if self._recording is not None:
+                recorded = component_record(self._recording, name).choice
+            if recorded is not None and recorded.request == request:
+                result: Mapping[str, Any] = recorded.result.model_dump(mode="json")
+            else:
+                result = choose()
+            self._choices[name] = result
+            self.add_metadata(name, {"choice": {"request": request, "result": result}})
+        return self._choices[name]
+
+    def file(self, path: str) -> Path:
+        """Return the path of a file named in the scenario, and record that it is read.
+
+        Raises
+        ------
+        UsageError
+            In a replay, if the log alone names it: a log from elsewhere must not choose the files
+            that are opened here, the libraries in an FMU least of all. Or if no file can have it.
+        """
+        if self._recording is not None and path not in self._named_files:
+            raise UsageError(
+                f"a replay opens no file that only the log names: found {quoted(path)}, and what "
+                f"is needed of it is not in the log; name it yourself, {option('set')}, or run the "
+                "scenario"
+            )
+        check_path(path)
+        file = self._scenario.document.folder / path
+        self.files.add(file.resolve())
+        return file
+
+    def recording(self, path: str) -> Recording:
+        """Open a log with the scenario's communication step.
+
+        Raises
+        ------
+        UsageError
+            If it has another one, or is not to be opened; see :meth:`file`.
+        LogError
+            If it cannot be read.
+        """
+        from cosim.log import open_log
+
+        log = open_log(self.file(path))
+        if log.step_ns != self.step_ns:
+            log_step = log.step_ns / 1e9
+            step = self.step_ns / 1e9
+            raise UsageError(
+                f"log {path!r} has steps of {log_step} s, the scenario of {step} s; needed the same"
+            )
+        return log
+
+    def user_class(self, name: str, class_name: str, *, package: str | None = None) -> UserClass:
+        """Import the class of a component, and record its source.
+
+        Raises
+        ------
+        NotImported
+            If only descriptions are read.
+        TableProblems
+            If it cannot be imported; what was raised is the cause.
+        UsageError
+            In a replay, if its source is not that of the recorded run: what is computed would be of
+            another component than the log says.
+        """
+        from cosim.scenario.user_kinds.user_code import OtherSource, load_class
+
+        if self._describes:
+            self.add_metadata(name, {"class": class_name, "ports": _NOT_IMPORTED})
+            raise NotImported(class_name)
+        folder = self._scenario.document.folder if package is None else None
+        spec = self._scenario.specs[name]
+        needed = None
+        recorded: CodeRecord | None = None
+        is_replayed = self._recording is not None and spec.code not in self._named_files
+        if self._recording is not None and is_replayed:
+            recorded = component_record(self._recording, name).code
+            needed = {} if recorded is None else recorded.sources
+        try:
+            user_class = load_class(class_name, folder, distribution=package, needed=needed)
+        except OtherSource as other:
+            sources = {other.file: other.found}
+            found = CodeRecord.model_validate({"class": class_name, "sources": sources})
+            raise self._other_code(name, recorded, found) from other
+        except UsageError as error:
+            key = "class" if package is None else "kind"
+            raise TableProblems([((key,), str(error))]) from error.__cause__
+        code = {
+            "class": class_name,
+            "sources": dict(user_class.sources),
+            "distribution": user_class.distribution,
+        }
+        found = CodeRecord.model_validate(code)
+        if is_replayed and found != recorded:
+            raise self._other_code(name, recorded, found)
+        self.add_metadata(name, {"code": code})
+        return user_class
+
+    def _other_code(self, name: str, recorded: CodeRecord | None, found: CodeRecord) -> UsageError:
+        """Return the error about code in a replay that is not that of the recorded run."""
+        entry = option("set", f"{name}.class", found.class_name)
+        return UsageError(
+            f"found {found.difference(recorded)}; needed the same code: {entry} takes it as it is "
+            "now, for another replay than that of the log"
+        )
+
+    def fmu(self, name: str, path: str, options: FmuOptions) -> Component:
+        """Load an FMU; it is freed at the end of the run.
+
+        Only its description is read where nothing is to run.
+        """
+        from cosim.fmi.component import describe, load
+
+        if self._describes:
+            described = describe(self.file(path), options)
+            self.add_metadata(name, described.metadata)
+            return described
+        opened = load(self.file(path), options, instance_name=name)
+        loaded = self._resources.enter_context(opened)
+        self.attachments[f"{name}/modelDescription.xml"] = loaded.model_description
+        self.add_metadata(name, loaded.metadata)
+        for note in loaded.notes:
+            self.warn(name, note)
+        self.fmus[name] = loaded
+        if loaded.model_exchange is not None:
+            self.add_states(name, loaded.model_exchange)
+        return loaded.component
+
+    def add_states(self, name: str, component: ModelExchange) -> None:
+        """Record what has the continuous states of a component, to hand them over."""
+        self.model_exchange[name] = component
+
+    def opened(self, name: str) -> Fmu:
+        """Return the FMU that was loaded for a component.
+
+        Raises
+        ------
+        UsageError
+            If only its description is read.
+        """
+        self._need_run(name)
+        return self.fmus[name]
+
+    def linearization(self, name: str, path: str, request: LinearizationRequest) -> Linearization:
+        """Linearize an FMU for a component, or take the recorded result of the same request.
+
+        Raises
+        ------
+        UsageError
+            If the FMU would have to be run where nothing is to run, or is not to be opened; see
+            :meth:`file`.
+        FmuError
+            If it cannot be linearized as is asked for.
+        RunError
+            If it cannot go on.
+        LogError
+            If the recorded result cannot be understood.
+        """
+        from cosim.fmi.linearizing.linearization import Linearization
+
+        if name not in self._linearized:
+            self._need_run(path)
+            request_record = {"fmu": path, **request.to_dict()}
+            recorded = self._recorded_linearization(name)
+            if recorded is not None and recorded.request == request_record:
+                record = recorded.model_dump()
+            else:
+                record = {"request": request_record, **self._linearize(path, request)}
+            try:
+                linearization = Linearization.of(record["result"])
+            except (KeyError, TypeError, ValueError, AttributeError) as error:
+                raise LogError(
+                    f"the recorded linearization of {path!r} cannot be understood: {error}"
+                ) from error
+            self._linearized[name] = linearization
+            self.add_metadata(name, {"linearization": record})
+            for note in linearization.notes:
+                self.warn(name, note)
+        return self._linearized[name]
+
+    def moving_linearization(
+        self, name: str, path: str, request: LinearizationRequest
+    ) -> MovingLinearization:
+        """Return an FMU that is linearized on the way; it is freed at the end of the run.
+
+        Raises
+        ------
+        UsageError
+            If only descriptions are read, or it is not to be opened; see :meth:`file`.
+        FmuError
+            If it cannot be linearized as is asked for.
+        RunError
+            If it does not reach its operating point.
+        """
+        from cosim.fmi.linearizing.linearize import open_for_linearization
+        from cosim.fmi.linearizing.moving import MovingLinearization
+        from cosim.fmi.reading.model_description import read
+
+        self._need_run(path)
+        archive = read(self.file(path))
+        opened = self._resources.enter_context(open_for_linearization(archive, request.start))
+        self.fmus[name] = opened
+        return MovingLinearization(opened.instance, request)
+
+    def _need_run(self, fmu: str) -> None:
+        """Refuse what needs the code of an FMU, where nothing is to run.
+
+        Raises
+        ------
+        UsageError
+            If only descriptions are read.
+        """
+        if self._describes:
+            raise UsageError(
+                f"{fmu} has to be run for its linearization, and only descriptions are read here; "
+                "'cosim run SCENARIO --dry-run' runs it, in a process of its own"
+            )
+
+    def _linearize(self, path: str, request: LinearizationRequest) -> dict[str, Any]:
+        from cosim.fmi.linearizing.linearize import linearize_archive
+        from cosim.fmi.reading.model_description import read
+
+        archive = read(self.file(path))
+        result = linearize_archive(archive, request)
+        return {"sha256": archive.sha256, "result": result.to_dict()}
+
+    def _recorded_linearization(self, name: str) -> LinearizationRecord | None:
+        if self._recording is None:
+            return None
+        return component_record(self._recording, name).linearization
+
+    def add_identified(self, name: str, identified: IdentifiedPlant) -> None:
+        """Have the estimates of an identifier judged at the end of the run."""
+        self.identified[name] = identified
+
+    def add_metadata(self, name: str, metadata: Mapping[str, Any]) -> None:
+        """Record metadata of a component."""
+        self.metadata.setdefault(name, {}).update(metadata)
+
+    def warn(self, name: str, text: str) -> None:
+        """Record a warning about a component."""
+        self.warnings.append((name, text))
+
+    def _read(self, table: str) -> None:
+        self.reads[self._current] |= {table}
+
+
+def _values_at(component: Component, column: int, t: Vector) -> Vector:
+    """Return an output of a component without inputs, whose outputs are functions of time."""
+    no_inputs = np.zeros((len(t) + 1, 0))
+    ends_of_steps = np.concatenate([t[:1], t])  # where the first one begins does not matter
+    values: Vector = component.advance(ends_of_steps, 0.0, no_inputs)[:, column]
+    return values
+
+
+def _interpolated(component: Component, column: int, clock: Clock) -> KnownSignal:
+    """Return an output of a recorded component, between its rows by linear interpolation."""
+    points = seconds(clock.start_ns + clock.step_ns * np.arange(clock.steps + 1, dtype=np.int64))
+    values = _values_at(component, column, points)
+
+    def at(t: Vector) -> Vector:
+        interpolated: Vector = np.interp(t, points, values)
+        return interpolated
+
+    return at

@@ -1,0 +1,242 @@
+"""The gain of the loops of a scenario, before its run: refused, warned of, or reported.
+
+A coupling that multiplies an error by more than 10 over the run leaves nothing of its results. It
+is refused, with a step or a coupling that would do; ``coupling_check = "warn"`` runs it all the
+same.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+
+from cosim.arrays import Vector
+from cosim.core.clock import NANOSECONDS, Clock
+from cosim.core.contracts import Plan
+from cosim.core.gain.loop_gain import NOTED, REFUSED, LinearizedLoops, LoopGain
+from cosim.core.graph import Graph
+from cosim.errors import CosimError, listing
+from cosim.scenario.building.build import Experiment
+from cosim.scenario.document.problems import Problem
+
+COUPLING: Final = "coupling"  # whose warnings these are
+LARGEST: Final = 1e4  # that is written without an exponent of ten
+
+
+@dataclass(frozen=True, slots=True)
+class CouplingReport:
+    """What is known of the loops of a graph.
+
+    Parameters
+    ----------
+    gains : tuple of LoopGain
+    refusals, warnings : tuple of str
+    """
+
+    gains: tuple[LoopGain, ...] = ()
+    refusals: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+def with_loop_gains(experiment: Experiment, rebuild: Callable[[], Experiment]) -> Experiment:
+    """Return an experiment with the gains of its loops, and the warnings that follow from them.
+
+    Its graph is prepared and initialized for that; one that cannot be is left to the run. Where an
+    FMU does not begin again as it did, the run takes what ``rebuild`` returns.
+
+    Raises
+    ------
+    ScenarioError
+        If the coupling of a loop is refused.
+    """
+    graph = experiment.graph
+    if not any(stage.is_loop for stage in graph.stages):
+        return experiment
+    messages = {name: [*experiment.messages.get(name, ())] for name in experiment.fmus}
+    for name, fmu in experiment.fmus.items():
+        messages[name] += fmu.drain()
+    beginning = _Beginning(graph, experiment.clock, experiment.plan)
+    loops = beginning.loops()
+    if experiment.fmus and not beginning.repeats():
+        experiment = rebuild()
+    else:
+        experiment = replace(experiment, plan=beginning.plan, messages=messages)
+        for fmu in experiment.fmus.values():
+            fmu.discard()  # the run says the same again
+    report = report_on(loops)
+    document = experiment.scenario.document
+    settings = experiment.scenario.file.scenario
+    warnings = report.warnings
+    if settings.coupling_check == "warn":
+        warnings += report.refusals
+    elif report.refusals:
+        problems: list[Problem] = []
+        for text in report.refusals:
+            way_out = '; coupling_check = "warn" runs it all the same'
+            problems.append((("scenario", "step"), text + way_out))
+        raise document.report(problems)
+    _note(experiment.graph, report.gains)
+    coupling_warnings = tuple((COUPLING, text) for text in warnings)
+    all_warnings = (*experiment.warnings, *coupling_warnings)
+    return replace(experiment, gains=report.gains, warnings=all_warnings)
+
+
+class _Beginning:
+    """The beginning of a graph, where that is needed to know its loops.
+
+    Attributes
+    ----------
+    plan : Plan or None
+    """
+
+    def __init__(self, graph: Graph, clock: Clock, plan: Plan | None = None) -> None:
+        self.plan = plan
+        self._graph = graph
+        self._clock = clock
+        self._row: Vector | None = None
+        if not LinearizedLoops.may_be_known(graph):
+            return
+        with suppress(CosimError):  # the run will end with it
+            if plan is None:
+                self.plan = graph.prepare(clock.step_ns)
+            self._row = self._initialized()
+
+    def _initialized(self) -> Vector:
+        row = np.zeros(self._graph.layout.width)
+        self._graph.initialize(self._clock.start_time, row)
+        return row
+
+    def loops(self) -> LinearizedLoops:
+        """Return the loops, linearized where the graph could be begun."""
+        if self._row is None:
+            return LinearizedLoops(self._graph, self._clock)
+        return LinearizedLoops.of(self._graph, self._clock, self._row)
+
+    def repeats(self) -> bool:
+        """Return whether it can be begun again, to the same bits, or was not begun."""
+        if self._row is None:
+            return True
+        try:
+            return self._initialized().tobytes() == self._row.tobytes()
+        except CosimError:
+            return False
+
+
+def _note(graph: Graph, gains: tuple[LoopGain, ...]) -> None:
+    """Add its gain to the errors of a loop."""
+    for gain in gains:
+        if gain.rho is not None:
+            for name in gain.components:
+                graph.members[name].note += f" with a gain of {_number(gain.rho)} a step"
+
+
+def report_on(loops: LinearizedLoops) -> CouplingReport:
+    """Return what is known of loops, and what stands against their coupling."""
+    gains = loops.gains()
+    refusals = []
+    warnings = []
+    for number, gain in enumerate(gains):
+        if gain.verdict == "refused":
+            refusals.append(_refusal(gain, loops, number))
+        elif gain.verdict == "noted":
+            warnings.append(_excess(gain))
+        if gain.is_unstable:
+            warnings.append(_unstable(gain))
+    return CouplingReport(gains, tuple(refusals), tuple(warnings))
+
+
+def _refusal(gain: LoopGain, loops: LinearizedLoops, number: int) -> str:
+    ways_out = []
+    step_ns = loops.step_for(number)
+    if step_ns is not None:
+        ways_out.append(f"step = {step_ns / NANOSECONDS:g}")
+    ways_out += [f'coupling = "{coupling}"' for coupling in loops.couplings_for(number)]
+    way_out = ""
+    if ways_out:
+        *others, last = ways_out
+        way_out = f"; needed {' or '.join(filter(None, (', '.join(others), last)))}"
+    return f"{_excess(gain)}, more than {REFUSED:g}{way_out}"
+
+
+def _excess(gain: LoopGain) -> str:
+    assert gain.rho is not None
+    own = _own(gain)
+    return (
+        f"the loop of {listing(gain.components)}: coupling '{gain.coupling}' has a gain of "
+        f"{_number(gain.rho)} a step of {gain.h:g} s, the loop itself one of {own}, and so "
+        f"multiplies an error by {_growth(gain.exponent)} over the run"
+    )
+
+
+def _unstable(gain: LoopGain) -> str:
+    return (
+        f"the loop of {listing(gain.components)} is unstable itself, whatever couples it: it has a "
+        f"pole at {gain.rate:+.4g} /s, and multiplies an error by {_growth(gain.own_exponent)} "
+        "over the run"
+    )
+
+
+def _growth(exponent: float) -> str:
+    """Return exp(exponent) in words, also where it is no number of the machine."""
+    decades = exponent / math.log(10.0)
+    if abs(decades) > math.log10(LARGEST):
+        return f"1e{decades:+.0f}".replace("+", "")
+    return f"{math.exp(exponent):.4g}"
+
+
+def _own(gain: LoopGain) -> str:
+    """Return what the loop itself multiplies an error by in a step, in words."""
+    if gain.rate is None:
+        return "0"
+    exponent = gain.h * gain.rate
+    return _growth(exponent) if exponent > 1.0 else _number(math.exp(exponent))
+
+
+def _number(rho: float) -> str:
+    """Return a gain with three digits of what it has more or less than 1."""
+    difference = abs(rho - 1.0)
+    if not 1e-12 < difference < 1.0:
+        return f"{rho:.4g}"
+    decimals = 2 - math.floor(math.log10(difference))
+    return f"{rho:.{decimals}f}"
+
+
+# --- to be shown ---
+
+
+def described_gains(graph: Graph, clock: Clock) -> tuple[LoopGain, ...]:
+    """Return the gains of loops of a graph that shows what there is.
+
+    Of what cannot run nothing does: it is not linearized, either.
+    """
+    return _Beginning(graph, clock).loops().gains()
+
+
+def gain_text(gain: LoopGain) -> str:
+    """Return the gain of a loop in words."""
+    if gain.unknown:
+        return f"not known, as {listing(gain.unknown)} cannot be linearized"
+    if gain.rho is None:
+        return f"not known: {gain.reason}"
+    own = _own(gain)
+    text = f"{_number(gain.rho)} a step, the loop itself {own}"
+    if gain.exponent > math.log(NOTED):
+        text += f"; an error grows by {_growth(gain.exponent)} over the run beyond it"
+    return text
+
+
+def gain_values(gain: LoopGain) -> dict[str, Any]:
+    """Return what is known of a loop as plain values."""
+    return {
+        "loop": ", ".join(gain.components),
+        "coupling": gain.coupling,
+        "gain": gain.rho,
+        "largest pole": gain.rate,
+        "verdict": gain.verdict,
+        "text": gain_text(gain),
+    }

@@ -1,0 +1,153 @@
+"""What estimates should equal: the entries of [truth] that a run can compare."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence, Set
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cosim.core.contracts import Component
+from cosim.core.port import Port
+from cosim.core.signals import Signal
+from cosim.core.structure.connection_checks import incomparable
+from cosim.errors import GraphError, nearest
+from cosim.scenario.document.problems import Problem
+from cosim.scenario.document.schema import File, truth_ports
+from cosim.units import conversion
+
+
+@dataclass(frozen=True, slots=True)
+class ComparedSignal:
+    """A signal, and how many of its elements are compared."""
+
+    signal: Signal
+    size: int
+
+
+def check_truth(
+    file: File,
+    components: Mapping[str, Component],
+    missing: Set[str],
+    warn: Callable[[str, str], None],
+) -> tuple[dict[str, Any], list[Problem]]:
+    """Return the truths that can be compared, and the problems of the others.
+
+    A swapped component need not have the signals that only the report asks for.
+
+    Parameters
+    ----------
+    file : File
+    components : mapping of name to Component
+    missing : set of names
+        Of components that are not right: truths with their signals are not checked.
+    warn : callable
+        Called with the truths that a swap leaves out, as (component, text).
+    """
+    kept: dict[str, Any] = {}
+    problems: list[Problem] = []
+    signals = _Signals(components)
+    for estimate, truth in file.truth.items():
+        texts = [estimate, *truth_ports(truth)]
+        try:
+            ports = [Port.parse(text) for text in texts]
+            if not missing.isdisjoint(port.component for port in ports):
+                continue
+            unknown = signals.unknown(ports)
+            dropped = [port for port in unknown if port.component in file.swap]
+            if dropped:
+                text = f"has no {str(dropped[0])!r}: the report leaves out {estimate!r}"
+                warn(dropped[0].component, text)
+                continue
+            estimated, *true_signals = [signals.find(port) for port in ports]
+            _check_size(estimate, truth, estimated, true_signals)
+            for port, true in zip(ports[1:], true_signals, strict=True):
+                _check_unit(estimate, port, estimated, true, warn)
+        except GraphError as error:
+            problems.append((("truth", estimate), str(error)))
+        else:
+            kept[estimate] = truth
+    return kept, problems
+
+
+class _Signals:
+    """The signals of components by port."""
+
+    def __init__(self, components: Mapping[str, Component]) -> None:
+        self._signals: dict[str, Mapping[str, Signal]] = {}
+        self._names: list[str] = []
+        for name, component in components.items():
+            signals = component.interface.by_name
+            self._signals[name] = signals
+            self._names += [f"{name}.{signal}" for signal in signals]
+
+    def unknown(self, ports: Sequence[Port]) -> list[Port]:
+        """Return those of some ports that there are not."""
+        return [port for port in ports if self._match(port) is None]
+
+    def find(self, port: Port) -> ComparedSignal:
+        """Return the signal that a port names.
+
+        Raises
+        ------
+        GraphError
+            If there is no such signal or element.
+        """
+        match = self._match(port)
+        if match is None:
+            suggestion = nearest(str(port), self._names)
+            raise GraphError(f"there is no signal {str(port)!r}; {suggestion}")
+        signal, elements = match
+        return ComparedSignal(signal, elements.stop - elements.start)
+
+    def _match(self, port: Port) -> tuple[Signal, slice] | None:
+        return port.find(self._signals.get(port.component, {}))
+
+
+def _check_size(
+    estimate: str, truth: Any, estimated: ComparedSignal, true_signals: Sequence[ComparedSignal]
+) -> None:
+    """Check that an estimate has as many elements as its truth: all signals of it, or numbers.
+
+    Raises
+    ------
+    GraphError
+        If it has not.
+    """
+    true_size = sum(true.size for true in true_signals)
+    if not true_signals:
+        true_size = len(np.atleast_1d(truth))
+    if estimated.size != true_size:
+        shown_truth = list(truth) if isinstance(truth, tuple) else truth
+        raise GraphError(
+            f"{estimate!r} has size {estimated.size}, "
+            f"its truth {shown_truth!r} has size {true_size}"
+        )
+
+
+def _check_unit(
+    estimate: str,
+    port: Port,
+    estimated: ComparedSignal,
+    true: ComparedSignal,
+    warn: Callable[[str, str], None],
+) -> None:
+    """Check that the unit of a true signal can be converted to that of the estimate.
+
+    Warn where nobody can say.
+
+    Raises
+    ------
+    GraphError
+        If it cannot.
+    """
+    unit = estimated.signal.measure
+    true_unit = true.signal.measure
+    if conversion(true_unit, unit) is None:
+        raise GraphError(
+            f"{estimate!r} has unit {unit.name!r}, its truth {str(port)!r} has unit "
+            f"{true_unit.name!r}; needed units of one kind"
+        )
+    for text in incomparable(true_unit, unit):
+        warn(Port.parse(estimate).component, f"{estimate}, its truth {port}: {text}")

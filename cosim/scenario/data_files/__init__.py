@@ -1,0 +1,1 @@
+"""Numbers from files of other tools: CSV and Parquet tables, MAT-files."""

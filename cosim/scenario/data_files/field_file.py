@@ -1,0 +1,416 @@
+"""Field data: tables of samples with times of their own, from CSV and Parquet files.
+
+The first line of a CSV file, or the names of the columns of a Parquet file, say what the columns
+are, with their units: ``t [ms]``, ``y [mm]``, ``x_a[0]``, ``x_a[1]``. An empty cell and NaN say
+that nothing was measured; all else that is no finite number is refused, and so are times that do
+not ascend. The offset of the times is subtracted before they are rounded: a time stamp in ns since
+1970 has more digits than a double.
+
+A message tells where a file is wrong, and of what stands there only the times.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from decimal import Decimal
+from pathlib import Path
+from typing import Any, Final, Literal, Protocol, TypeAlias
+
+import numpy as np
+
+from cosim.arrays import NAN
+from cosim.blocks.field_data import FieldData, FieldSignal, elements_named
+from cosim.errors import UsageError, nearest
+from cosim.files import read_bounded
+from cosim.scenario.data_files.csv_file import LARGEST, MOST_COLUMNS, is_number, read_lines
+from cosim.units import base_unit
+
+TimeOffset: TypeAlias = float | Literal["first"]
+
+PARQUET: Final = ".parquet"
+_SEPARATORS: Final = ("\t", ";", "|", ",")
+_HEADER: Final = re.compile(r"(?P<name>.*?)\s*(?:\[(?P<unit>[^\[\]]+)\]|\((?P<known>[^()]+)\))")
+_NO_UNIT: Final = ("-", "1")  # as dimensionless quantities are often marked
+_BYTES: Final = 8  # of a number
+
+
+def read_field_data(
+    path: str | Path,
+    *,
+    time: str | None = None,
+    time_unit: str | None = None,
+    offset: TimeOffset = 0.0,
+    columns: Mapping[str, str | Sequence[str]] | None = None,
+    separator: str | None = None,
+    decimal: str = ".",
+) -> FieldData:
+    """Read samples with times of their own from a CSV or Parquet file.
+
+    Parameters
+    ----------
+    path : str or Path
+        Of a file whose name ends in .parquet, or of a CSV file.
+    time : str, optional
+        Name of the column of the times; by default the first.
+    time_unit : str, optional
+        Unit of the times; by default the one in the name of their column, or s.
+    offset : float or "first"
+        The time stamp, as the file has it, that is t = 0; "first": the first one.
+    columns : mapping of signal to the name of a column, or names of several, optional
+        By default every other column is a signal of its name, and ``x[0]``, ``x[1]``, ... are the
+        elements of ``x``.
+    separator : str, optional
+        Between the columns of a CSV file; by default what the first line has: tabs, semicolons,
+        bars or commas.
+    decimal : str
+        The decimal sign of a CSV file, "." or ",".
+
+    Raises
+    ------
+    UsageError
+        If the file cannot be read, is no such table, or has times that do not ascend.
+    """
+    path = Path(path)
+    table: _FieldTable
+    if path.suffix.lower() == PARQUET:
+        table = _ParquetTable(path)
+    else:
+        table = _CsvTable(path, separator, decimal)
+    headers = _Headers(table)
+    clock = headers.named(time) if time is not None else headers.all[0]
+    chosen = headers.signals(clock, columns)
+    stamps = _TimeStamps(table, offset, _seconds(table, clock, time_unit))
+    values: dict[int, list[float]] = {}
+    for parts in chosen.values():
+        for part in parts:
+            values[part.position] = []
+    table.read(clock, stamps, values)
+    if not stamps.t:
+        raise UsageError(f"{table.label} has no samples; needed rows of numbers")
+    signals = []
+    for name, parts in chosen.items():
+        stacked = np.array([values[part.position] for part in parts]).T
+        signals.append(FieldSignal(name, _unit_of(table, name, parts), stacked))
+    return FieldData(table.label, np.array(stamps.t), tuple(signals))
+
+
+# --- what the columns are ---
+
+
+@dataclass(frozen=True, slots=True)
+class _Header:
+    """The name of a column, its unit, and where it stands."""
+
+    name: str
+    unit: str | None
+    position: int
+
+    @staticmethod
+    def parse(text: str, position: int) -> _Header:
+        """Split ``y [mm]`` or ``y (mm)``; what is in parentheses may be no unit."""
+        text = text.strip()
+        match = _HEADER.fullmatch(text)
+        if match is None or not match["name"]:
+            return _Header(text, None, position)
+        unit = (match["unit"] or match["known"]).strip()
+        is_spaced = text[len(match["name"])].isspace()
+        is_index = unit.isdecimal() and not (is_spaced and unit == "1")
+        if is_index or (match["known"] and base_unit(unit) is None):
+            return _Header(text, None, position)
+        return _Header(match["name"], "1" if unit in _NO_UNIT else unit, position)
+
+
+class _Headers:
+    """The columns of a table that have a name."""
+
+    def __init__(self, table: _FieldTable) -> None:
+        self._label = table.label
+        self._written = [name.strip() for name in table.names]
+        self.all: list[_Header] = []
+        for position, text in enumerate(self._written):
+            if text:
+                self.all.append(_Header.parse(text, position))
+        if len(self.all) < 2:
+            raise UsageError(
+                f"{table.label} has {len(self.all)} columns with a name; needed at least two, one "
+                f"of times and one of samples{table.hint}"
+            )
+        if all(is_number(header.name) for header in self.all):
+            raise UsageError(
+                f"{table.label} has numbers in line 1; needed the names of its columns"
+            )
+
+    def named(self, name: str) -> _Header:
+        """Return a column, by its name or by all that its header says."""
+        matches = []
+        for header in self.all:
+            if name in (header.name, self._written[header.position]):
+                matches.append(header)
+        if not matches:
+            names = [header.name for header in self.all]
+            raise UsageError(f"{self._label} has no column {name!r}; {nearest(name, names)}")
+        if len(matches) > 1:
+            raise UsageError(
+                f"{self._label} has {len(matches)} columns {name!r}; needed a name of its own for "
+                "each that is used"
+            )
+        return matches[0]
+
+    def signals(
+        self, clock: _Header, columns: Mapping[str, str | Sequence[str]] | None
+    ) -> dict[str, list[_Header]]:
+        """Return the columns of every signal."""
+        signals = {}
+        if columns is None:
+            names = [header.name for header in self.all if header != clock]
+            for name, parts in elements_named(names).items():
+                signals[name] = [self.named(part) for part in parts]
+            return signals
+        for name, wanted in columns.items():
+            parts = [wanted] if isinstance(wanted, str) else list(wanted)
+            signals[name] = [self.named(part) for part in parts]
+        if not all(signals.values()) or not signals:
+            raise UsageError(f"columns: found {dict(columns)}; needed a column for each signal")
+        return signals
+
+
+def _unit_of(table: _FieldTable, name: str, parts: Sequence[_Header]) -> str | None:
+    units = {part.unit for part in parts}
+    if len(units) > 1:
+        listed = ", ".join(f"{part.name!r} in {part.unit}" for part in parts)
+        raise UsageError(f"{table.label}: {name!r} is made of {listed}; needed one unit")
+    return units.pop()
+
+
+# --- times ---
+
+
+def _seconds(table: _FieldTable, clock: _Header, unit: str | None) -> Decimal:
+    """Return the unit of the times in s."""
+    name = unit or clock.unit or table.time_unit(clock)
+    meaning = base_unit(name)
+    second = base_unit("s")
+    assert second is not None
+    if meaning is None or meaning.exponents != second.exponents:
+        raise UsageError(
+            f"{table.label}: the times, column {clock.name!r}, are in {name!r}; needed a unit of "
+            "time, such as ms; time names another column, time_unit another unit"
+        )
+    return Decimal(repr(meaning.factor))
+
+
+class _TimeStamps:
+    """Turns time stamps to seconds, one after the other."""
+
+    def __init__(self, table: _FieldTable, offset: TimeOffset, seconds: Decimal) -> None:
+        self.t: list[float] = []
+        self._label = table.label
+        self._offset = None if offset == "first" else Decimal(repr(offset))
+        self._seconds = seconds
+        self._last = ""
+
+    def add(self, stamp: Decimal, place: str) -> None:
+        """Take the next time stamp."""
+        if self._offset is None:
+            self._offset = stamp
+        t = float((stamp - self._offset) * self._seconds)
+        if not math.isfinite(t):
+            raise UsageError(f"{self._label}, {place}: the time is not finite")
+        if self.t and not t > self.t[-1]:
+            raise UsageError(
+                f"{self._label}, {place}: the time is {t!r} s, and {self.t[-1]!r} s in "
+                f"{self._last}; needed times that ascend (time names another column)"
+            )
+        self.t.append(t)
+        self._last = place
+
+
+# --- files ---
+
+
+class _FieldTable(Protocol):
+    """A table in a file: ``label`` names it in messages, ``hint`` says how it was split."""
+
+    label: str
+    names: Sequence[str]
+    hint: str
+
+    def time_unit(self, clock: _Header) -> str:
+        """Return the unit of the times, where the name of their column has none."""
+        ...
+
+    def read(self, clock: _Header, stamps: _TimeStamps, values: dict[int, list[float]]) -> None:
+        """Read times, and the columns that ``values`` has by their positions."""
+        ...
+
+
+class _CsvTable:
+    """A CSV file."""
+
+    def __init__(self, path: Path, separator: str | None, decimal: str) -> None:
+        self.label = f"file {str(path)!r}"
+        if decimal not in (".", ","):
+            raise UsageError(f'decimal: found {decimal!r}; needed "." or ","')
+        self._lines = read_lines(path, repr(str(path)))
+        self._separator = self._likely_separator() if separator is None else separator
+        if len(self._separator) != 1 or self._separator in f'{decimal}"\r\n' + "0123456789":
+            raise UsageError(
+                f"separator: found {self._separator!r}, with the decimal sign {decimal!r}; needed "
+                "one other character"
+            )
+        self._decimal = decimal
+        first = next(self._rows(), ("", []))
+        self.names: Sequence[str] = first[1]
+        self.hint = f" (separated by {self._separator!r})" if any(self.names) else ""
+        if len(self.names) > MOST_COLUMNS:
+            raise UsageError(
+                f"{self.label} has {len(self.names)} columns; needed at most {MOST_COLUMNS}"
+            )
+
+    def _likely_separator(self) -> str:
+        """Return the separator in the first line that says something, outside of quotes."""
+        header = next((line for line in self._lines if line.strip()), "")
+        plain = re.sub('"[^"]*"', "", header)
+        return next((separator for separator in _SEPARATORS if separator in plain), ",")
+
+    def _rows(self) -> Iterator[tuple[str, list[str]]]:
+        """Yield where each row stands, and its cells; empty lines are left out."""
+        rows = csv.reader(self._lines, delimiter=self._separator, strict=True)
+        number = 0
+        while True:
+            try:
+                cells = next(rows, None)
+            except csv.Error:
+                raise UsageError(f"{self.label}: line {number + 1} cannot be split") from None
+            if cells is None:
+                return
+            if rows.line_num > number + 1:
+                raise UsageError(
+                    f"{self.label}: a cell from line {number + 1} on reaches over several lines"
+                )
+            number = rows.line_num
+            if any(cell.strip() for cell in cells):
+                yield f"line {number}", cells
+
+    def time_unit(self, clock: _Header) -> str:
+        return "s"
+
+    def read(self, clock: _Header, stamps: _TimeStamps, values: dict[int, list[float]]) -> None:
+        rows = self._rows()
+        next(rows)
+        for place, cells in rows:
+            if len(cells) != len(self.names):
+                raise UsageError(
+                    f"{self.label}, {place}: {len(cells)} columns, and {len(self.names)} names; "
+                    "needed one number or an empty cell for each"
+                )
+            stamp = self._number(cells, clock.position, place)
+            if not stamp:
+                raise UsageError(f"{self._at(clock.position, place)} has no time; needed one")
+            stamps.add(Decimal(stamp), place)
+            for position, column in values.items():
+                column.append(self._measured(cells, position, place))
+
+    def _measured(self, cells: Sequence[str], position: int, place: str) -> float:
+        number = self._number(cells, position, place)
+        value = float(number) if number else NAN
+        if math.isinf(value):
+            raise UsageError(f"{self._at(position, place)} is not finite; needed a finite number")
+        return value
+
+    def _number(self, cells: Sequence[str], position: int, place: str) -> str:
+        """Return a number as Python writes it; empty: nothing was measured."""
+        text = cells[position].strip()
+        other = "," if self._decimal == "." else "."
+        number = text.replace(",", ".")
+        if number and is_number(number) and other not in text:
+            return "" if math.isnan(float(number)) else number
+        if text:
+            way_out = ""
+            if is_number(number):
+                way_out = f'; the decimal sign is {self._decimal!r}, decimal = "{other}" changes it'
+            raise UsageError(
+                f"{self._at(position, place)} has text, needed a number or an empty cell{way_out}"
+            )
+        return ""
+
+    def _at(self, position: int, place: str) -> str:
+        return f"{self.label}, {place}, column {position + 1} ({self.names[position].strip()!r})"
+
+
+class _ParquetTable:
+    """A Parquet file."""
+
+    def __init__(self, path: Path) -> None:
+        self.label = f"file {str(path)!r}"
+        self.hint = ""
+        try:
+            import pyarrow
+            import pyarrow.parquet
+        except ImportError as error:
+            raise UsageError(
+                f"{self.label}: Parquet files need pyarrow; install it: pip install "
+                "'cosim[parquet]', or save the table as CSV"
+            ) from error
+        self._arrow = pyarrow
+        try:
+            content = read_bounded(path, LARGEST)
+        except OSError as error:
+            raise UsageError(f"{self.label} cannot be read: {error.strerror}") from error
+        with self._only_parquet():
+            self._file = pyarrow.parquet.ParquetFile(pyarrow.BufferReader(content))
+            self._schema = self._file.schema_arrow
+            self.names: Sequence[str] = self._schema.names
+            rows = self._file.metadata.num_rows
+        if rows * max(1, len(self.names)) * _BYTES > LARGEST:
+            raise UsageError(
+                f"{self.label} has {rows} rows of {len(self.names)} columns; needed at most "
+                f"{LARGEST // _BYTES} numbers"
+            )
+
+    @contextmanager
+    def _only_parquet(self) -> Iterator[None]:
+        try:
+            yield
+        except (self._arrow.ArrowException, OSError) as error:
+            raise UsageError(f"{self.label} is no Parquet file, or damaged") from error
+
+    def time_unit(self, clock: _Header) -> str:
+        column = self._schema.field(clock.position).type
+        types = self._arrow.types
+        return str(column.unit) if types.is_timestamp(column) or types.is_duration(column) else "s"
+
+    def read(self, clock: _Header, stamps: _TimeStamps, values: dict[int, list[float]]) -> None:
+        for row, stamp in enumerate(self._column(clock.position, is_time=True), start=1):
+            if stamp is None or stamp != stamp:
+                raise UsageError(f"{self.label}, row {row} has no time; needed one")
+            stamps.add(Decimal(repr(stamp)), f"row {row}")
+        for position, column in values.items():
+            for row, value in enumerate(self._column(position), start=1):
+                number = NAN if value is None or value != value else float(value)
+                if math.isinf(number):
+                    raise UsageError(
+                        f"{self.label}, row {row}, column {self.names[position]!r} is not finite; "
+                        "needed a finite number"
+                    )
+                column.append(number)
+
+    def _column(self, position: int, *, is_time: bool = False) -> list[Any]:
+        """Return the numbers of a column, None where there is none."""
+        types = self._arrow.types
+        column_type = self._schema.field(position).type
+        is_stamp = is_time and (types.is_timestamp(column_type) or types.is_duration(column_type))
+        if not (types.is_integer(column_type) or types.is_floating(column_type) or is_stamp):
+            raise UsageError(
+                f"{self.label}: column {self.names[position]!r} is of type {column_type}; "
+                "needed numbers"
+            )
+        with self._only_parquet():
+            column = self._file.read(columns=[self.names[position]]).column(0)
+            numbers: list[Any] = (column.cast("int64") if is_stamp else column).to_pylist()
+        return numbers

@@ -1,0 +1,80 @@
+"""Matrices of a model in a MAT-file."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from cosim.arrays import Matrix
+from cosim.errors import UsageError, listing
+from cosim.files import read_bounded
+from cosim.scenario.data_files.mat_file import OtherVariable, read_variables
+
+LARGEST: Final = 2**28  # bytes of a file
+HDF5: Final = b"\x89HDF\r\n\x1a\n"
+HEADER: Final = 512  # bytes that MATLAB writes before HDF5
+CURE: Final = "save it with: save -v7"
+
+
+@dataclass(frozen=True, eq=False)
+class ModelFile:
+    """The variables of a file that are matrices of a model, and a hash of the file.
+
+    Parameters
+    ----------
+    matrices : dict of str to Matrix
+    others : tuple of str
+        What else is in the file.
+    sha256 : str
+    """
+
+    matrices: dict[str, Matrix]
+    others: tuple[str, ...]
+    sha256: str
+
+
+def read_model_file(path: Path, letters: tuple[str, ...]) -> ModelFile:
+    """Read the matrices of these names, as far as a MAT-file has them.
+
+    Raises
+    ------
+    UsageError
+        If the file cannot be read or is none of that kind, or a variable of these names is no
+        matrix of finite real numbers.
+    """
+    try:
+        content = read_bounded(path, LARGEST)
+    except OSError as error:
+        raise UsageError(
+            f"file {path} cannot be read ({error.strerror}); needed a MAT-file (.mat)"
+        ) from error
+    variables = _variables(path, content)
+    matrices = {}
+    for name in letters:
+        value = variables.pop(name, None)
+        if isinstance(value, OtherVariable):
+            raise UsageError(
+                f"file {path}: {name} is {value.what}; needed a matrix of real numbers"
+            )
+        if value is not None and value.shape != (0, 0):  # MATLAB's [], which stands for none
+            matrices[name] = value
+    sha256 = hashlib.sha256(content).hexdigest()
+    return ModelFile(matrices, tuple(sorted(variables)), sha256)
+
+
+def _variables(path: Path, content: bytes) -> dict[str, Matrix | OtherVariable]:
+    if HDF5 in (content[: len(HDF5)], content[HEADER : HEADER + len(HDF5)]):
+        raise UsageError(f"file {path} is a MAT-file of version 7.3 (HDF5); {CURE}")
+    try:
+        return read_variables(content)
+    except UsageError as error:
+        raise UsageError(f"file {path} is no MAT-file: {error}; {CURE}") from error
+
+
+def missing_text(file: str, content: ModelFile, missing: list[str]) -> str:
+    """Return what to say where a file lacks matrices of a model."""
+    names = listing([*content.matrices, *content.others]) or "nothing"
+    needed = " and ".join(missing)
+    return f"file {file} has no {needed}; it has: {names}; needed A and C, by these names"

@@ -1,0 +1,209 @@
+"""Edits of a scenario's tables from outside: keys with dots, and values as TOML has them."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from copy import deepcopy
+from typing import Any
+
+import numpy as np
+
+from cosim.core.connections import ONE_SOURCE
+from cosim.errors import UsageError, nearest, option, quoted
+from cosim.scenario.document.lines import MOST_LEVELS, key_lines
+from cosim.scenario.document.problems import Key, Problem
+
+SET = "(set)"  # first part of the key of a problem with a change, which stands in no file
+FLAT = ("connections", "truth")  # tables whose keys are the names of ports
+ACTIONS = "actions"  # a list of tables
+TABLES = (
+    "scenario",
+    "models",
+    *FLAT,
+    ACTIONS,
+)  # what a dotted key may begin with, beside a component
+
+
+def short(key: str) -> str:
+    """Return the short form of a dotted key: a component's parameter begins with the component."""
+    return key.removeprefix("components.")
+
+
+# --- values ---
+
+
+def parse_value(text: str) -> Any:
+    """Read a value from the command line: TOML where it is TOML, else a string.
+
+    Raises
+    ------
+    UsageError
+        If it is TOML, but nested too deep, or a number has too many digits.
+    """
+    written = f"value = {text}"
+    try:
+        key_lines(written).check_depth()
+        table = tomllib.loads(written)
+    except UsageError as error:
+        raise UsageError(f"{quoted(text)}: {error}") from error
+    except tomllib.TOMLDecodeError:
+        return text
+    except ValueError as error:  # of Python's int
+        raise UsageError(f"{quoted(text)}: {TOO_MANY_DIGITS}") from error
+    return table["value"] if len(table) == 1 else text
+
+
+TOO_MANY_DIGITS = "an integer has more digits than can be read; needed at most 64 bits"
+
+
+def plain(value: Any, level: int = 0) -> Any:
+    """Return arrays and tuples as the lists that TOML would have.
+
+    Raises
+    ------
+    UsageError
+        If it is nested too deep, or TOML cannot have it.
+    """
+    if level > MOST_LEVELS:
+        raise UsageError(
+            f"tables and lists are nested more than {MOST_LEVELS} levels deep; needed fewer"
+        )
+    match value:
+        case np.ndarray() | np.generic():
+            return plain(value.tolist(), level + 1)
+        case Mapping():
+            return _plain_table(value, level + 1)
+        case list() | tuple():
+            return [plain(item, level + 1) for item in value]
+        case bool() | int() | float() | str():
+            return value
+        case complex():
+            return str(value)  # as TOML can have it
+    raise UsageError(
+        f"found {quoted(value)}; needed a number, true or false, a string, a list or a table"
+    )
+
+
+def _plain_table(table: Mapping[Any, Any], level: int) -> dict[str, Any]:
+    values = {}
+    for key, item in table.items():
+        if not isinstance(key, str):
+            raise UsageError(f"found the key {quoted(key)} of a table; needed a string")
+        values[key] = plain(item, level)
+    return values
+
+
+# --- tables ---
+
+
+def flatten_tables(tree: dict[str, Any]) -> list[Problem]:
+    """Write the ports of a scenario's tables as one dotted key each."""
+    problems: list[Problem] = []
+    for name in FLAT:
+        if isinstance(tree.get(name), dict):
+            tree[name], repeated = _flatten(tree[name], (name,))
+            problems += repeated
+    swaps = tree.get("swap")
+    for name, table in swaps.items() if isinstance(swaps, dict) else ():
+        if isinstance(table, dict) and isinstance(table.get("map"), dict):
+            table["map"], repeated = _flatten(table["map"], ("swap", name, "map"))
+            problems += repeated
+    actions = tree.get(ACTIONS)
+    for number, table in enumerate(actions if isinstance(actions, list) else ()):
+        if isinstance(table, dict) and isinstance(table.get("set"), dict):
+            table["set"], repeated = _flatten(table["set"], (ACTIONS, number, "set"))
+            problems += repeated
+    return problems
+
+
+def given_twice(key: str, table: str) -> str:
+    """Return what to say of a key that a table of the scenario has twice."""
+    match table:
+        case "connections":
+            reason = ONE_SOURCE
+        case "truth":
+            reason = "an estimate has one truth"
+        case _:
+            reason = "keep one"
+    return f"{key} is given twice; {reason}"
+
+
+def _flatten(tree: Mapping[str, Any], prefix: Key) -> tuple[dict[str, Any], list[Problem]]:
+    """Return a table with every port as one dotted key, and the problems of that.
+
+    ``plant.u = ...`` and ``"plant.u" = ...`` mean the same.
+    """
+    flat: dict[str, Any] = {}
+    problems: list[Problem] = []
+    for key, value in tree.items():
+        pairs = {key: value}
+        if isinstance(value, dict) and "." not in key:
+            pairs = {f"{key}.{name}": item for name, item in value.items()}
+        for port, item in pairs.items():
+            if port in flat:
+                text = given_twice(f"'{port}'", str(prefix[0]))
+                problems.append(((*prefix, port), text))
+            flat[port] = item
+    return flat, problems
+
+
+def change(tree: dict[str, Any], key: str, value: Any) -> str | None:
+    """Set a value in the tables; return the problem of that, if there is one."""
+    first, *rest = key.split(".")
+    if first == ACTIONS:
+        return _set_action(tree, rest, value)
+    if not rest and (first in TABLES or not isinstance(value, dict)):
+        example = option("set", "observer.filter_rate", "500")
+        return f"found no dot, needed COMPONENT.PARAMETER, such as {example}"
+    name = first if first in TABLES else "components"
+    table = tree.setdefault(name, {})
+    if not isinstance(table, dict):  # the schema of the file names that
+        return None
+    if first in FLAT:
+        _set_port(table, rest, value)
+    elif first in TABLES:
+        _set_value(table, rest, value)
+    elif rest and first not in table:
+        return f"there is no component {first!r}; {nearest(first, [*table, *TABLES])}"
+    else:
+        _set_value(table, [first, *rest], value)
+    return None
+
+
+def _set_action(tree: dict[str, Any], path: list[str], value: Any) -> str | None:
+    """Set all actions, or a key of one; return the problem of that, if there is one."""
+    if not path:
+        tree[ACTIONS] = deepcopy(value)
+        return None
+    actions = tree.get(ACTIONS, [])
+    number, *inner = path
+    if not isinstance(actions, list) or number not in map(str, range(len(actions))):
+        count = len(actions)
+        there_are = f"there are {count}, numbered from 0" if count else "there is none"
+        return f"there is no action {number!r}; {there_are}"
+    table = actions[int(number)]
+    if not inner or not isinstance(table, dict):
+        actions[int(number)] = deepcopy(value)
+    elif inner[0] == "set" and len(inner) > 1 and isinstance(table.get("set"), dict):
+        _set_port(table["set"], inner[1:], value)
+    else:
+        _set_value(table, inner, value)
+    return None
+
+
+def _set_value(table: dict[str, Any], path: list[str], value: Any) -> None:
+    """Set a value in a table or in tables inside it, which are made where there are none."""
+    for part in path[:-1]:
+        if not isinstance(table.setdefault(part, {}), dict):
+            table[part] = {}
+        table = table[part]
+    table[path[-1]] = deepcopy(value)  # a later change may reach into it
+
+
+def _set_port(table: dict[str, Any], port: list[str], value: Any) -> None:
+    """Set the entry of a port, in whichever of the two spellings it was written."""
+    nested = table.get(port[0])
+    if isinstance(nested, dict):
+        nested.pop(".".join(port[1:]), None)
+    table[".".join(port)] = value

@@ -1,0 +1,1 @@
+"""What a run leaves in its recording, and what a replay takes from it."""

@@ -1,0 +1,224 @@
+"""Run an experiment into its recording: a log file, memory, or a recorder of one's own."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+
+from cosim.core.contracts import Block, Recorder
+from cosim.core.master import run as run_graph
+from cosim.core.recorders import Memory, Watched
+from cosim.errors import LogError, RunError, UsageError, flag, option
+from cosim.files import file_type
+from cosim.log import Log, McapRecorder
+from cosim.log.paths import check_new_log, log_path
+from cosim.scenario.building.build import Experiment
+from cosim.scenario.recordings.records import MessageRecorder, attachments_of, metadata_of
+from cosim.scenario.running.interrupting import interruptible
+
+Progress = Callable[[float, float], None]  # simulated time, end [s]
+Notice = Callable[[str], None]
+Beside = Callable[[Recorder], Recorder]  # adds something to what a recorder takes
+_LARGE = 10**9  # bytes of a log that are worth a word
+
+
+def _nothing() -> None:
+    """Do nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """Where a run is recorded: over or beside a log that is there; None: in memory."""
+
+    out: str | Path | None
+    force: bool = False
+    numbered: bool = False
+    notice: Notice | None = None
+
+
+def check_target(out: str | Path | None, *, force: bool = False, numbered: bool = False) -> None:
+    """Refuse a path that the log of a run cannot be written to; None: there is no log.
+
+    Raises
+    ------
+    UsageError
+        If it does not end as a log does, is taken, or no file can be written there; or if it is
+        said what becomes of a log where there is none.
+    """
+    if out is None:
+        for name, value in (("force", force), ("numbered", numbered)):
+            if value:
+                raise UsageError(
+                    f"found {flag(name)}, which is about the log at {option('out')}, and no "
+                    f"{option('out')}; needed both, or neither"
+                )
+        return
+    path = log_path(out)
+    if file_type(path) != "log":
+        raise UsageError(f"{out}: a log needs a path that ends in .mcap")
+    check_new_log(path, force=force, numbered=numbered)
+
+
+def record(
+    experiment: Experiment,
+    target: Target,
+    *,
+    progress: Progress | None,
+    profile: dict[str, float] | None = None,
+    beside: Beside | None = None,
+    behind: Callable[[], None] = _nothing,
+) -> Log | Memory:
+    """Run an experiment and return its recording: the log file if a path is given.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    target : Target
+    progress : callable or None
+    profile : dict, optional
+        Filled with wall seconds by component.
+    beside : callable, optional
+        Returns what takes the run and passes it on to the recorder of the recording.
+    behind : callable, optional
+        Ends the recording, where ``beside`` leaves that to it.
+    """
+    out = target.out
+    if out is None:
+        attachments = {file.name: file.data for file in attachments_of(experiment)}
+        memory = Memory(metadata_of(experiment), attachments)
+        taking = memory if beside is None else beside(memory)
+        run_into(taking, experiment, progress=progress, profile=profile)
+        behind()
+        return memory
+    is_read = Path(os.path.realpath(out)) in experiment.files
+    if is_read and not target.numbered:
+        raise UsageError(f"{out} is read in this run; choose another path for the log")
+    log = log_recorder(experiment, out, target)
+
+    def began() -> None:
+        if target.notice is not None:
+            announce_size(log, experiment.clock.steps, target.notice)
+
+    taking = log if beside is None else beside(log)
+    try:
+        run_into(taking, experiment, progress=progress, profile=profile, began=began)
+        behind()
+    except RunError as error:
+        with suppress(LogError):  # nothing was written
+            recorded = log.recorded()
+            if recorded.is_at_its_path and str(recorded.path) not in str(error):
+                error.add_note(f"{recorded.path} {_recorded_part(recorded)}")
+        raise
+    return log.recorded()
+
+
+def _recorded_part(log: Log) -> str:
+    """Return what a log has of a run that failed: nothing, if that was at its initialization."""
+    if not log.steps and not any(len(log.time_ns(name)) for name in log.channels):
+        return "has no row of the run"
+    return f"has the run up to t = {log.end_ns / 1e9} s"
+
+
+def announce_size(log: McapRecorder, steps: int, notice: Notice) -> None:
+    """Announce how large a log may become, if that is much or more than there is room for."""
+    bound = log.size_bound(steps)
+    free = shutil.disk_usage(log.path.parent).free
+    text = f"{log.path} takes up to {bound / 1e9:.3g} GB, before compression and without messages"
+    if bound > free:
+        notice(f"warning: {text}; there are {free / 1e9:.3g} GB left on its disk")
+    elif bound > _LARGE:
+        notice(text)
+
+
+def run_into(
+    recorder: Recorder,
+    experiment: Experiment,
+    *,
+    progress: Progress | None,
+    profile: dict[str, float] | None,
+    began: Callable[[], None] | None = None,
+) -> None:
+    """Run an experiment; its rows, messages and results go to the recorder."""
+    graph = experiment.graph
+    seconds = {} if profile is None else graph.measure()
+    with_messages = MessageRecorder(recorder, experiment)
+    first = perf_counter()
+    with interruptible() as check:
+        reached = _reached(experiment, progress, check)
+        watched = Watched(with_messages, reached, began)
+        _run(experiment, watched)
+    if profile is not None:
+        elapsed = perf_counter() - first
+        seconds["recorder and master"] = elapsed - sum(seconds.values())
+        profile.update(seconds)
+
+
+def _run(experiment: Experiment, recorder: Recorder) -> None:
+    """Run the graph; with its actions, or with the events of its recording."""
+    graph = experiment.graph
+    clock = experiment.clock
+    plan = experiment.plan
+    designs = experiment.designs
+    until = experiment.until
+    acts = bool(experiment.actions or experiment.reactions)
+    if not (experiment.events or acts):
+        run_graph(graph, clock, recorder, plan, designs=designs, until=until)
+        return
+    # Most runs need none of it.
+    from cosim.core.stepping.repeating import repeat, run_with_actions
+
+    if acts:
+        actions = experiment.actions
+        reactions = experiment.reactions
+        run_with_actions(
+            graph, clock, recorder, plan, actions=actions, reactions=reactions, until=until
+        )
+        return
+    copied = () if experiment.origin is None else experiment.origin.copied
+    repeat(
+        graph,
+        clock,
+        recorder,
+        plan,
+        events=experiment.events,
+        recorded=copied,
+        designs=designs,
+        until=until,
+        settings=experiment.settings,
+    )
+
+
+def log_recorder(
+    experiment: Experiment, out: str | Path, target: Target, *, events: bool = False
+) -> McapRecorder:
+    """Return the recorder of a log; with ``events`` for a run whose inputs may be overridden."""
+    kinds = {name: spec.kind for name, spec in experiment.scenario.specs.items()}
+    metadata = metadata_of(experiment)
+    attachments = attachments_of(experiment)
+    return McapRecorder(
+        out,
+        force=target.force,
+        numbered=target.numbered,
+        kinds=kinds,
+        metadata=metadata,
+        attachments=attachments,
+        events=events or experiment.has_events,
+    )
+
+
+def _reached(
+    experiment: Experiment, progress: Progress | None, check: Callable[[], None]
+) -> Callable[[Block], None]:
+    end = experiment.clock.stop
+
+    def reached(block: Block) -> None:
+        if progress is not None:
+            progress(float(block.time[-1]), end)
+        check()
+
+    return reached

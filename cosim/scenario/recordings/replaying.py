@@ -1,0 +1,441 @@
+"""What a replay takes from a log, and which changes its recorded components allow."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Set
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+
+from cosim.core.clock import Clock
+from cosim.core.contracts import CompleteRecording, Design
+from cosim.core.port import Port
+from cosim.core.stepping.actions import Action
+from cosim.errors import LogError, UsageError, command, flag, option
+from cosim.log import Log
+from cosim.log.metadata import json_table
+from cosim.scenario.building.build import Builder, Experiment, fingerprint, parse
+from cosim.scenario.document.document import Document
+from cosim.scenario.document.edits import ACTIONS, short
+from cosim.scenario.document.swap import is_map_key
+from cosim.scenario.kinds import KINDS, Kind
+from cosim.scenario.parsing import Scenario, read
+from cosim.scenario.recordings.recorded_metadata import (
+    CodeRecord,
+    component_metadata,
+    component_record,
+    run_metadata,
+)
+from cosim.scenario.recordings.records import SCENARIO_FILE
+
+EVERYWHERE = {  # what matters to all inputs
+    "scenario.input_interpolation",
+    "scenario.coupling",
+    "scenario.iterations",
+}
+NO_CHANGES: Final[Mapping[str, Any]] = MappingProxyType({})
+_TABLES = ("components", "models", "connections")
+
+
+def texts_in(value: Any) -> set[str]:
+    """Return the texts in a value and in all tables and lists inside it."""
+    if isinstance(value, str):
+        return {value}
+    texts: set[str] = set()
+    if isinstance(value, Mapping):
+        value = list(value.values())
+    if isinstance(value, list | tuple):
+        for item in value:
+            texts |= texts_in(item)
+    return texts
+
+
+def recorded_document(log: CompleteRecording) -> Document:
+    """Return the scenario of a log.
+
+    Raises
+    ------
+    LogError
+        If the log carries none.
+    """
+    edits = run_metadata(log).get("edits")
+    if SCENARIO_FILE not in log.attachments or edits is None:
+        raise LogError(
+            f"the log carries no {SCENARIO_FILE}; needed a log that {command('run')} wrote"
+        )
+    try:
+        text = log.attachment(SCENARIO_FILE).decode()
+        document = Document.recorded(text, edits, Path.cwd())
+        return replace(document, foreign_kinds=_foreign_kinds(log))
+    except ValueError as error:
+        raise LogError(f"{log.label}: its scenario cannot be understood: {error}") from error
+
+
+def _foreign_kinds(log: CompleteRecording) -> frozenset[str]:
+    """Return the kinds of a log that are not cosim's: those of its components of a user's class.
+
+    The packages that declared them need not be installed where the log is read.
+    """
+    kinds = set()
+    for name in log.channels:
+        texts = component_metadata(log, name)
+        # the texts of thousands of components take long to be checked
+        if '"code"' in texts.get("metadata", "") and component_record(log, name).code is not None:
+            table = json_table(texts.get("table", "{}"))
+            kinds.add(str(table.get("kind")))
+    return frozenset(kinds.difference(KINDS))
+
+
+def recorded_stop(log: CompleteRecording) -> float:
+    """Return where the scenario of a log ends [s], which its run need not have reached.
+
+    Raises
+    ------
+    LogError
+        If the log carries none.
+    ScenarioError
+        If that is no TOML.
+    """
+    scenario, _ = read(recorded_document(log), parse)
+    return scenario.file.scenario.stop
+
+
+def replay_changes(source: CompleteRecording, wanted: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the changes of a replay: those that are wanted, and the end of the recording.
+
+    Raises
+    ------
+    LogError
+        If there is no step in it.
+    UsageError
+        If they change the communication points, or go beyond the recording.
+    """
+    changes = {short(key): value for key, value in wanted.items()}
+    if "scenario.step" in changes:
+        recorded_step = source.step_ns / 1e9
+        raise UsageError(
+            f"scenario.step: found {changes['scenario.step']} s, a replay keeps the recorded "
+            f"{recorded_step} s; run the scenario to change it"
+        )
+    if "scenario.start_time" in changes:
+        raise UsageError(
+            f"scenario.start_time: found {changes['scenario.start_time']} s, a replay keeps the "
+            "recorded one; run the scenario to change it"
+        )
+    for key in changes:
+        if key.partition(".")[0] == ACTIONS:
+            raise UsageError(
+                f"{option('set', key)}: a replay follows the actions that were recorded; run the "
+                "scenario to change them"
+            )
+    _check_end(source)
+    recorded_end = source.end_ns / 1e9
+    stop = changes.setdefault("scenario.stop", recorded_end)
+    if isinstance(stop, (int, float)) and stop > recorded_end:
+        raise UsageError(
+            f"{option('set', 'scenario.stop')}: found {stop} s, the recording ends at "
+            f"{recorded_end} s; needed no more than that"
+        )
+    return changes
+
+
+def rebuilt(
+    source: CompleteRecording,
+    resources: ExitStack,
+    wanted: Mapping[str, Any] = NO_CHANGES,
+    block: int | None = None,
+    *,
+    allow_code: bool = False,
+) -> Experiment:
+    """Build the scenario of a log again, with its recorded components; only the log is needed.
+
+    Parameters
+    ----------
+    source : CompleteRecording
+    resources : ExitStack
+        Closes what was opened.
+    wanted : mapping of dotted key to value, optional
+        Changes; whether the recorded components allow them is for :func:`check_changes`.
+    block : int, optional
+        Fixed number of communication steps in a block.
+    allow_code : bool
+        Compute the components of user's classes that the log names, which runs their code. What
+        ``wanted`` names may always run.
+
+    Raises
+    ------
+    LogError
+        If the log has no scenario or no steps, or does not fit its scenario.
+    UsageError
+        If a change is about the communication points, or goes beyond the recording.
+    ScenarioError
+        With every problem of the changed scenario.
+    """
+    changes = replay_changes(source, wanted)
+    document = recorded_document(source).with_changes(changes)
+    scenario, problems = read(document, parse)
+    # recorded ports have the scenario's names: a map need not fit changed connections
+    problems = [(key, text) for key, text in problems if not is_map_key(key)]
+    named = texts_in(wanted)
+    scenario = replace(scenario, specs=_with_code(scenario.specs, named, allow_code=allow_code))
+    source.load(*recorded_in(source, scenario))  # in one pass over the file
+    builder = Builder(
+        scenario,
+        resources,
+        problems=problems,
+        recording=source,
+        named_files=named,
+        block=block,
+    )
+    experiment = builder.experiment()
+    check_clock(experiment.clock, source)
+    if "scenario.until" not in changes:  # it ends where the recording does
+        experiment = replace(experiment, until=None)
+    return _with_events(experiment, builder, source, resources)
+
+
+def _with_events(
+    experiment: Experiment, builder: Builder, source: CompleteRecording, resources: ExitStack
+) -> Experiment:
+    """Return an experiment with the events of its recording, and what sets parameters in them."""
+    events = tuple(source.events())
+    settings: dict[tuple[int, str], Action] = {}
+    if any(event.cause == "set" for event in events):
+        from cosim.scenario.actions.settings import (  # rarely needed
+            SettingBuilder,
+            recorded_settings,
+        )
+
+        making = SettingBuilder(
+            experiment.scenario,
+            builder.context,
+            builder.components,
+            resources=resources,
+            recording=source,
+        )
+        copied = recorded_components(experiment.scenario)
+        settings = recorded_settings(making, events, copied)
+    return replace(experiment, events=events, settings=settings)
+
+
+def with_setting_designs(
+    experiment: Experiment, source: CompleteRecording, designs: Mapping[str, Design]
+) -> Experiment:
+    """Prepare the components that take the places of others, with designs of the recording.
+
+    ``designs`` are those of the components themselves that still hold.
+    """
+    if not experiment.settings:
+        return experiment
+    from cosim.scenario.actions.settings import prepare_settings, recorded_designs  # rarely needed
+
+    taken = {}
+    for key, design in recorded_designs(source).items():
+        if key.partition(" ")[2] in designs:
+            taken[key] = design
+    step_ns = experiment.clock.step_ns
+    prepared = prepare_settings(experiment.graph, step_ns, experiment.settings, taken)
+    return replace(experiment, setting_designs=prepared)
+
+
+def _with_code(specs: Mapping[str, Kind], named: Set[str], *, allow_code: bool) -> dict[str, Kind]:
+    """Return the components, of which those may run their code that are allowed to or named."""
+    result = {}
+    for name, spec in specs.items():
+        is_allowed = spec.code is not None and (allow_code or spec.code in named)
+        result[name] = spec.with_code() if is_allowed else spec
+    return result
+
+
+def check_clock(clock: Clock, source: CompleteRecording) -> None:
+    """Check that a scenario has the communication points of the rows in its log.
+
+    Raises
+    ------
+    LogError
+        If it has not.
+    """
+    first_ns = source.end_ns - source.steps * source.step_ns
+    if (clock.start_ns, clock.step_ns) != (first_ns, source.step_ns):
+        raise LogError(
+            f"{source.label}: its scenario has steps of {clock.step_ns} ns from {clock.start_ns} "
+            f"ns on, its rows of {source.step_ns} ns from {first_ns} ns on"
+        )
+
+
+def _check_end(source: CompleteRecording) -> None:
+    """Check that the recorded end is that of the rows: a replay would go on to it.
+
+    Raises
+    ------
+    LogError
+        If there is no step in the log, or its rows end elsewhere.
+    """
+    end_ns = source.end_ns
+    if source.steps == 0:
+        raise LogError("the log has no step to replay; it ends where it begins")
+    channel = next(iter(source.channels.values()))
+    times = source.time_ns(channel.name).tolist() or [0]
+    first_ns = times[0]
+    last_ns = times[-1]
+    is_last = 0 <= end_ns - last_ns < channel.period * source.step_ns
+    if end_ns != first_ns + source.steps * source.step_ns or not is_last:
+        raise LogError(
+            f"{source.label}: it is said to end at {end_ns / 1e9} s after {source.steps} steps, "
+            f"but the rows of {channel.name!r} end at {last_ns / 1e9} s"
+        )
+
+
+def check_changes(experiment: Experiment, original: Document, changes: Mapping[str, Any]) -> None:
+    """Check that no recorded component is changed, or driven by what is changed.
+
+    A recording cannot follow: what the rest computed from it would belong to no run of anything.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        With all changes.
+    original : Document
+        Without them.
+    changes : mapping of dotted key to value
+
+    Raises
+    ------
+    UsageError
+        If a change reaches a recorded component; names the change.
+    """
+    recorded = recorded_components(experiment.scenario)
+    drivers = _drivers(experiment.scenario)
+    document = original
+    before, _ = document.tree()
+    for key, value in changes.items():
+        document = document.with_changes({key: value})
+        after, _ = document.tree()
+        changed = _changed_tables(before, after)
+        origins = _origins(experiment, changed)
+        for name in recorded:
+            if name in origins:
+                remedy = _remedy(experiment.scenario.specs[name])
+                raise UsageError(
+                    f"{option('set', short(key))}: {name!r} is taken from the recording; {remedy}"
+                )
+        affected = _reached(origins, drivers, recorded)
+        for name in recorded:
+            what = _what_drives(name, drivers[name], affected, changed)
+            if what:
+                remedy = _remedy(experiment.scenario.specs[name])
+                raise UsageError(
+                    f"{option('set', short(key))}: {what}; {name!r} is taken from the recording "
+                    f"and cannot follow: {remedy}"
+                )
+        before = after
+
+
+def _remedy(spec: Kind) -> str:
+    """Return the way out where a recorded component would have to change."""
+    code = "" if spec.code is None else f", or allow its code to run with {flag('allow_code')}"
+    return f"run the scenario to change it{code}"
+
+
+def _changed_tables(before: Mapping[str, Any], after: Mapping[str, Any]) -> set[str]:
+    """Return the tables that differ, such as ``components.u``, and the keys of [scenario]."""
+    changed = set()
+    for table in (*_TABLES, "scenario"):
+        first = before.get(table, {})
+        second = after.get(table, {})
+        for name in {*first, *second}:
+            if first.get(name) != second.get(name):
+                changed.add(f"{table}.{name}")
+    return changed
+
+
+def _origins(experiment: Experiment, changed: Set[str]) -> set[str]:
+    """Return the components that are changed themselves, or by a table that they read."""
+    origins = set()
+    for name in experiment.scenario.specs:
+        if f"components.{name}" in changed or experiment.reads[name] & changed:
+            origins.add(name)
+    for table in changed:
+        kind, _, name = table.partition(".")
+        if kind == "connections":
+            origins.add(Port.parse(name).component)
+    return origins
+
+
+def _reached(
+    origins: Set[str], drivers: Mapping[str, Set[str]], recorded: Iterable[str]
+) -> set[str]:
+    """Return some components and those that they reach; a recorded one passes nothing on."""
+    followers: dict[str, set[str]] = {name: set() for name in drivers}
+    for name, sources in drivers.items():
+        for source in sources:
+            followers[source].add(name)
+    reached = set(origins)
+    waiting = list(origins)
+    while waiting:
+        new = (followers[waiting.pop()] - reached).difference(recorded)
+        reached |= new
+        waiting += new
+    return reached
+
+
+def _what_drives(name: str, drivers: Set[str], affected: Set[str], changed: Set[str]) -> str | None:
+    """Return how changed tables change what drives a component; None: they do not."""
+    causes = sorted(drivers & affected)
+    if causes:
+        return f"this changes {causes[0]!r}, which drives {name!r}"
+    if drivers and not EVERYWHERE.isdisjoint(changed):
+        return f"this may change the inputs of {name!r}"
+    return None
+
+
+def components_of_code(scenario: Scenario) -> list[str]:
+    """Return the components that run code of users."""
+    return [name for name, spec in scenario.specs.items() if spec.code is not None]
+
+
+def recorded_components(scenario: Scenario) -> list[str]:
+    """Return the components that a replay copies from the recording."""
+    return [name for name, spec in scenario.specs.items() if not spec.computable]
+
+
+def _drivers(scenario: Scenario) -> dict[str, set[str]]:
+    """Return the components that drive each component."""
+    drivers: dict[str, set[str]] = {name: set() for name in scenario.specs}
+    for to, connection in scenario.connections.items():
+        for source in connection.sources:
+            drivers[to.component].add(source.component)
+    return drivers
+
+
+def recorded_in(source: CompleteRecording, scenario: Scenario) -> list[str]:
+    """Return the components of a scenario that are taken from a log, as far as it has them."""
+    return [name for name in recorded_components(scenario) if name in source.channels]
+
+
+def valid_designs(experiment: Experiment, source: Log) -> dict[str, Design]:
+    """Return the recorded designs that still hold: those that rest on nothing that changed."""
+    designs = {}
+    recorded_designs = source.designs
+    recorded_masks = source.held
+    for name, spec in experiment.scenario.specs.items():
+        recorded = component_metadata(source, name)
+        current = fingerprint(experiment.scenario, name, experiment.reads[name])
+        same_tables = recorded.get("fingerprint") == current
+        held = experiment.graph.held[name]
+        same_code = spec.code is None or _same_code(experiment, source, name)
+        same_hold = name in recorded_masks and np.array_equal(recorded_masks[name], held)
+        if not spec.computable or (same_tables and same_code and same_hold):
+            designs[name] = recorded_designs[name]
+    return designs
+
+
+def _same_code(experiment: Experiment, source: Log, name: str) -> bool:
+    """Return whether a component was built from the code that its recorded run had."""
+    code = experiment.metadata.get(name, {}).get("code")
+    recorded = component_record(source, name).code
+    return code is not None and CodeRecord.model_validate(code) == recorded

@@ -1,0 +1,360 @@
+"""Run a scenario, and run it again from its log."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar, overload
+
+from cosim.arguments import callable_argument, mapping_argument, truth_argument, whole_argument
+from cosim.core.arguments import check_recorder
+from cosim.core.contracts import Recorder
+from cosim.core.recorders import Memory
+from cosim.errors import UsageError, option, quoted
+from cosim.log import Log, open_log
+from cosim.scenario.building.build import Experiment, parse
+from cosim.scenario.document.document import Document, find
+from cosim.scenario.document.swap import PortNames
+from cosim.scenario.parsing import Scenario
+from cosim.scenario.recordings.recorded_metadata import ReplayOrigin, recorded_loop_gains
+from cosim.scenario.recordings.recording import (
+    Beside,
+    Notice,
+    Progress,
+    Target,
+    check_target,
+    record,
+    run_into,
+)
+from cosim.scenario.recordings.replaying import (
+    check_changes,
+    rebuilt,
+    recorded_components,
+    recorded_document,
+    valid_designs,
+    with_setting_designs,
+)
+from cosim.scenario.running.preparing import build_experiment
+
+if TYPE_CHECKING:
+    from cosim.scenario.certification.certificate import Certification
+    from cosim.scenario.running.session import Session
+
+OwnRecorder = TypeVar("OwnRecorder", bound=Recorder)
+
+
+def load(name: str | Path) -> Scenario:
+    """Load and validate a scenario: a path, or the name of a shipped one.
+
+    Raises
+    ------
+    UsageError
+        If it is no path.
+    ScenarioError
+        With every problem of the file.
+    """
+    return _startable(find(name))
+
+
+def _startable(document: Document) -> Scenario:
+    """Read and validate a document; the scenario can be started."""
+    return replace(parse(document), parse=_startable, starter=_start)
+
+
+def _start(scenario: Scenario, out: str | Path | None, *, force: bool, numbered: bool) -> Session:
+    # A run needs none of it.
+    from cosim.scenario.running.starting import start
+
+    return start(scenario, out, force=force, numbered=numbered)
+
+
+@overload
+def run(
+    scenario: str | Path | Scenario,
+    *,
+    out: str | Path | None = None,
+    force: bool = False,
+    numbered: bool = False,
+    set: Mapping[str, Any] | None = None,
+    swap: Mapping[str, str | Path] | None = None,
+    map: Mapping[str, PortNames] | None = None,
+    block: int | None = None,
+    progress: Progress | None = None,
+    notice: Notice | None = None,
+    profile: dict[str, float] | None = None,
+    certify: bool = False,
+    find_step: Mapping[str, float] | None = None,
+    realtime: float | None = None,
+    recorder: None = None,
+) -> Log | Memory: ...
+
+
+@overload
+def run(
+    scenario: str | Path | Scenario,
+    *,
+    set: Mapping[str, Any] | None = None,
+    swap: Mapping[str, str | Path] | None = None,
+    map: Mapping[str, PortNames] | None = None,
+    block: int | None = None,
+    progress: Progress | None = None,
+    profile: dict[str, float] | None = None,
+    certify: bool = False,
+    find_step: Mapping[str, float] | None = None,
+    realtime: float | None = None,
+    recorder: OwnRecorder,
+) -> OwnRecorder: ...
+
+
+def run(
+    scenario: str | Path | Scenario,
+    *,
+    out: str | Path | None = None,
+    force: bool = False,
+    numbered: bool = False,
+    set: Mapping[str, Any] | None = None,
+    swap: Mapping[str, str | Path] | None = None,
+    map: Mapping[str, PortNames] | None = None,
+    block: int | None = None,
+    progress: Progress | None = None,
+    notice: Notice | None = None,
+    profile: dict[str, float] | None = None,
+    certify: bool = False,
+    find_step: Mapping[str, float] | None = None,
+    realtime: float | None = None,
+    recorder: Recorder | None = None,
+) -> Log | Memory | Recorder:
+    """Run a scenario.
+
+    Parameters
+    ----------
+    scenario : str, Path or Scenario
+        A shipped name, a path, or what :func:`load` gave.
+    out : str or Path, optional
+        Log file to write; without it the run is kept in memory.
+    force : bool
+        Replace a log at ``out``.
+    numbered : bool
+        Where there is a log at ``out``, write to the next free one of ``x-2.mcap``, ``x-3.mcap``,
+        ...; the ``path`` of the result says which. Any number of runs at once may share one
+        ``out``.
+    set : mapping of dotted key to value, optional
+        Such as ``{"observer.filter_rate": 500.0, "scenario.stop": 10.0}``; applied after ``swap``.
+    swap : mapping of component name to path, optional
+        Components to replace by an FMU (``x.fmu``, ``x.fmu#me``, ``x.fmu#cs``) or by a recorded
+        log.
+    map : mapping of port to names, optional
+        Ports of the scenario that have another name there, such as ``{"observer.y": "out1"}``, or
+        are made of several, such as ``{"plant.x_a": ["s1", "s2"]}``.
+    block : int, optional
+        Communication steps in a block; the result does not depend on it.
+    progress : callable, optional
+        Called with simulated time and end [s] as the run goes on.
+    notice : callable, optional
+        Called with a text before the first step, if the log at ``out`` may become large, or larger
+        than the disk has room for.
+    profile : dict, optional
+        Filled with wall seconds by component.
+    certify : bool
+        Run with half the step and with a quarter, too, and record the certificate of this run: how
+        large the error of its step is, signal by signal; see :func:`cosim.certificate`.
+    find_step : mapping of signal to float, optional
+        Run with the largest step with which the errors of the step in these signals are within
+        these tolerances, each in the unit of its signal, and certify that run. The step divides
+        all times that the scenario gives, whatever its own is; one that ``set`` gives is refused.
+    realtime : float, optional
+        Simulated time by wall time: 1.0 keeps the pace of the wall clock, block by block of about
+        10 ms. How late the run was is recorded; the rows are the same.
+    recorder : Recorder, optional
+        One's own recorder, instead of ``out`` and what is about it: it takes the rows of the run,
+        its messages and its results as they are computed. Nothing else is kept, and nothing is
+        written.
+
+    Returns
+    -------
+    Log, Memory or Recorder
+        The recording: the log file if ``out`` is given, ``recorder`` itself if that is given.
+
+    Raises
+    ------
+    CosimError
+        UsageError before the first step, RunError after it; see :mod:`cosim.errors`.
+    """
+    force = truth_argument("force", force)
+    numbered = truth_argument("numbered", numbered)
+    certify = truth_argument("certify", certify)
+    block = whole_argument("block", block)
+    callable_argument("progress", progress)
+    callable_argument("notice", notice)
+    _check_profile(profile)
+    if recorder is not None:
+        check_recorder(recorder)
+        _check_unaccompanied(out, notice)
+    check_target(out, force=force, numbered=numbered)
+    pace = None if realtime is None else _pace_of(realtime)
+    loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
+    edited = loaded.edit(swap=swap, map=map, set=set)
+    certification: Certification | None = None
+    if find_step is not None:
+        edited, certification = _with_found_step(
+            edited, mapping_argument("find_step", find_step), progress
+        )
+    elif certify:
+        certification = _certification_of(edited, progress)
+    beside: Beside | None = None if certification is None else certification.beside
+    with ExitStack() as resources:
+        experiment = build_experiment(edited, resources, block)
+        if pace is not None:
+            experiment, beside = _paced(experiment, pace, beside)
+
+        def behind() -> None:
+            if certification is not None:
+                certification.complete(resources)
+
+        if recorder is not None:
+            taking = recorder if beside is None else beside(recorder)
+            run_into(taking, experiment, progress=progress, profile=profile)
+            behind()
+            return recorder
+        target = Target(out, force, numbered, notice)
+        return record(
+            experiment, target, progress=progress, profile=profile, beside=beside, behind=behind
+        )
+
+
+def _certification_of(scenario: Scenario, progress: Progress | None) -> Certification:
+    # Most runs need none of it.
+    from cosim.scenario.certification.certificate import certification_of
+
+    return certification_of(scenario, progress)
+
+
+def _with_found_step(
+    scenario: Scenario, tolerances: Mapping[str, float], progress: Progress | None
+) -> tuple[Scenario, Certification]:
+    """Return a scenario with the step that keeps tolerances, and what certifies its run."""
+    # Most runs need none of it.
+    from cosim.scenario.certification.step_search import find_step
+
+    found = find_step(scenario, tolerances, progress)
+    return scenario.edit(set={"scenario.step": found.step}), found.certifier.certification()
+
+
+def _pace_of(factor: float) -> float:
+    # Most runs need none of it.
+    from cosim.scenario.running.real_time import pace_of
+
+    return pace_of(factor)
+
+
+def _paced(
+    experiment: Experiment, factor: float, beside: Beside | None
+) -> tuple[Experiment, Beside]:
+    """Return an experiment in short blocks, and what keeps their pace before a recorder."""
+    from cosim.scenario.running.real_time import RealTimePace, block_steps
+
+    clock = experiment.clock
+    if clock.block is None:
+        clock = replace(clock, block=block_steps(clock, factor))
+    pace = RealTimePace(factor, clock.start_time)
+
+    def paced(recorder: Recorder) -> Recorder:
+        return pace.beside(recorder if beside is None else beside(recorder))
+
+    return replace(experiment, clock=clock), paced
+
+
+def _check_profile(profile: object) -> None:
+    if profile is not None and not isinstance(profile, dict):
+        raise UsageError(f"{option('profile')}: found {quoted(profile)}; needed a dict, to fill")
+
+
+def _check_unaccompanied(out: str | Path | None, notice: Notice | None) -> None:
+    """Check that nothing is given beside a recorder that is about a log file."""
+    if out is not None:
+        raise UsageError(
+            f"found both out={str(out)!r} and a recorder; needed one of them: "
+            "out writes a log file, recorder takes the run itself"
+        )
+    if notice is not None:
+        raise UsageError(
+            "found both a notice and a recorder; needed one of them: notice is called about the "
+            "log at out"
+        )
+
+
+def replay(
+    log: str | Path | Log,
+    *,
+    out: str | Path | None = None,
+    force: bool = False,
+    set: Mapping[str, Any] | None = None,
+    allow_code: bool = False,
+    block: int | None = None,
+    progress: Progress | None = None,
+    notice: Notice | None = None,
+    profile: dict[str, float] | None = None,
+) -> Log | Memory:
+    """Run the scenario of a log again, with its recorded plants; only the log is needed.
+
+    Plants, FMUs, tables from files and components of users' classes are taken from the recording;
+    everything else is computed again. Designs are taken from the log too, except those of
+    components that ``set`` changes or that rest on one that it changes. No file is opened and no
+    class imported but those that ``set`` names.
+
+    Parameters
+    ----------
+    log : str, Path or Log
+        The recording of a run.
+    out, force, block, progress, notice, profile
+        As of :func:`run`.
+    set : mapping of dotted key to value, optional
+        Such as ``{"observer.filter_rate": 500.0, "scenario.stop": 10.0}``. A class that it names,
+        ``{"relay.class": "relay:Relay"}``, is imported as it is now.
+    allow_code : bool
+        Compute the components of users' classes too, which runs the code of the classes that the
+        log names. Each is found in the working directory or on sys.path, and has to be the one of
+        the run, by the hash of its source.
+
+    Returns
+    -------
+    Log or Memory
+        The recording: the log file if ``out`` is given.
+
+    Raises
+    ------
+    LogError
+        If the log cannot be read, is no log of a scenario, or does not fit its scenario.
+    ScenarioError
+        If a class cannot be imported, or is another one than in the run.
+    UsageError
+        If ``set`` changes the communication step, a recorded component, or what drives one: its
+        recording cannot follow.
+    """
+    force = truth_argument("force", force)
+    allow_code = truth_argument("allow_code", allow_code)
+    block = whole_argument("block", block)
+    callable_argument("progress", progress)
+    callable_argument("notice", notice)
+    _check_profile(profile)
+    wanted = mapping_argument("set", set)
+    source = log if isinstance(log, Log) else open_log(log)
+    if out is not None and os.path.realpath(out) == os.path.realpath(source.path):
+        raise UsageError(f"{out} is the log that is replayed; choose another path")
+    check_target(out, force=force)
+    with ExitStack() as resources:
+        experiment = rebuilt(source, resources, wanted, block, allow_code=allow_code)
+        original = recorded_document(source)
+        check_changes(experiment, original, wanted)
+        designs = valid_designs(experiment, source)
+        copied = tuple(recorded_components(experiment.scenario))
+        experiment.graph.take_solutions(source, copied)
+        origin = ReplayOrigin(str(source.path), source.recorded_hash, copied)
+        gains = () if wanted else recorded_loop_gains(source)
+        experiment = replace(experiment, origin=origin, designs=designs, gains=gains)
+        experiment = with_setting_designs(experiment, source, designs)
+        target = Target(out, force, notice=notice)
+        return record(experiment, target, progress=progress, profile=profile)

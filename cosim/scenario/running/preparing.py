@@ -1,0 +1,63 @@
+"""Build a scenario to run it, with its swaps compared."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from cosim.scenario.building.build import Builder, Experiment
+from cosim.scenario.building.coupling_check import with_loop_gains
+from cosim.scenario.parsing import Scenario
+
+if TYPE_CHECKING:
+    from cosim.scenario.swapping.swap_report import SwapReports
+
+
+def build_experiment(scenario: Scenario, resources: ExitStack, block: int | None) -> Experiment:
+    """Build a scenario; one with swaps is compared with what it was, for its log and warnings.
+
+    Raises
+    ------
+    ScenarioError
+        With every problem of the file; or if the coupling of a loop is refused.
+    """
+    return _with_settings(_built(scenario, resources, block))
+
+
+def _built(scenario: Scenario, resources: ExitStack, block: int | None) -> Experiment:
+    def build() -> Experiment:
+        return Builder(scenario, resources, block=block).experiment()
+
+    def rebuild() -> Experiment:
+        resources.close()
+        return build()
+
+    if not scenario.file.swap:
+        return with_loop_gains(build(), rebuild)
+    from cosim.scenario.swapping.swap_comparison import build_swapped  # rarely needed
+
+    experiment, reports = build_swapped(scenario, resources, block)
+    compared = _with_reports(experiment, reports)
+    return with_loop_gains(compared, lambda: _with_reports(rebuild(), reports))
+
+
+def _with_settings(experiment: Experiment) -> Experiment:
+    """Prepare the components that take the places of others in the run."""
+    if not experiment.settings:
+        return experiment
+    from cosim.scenario.actions.settings import prepare_settings  # rarely needed
+
+    step_ns = experiment.clock.step_ns
+    designs = prepare_settings(experiment.graph, step_ns, experiment.settings, {})
+    return replace(experiment, setting_designs=designs)
+
+
+def _with_reports(experiment: Experiment, reports: SwapReports) -> Experiment:
+    """Keep in the log how swapped components compare with those they replace."""
+    metadata = dict(experiment.metadata)
+    for name, report in reports.reports.items():
+        kept = metadata.get(name, {})
+        metadata[name] = {**kept, "swap_report": report.to_dict()}
+    warnings = (*experiment.warnings, *reports.warnings)
+    return replace(experiment, metadata=metadata, warnings=warnings)

@@ -1,0 +1,102 @@
+"""Start a scenario that is advanced by hand."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from contextlib import ExitStack
+from functools import partial
+from pathlib import Path
+
+from cosim.arguments import truth_argument
+from cosim.core.simulation import Simulation
+from cosim.errors import RunError, UsageError
+from cosim.scenario.building.build import Experiment
+from cosim.scenario.parsing import Scenario
+from cosim.scenario.recordings.recording import Target, check_target, log_recorder
+from cosim.scenario.recordings.records import MessageRecorder, metadata_of
+from cosim.scenario.running.preparing import build_experiment
+from cosim.scenario.running.session import Opened, Session
+
+
+def start(
+    scenario: Scenario, out: str | Path | None, *, force: bool = False, numbered: bool = False
+) -> Session:
+    """Start a scenario; see :meth:`cosim.scenario.parsing.Scenario.start`.
+
+    Raises
+    ------
+    CosimError
+        If it cannot be built, initialized, or recorded.
+    """
+    force = truth_argument("force", force)
+    numbered = truth_argument("numbered", numbered)
+    check_target(out, force=force, numbered=numbered)
+    return Session(partial(_opened, scenario, Target(out, force, numbered)))
+
+
+def _opened(scenario: Scenario, target: Target, resources: ExitStack, is_next: bool) -> Opened:
+    """Build a scenario, and begin its simulation and its log."""
+    experiment = build_experiment(scenario, resources, None)
+    identity = _identity(experiment)
+    out = target.out
+    if out is None:
+        simulation = _begun(experiment, identity, None)
+        return Opened(simulation, None, lambda: None, partial(_terminate, experiment))
+    if is_next:
+        target = Target(out, numbered=True)
+    elif Path(out).resolve() in experiment.files and not target.numbered:
+        raise UsageError(f"{out} is read in this run; choose another path for the log")
+    log = log_recorder(experiment, out, target, events=True)
+    recorder = MessageRecorder(log, experiment)
+    with ExitStack() as entered:
+        entered.enter_context(recorder)
+        simulation = _begun(experiment, identity, recorder)
+        entered.pop_all()  # the session closes it
+    return Opened(simulation, recorder, lambda: log.path, lambda: None)
+
+
+def _begun(experiment: Experiment, identity: str, recorder: MessageRecorder | None) -> Simulation:
+    """Prepare and initialize the graph."""
+    graph = experiment.graph
+    plan = experiment.plan
+    if plan is None:
+        plan = graph.prepare(experiment.clock.step_ns)
+    if recorder is not None:
+        recorder.begin(plan)
+    return Simulation(
+        graph,
+        experiment.clock,
+        plan,
+        recorder=recorder,
+        identity=identity,
+        actions=experiment.actions,
+        reactions=experiment.reactions,
+        until=experiment.until,
+    )
+
+
+def _terminate(experiment: Experiment) -> None:
+    """End the run of every FMU.
+
+    Raises
+    ------
+    RunError
+        If one says that it failed.
+    """
+    failures = []
+    for name, fmu in experiment.fmus.items():
+        try:
+            fmu.terminate()
+        except RunError as failure:
+            failures.append(f"{name!r} failed at the end of the run: {failure}")
+    if failures:
+        raise RunError("\n".join(failures))
+
+
+def _identity(experiment: Experiment) -> str:
+    """Return the hash of all values of a scenario that its states rest on, but for times."""
+    records = metadata_of(experiment)
+    del records["cosim.run"]
+    text = json.dumps(records, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()

@@ -1,0 +1,1 @@
+"""Component kinds of users: a class by its name, its parameters, installed packages."""

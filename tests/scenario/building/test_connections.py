@@ -1,0 +1,351 @@
+"""Connections of a scenario: conversion of units, and loops through FMUs.
+
+These FMUs do not declare what feeds through.
+"""
+
+import json
+import re
+import zipfile
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.cli import main
+from cosim.errors import ScenarioError
+from cosim.fmi.reading.model_description import read
+from cosim.scenario.exporting import export_component
+from cosim.units import base_unit
+from tests.scenario.swapping.test_swap import rewritten
+
+UNITS = """
+[scenario]
+name = "units"
+stop = 1.0
+step = 0.01
+[components.room]
+kind = "sine"
+amplitude = 5.0
+rate = 6.0
+offset = 20.0
+unit = "degC"
+[components.sensor]
+kind = "lag"
+time_constant = 0.2
+unit = "K"
+[components.readout]
+kind = "lag"
+time_constant = 0.1
+unit = "{readout}"
+[connections]
+"sensor.u" = "room.y"
+"readout.u" = {{ from = "sensor.y", gain = 2.0, offset = -3.0 }}
+"""
+
+LOOP = """
+[scenario]
+name = "loop"
+stop = 0.5
+step = 0.01
+coupling = "{coupling}"
+[components.one]
+kind = "constant"
+value = 1.0
+[components.plant]
+kind = "fmu"
+path = "{path}"
+[components.k]
+kind = "gain"
+K = 0.5
+[connections]
+"plant.u" = "k.y"
+"plant.delta" = "one.y"
+"plant.gain" = "one.y"
+"plant.sign" = "one.y"
+"k.u" = "plant.y"
+"""
+
+
+@pytest.fixture
+def units(tmp_path):
+    """Write the scenario with units to a file."""
+    path = tmp_path / "units.toml"
+    path.write_text(UNITS.format(readout="degC"))
+    return path
+
+
+def test_units_are_converted_on_the_way(units):
+    """The room in degC drives the sensor in K, and that its readout in degC.
+
+    Both are converted by the documented formula, bit for bit.
+    """
+    log = cosim.run(units)
+    assert (log["sensor.u"] == log["room.y"] + 273.15).all()
+    assert (log["readout.u"] == (2.0 * log["sensor.y"] - 3.0) - 273.15).all()
+
+
+def test_a_conversion_is_recorded_and_replayed_bit_for_bit(units, tmp_path):
+    """The log has the conversion, and a replay computes the same.
+
+    This holds too where the source comes from the recording.
+    """
+    path = tmp_path / "units.mcap"
+    log = cosim.run(units, out=path)
+    recorded = json.loads(log.metadata["cosim.connections"]["sensor.u"])
+    assert recorded["conversions"] == [
+        {"factor1": 1.0, "offset1": 273.15, "offset2": 0.0, "factor2": 1.0}
+    ]
+    assert cosim.diff(log, cosim.replay(path)).equal
+    units.write_text(UNITS.format(readout="K"))
+    plain = json.loads(
+        cosim.run(units, out=tmp_path / "k.mcap").metadata["cosim.connections"]["readout.u"]
+    )
+    assert plain == {"from": "sensor.y", "gain": 2.0, "offset": -3.0, "unit": None}
+
+
+def test_info_shows_what_is_converted(units, capsys):
+    """From which unit to which, and how."""
+    with pytest.raises(SystemExit) as ended:
+        main(["info", str(units), "--json"])
+    assert ended.value.code in (0, None)
+    rows = {row["to"]: row for row in json.loads(capsys.readouterr().out)["connections"]}
+    assert rows["sensor.u"] == {
+        "to": "sensor.u",
+        "from": "room.y",
+        "map": None,
+        "unit": "degC -> K",
+        "conversion": "((v * 1.0 + 273.15) - 0.0) / 1.0",
+    }
+    assert (rows["readout.u"]["map"], rows["readout.u"]["unit"]) == ("2.0 v - 3.0", "K -> degC")
+
+
+FMU = """
+[scenario]
+name = "fmu"
+stop = 0.5
+step = 0.01
+[components.u]
+kind = "sine"
+amplitude = 5.0
+rate = 6.0
+unit = "degC"
+[components.zero]
+kind = "constant"
+value = 0.0
+[components.plant]
+kind = "fmu"
+path = "{path}"
+[components.readout]
+kind = "lag"
+time_constant = 0.1
+unit = "mm"
+[connections]
+"plant.u" = "u.y"
+"plant.delta" = "zero.y"
+"readout.u" = "plant.y"
+"""
+
+
+def test_units_of_an_fmu_are_what_it_defines(tmp_path):
+    """The definitions count, not the names: a temperature u by factor and offset, a length y.
+
+    A replay takes both from the log.
+    """
+    plain = tmp_path / "plain.fmu"
+    path = tmp_path / "units.fmu"
+    log = tmp_path / "fmu.mcap"
+    export_component("academic", "plant", plain)
+    definitions = (
+        '</CoSimulation><UnitDefinitions><Unit name="F"><BaseUnit K="1" factor="0.5" '
+        'offset="255.0"/></Unit>'
+        '<Unit name="long"><BaseUnit m="1" factor="0.25"/></Unit></UnitDefinitions>'
+    )
+    with zipfile.ZipFile(plain) as source, zipfile.ZipFile(path, "w") as target:
+        for name in source.namelist():
+            content = source.read(name)
+            if name == "modelDescription.xml":
+                text = content.decode().replace("</CoSimulation>", definitions)
+                content = text.replace(
+                    '<Real start="0.0" />', '<Real start="0.0" unit="F"/>', 1
+                ).replace("<Real />", '<Real unit="long"/>', 1)
+            target.writestr(name, content)
+    (tmp_path / "fmu.toml").write_text(FMU.format(path=path))
+    run = cosim.run(tmp_path / "fmu.toml", out=log)
+    assert (run["plant.u"] == ((run["u.y"] + 273.15) - 255.0) / 0.5).all()
+    assert (run["readout.u"] == run["plant.y"] * 0.25 / 1e-3).all()
+    assert cosim.diff(run, cosim.replay(log)).equal
+    assert cosim.open_log(log).channels["plant"].interface.inputs[0].base.offset == 255.0
+
+
+def test_an_exported_fmu_defines_its_units(units, tmp_path):
+    """Factor and offset too: the readout in degC is connected to K as the component is."""
+    path = tmp_path / "readout.fmu"
+    export_component(str(units), "readout", path)
+    interface = read(path).description.interface
+    assert [signal.base for signal in (*interface.inputs, *interface.outputs)] == [
+        base_unit("degC")
+    ] * 2
+    assert base_unit("degC").offset == 273.15
+
+
+def test_units_that_cannot_be_converted_are_refused(units):
+    """With both of them and the way out."""
+    units.write_text(UNITS.format(readout="Pa"))
+    with pytest.raises(
+        ScenarioError,
+        match=r"sensor\.y -> readout\.u: unit 'K' cannot drive unit 'Pa'; convert with",
+    ):
+        cosim.run(units)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "name"),
+    [
+        ("sensor.unit", "parsec", "parsec"),
+        ("room.unit", "degK", "degK"),
+        ("sensor.unit", {"u": "degF", "y": "furlong"}, "furlong"),
+        ("connections.readout.u", {"from": "sensor.y", "gain": 2.0, "unit": "NM"}, "NM"),
+    ],
+)
+def test_a_unit_that_is_not_known_is_refused_where_it_is_written(units, key, value, name):
+    """In a table, by port, and in a connection; with what would do."""
+    units.write_text(UNITS.format(readout="degF"))
+    text = f"{name!r} is not known; needed a product of units, such as mm, kN.m, W/(m2.K), degC"
+    with pytest.raises(ScenarioError, match=re.escape(text)):
+        cosim.run(units, set={key: value})
+
+
+def test_a_unit_that_an_fmu_declares_is_not_refused_for_being_unknown(tmp_path):
+    """It may drive any input; a warning says that nothing was converted. Its name may be used."""
+    plain = tmp_path / "plain.fmu"
+    path = tmp_path / "widgets.fmu"
+    export_component("academic", "plant", plain)
+    rewritten(plain, path, ("<Real />", '<Real unit="widget"/>'))
+    file = tmp_path / "fmu.toml"
+    file.write_text(FMU.format(path=path))
+    log = cosim.run(file, out=tmp_path / "fmu.mcap")
+    assert log["readout.u"].tobytes() == log["plant.y"].tobytes()
+    text = "plant.y -> readout.u: 'widget' is not known, so values in 'widget' are taken as 'mm'"
+    assert any(text in message.text for message in log.messages())
+    named = {"from": "plant.y", "gain": 2.0, "unit": "widget"}
+    again = cosim.run(file, set={"connections.readout.u": named})
+    assert (again["readout.u"] == 2.0 * again["plant.y"]).all()
+
+
+def test_a_stack_of_lengths_in_several_units_is_warned_of(tmp_path):
+    """An input without a unit takes both as they are; one with a unit converts each."""
+    file = tmp_path / "stack.toml"
+    file.write_text(
+        """
+        [scenario]
+        name = "stack"
+        stop = 0.1
+        step = 0.01
+        [components]
+        a = { kind = "constant", value = 1.0, unit = "m" }
+        b = { kind = "constant", value = 1.0, unit = "mm" }
+        c = { kind = "constant", value = 1.0, unit = "s" }
+        lag = { kind = "lag", time_constant = 1.0, size = 2 }
+        [connections]
+        "lag.u" = ["a.y", "b.y"]
+        """
+    )
+    text = "a.y, b.y -> lag.u: the input has no unit, so values in 'm', 'mm' are stacked"
+    mixed = cosim.run(file)
+    assert any(text in message.text for message in mixed.messages())
+    assert mixed["lag.u"][0].tolist() == [1.0, 1.0]
+    declared = cosim.run(file, set={"lag.unit": "m"})
+    assert declared["lag.u"][0].tolist() == [1.0, 1e-3]
+    assert not any("stacked" in message.text for message in declared.messages())
+    unlike = cosim.run(file, set={"connections.lag.u": ["a.y", "c.y"]})
+    assert not any("stacked" in message.text for message in unlike.messages())
+
+
+@pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
+def test_a_loop_through_an_fmu_without_dependencies_runs_with_a_warning(
+    coupling, foreign2, tmp_path, capsys
+):
+    """pythonfmu writes no dependencies, but its y = x1 - u does feed through.
+
+    The loop is solved at initialization and one step late afterwards, which a warning reports. At
+    the start u = y / 2 and y = 1 - u, so y = 2 / 3.
+    """
+    (tmp_path / "loop.toml").write_text(LOOP.format(coupling=coupling, path=foreign2))
+    path = tmp_path / "loop.mcap"
+    with pytest.raises(SystemExit) as ended:
+        main(["run", str(tmp_path / "loop.toml"), "--out", str(path)])
+    assert ended.value.code in (0, None)
+    text = (
+        "plant.y may depend directly on plant.u (the FMU does not say): taken as not feeding "
+        "through; if it does, the loop is "
+    )
+    assert f"warning: plant: {text}" in capsys.readouterr().err
+    log = cosim.open_log(path)
+    assert any(
+        message.source == "plant" and message.level == "warning" and text in message.text
+        for message in log.messages()
+    )
+    assert abs(log["plant.y"][0] - 2.0 / 3.0) <= 1e-15
+    assert (log["k.y"] == 0.5 * log["plant.y"]).all()
+    assert (log["plant.u"] == log["k.y"]).all()
+    assert cosim.diff(log, cosim.replay(path)).equal
+
+
+INITIAL_LOOP = """
+[scenario]
+name = "initial-loop"
+stop = 0.1
+step = 0.01
+[components.r]
+kind = "constant"
+value = 1.1
+[components.s]
+kind = "sum"
+signs = [1.0, -1.0]
+[components.lag]
+kind = "lag"
+time_constant = 1.0
+[components.k]
+kind = "gain"
+K = 3.3
+[connections]
+"s.u1" = "r.y"
+"s.u2" = "k.y"
+"k.u" = "lag.y"
+"lag.u" = "s.y"
+"""
+
+
+@pytest.mark.parametrize("interface_type", ["me", "cs"])
+def test_a_loop_at_initialization_through_an_fmu_is_solved_and_replayed(interface_type, tmp_path):
+    """The lag starts at its input, y = 1.1 - 3.3 y = 1.1 / 4.3.
+
+    This holds for the component, and for its FMU by InitialUnknowns.
+    """
+    scenario = tmp_path / "loop.toml"
+    fmu = tmp_path / "lag.fmu"
+    path = tmp_path / "loop.mcap"
+    scenario.write_text(INITIAL_LOOP)
+    export_component(str(scenario), "lag", fmu)
+    own = cosim.run(scenario)
+    run = cosim.run(
+        scenario, out=path, swap={"lag": fmu}, set={"lag.interface_type": interface_type}
+    )
+    assert abs(own["lag.y"][0] - 1.1 / 4.3) <= 1e-15
+    assert (run["lag.y"][0], run["k.y"][0]) == (own["lag.y"][0], own["k.y"][0])
+    assert cosim.diff(run, cosim.replay(path)).equal
+
+
+def test_an_fmu_without_dependencies_in_a_cascade_needs_no_warning(foreign2, tmp_path):
+    """What is unknown matters only in a cycle."""
+    text = LOOP.format(coupling="jacobi", path=foreign2).replace(
+        '"k.u" = "plant.y"', '"k.u" = "one.y"'
+    )
+    (tmp_path / "cascade.toml").write_text(text)
+    found = json.loads(
+        cosim.run(tmp_path / "cascade.toml", out=tmp_path / "c.mcap").metadata["cosim.run"][
+            "warnings"
+        ]
+    )
+    assert not [text for _, text in found if "may depend directly on plant.u" in text]
+    assert np.isfinite(cosim.open_log(tmp_path / "c.mcap")["plant.y"]).all()

@@ -1,0 +1,225 @@
+"""Loops whose coupling multiplies an error are refused before the run, and told of otherwise."""
+
+import json
+
+import pytest
+
+import cosim
+from cosim.errors import LogError, NonFiniteError, ScenarioError
+from cosim.report.summary import summarize
+from cosim.scenario.exporting import export_component
+from cosim.scenario.recordings.recorded_metadata import recorded_loop_gains, recorded_warnings
+
+PAIR = """
+[scenario]
+name = "pair"
+stop = 1.0
+step = 0.01
+coupling = "jacobi"
+
+[components.one]
+kind = "controller"
+A = [[-0.9]]
+B = [[0.5]]
+C = [[3.0]]
+D = [[1.0]]
+x0 = [1.0]
+
+[components.two]
+kind = "controller"
+A = [[-1.0]]
+B = [[10.0]]
+C = [[-31.0]]
+D = [[-0.9]]
+x0 = [1.0]
+
+[connections]
+"one.u" = "two.y"
+"two.u" = "one.y"
+"""
+REFUSED = "the loop of one, two: coupling 'jacobi' has a gain of "
+WARN = {"scenario.coupling_check": "warn"}
+
+
+@pytest.fixture
+def pair(tmp_path):
+    """Return a loop that is stable itself, and not as it is coupled."""
+    path = tmp_path / "pair.toml"
+    path.write_text(PAIR)
+    return path
+
+
+def test_a_coupling_that_leaves_nothing_of_its_results_is_refused_before_the_run(pair, tmp_path):
+    """By the line of the step, with loop, gain, growth and what would do; there is no log then."""
+    out = tmp_path / "x.mcap"
+    with pytest.raises(ScenarioError) as caught:
+        cosim.run(pair, out=out)
+    text = str(caught.value)
+    assert text.startswith(f"{pair}:5: scenario.step: {REFUSED}")
+    assert "a step of 0.01 s, the loop itself one of 0.9762, and so multiplies" in text
+    assert 'coupling = "gauss-seidel" or coupling = "newton"; coupling_check = "warn"' in text
+    assert not out.exists()
+
+
+def test_what_the_refusal_offers_runs(pair):
+    """The step, and each of the couplings, are not refused."""
+    with pytest.raises(ScenarioError) as caught:
+        cosim.run(pair)
+    step = float(str(caught.value).split("needed step = ")[1].split(",")[0])
+    for way_out in ({"step": step}, {"coupling": "gauss-seidel"}, {"coupling": "newton"}):
+        changes = {f"scenario.{key}": value for key, value in way_out.items()}
+        memory = cosim.run(pair, set=changes)
+        (gain,) = recorded_loop_gains(memory)
+        assert gain.verdict == "fine"
+        assert abs(memory["one.x"][-1]) < 0.2
+
+
+def test_warned_of_it_runs_all_the_same_and_the_end_names_loop_and_gain(pair):
+    """The connection, the time and the gain, where it becomes infinite."""
+    memory = cosim.run(pair, set=WARN)
+    (text,) = [text for source, text in recorded_warnings(memory) if source == "coupling"]
+    assert text.startswith(REFUSED)
+    (gain,) = recorded_loop_gains(memory)
+    reason = (
+        r"became -?inf at t = .*; everything before is kept; it is in the loop of one, two, by "
+        r"\w+\.y -> \w+\.u, coupled by 'jacobi' with a gain of "
+        f"{gain.rho:.3f} a step"
+    )
+    with pytest.raises(NonFiniteError, match=reason):
+        cosim.run(pair, set={**WARN, "scenario.stop": 100.0})
+
+
+def test_a_session_is_refused_too(pair):
+    """Also where the steps are taken by hand."""
+    with pytest.raises(ScenarioError, match="multiplies an error by"):
+        cosim.load(pair).start()
+
+
+def test_an_unstable_loop_is_warned_of_as_that(pair):
+    """With a second feedthrough of 1.1 it has a pole at +3084 /s, whatever couples it."""
+    memory = cosim.run(pair, set={"two.D": [[1.1]]})
+    (text,) = [text for source, text in recorded_warnings(memory) if source == "coupling"]
+    assert text == (
+        "the loop of one, two is unstable itself, whatever couples it: it has a pole at "
+        "+3084 /s, and multiplies an error by 1e1339 over the run"
+    )
+
+
+def test_a_slow_growth_is_warned_of(pair):
+    """An undamped oscillation by Jacobi: (1 + (h w)^2)^(N/2) = exp(0.05) in 10 s at 0.01 s."""
+    changes = {
+        "scenario.stop": 10.0,
+        "one.A": [[0.0]],
+        "one.B": [[1.0]],
+        "one.C": [[1.0]],
+        "one.D": [[0.0]],
+        "two.A": [[0.0]],
+        "two.B": [[-1.0]],
+        "two.C": [[1.0]],
+        "two.D": [[0.0]],
+    }
+    memory = cosim.run(pair, set=changes)
+    (text,) = [text for source, text in recorded_warnings(memory) if source == "coupling"]
+    assert text == (
+        "the loop of one, two: coupling 'jacobi' has a gain of 1.0000500 a step of 0.01 s, the "
+        "loop itself one of 1, and so multiplies an error by 1.051 over the run"
+    )
+
+
+def test_replays_and_reports_take_the_gain_from_the_log(pair, tmp_path, call):
+    """As it was before the run; a replay does not compute it again, and not where it changed."""
+    out = tmp_path / "pair.mcap"
+    newton = {"scenario.coupling": "newton"}
+    log = cosim.run(pair, out=out, set=newton)
+    (gain,) = recorded_loop_gains(log)
+    assert gain.components == ("one", "two")
+    assert gain.coupling == "newton"
+    assert summarize(log).gains == (gain,)
+    assert recorded_loop_gains(cosim.replay(log)) == (gain,)
+    assert recorded_loop_gains(cosim.replay(log, set={"scenario.stop": 0.5})) == ()
+    code, text, _ = call("info", str(out), "--json")
+    assert code == 0
+    (row,) = json.loads(text)["loops"]
+    assert row["gain"] == gain.rho
+    assert row["verdict"] == "fine"
+    assert row["largest pole"] == pytest.approx(-2.4069, abs=1e-4)
+
+
+def test_the_summary_of_a_run_has_a_line_on_the_gain(pair, call):
+    """In words in the table, and in numbers as JSON."""
+    code, text, _ = call("run", str(pair), "--set", "scenario.coupling=newton", "--out", "a.mcap")
+    assert code == 0
+    assert "loop gain" in text
+    assert "one, two: 0.9762 a step, the loop itself 0.9762" in text
+    arguments = ("--set", "scenario.coupling=newton", "--out", "b.mcap", "--json")
+    _, text, _ = call("run", str(pair), *arguments)
+    (gain,) = json.loads(text)["gains"]
+    assert gain["rho"] == pytest.approx(0.976218, abs=1e-6)
+
+
+def test_what_a_scenario_is_shows_the_gain(pair, call):
+    """Without a run: `cosim info`, and `cosim check` with what stands against it."""
+    code, text, _ = call("info", str(pair), "--json")
+    assert code == 0
+    (row,) = json.loads(text)["loops"]
+    assert row["verdict"] == "refused"
+    code, text, _ = call("check", str(pair))
+    assert code == 1
+    assert "coupling of one, two" in text
+    assert "NOT FULFILLED" in text
+    code, text, _ = call("check", str(pair), "--set", "scenario.coupling=newton")
+    assert code == 0
+    assert "gain 0.9762 a step" in text
+    code, _, err = call("check", str(pair), "--set", "scenario.coupling_check=warn")
+    assert code == 0
+    assert f"warning: coupling: {REFUSED}" in err
+
+
+def test_where_a_component_cannot_be_linearized_the_gain_is_not_known(call):
+    """It is named, and the run goes on."""
+    memory = cosim.run("compensation", set={"scenario.stop": 0.1})
+    (gain,) = recorded_loop_gains(memory)
+    assert gain.verdict == "unknown"
+    assert "compensator" in gain.unknown
+    assert "observer" not in gain.unknown
+    _, text, _ = call("info", "compensation", "--json")
+    (row,) = json.loads(text)["loops"]
+    assert row["text"].startswith("not known, as compensator, ")
+
+
+def test_another_check_of_the_coupling_is_refused(pair):
+    """With what there is."""
+    with pytest.raises(ScenarioError, match="found 'no'; there is: refuse, warn"):
+        cosim.run(pair, set={"scenario.coupling_check": "no"})
+
+
+def test_a_log_whose_gains_cannot_be_understood_is_refused(pair):
+    """A log may come from anywhere."""
+    memory = cosim.run(pair, set={"scenario.coupling": "newton"})
+    memory.metadata["cosim.run"]["loop_gains"] = '[{"components": 3}]'
+    with pytest.raises(LogError, match="loop_gains"):
+        recorded_loop_gains(memory)
+
+
+@pytest.fixture(scope="module")
+def plant(tmp_path_factory):
+    """Return the plant of the shipped loop as an FMU."""
+    path = tmp_path_factory.mktemp("plant") / "plant.fmu"
+    export_component("closed-loop", "plant", path)
+    return path
+
+
+@pytest.mark.parametrize("interface_type", ["me", "cs"])
+def test_the_gain_of_a_loop_through_an_fmu_is_that_of_its_model(plant, interface_type):
+    """By differences or directional derivatives; the run that follows has the bits of one without.
+
+    The FMU for co-simulation is exact for means, not for straight lines: its gain differs by what
+    that changes, of second order in h.
+    """
+    short = {"scenario.stop": 0.01}
+    (expected,) = recorded_loop_gains(cosim.run("closed-loop", set=short))
+    swapped = cosim.run("closed-loop", set=short, swap={"plant": f"{plant}#{interface_type}"})
+    (found,) = recorded_loop_gains(swapped)
+    assert expected.rho == pytest.approx(0.99836, abs=1e-5)
+    assert found.rho == pytest.approx(expected.rho, rel=1e-6)
+    assert found.rate == pytest.approx(expected.rate, rel=1e-6)

@@ -1,0 +1,206 @@
+"""Models from elsewhere: a MAT-file, a StateSpace of another package."""
+
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import scipy.io
+import scipy.signal
+import scipy.sparse
+
+import cosim
+from cosim.errors import AssumptionError, ScenarioError, UsageError
+from cosim.scenario.data_files.mat_file import OtherVariable, read_variables
+from cosim.theory import descriptor_system, reduce
+from tests.scenario.general_plant import GENERAL, X0, A, B, C, E, write
+
+FROM_FILE = 'file = "plant.mat"\ndisturbances = [0]\n'
+INITIAL = f"x0 = {X0.tolist()}"
+MATRICES = {"E": E, "A": A, "B": B, "C": C}
+
+
+def saved(folder, **matrices):
+    """Write a scenario, and the matrices of its model to a file beside it."""
+    scipy.io.savemat(folder / "plant.mat", {**MATRICES, **matrices})
+    return write(folder / "file.toml", FROM_FILE, INITIAL)
+
+
+def test_a_model_in_a_file_is_that_of_its_matrices(tmp_path):
+    """The same bits as the table with the same numbers; sparse ones, and D, among them."""
+    table = cosim.run(write(tmp_path / "table.toml", GENERAL, INITIAL))
+    log = cosim.run(
+        saved(tmp_path, E=scipy.sparse.csc_array(E), D=np.zeros((1, 2)), Bu=[], other="text")
+    )
+    np.testing.assert_array_equal(log["plant.x"], table["plant.x"])
+
+
+def test_a_replay_needs_no_file(tmp_path):
+    """The log has the matrices and the file's hash; another file is opened where it is named."""
+    observer = (
+        '"observer.u" = "u.y"\n"observer.y" = "plant.y"\n[components.observer]\n'
+        'kind = "unknown-input-observer"\nmodel = "m"\npoles = [-4.0]\nfilter_rate = 1e3\n'
+    )
+    path = saved(tmp_path)
+    path.write_text(path.read_text() + observer)
+    log = cosim.run(path, out=tmp_path / "run.mcap")
+    (tmp_path / "plant.mat").unlink()
+    again = cosim.replay(log, out=tmp_path / "again.mcap")
+    assert cosim.diff(log, again).equal
+    assert cosim.diff(again, cosim.replay(again)).equal
+    (record,) = json.loads(log.metadata["cosim.run"]["models"]).values()
+    assert record["file"] == "plant.mat"
+    assert len(record["sha256"]) == 64
+    faster = cosim.replay(log, set={"observer.poles": [-8.0]})
+    assert not np.array_equal(faster["observer.x"], log["observer.x"])
+    with pytest.raises(ScenarioError, match=r"models\.m: file .*plant\.mat cannot be read"):
+        cosim.run(path)
+
+
+@pytest.mark.parametrize(
+    ("matrices", "message"),
+    [
+        (
+            {"A": np.eye(3) * 1j},
+            r"plant\.mat: A is a matrix of complex numbers; needed a matrix of real",
+        ),
+        ({"A": "text"}, r"plant\.mat: A is text; needed a matrix of real numbers"),
+        ({"C": np.array([[1.0, np.nan, 0.0]])}, r"models\.m: C\[0, 1\] is nan"),
+        ({"D": np.zeros((2, 2))}, r"models\.m: D has shape \(2, 2\); needed \(1, 2\)"),
+        ({"Bu": np.eye(3)}, r"models\.m: Bu: found it beside B; needed B and D, or Bu"),
+        ({"B": np.zeros((3, 0))}, r"models\.m: disturbances: found 0; B has the columns"),
+    ],
+)
+def test_a_file_that_has_no_model_is_refused(tmp_path, matrices, message):
+    """The variable is named, with what is needed."""
+    with pytest.raises(ScenarioError, match=message):
+        cosim.run(saved(tmp_path, **matrices))
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"MATLAB 7.3 MAT-file".ljust(512) + b"\x89HDF\r\n\x1a\n", r"7\.3 \(HDF5\); .*save -v7$"),
+        (b"# Created by Octave\n# name: A\n# type: matrix\n", r"is no MAT-file: .*save -v7"),
+        (b"", r"is no MAT-file"),
+    ],
+)
+def test_what_cannot_be_read_is_refused_with_the_cure(tmp_path, content, message):
+    """HDF5, Octave's text, nothing at all."""
+    path = saved(tmp_path)
+    (tmp_path / "plant.mat").write_bytes(content)
+    with pytest.raises(ScenarioError, match=message):
+        cosim.run(path)
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+def test_a_file_is_read_as_scipy_reads_it(tmp_path, compressed):
+    """Every type of numbers, sparse and empty matrices; other variables are known by name."""
+    rng = np.random.default_rng(0)
+    variables = {f"A{kind}": rng.integers(0, 100, (3, 2)).astype(kind) for kind in "bBhHiIlLfd?"}
+    sparse = scipy.sparse.random_array((4, 5), density=0.3, rng=rng, format="csc")
+    variables |= {"S": sparse, "Z": np.zeros((2, 0)), "one": 3.5, "L": [[1.0, 2.0]]}
+    others = {
+        "s": {"a": 1},
+        "c": np.array([[1], ["x"]], object),
+        "t": "x",
+        "N": np.zeros((2, 2, 2)),
+    }
+    path = tmp_path / "all.mat"
+    scipy.io.savemat(path, variables | others, do_compression=compressed)
+    found = read_variables(path.read_bytes())
+    expected = scipy.io.loadmat(path)
+    for name in variables:
+        value = expected[name]
+        dense = value.toarray() if scipy.sparse.issparse(value) else value
+        np.testing.assert_array_equal(found[name], dense.astype(np.float64))
+    for name in others:
+        assert isinstance(found[name], OtherVariable), name
+
+
+def test_a_damaged_file_is_refused_or_read(tmp_path):
+    """Whatever a byte becomes: no other error, no crash."""
+    path = tmp_path / "good.mat"
+    refused = 0
+    for compressed in (False, True):
+        scipy.io.savemat(path, {"A": A, "S": scipy.sparse.csc_array(E)}, do_compression=compressed)
+        good = path.read_bytes()
+        rng = np.random.default_rng(0)
+        for trial in range(300):
+            damaged = bytearray(good)
+            for _ in range(3):
+                damaged[rng.integers(len(damaged))] = rng.integers(256)
+            content = bytes(damaged[: rng.integers(len(damaged))] if trial % 5 == 0 else damaged)
+            try:
+                read_variables(content)
+            except UsageError:
+                refused += 1
+    assert refused > 100
+
+
+def test_matrices_that_are_missing_are_named_beside_those_there_are(tmp_path):
+    """A file with other names."""
+    path = saved(tmp_path)
+    scipy.io.savemat(tmp_path / "plant.mat", {"Ap": A, "B": B})
+    message = r"file plant\.mat has no A and C; it has: B, Ap; needed A and C, by these names"
+    with pytest.raises(ScenarioError, match=message):
+        cosim.run(path)
+
+
+def test_a_file_beside_matrices_is_refused(tmp_path):
+    """One place for all matrices."""
+    path = write(tmp_path / "both.toml", 'file = "plant.mat"\nn_a = 1\nA = [[1]]', INITIAL)
+    with pytest.raises(ScenarioError) as caught:
+        cosim.run(path)
+    assert "models.m.A: found it beside file; needed all matrices in one of them" in str(
+        caught.value
+    )
+    assert "models.m.n_a: found it beside file" in str(caught.value)
+
+
+def control_system(**changes):
+    """Return what a StateSpace of python-control has."""
+    values = {
+        "A": np.array([[-1.0, 1.0], [-1.0, -2.0]]),
+        "B": np.array([[-1.0, 1.0], [1.0, 0.0]]),
+        "C": np.array([[1.0, 0.0]]),
+        "D": np.array([[-1.0, 0.0]]),
+        "dt": 0,
+        "input_labels": ["u", "delta"],
+    }
+    return SimpleNamespace(**(values | changes))
+
+
+def test_a_state_space_is_a_table_and_a_descriptor_system(tmp_path):
+    """Inputs by name or by column; the same numbers either way."""
+    table = cosim.model_table(control_system(), disturbances=["delta"])
+    assert table["disturbances"] == [1]
+    path = write(tmp_path / "control.toml", GENERAL, "x0 = [1.0, -1.0]")
+    log = cosim.run(path, set={"models.m": table})
+    system = descriptor_system(control_system(), [1])
+    np.testing.assert_array_equal(reduce(system).C4, [[-1.0]])
+    np.testing.assert_array_equal(system.Bd, [[1.0], [0.0]])
+    y = log["plant.x"][:, 0] - log["u.y"]
+    np.testing.assert_allclose(log["plant.y"], y, rtol=0, atol=1e-15)
+    of_scipy = scipy.signal.StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+    assert cosim.model_table(of_scipy) == {"A": [[-1]], "B": [[1]], "C": [[1]], "D": [[0]]}
+
+
+@pytest.mark.parametrize(
+    ("system", "disturbances", "message"),
+    [
+        (control_system(dt=0.1), [], r"dt = 0\.1, so it is in discrete time; needed a model in"),
+        (control_system(dt=True), [], r"dt = True, so it is in discrete time"),
+        (control_system(D=None), [], r"SimpleNamespace has no D; needed a state-space model"),
+        (scipy.signal.TransferFunction([1], [1, 1]), [], r"no A; .*a transfer function becomes"),
+        (control_system(A=np.eye(2) * 1j), [], r"\.A: found complex128 of shape \(2, 2\)"),
+        (control_system(), ["wind"], r"disturbance 'wind' is no input; .*u, delta"),
+        (control_system(), [2], r"disturbance 2 is no input; needed 0 to 1, a column of B"),
+        (control_system(), "delta", r"disturbances: found 'delta'; needed \['delta'\]$"),
+        (control_system(), [1, "delta"], r"disturbance 'delta' is given twice"),
+    ],
+)
+def test_what_is_no_model_in_continuous_time_is_refused(system, disturbances, message):
+    """Discrete time, transfer functions, unknown inputs."""
+    with pytest.raises(AssumptionError, match=message):
+        cosim.model_table(system, disturbances=disturbances)

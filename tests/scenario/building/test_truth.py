@@ -1,0 +1,166 @@
+"""Estimates are compared with what they should equal, in one unit."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.errors import ScenarioError
+from cosim.report.plots import plot_run
+from cosim.report.summary import summarize
+from cosim.scenario.building.build import parse
+from cosim.scenario.document.document import Document, find
+
+ROOM = """
+[scenario]
+name = "room"
+stop = 1.0
+step = 0.01
+[components.room]
+kind = "constant"
+value = 20.0
+unit = "degC"
+[components.sensor]
+kind = "sum"
+signs = [1.0]
+unit = "{unit}"
+[connections]
+"sensor.u1" = {{ from = "room.y", unit = "{unit}", gain = {gain} }}
+[truth]
+"sensor.y" = "{truth}"
+"""
+
+
+def room(folder, **given):
+    text = ROOM.format(**{"unit": "K", "gain": 1.0, "truth": "room.y"} | given)
+    return parse(Document(text.replace(', unit = "K", gain = 1.0', ""), "room", folder))
+
+
+def test_a_truth_is_compared_in_the_unit_of_the_estimate(tmp_path):
+    """20 degC measured as 293.15 K is no error; the picture draws both in K."""
+    run = cosim.run(room(tmp_path), out=tmp_path / "room.mcap")
+    assert run["sensor.y"][-1] == 293.15
+    (signal,) = summarize(run).signals
+    assert (signal.largest, signal.rms, signal.last) == (0.0, 0.0, 0.0)
+    plot_run(run, tmp_path / "room.png")
+
+
+def test_a_truth_of_another_kind_is_refused(tmp_path):
+    text = (
+        r"truth\.sensor\.y: 'sensor\.y' has unit 'm', its truth 'room\.y' has unit 'degC'; "
+        "needed units of one kind"
+    )
+    with pytest.raises(ScenarioError, match=text):
+        cosim.run(room(tmp_path, unit="m", gain=0.5))
+
+
+def with_truth(entries, **changes):
+    """Return 0.1 s of the academic scenario with other entries for the truth of x_a."""
+    text = find("academic").text
+    whole = '"observer.x_a" = "plant.x_a"'
+    assert whole in text
+    document = replace(find("academic"), text=text.replace(whole, entries))
+    return parse(document.with_changes({"scenario.stop": 0.1, **changes}))
+
+
+def test_elements_and_slices_are_compared_too(tmp_path):
+    """On both sides; an element that is not there is named."""
+    entries = '"observer.x_a[0]" = "plant.x_a[0]"\n"observer.x_a[0:2]" = "plant.x_a[0:2]"'
+    run = cosim.run(with_truth(entries), out=tmp_path / "a.mcap")
+    largest = {signal.estimate: signal.largest for signal in summarize(run).signals}
+    error = abs(run["observer.x_a"] - run["plant.x_a"]).max(axis=0)
+    assert largest["observer.x_a[0]"] == error[0]
+    assert largest["observer.x_a[0:2]"] == error.max()
+    with pytest.raises(ScenarioError, match=r"'plant\.x_a\[2\]': 'plant\.x_a' has 2 elements"):
+        cosim.run(with_truth('"observer.x_a[0]" = "plant.x_a[2]"'))
+
+
+def test_values_of_a_slice_are_named_as_elements_of_the_signal():
+    """They keep their numbers."""
+    entries = '"observer.x_a[0:2]" = [1.0, 2.0]\n"observer.x_a[1:2]" = 3.0'
+    run = cosim.run(with_truth(entries))
+    names = [value.estimate for value in summarize(run).values if "x_a" in value.estimate]
+    assert names == ["observer.x_a[0]", "observer.x_a[1]", "observer.x_a[1]"]
+
+
+def test_a_truth_may_be_stacked(tmp_path):
+    """Ports in the order of the elements are compared as one signal would be, also in pictures."""
+    path = tmp_path / "a.mcap"
+    stacked = cosim.run(with_truth('"observer.x_a" = ["plant.x_a[0]", "plant.x_a[1]"]'), out=path)
+    whole = cosim.run(with_truth('"observer.x_a" = "plant.x_a"'))
+    signal, *others = summarize(stacked).signals
+    assert signal.truth == "plant.x_a[0], plant.x_a[1]"
+    expected, *others_of_whole = summarize(whole).signals
+    assert replace(signal, truth="plant.x_a") == expected
+    assert others == others_of_whole
+    assert summarize(cosim.replay(path)).signals == (signal, *others)
+    plot_run(stacked, tmp_path / "a.png")
+
+    turned = cosim.run(with_truth('"observer.x_a" = ["plant.x_a[1]", "plant.x_a[0]"]'))
+    last = abs(turned["observer.x_a"][-1] - turned["plant.x_a"][-1, ::-1]).max()
+    assert summarize(turned).signals[0].last == last
+
+
+def test_a_stacked_truth_is_compared_at_the_instants_of_all_its_ports():
+    """Of a component with a longer period at its samples."""
+    entries = '"plant.x_a" = ["delta.y", "slow.y"]'
+    slow = {
+        "components.slow": {
+            "kind": "controller",
+            "A": [[-1.0]],
+            "B": [[1.0]],
+            "C": [[1.0]],
+            "period": 0.01,
+        },
+        "connections.slow.u": "plant.y",
+    }
+    run = cosim.run(with_truth(entries, **slow))
+    rows = slice(0, None, 10)
+    assert len(run["slow.y"]) == 11
+    error = [
+        abs(run["plant.x_a"][rows, 0] - run["delta.y"][rows]),
+        abs(run["plant.x_a"][rows, 1] - run["slow.y"]),
+    ]
+    assert summarize(run).signals[0].largest == np.max(error)
+
+
+@pytest.mark.parametrize(
+    ("truth", "pattern"),
+    [
+        (
+            '["plant.x_a[0]"]',
+            r"'observer\.x_a' has size 2, its truth \['plant\.x_a\[0\]'\] has size 1",
+        ),
+        ('["plant.x_a[0]", "plant.x_c"]', r"no signal 'plant\.x_c'; did you mean 'plant\.x_b'"),
+        (
+            '["plant.x_a[0]", 1.0]',
+            r"truth\.observer\.x_a: found \['plant\.x_a\[0\]', 1\.0\]; needed",
+        ),
+        ("[]", r"has size 2, its truth \[\] has size 0"),
+    ],
+)
+def test_a_stacked_truth_is_checked(truth, pattern, tmp_path):
+    text = find("academic").text.replace(
+        '"observer.x_a" = "plant.x_a"', f'"observer.x_a" = {truth}'
+    )
+    scenario = tmp_path / "mine.toml"
+    scenario.write_text(text)
+    with pytest.raises(ScenarioError, match=pattern):
+        cosim.run(scenario)
+
+
+def test_the_unit_of_every_port_of_a_stacked_truth_is_checked(tmp_path):
+    text = (
+        r"truth\.pair\.y: 'pair\.y' has unit 'K', its truth 'mass\.y' has unit 'kg'; "
+        "needed units of one kind"
+    )
+    pair = {
+        "components.mass": {"kind": "constant", "value": 1.0, "unit": "kg"},
+        "components.pair": {"kind": "constant", "value": [293.15, 1.0], "unit": "K"},
+    }
+    with pytest.raises(ScenarioError, match=text):
+        cosim.run(room(tmp_path).set({**pair, "truth.pair.y": ["room.y", "mass.y"]}))
+    twice = room(tmp_path).set({**pair, "truth.pair.y": ["room.y", "sensor.y"]})
+    _, signal = summarize(cosim.run(twice)).signals
+    assert signal.last == 292.15

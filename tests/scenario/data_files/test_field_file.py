@@ -1,0 +1,232 @@
+"""Field data as other tools write them: separators, decimal signs, units, time stamps."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.errors import UsageError
+from cosim.report.inspection import describe_samples
+from cosim.scenario.data_files import field_file
+from cosim.scenario.data_files.field_file import read_field_data
+from cosim.theory.disturbed_plant import DataSet, disturbed_plant
+from cosim.theory.plants.descriptor import reduce
+from tests.theory.academic import academic, alpha
+
+T = np.array([0.0, 0.001, 0.0021, 0.0029])
+Y = np.array([1.0, -2.5, np.nan, 4e-3])
+
+
+def written(folder, text, name="field.csv"):
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("text", "options"),
+    [
+        ("t,y\n0,1\n0.001,-2.5\n0.0021,\n0.0029,4e-3\n", {}),
+        ("\ufefft;y\r\n0;1\r\n0.001;-2.5\r\n\r\n0.0021;NaN\r\n0.0029;0.004\r\n", {}),
+        ("t;y\n0;1,0\n0,001;-2,5\n0,0021;\n0,0029;4e-3\n", {"decimal": ","}),
+        ("t\ty\n0\t1\n0.001\t-2.5\n0.0021\t\n0.0029\t.004\n", {}),
+        ("t|y\n0|1\n0.001|-2.5\n0.0021| \n0.0029|4E-3\n", {}),
+        ('"t, time"; "y"\n0;"1"\n0.001;-2.5\n0.0021;nan\n0.0029;4e-3\n', {}),
+        ("t#y\n0#1\n0.001#-2.5\n0.0021#\n0.0029#4e-3\n", {"separator": "#"}),
+        ("t [ms],y\n0,1\n1,-2.5\n2.1,\n2.9,4e-3\n", {}),
+        ("t,y\n0,1\n1000,-2.5\n2100,\n2900,4e-3\n", {"time_unit": "us"}),
+        ("n,t(s),y\n9,0,1\n8,0.001,-2.5\n7,0.0021,\n6,0.0029,4e-3\n", {"time": "t"}),
+        ("t,y,\n7,1,\n7.001,-2.5,\n7.0021,,\n7.0029,4e-3,\n", {"offset": 7.0}),
+        ("t,level\n7,1\n7.001,-2.5\n7.0021,\n7.0029,4e-3\n", {"offset": "first"}),
+        (
+            "t [ns],y\n1700000000000000000,1\n1700000000001000000,-2.5\n1700000000002100000,\n"
+            "1700000000002900000,4e-3\n",
+            {"offset": "first"},
+        ),
+        ("t [h],y\n0.5,1\n0.50000027777777778,-2.5\n0.5000005833333333,\n", {"offset": 0.5}),
+    ],
+)
+def test_the_same_samples_are_read_from_every_form(tmp_path, text, options):
+    """Times to a rounding, also where a time stamp has 19 digits; empty cells are not measured."""
+    data = read_field_data(written(tmp_path, text), **options)
+    count = len(data.t)
+    rtol = 1e-8 if "[h]" in text else 1e-15
+    np.testing.assert_allclose(data.t, T[:count], rtol=rtol)
+    np.testing.assert_array_equal(data.signals[-1].values[:, 0], Y[:count])
+
+
+def test_units_and_elements_come_from_the_names_of_the_columns(tmp_path):
+    """``x[0]`` is an element, ``[mm]`` a unit, what is no unit belongs to the name."""
+    header = "t,y [mm],x[0] [m],x[1] [m],gain [1],z [-],w (kN),level (left),T[degC],v[2]"
+    path = written(tmp_path, f"{header}\n0,1,2,3,4,5,6,7,8,9\n")
+    units = {signal.name: signal.unit for signal in read_field_data(path).signals}
+    expected = {"y": "mm", "x": "m", "gain": "1", "z": "1", "w": "kN"}
+    assert units == {**expected, "level (left)": None, "T": "degC", "v[2]": None}
+    np.testing.assert_array_equal(read_field_data(path)["x"], [[2.0, 3.0]])
+    chosen = read_field_data(path, columns={"q": ["x[1]", "x[0]"], "p": "y [mm]"})
+    np.testing.assert_array_equal(chosen["q"], [[3.0, 2.0]])
+    assert chosen.signals[1].unit == "mm"
+
+
+def test_text_in_a_column_that_is_not_used_does_not_matter(tmp_path):
+    """As where a recorder writes its state beside the numbers."""
+    path = written(tmp_path, "t,state,y\n0,on,1\n1,off,2\n")
+    np.testing.assert_array_equal(read_field_data(path, columns={"y": "y"})["y"], [[1.0], [2.0]])
+    with pytest.raises(UsageError, match=r"line 2, column 2 \('state'\) has text, needed a number"):
+        read_field_data(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "message"),
+    [
+        ("", {}, "has 0 columns with a name; needed at least two"),
+        ("t,y\n", {}, "has no samples; needed rows of numbers"),
+        ("t y\n0 1\n", {}, "has 1 columns with a name"),
+        ("0,1\n1,2\n", {}, "has numbers in line 1; needed the names of its columns"),
+        ("t,y\n0,1\n2,1\n1,1\n", {}, "line 4: the time is 1.0 s, and 2.0 s in line 3; needed"),
+        ("t,y\n0,1\n\n0,1\n", {}, "line 4: the time is 0.0 s, and 0.0 s in line 2; needed times"),
+        ("t,y\n0,1\n,1\n", {}, "line 3, column 1 ('t') has no time; needed one"),
+        ("t,y\n0,1\nnan,1\n", {}, "line 3, column 1 ('t') has no time; needed one"),
+        ("t,y\n0,1\n1,inf\n", {}, "line 3, column 2 ('y') is not finite"),
+        ("t,y\n0,1\ninf,1\n", {}, "line 3: the time is not finite"),
+        ("t,y\n0,1\n1,n/a\n", {}, "line 3, column 2 ('y') has text, needed a number or an empty"),
+        ("t,y\n0,1\n1,1_0\n", {}, "line 3, column 2 ('y') has text"),
+        ("t;y\n0;1\n1;2,5\n", {}, "line 3, column 2 ('y') has text, needed a number or an empty "
+         "cell; the decimal sign is '.', decimal = \",\" changes it"),
+        ("t;y\n0;1\n1;2.5\n", {"decimal": ","}, "decimal = \".\" changes it"),
+        ("t,y\n0,1\n1,2,3\n", {}, "line 3: 3 columns, and 2 names"),
+        ("t,y\n0,1\n1\n", {}, "line 3: 1 columns, and 2 names"),
+        ("t,y,y\n0,1,2\n", {}, "has 2 columns 'y'; needed a name of its own for each"),
+        ("t,level\n0,1\n", {"columns": {"y": "levl"}}, "no column 'levl'; did you mean 'level'?"),
+        ("t,level\n0,1\n", {"time": "tt"}, "has no column 'tt'; did you mean 't'?"),
+        ("t,level\n0,1\n", {"columns": {"y": []}}, "needed a column for each signal"),
+        ("t [mm],y\n0,1\n", {}, "column 't', are in 'mm'; needed a unit of time"),
+        ("t,x[0] [m],x[1] [mm]\n0,1,1\n", {}, "made of 'x[0]' in m, 'x[1]' in mm; needed one unit"),
+        ('t,y\n0,"1\n1,2"\n', {}, "a cell from line 2 on reaches over several lines"),
+        ('t,y\n0,"1"x\n', {}, "line 2 cannot be split"),
+        ("t,y\n0,1\n", {"decimal": ";"}, 'decimal: found \';\'; needed "." or ","'),
+        ("t,y\n0,1\n", {"decimal": ","}, "separator: found ',', with the decimal sign ','"),
+        ("t,y\n0,1\n", {"separator": "::"}, "separator: found '::'"),
+        ("t\0y", {}, "it has the character 0"),
+    ],
+)  # fmt: skip
+def test_what_is_no_table_of_samples_is_refused(tmp_path, text, options, message):
+    """With the line and the column, never with what stands there."""
+    with pytest.raises(UsageError) as refused:
+        read_field_data(written(tmp_path, text), **options)
+    assert message in str(refused.value)
+    assert "field.csv" in str(refused.value) or "found" in str(refused.value)
+    assert "n/a" not in str(refused.value)
+
+
+def test_files_that_cannot_be_read_are_refused(tmp_path, monkeypatch):
+    """Missing, another thing than a file, or larger than is allowed."""
+    with pytest.raises(UsageError, match=r"gone.csv' cannot be read: No such file"):
+        read_field_data(tmp_path / "gone.csv")
+    with pytest.raises(UsageError, match="cannot be read: it is a folder"):
+        read_field_data(tmp_path)
+    path = written(tmp_path, "t,y\n0,1\n")
+    monkeypatch.setattr("cosim.scenario.data_files.csv_file.LARGEST", 7)
+    with pytest.raises(UsageError, match="cannot be read: it is too large: more than 7 bytes"):
+        read_field_data(path)
+
+
+def parquet(folder, columns, name="field.parquet"):
+    pyarrow = pytest.importorskip("pyarrow")
+    writer = pytest.importorskip("pyarrow.parquet")
+    path = folder / name
+    writer.write_table(pyarrow.table(columns), path)
+    return path
+
+
+def test_parquet_gives_the_samples_of_a_csv(tmp_path):
+    """Nulls and NaN are not measured; whole numbers are numbers."""
+    path = parquet(
+        tmp_path, {"t [ms]": T * 1e3, "y [mm]": Y, "n": [1, None, 3, 4], "s": list("abcd")}
+    )
+    data = read_field_data(path, columns={"y": "y", "n": "n"})
+    np.testing.assert_allclose(data.t, T, rtol=1e-15)
+    np.testing.assert_array_equal(data["y"][:, 0], Y)
+    np.testing.assert_array_equal(data["n"][:, 0], [1.0, np.nan, 3.0, 4.0])
+    assert data.signals[0].unit == "mm"
+
+
+def test_time_stamps_of_parquet_have_their_unit(tmp_path):
+    """To the ns, in 2023 too."""
+    pyarrow = pytest.importorskip("pyarrow")
+    stamps = 1_700_000_000_000_000_000 + np.array([0, 1_000_000, 2_100_001])
+    for kind in (pyarrow.timestamp("ns"), pyarrow.duration("ns")):
+        path = parquet(tmp_path, {"when": pyarrow.array(stamps, kind), "y": Y[:3]})
+        data = read_field_data(path, offset="first")
+        np.testing.assert_allclose(data.t, [0.0, 1e-3, 2.100001e-3], rtol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        ({"t": [0.0, 1.0], "y": ["a", "b"]}, "column 'y' is of type string; needed numbers"),
+        ({"t": ["a", "b"], "y": [0.0, 1.0]}, "column 't' is of type string; needed numbers"),
+        ({"t": [0.0, None], "y": [0.0, 1.0]}, "row 2 has no time; needed one"),
+        ({"t": [1.0, 0.5], "y": [0.0, 1.0]}, "row 2: the time is 0.5 s, and 1.0 s in row 1"),
+        ({"t": [0.0, 1.0], "y": [0.0, np.inf]}, "row 2, column 'y' is not finite"),
+        ({"t": [0.0]}, "has 1 columns with a name"),
+    ],
+)
+def test_parquet_that_is_no_table_of_samples_is_refused(tmp_path, columns, message):
+    """As a CSV is, with the row."""
+    with pytest.raises(UsageError) as refused:
+        read_field_data(parquet(tmp_path, columns))
+    assert message in str(refused.value)
+
+
+def test_damaged_and_large_parquet_is_refused(tmp_path, monkeypatch):
+    """By its name, and before its numbers are read."""
+    path = parquet(tmp_path, {"t": T, "y": Y})
+    content = path.read_bytes()
+    for damaged in (b"PAR1", content[:-20], content[:10] + bytes(40) + content[50:]):
+        broken = tmp_path / "broken.parquet"
+        broken.write_bytes(damaged)
+        with pytest.raises(UsageError, match=r"broken.parquet' is no Parquet file, or damaged"):
+            read_field_data(broken)
+    monkeypatch.setattr(field_file, "LARGEST", 63)
+    monkeypatch.setattr(field_file, "read_bounded", lambda path, largest: path.read_bytes())
+    with pytest.raises(UsageError, match="has 4 rows of 2 columns; needed at most 7 numbers"):
+        read_field_data(path)
+
+
+def test_without_pyarrow_the_way_out_is_said(tmp_path, monkeypatch):
+    """What to install, or another format."""
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(
+        UsageError, match=r"need pyarrow; install it: pip install 'cosim\[parquet\]'"
+    ):
+        read_field_data(tmp_path / "field.parquet")
+
+
+def test_samples_of_a_file_are_a_data_set(tmp_path):
+    """The functions of theory fit them without a scenario; see test_field_data for the figures."""
+    t = np.array([0.0, 0.001, 0.0021, 0.0029])
+    path = written(tmp_path, "t,y\n0,1\n0.001,2\n0.0021,\n0.0029,4\n")
+    data = cosim.read_field_data(path)
+    record = DataSet(data.t, data["y"], np.sin(t)[:, np.newaxis], alpha(t))
+    assert record.measured[:, 0].tolist() == [True, True, False, True]
+    assert disturbed_plant(reduce(academic()), [0, 0]).C.shape == (1, 2)
+
+
+def test_info_shows_what_is_read(tmp_path):
+    """Times, distances, signals with their units, and how much was not measured."""
+    path = written(tmp_path, "t [ms];y [mm];x[0];x[1]\n0;1;2;3\n1;;2;4\n4;1;2;4\n")
+    content = describe_samples(str(path))
+    assert content["samples"] == {
+        "samples": 3,
+        "times": "0.0 s to 0.004 s",
+        "median distance": "0.002 s",
+        "largest distance": "0.003 s",
+    }
+    assert content["signals"] == [
+        {"signal": "y", "size": 1, "unit": "mm", "not measured": 1},
+        {"signal": "x", "size": 2, "unit": None, "not measured": 0},
+    ]

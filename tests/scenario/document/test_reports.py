@@ -1,0 +1,310 @@
+"""All mistakes of a scenario come in one report: each with its line, each once."""
+
+import tomllib
+from contextlib import ExitStack
+from pathlib import Path
+from time import process_time
+
+import pytest
+
+import cosim
+from cosim.cli import main
+from cosim.errors import CosimError, ScenarioError, flag, option, shell_language
+from cosim.scenario.building.build import Builder, parse
+from cosim.scenario.document.document import Document, find
+from cosim.theory.disturbances import regression
+from cosim.theory.observers import observer
+
+TEXT = find("academic").text
+
+
+def report(text):
+    """Return the lines of the report about a text."""
+    with ExitStack() as resources, pytest.raises(ScenarioError) as caught:
+        Builder(parse(Document(text, "x.toml", Path.cwd())), resources).experiment()
+    return str(caught.value).splitlines()
+
+
+def edited(*edits):
+    """Return the shipped text with parts replaced."""
+    text = TEXT
+    for before, after in edits:
+        assert before in text
+        text = text.replace(before, after)
+    return text
+
+
+def line_of(text, part):
+    """Return the number of the first line that has a part."""
+    lines = text.splitlines()
+    return next(number for number, line in enumerate(lines, start=1) if part in line)
+
+
+def test_mistakes_of_all_layers_come_together():
+    """Keys, kinds, times, values, connections, designs and truths: one line each, no more."""
+    extra = '\n[components.w]\nkind = "sinus"\n\n[connections]'
+    text = edited(
+        ('name = "academic"', 'name = "academic"\ncouplin = "jacobi"'),
+        ("stop = 40.0 ", 'stop = "long" '),
+        ("amplitude = 1.0", "amplitud = 1.0"),
+        ("rate = 1.0  ", 'rate = "1" '),
+        ("L = [4.0, 0.0]", "L = [-4.0, 0.0]"),
+        ("delays = [1.0, 2.0, 3.0]", "delays = [1.0, 2.0, 3.0005]"),
+        ('"observer.y" = "plant.y"', '"observer.y" = "plant.yy"'),
+        ('"observer.u" = "u.y"', '"observer.u" = 3'),
+        ('"observer.delta" = "delta.y"', '"plant.dleta" = "plant.y"'),
+        ("\n[connections]", extra),
+    )
+    expected = [
+        ("couplin =", "scenario.couplin: unknown key 'couplin'; did you mean 'coupling'?"),
+        ("stop =", "scenario.stop: found 'long'; needed a number"),
+        ("amplitud =", "components.u.amplitud: unknown key"),
+        ("rate =", "components.u.rate: found '1'; needed a number"),
+        ("[components.observer]", "M - L C is not Hurwitz"),
+        ("[components.regressor]", "delays[2]: 3.0005 s is not a whole number of 0.001 s steps"),
+        ('kind = "sinus"', "components.w.kind: unknown kind 'sinus'"),
+        ('"observer.u" = 3', "connections.observer.u: found 3; needed a string"),
+        ('"plant.dleta"', "truth.plant.dleta: there is no signal 'plant.dleta'"),
+    ]
+    lines = report(text)
+    for part, message in expected:
+        place = f"x.toml:{line_of(text, part)}: "
+        assert [line for line in lines if line.startswith(place) and message in line], (
+            place,
+            lines,
+        )
+    assert len(lines) == len(expected), lines
+
+
+@pytest.mark.parametrize(
+    "edits",
+    [
+        [("filter_rate = 1e3", "filter_rat = 1e3")],
+        [("[connections]", "[conections]")],
+        [("[models.academic]", "[model.academic]")],
+        [("L = [4.0, 0.0]", "L = [-4.0, 0.0]")],
+        [("n_a = 2", "n_a = -2")],
+        [("C  = [[2, 0, 1]]", "C  = [[2, 0]]")],
+        [("step = 1e-3 ", "step = -1e-3 ")],
+        [('name = "academic"', 'name = ""')],
+        [('"regressor.delta" = "observer.delta"', '"regressor.delta" = { gain = 1 }')],
+        [('"regressor.delta" = "observer.delta"', '"regressor.delta" = "observer"')],
+        [("delays = [1.0, 2.0, 3.0]", "delays = [1.0, 2.0, 2.0]")],
+        [("delays = [1.0, 2.0, 3.0]", "delays = [1.0, 2.0, 3e300]")],
+        [('kind = "unknown-input-observer"', 'kind = "observer"')],
+    ],
+    ids=lambda edits: edits[0][1][:24],
+)
+def test_what_depends_on_a_mistake_is_no_second_mistake(edits):
+    """One wrong thing is one line."""
+    lines = report(edited(*edits))
+    assert len(lines) == 1, lines
+
+
+def test_the_same_mistake_of_two_components_is_told_of_both():
+    """Equal texts at different places are different problems."""
+    lines = report(TEXT + '\n[components.a]\nkind = "sine"\n[components.b]\nkind = "sine"\n')
+    assert len(lines) == 2
+    assert "components.a: 'rate' is missing" in lines[0]
+    assert "components.b: 'rate' is missing" in lines[1]
+
+
+OBSERVER_Y = '"observer.y" = "plant.y"'
+
+
+@pytest.mark.parametrize(
+    ("edit", "place", "text"),
+    [
+        ((OBSERVER_Y, '"observer.y" = "plnt.y"'), '"observer.y"', "no component 'plnt'"),
+        ((OBSERVER_Y, '"observer.y" = "plant.yy"'), '"observer.y"', "has no output 'yy'"),
+        ((OBSERVER_Y, '"observer.y" = "plant.x_a"'), '"observer.y"', "size 2 cannot drive size 1"),
+        ((OBSERVER_Y, ""), "[connections]", "'observer.y' is not connected"),
+        (('"observer.u" = "u.y"', ""), "[connections]", "'observer.u' is not connected"),
+        (
+            ('"regressor.delta" = "observer.delta"', '"regressor.delta" = "observer.dlta"'),
+            '"regressor.delta"',
+            "has no output 'dlta'",
+        ),
+    ],
+)
+def test_a_wrong_connection_is_told_once_where_others_follow_from_it(edit, place, text):
+    """The identifier takes what the observer takes: its connections are not in the file."""
+    wrong = edited(edit)
+    (line,) = report(wrong)
+    assert line.startswith(f"x.toml:{line_of(wrong, place)}: ")
+    assert text in line
+    assert "identifier" not in line.split("There is:")[0]
+
+
+def test_a_connection_that_follows_from_another_one_is_told_where_that_stands():
+    """The line of the file that leads to it, and how to change that one alone."""
+    wrong = edited(
+        (OBSERVER_Y, '"observer.y" = { from = "plant.y", unit = "m" }'),
+        ("[components.identifier]\n", '[components.identifier]\nunit = { y = "s" }\n'),
+    )
+    (line,) = report(wrong)
+    number = line_of(wrong, '"observer.y"')
+    assert line.startswith(f"x.toml:{number}: connections.observer.y: ")
+    assert "plant.y -> identifier.y: unit 'm' cannot drive unit 's'" in line
+    assert "'identifier.y' takes what 'observer.y' does, unless it has a source of its own" in line
+
+
+def test_lines_are_found_behind_matrices_of_several_lines():
+    """A row of a matrix is no header of a table."""
+    text = edited(
+        (
+            "A  = [[0, 1, 1], [0, -2, 1], [1, 0, 1]]",
+            "A = [\n[0, 1, 1],\n[0, -2, 1],\n[1, 0, 1],\n]",
+        ),
+        ("C  = [[2, 0, 1]]", "G = 1\nC = [[2, 0, 1]]"),
+    )
+    (line,) = report(text)
+    assert line.startswith(f"x.toml:{line_of(text, 'G = 1')}: models.academic.G: unknown key 'G'")
+
+
+def _many_problems(count):
+    """Return a text with as many wrong components and connections as wanted."""
+    lines = ['[scenario]\nname = "x"\nstop = 1.0\nstep = 0.1\n[components]']
+    lines += [f'c{i} = {{ kind = "sine", rate = 1.0, unti = "m" }}' for i in range(count // 2)]
+    lines += ["[connections]"]
+    lines += [f'"c{i}.u" = 3' for i in range(count // 2)]
+    return "\n".join(lines)
+
+
+@pytest.mark.usefixtures("frozen_heap")
+def test_the_time_of_a_report_grows_with_the_number_of_its_problems():
+    """800 problems take about four times as long as 200; with the square it would be sixteen."""
+
+    def seconds(count):
+        times = []
+        for number in range(3):
+            text = _many_problems(count) + "\n" * number  # nothing is known from the last time
+            began = process_time()
+            assert len(report(text)) == count
+            times.append(process_time() - began)
+        return min(times)
+
+    seconds(20)
+    assert seconds(800) < 8.0 * seconds(200)
+
+
+@pytest.mark.usefixtures("frozen_heap")
+def test_a_build_costs_few_times_what_its_parts_cost():
+    """Edit and build without evaluating functions one instant at a time, 3072 of them.
+
+    The measure beside it is the parsing of the same text with the standard library.
+    """
+
+    def seconds(call):
+        began = process_time()
+        call()
+        return process_time() - began
+
+    scenario = cosim.load("academic")
+
+    def edit_and_build():
+        with ExitStack() as resources:
+            Builder(scenario.set({"observer.filter_rate": 500.0}), resources).experiment()
+
+    built = []
+    parsed = []
+    for _ in range(15):  # by turns: the processor changes its speed
+        built.append(seconds(edit_and_build))
+        parsed.append(seconds(lambda: tomllib.loads(TEXT)))
+    assert min(built) < 30.0 * min(parsed)
+
+
+def test_a_build_designs_every_component_once(monkeypatch):
+    """Start time, verdict, problem and units of an identifier rest on one design of its observer.
+
+    Its tables count as read by all of them: a change of the model is one of the identifier.
+    """
+    calls = []
+
+    def counted(function, name):
+        def call(*arguments, **options):
+            calls.append(name)
+            return function(*arguments, **options)
+
+        return call
+
+    monkeypatch.setattr(observer, "design", counted(observer.design, "observer"))
+    monkeypatch.setattr(regression, "expand", counted(regression.expand, "regressor"))
+    with ExitStack() as resources:
+        experiment = Builder(cosim.load("academic"), resources).experiment()
+    assert sorted(calls) == ["observer", "regressor"]
+    tables = {"components.observer", "components.regressor", "models.academic"}
+    assert experiment.reads["identifier"] == tables
+
+
+# --- the language of the caller ---
+
+
+def test_arguments_are_named_as_the_caller_writes_them():
+    """In Python as in Python, in the shell as options."""
+    names = (flag("force"), flag("base", False), option("set", "a.b"), option("map", "p.u", "x"))
+    assert names == ("force=True", "base=False", "set['a.b']", "map={'p.u': 'x'}")
+    with shell_language():
+        names = (
+            flag("force"),
+            flag("base", False),
+            option("set", "a.b"),
+            option("map", "p.u", "x"),
+        )
+        assert names == ("--force", "--no-base", "--set a.b", "--map p.u=x")
+
+
+def _shell(capsys, *arguments):
+    with pytest.raises(SystemExit):
+        main(list(arguments))
+    return capsys.readouterr().err
+
+
+def test_a_message_does_not_speak_of_options_in_python(tmp_path, monkeypatch, capsys):
+    """The same mistakes in both languages."""
+    monkeypatch.chdir(tmp_path)
+    cosim.run("academic", out="a.mcap", set={"scenario.stop": 0.01})
+    cases = [
+        ({"out": "a.mcap", "set": {"scenario.stop": 0.01}}, ["--out", "a.mcap", "--stop", "0.01"]),
+        ({"set": {"observer.x": 1}}, ["--set", "observer.x=1"]),
+        ({"swap": {"plnt": "x.fmu"}}, ["--swap", "plnt=x.fmu"]),
+        ({"map": {"plant.y": "out"}}, ["--map", "plant.y=out"]),
+        ({"set": {"filter_rate": 1}}, ["--set", "filter_rate=1"]),
+    ]
+    for arguments, options in cases:
+        with pytest.raises(CosimError) as caught:
+            cosim.run("academic", **arguments)
+        assert "--" not in str(caught.value)
+        said = _shell(capsys, "run", "academic", *options)
+        assert "--" in said
+        assert "['" not in said
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["run", "a.mcap"], "needed a scenario (.toml); 'cosim replay' runs"),
+        (["run", "a.fmu"], "needed a scenario (.toml); 'cosim info' shows an FMU"),
+        (["run", "."], "is a folder; needed a scenario"),
+        (["replay", "a.toml"], "needed a log (.mcap); 'cosim run' runs a scenario"),
+        (["replay", "a.fmu"], "needed a log (.mcap); 'cosim info' shows an FMU"),
+        (["replay", "academic"], "needed a log (.mcap); 'cosim run' runs a scenario"),
+        (["diff", "a.toml", "a.mcap"], "needed a log (.mcap)"),
+        (["info", "."], "is a folder; needed a log (.mcap), an FMU (.fmu), samples (.csv"),
+        (["check", "a.mcap"], "needed an FMU (.fmu); 'cosim info' shows a log"),
+        (["linearize", "academic"], "needed an FMU (.fmu); 'cosim info' shows a scenario"),
+        (["linearize", "a.toml"], "needed an FMU (.fmu)"),
+        (["export", "a.fmu", "--component", "x", "--out", "b.fmu"], "needed a scenario (.toml)"),
+        (["show", "a.mcap"], "needed a scenario (.toml)"),
+        (["plot", "a.toml", "u.y", "--out", "b.png"], "needed a path that ends in .mcap"),
+    ],
+    ids=" ".join,
+)
+def test_a_file_of_another_type_is_refused_with_the_way_out(
+    arguments, text, tmp_path, monkeypatch, capsys
+):
+    """By every command that takes a file."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("a.mcap", "a.fmu", "a.toml"):
+        (tmp_path / name).write_text("")
+    assert text in _shell(capsys, *arguments)

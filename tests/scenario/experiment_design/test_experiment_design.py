@@ -1,0 +1,301 @@
+"""`cosim design`: choices of a scenario, ranked by the error of theta that is to be expected."""
+
+import json
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.errors import UsageError
+from cosim.scenario.document.document import find
+from cosim.scenario.experiment_design.subject import subject_of
+from cosim.scenario.experiment_design.trial import trial_of
+
+FAST = {"scenario.step": 0.05, "scenario.stop": 20.0, "observer.filter_rate": 20.0}
+TINY = {
+    "scenario.step": 0.1,
+    "scenario.stop": 9.0,
+    "observer.filter_rate": 10.0,
+    "regressor.delays": [0.1, 0.3, 0.5],
+}
+THETA = np.array([-0.1, -0.3])
+
+
+@pytest.fixture(scope="module")
+def designed():
+    return cosim.design("academic-noisy", set=FAST, input=True, longest=4.0)
+
+
+def first(design, choice, method):
+    return design.of(choice, method)[0]
+
+
+def test_the_bound_is_that_of_the_academic_example():
+    """(7.09e-6, 6.22e-5) at 1e-3, found independently: prototypes of the method on y."""
+    trial = trial_of(subject_of(cosim.load("academic-noisy")), {})
+    np.testing.assert_allclose(trial.bound().standard_error, [7.09e-6, 6.22e-5], rtol=2e-3)
+    assert trial.bound().residual < 1e-12
+
+
+def test_predictions_are_what_runs_find():
+    """Least squares at two seeds: its bias is 40 times its scatter, so that two runs show it."""
+    trial = trial_of(subject_of(cosim.load("academic-noisy").set(FAST)), {})
+    predicted = trial.regression.least_squares(trial.steps)
+    settings = {**FAST, "identifier.method": "least-squares", "identifier.period": 20.0}
+    found = []
+    for seed in (1, 2):
+        run = cosim.run("academic-noisy", set={**settings, "sensor.seed": seed})
+        found.append(run["identifier.theta"][-1] - THETA)
+    np.testing.assert_allclose(
+        np.mean(found, axis=0), predicted.bias, atol=4.0 * predicted.standard_error.max() / 2**0.5
+    )
+    assert np.abs(predicted.bias).max() > 10.0 * predicted.standard_error.max()
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("method", ["rayleigh", "least-squares"])
+@pytest.mark.parametrize("delays", [[1.0, 2.0, 3.0], [0.0, 2.0, 4.0], [0.0, 7.0, 9.0]])
+@pytest.mark.parametrize(
+    "filtered",
+    [
+        {"observer.filter_rate": 100.0},
+        {"observer.filter": "savitzky-golay", "observer.half_width": 0.2},
+        {"observer.filter": "consistent", "observer.filter_rate": 30.0},
+    ],
+)
+def test_predictions_agree_with_many_runs(method, delays, filtered):
+    """Mean and deviation over 60 seeds of the whole pipeline, within four of their own errors."""
+    settings = {"scenario.step": 0.01, "regressor.delays": delays, **filtered}
+    trial = trial_of(subject_of(cosim.load("academic-noisy").set(settings)), {})
+    of_method = (
+        trial.regression.rayleigh if method == "rayleigh" else trial.regression.least_squares
+    )
+    predicted = of_method(trial.steps)
+    found = []
+    for seed in range(60):
+        edits = {"identifier.method": method, "identifier.period": 40.0, "sensor.seed": seed}
+        found.append(cosim.run("academic-noisy", set={**settings, **edits})["identifier.theta"][-1])
+    deviation = np.std(found, axis=0, ddof=1)
+    bias = np.mean(found, axis=0) - THETA
+    allowed = 4.0 * deviation / 60**0.5 + 0.1 * deviation
+    assert (np.abs(predicted.bias - bias) < allowed).all()
+    assert np.abs(predicted.standard_error / deviation - 1.0).max() < 4.0 / 120**0.5 + 0.1
+
+
+def test_the_delays_of_the_paper_are_not_the_best(designed):
+    """Others have less than half the error; all of them stay far from output error."""
+    before = first(designed, "scenario", "rayleigh")
+    after = first(designed, "delays", "rayleigh")
+    assert after.ratio < 0.5 * before.ratio
+    assert first(designed, "scenario", "output-error").ratio == 1.0
+    together = first(designed, "together", "rayleigh")
+    filtered = first(designed, "filter", "rayleigh")
+    assert 1.0 < together.ratio <= min(after.ratio, filtered.ratio)
+    assert any("the delays (1, 2, 3) are not the best" in note for note in designed.notes)
+
+
+def test_what_is_best_can_be_set_and_is_what_was_said(designed):
+    """The settings of a design, given to the scenario, make it the scenario as it is."""
+    best = first(designed, "together", "rayleigh")
+    scenario = cosim.load("academic-noisy").set({**FAST, **best.settings})
+    trial = trial_of(subject_of(scenario), {})
+    again = trial.regression.rayleigh(trial.steps)
+    np.testing.assert_allclose(again.error, best.error, rtol=1e-9)
+
+
+def test_designs_of_a_choice_are_ranked(designed):
+    """The best first, for every method that has it; each error is bias and scatter together."""
+    for choice in ("filter", "step", "window"):
+        for method in ("output-error", "rayleigh", "least-squares"):
+            ratios = [one.ratio for one in designed.of(choice, method)]
+            assert ratios == sorted(ratios)
+    for one in designed.designs:
+        np.testing.assert_allclose(one.error, np.hypot(one.bias, one.standard_error))
+        assert one.ratio == pytest.approx((one.error / designed.bound).max())
+    assert [one.settings["identifier.window"] for one in designed.of("window", "output-error")] == [
+        10.0,
+        5.0,
+        2.5,
+    ]
+
+
+def test_the_input_does_not_change_the_bound_but_leaks_through_the_filter(designed):
+    """Tenfold u: the same bound, and ten times the part of delta that is an error."""
+    scenario = cosim.load("academic-noisy").set(FAST)
+    trials = [trial_of(subject_of(scenario.set({"u.amplitude": a})), {}) for a in (1.0, 10.0)]
+    bounds = [trial.bound().standard_error for trial in trials]
+    np.testing.assert_allclose(*bounds, rtol=1e-9)
+    for factor, trial in zip((1.0, 10.0), trials, strict=True):
+        grown = trials[0].with_input(factor)
+        np.testing.assert_allclose(grown.delta[1:], trial.regression.delta[1:], atol=1e-10)
+    (without,) = designed.of("input", "rayleigh")
+    assert without.settings["input"] == "0 u"
+    (tenfold,) = [
+        one for one in designed.omitted if (one.choice, one.method) == ("input", "rayleigh")
+    ]
+    assert tenfold.settings == ({"input": "10 u"},)
+    assert tenfold.reason.startswith("no estimate")
+    assert any("no input changes the bound" in note for note in designed.notes)
+
+
+def test_theta_given_replaces_that_of_the_disturbance():
+    """Also in the signals: the model still leaves nothing of y without noise."""
+    subject = subject_of(cosim.load("academic-noisy").set(FAST), theta=[-0.2, -0.05])
+    trial = trial_of(subject, {})
+    assert trial.regression.theta.tolist() == [-0.2, -0.05]
+    assert trial.bound().residual < 1e-10
+
+
+@pytest.mark.parametrize(
+    ("scenario", "settings", "arguments", "words"),
+    [
+        ("academic", {}, {}, "found no noise of y; needed its deviation"),
+        ("academic", {}, {"noise": -1.0}, "noise: found -1.0; needed positive finite"),
+        ("academic", {}, {"noise": [1e-3, 1e-3]}, "noise: found 2 numbers; needed one, or one"),
+        ("academic-noisy", {}, {"theta": [0.1]}, r"theta: found \[0.1\]; needed 2 finite numbers"),
+        ("academic-noisy", {}, {"longest": 0.0}, "longest: found 0 s; needed at least one"),
+        ("academic-noisy", {"sensor.noise": 0.0}, {}, "found no noise of y"),
+        (
+            "academic-noisy",
+            {"delta": {"kind": "constant", "value": 1.0}},
+            {},
+            "theta is not known: no single component of kind 'disturbance'",
+        ),
+        (
+            "academic-noisy",
+            {"regressor.delays": [1.0, 2.0], "regressor.terms": [{"family": "exponential"}]},
+            {},
+            "the terms of 'regressor' are not those of 'delta'",
+        ),
+        (
+            "academic-noisy",
+            {"sensor.period": 0.1},
+            {},
+            "y of 'observer' has values between the samples of a sensor",
+        ),
+        ("closed-loop", {}, {"noise": 1e-3}, "depends on its y, a closed loop"),
+        ("academic-noisy", {"observer.relinearize": True}, {}, "linearized anew at its estimate"),
+    ],
+)
+def test_what_cannot_be_designed_for_is_refused(scenario, settings, arguments, words):
+    """One error, which says what is missing and how to give it."""
+    fast = FAST if scenario != "closed-loop" else {}
+    with pytest.raises(UsageError, match=words):
+        cosim.design(scenario, set={**fast, **settings}, **arguments)
+
+
+def test_a_recorded_plant_and_a_scenario_without_identifier_are_refused(tmp_path):
+    """A recording has no model; without an identifier there is nothing to design for."""
+    log = tmp_path / "a.mcap"
+    cosim.run("academic-noisy", set={**FAST, "scenario.stop": 4.0}, out=log)
+    swapped = cosim.load("academic-noisy").set({**FAST, "scenario.stop": 4.0}).swap(plant=log)
+    with pytest.raises(UsageError, match=r"'plant' is recorded .* it has no model"):
+        cosim.design(swapped)
+    alone = tmp_path / "alone.toml"
+    alone.write_text(
+        '[scenario]\nname = "alone"\nstop = 1.0\nstep = 0.1\n'
+        '[components.u]\nkind = "constant"\nvalue = 1.0\n'
+    )
+    with pytest.raises(UsageError, match="alone: identifiers: found none; needed one"):
+        cosim.design(alone)
+
+
+def test_the_command_prints_a_table_or_json(call):
+    """A row of every choice and the bound; the same numbers as JSON; exit 2 for wrong use."""
+    short = ["--longest", "0.5"]
+    for key, value in TINY.items():
+        short += ["--set", f"{key}={value}"]
+    code, out, _ = call("design", "academic-noisy", *short, "--json")
+    content = json.loads(out)
+    assert code == 0
+    assert content["noise"] == "sensor.noise"
+    assert len(content["bound"]) == 2
+    assert {one["choice"] for one in content["designs"]} >= {"scenario", "delays", "step"}
+    assert call("design", "academic", *short)[0] == 2
+    assert "needed a number, or a list" in call("design", "academic", "--noise", "x", *short)[2]
+
+
+def test_the_table_shows_the_best_of_every_choice(designed, capsys):
+    """What a design sets stands there as --set takes it."""
+    from cosim.report.tables.experiment_design import print_design
+
+    print_design(designed, as_json=False)
+    out = capsys.readouterr().out
+    for text in ("error of theta[1]", "as it is", "of bound", "regressor.delays=[0.0,"):
+        assert text in out
+    assert out.count("\nfilter\t") == 6
+
+
+def test_every_choice_has_a_row_or_a_reason(capsys):
+    """Steps that the delays do not fit, or too few of them; filters and windows too long to try."""
+    from cosim.report.tables.experiment_design import print_design
+
+    settings = {**TINY, "scenario.step": 0.02, "regressor.delays": [0.1, 0.3, 0.5]}
+    design = cosim.design("academic-noisy", set=settings, longest=0.5)
+    ranked = {one.settings["scenario.step"] for one in design.of("step", "output-error")}
+    of_steps = {one.reason: one.settings for one in design.omitted if one.choice == "step"}
+    left_out = {}
+    for reason, group in of_steps.items():
+        left_out |= {one["scenario.step"]: reason for one in group}
+    assert ranked | left_out.keys() == {0.002, 0.004, 0.01, 0.04, 0.1, 0.2}
+    assert not ranked & left_out.keys()
+    assert "delays[0]: 0.1 s is not a whole number of 0.04 s steps; nearest" in left_out[0.04]
+    assert left_out[0.1] == "not tried: needed 200 to 100000 steps in the run" == left_out[0.2]
+    assert all(np.isfinite(one.ratio) for one in design.designs if one.choice != "scenario")
+    of_filters = [one for one in design.omitted if one.choice == "filter" and not one.method]
+    assert any("10 % of the run" in one.reason for one in of_filters)
+    assert any("time constants" in one.reason for one in of_filters)
+    assert [one.to_dict() for one in design.omitted] == design.to_dict()["omitted"]
+    print_design(design, as_json=False)
+    out = capsys.readouterr().out
+    assert "\nstep: scenario.step=0.1, scenario.step=0.2: not tried: needed 200" in out
+    assert all(out.count(one.reason) >= 1 for one in design.omitted)
+
+
+def test_alphas_that_are_signals_are_those_of_the_run(tmp_path):
+    """The example with its alphas as signals: the same predictions, up to their interpolation."""
+    settings = {**FAST, "scenario.step": 1.0 / 64.0, "identifier.period": 0.25}
+    text = find("academic-noisy").text
+    alphas = ("1.35 + 0.25*sin(1.7*t)", "1.10 + 0.20*cos(2.3*t)")
+    source = f'[components.schedule]\nkind = "expression"\ny = ["{alphas[0]}", "{alphas[1]}"]\n'
+    for element, alpha in enumerate(alphas):
+        text = text.replace(f'"{alpha}"', f'{{ from = "schedule.y[{element}]" }}')
+    path = tmp_path / "signals.toml"
+    path.write_text(text.replace("[connections]", f"{source}\n[connections]", 1))
+    errors = []
+    for scenario in (path, "academic-noisy"):
+        trial = trial_of(subject_of(cosim.load(scenario).set(settings)), {})
+        errors.append([trial.regression.rayleigh(trial.steps).error, trial.bound().standard_error])
+    np.testing.assert_allclose(errors[0], errors[1], rtol=1e-3)
+
+
+def test_any_family_and_a_shared_alpha_can_be_designed_for():
+    """A damped sine and a constant under one alpha: theta is (decay, rate), four delays."""
+    terms = [{"family": "damped-sine"}, {"family": "constant"}]
+    values = [{**terms[0], "theta": [0.05, 1.3]}, {**terms[1], "level": 0.5}]
+    settings = {"regressor.terms": terms, "delta.terms": values, "observer.filter_rate": 20.0}
+    scenario = cosim.load("academic-noisy").set(
+        {**FAST, **settings, "regressor.delays": [0.0, 0.5, 1.0, 1.5]}
+    )
+    subject = subject_of(scenario)
+    assert subject.theta == (0.05, 1.3)
+    trial = trial_of(subject, {})
+    assert trial.bound().residual < 1e-10
+    predicted = trial.regression.rayleigh(trial.steps)
+    assert (predicted.error > trial.bound().standard_error).all()
+    assert (predicted.error < 0.1).all()
+
+
+def test_a_disturbance_that_is_absent_determines_no_theta():
+    """Both amplitudes 0: refused; one of them: that theta is left out, the other is ranked."""
+    terms = [
+        {"alpha": "1.35 + 0.25*sin(1.7*t)", "family": "exponential", "theta": -0.1},
+        {"alpha": "1.10 + 0.20*cos(2.3*t)", "family": "exponential", "theta": -0.3},
+    ]
+    absent = [{**term, "amplitude": 0.0} for term in terms]
+    with pytest.raises(UsageError, match="y does not determine theta, whatever is chosen"):
+        cosim.design("academic-noisy", set={**FAST, "delta.terms": absent})
+    one = cosim.load("academic-noisy").set({**FAST, "delta.terms": [absent[0], terms[1]]})
+    errors = trial_of(subject_of(one), {}).bound().standard_error
+    assert np.isinf(errors[0])
+    assert errors[1] < 1e-2

@@ -1,0 +1,111 @@
+"""The terms of a compensator beside those of the identifier that it takes theta from."""
+
+import re
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+
+from cosim.errors import UsageError
+from cosim.scenario.building.build import Builder, parse
+from cosim.scenario.document.document import Document
+from tests.scenario.kinds.test_compensation import LOOP
+
+IDENTIFIED = """
+[components.regressor]
+kind = "regressor"
+terms = [{terms}]
+delays = [0.5, 1.0, 1.5, 2.0]
+[components.identifier]
+kind = "identifier"
+[connections]
+"regressor.delta" = "observer.delta"
+"identifier.regressor" = "regressor.mu"
+"""
+SINE = '{ family = "sine" }'
+DAMPED = '{ family = "damped-sine" }'
+CONSTANT = '{ family = "constant" }'
+LARGER = '{ family = "sine", alpha = "2.5" }, { family = "constant", alpha = "2.5" }'
+ROTATING = '{ family = "linear", G0 = [[0, 0], [0, 0]], G = [[[0, 1], [-1, 0]]], c = [1, 0] }'
+
+
+def loop(identified, own, theta=""):
+    """Return the loop with an identifier of some terms, and a compensator of others."""
+    text = LOOP.replace("[connections]\n", IDENTIFIED.format(terms=identified))
+    source = f"identifier.theta{theta}"
+    error = f"identifier.standard_error{theta}"
+    replaced = {
+        '"compensator.theta" = "theta.y"': f'"compensator.theta" = "{source}"',
+        '"compensator.standard_error" = "exact.y"': f'"compensator.standard_error" = "{error}"',
+        'terms = [{ family = "sine" }]\ninterval': f"{own}interval",
+    }
+    for old, new in replaced.items():
+        assert old in text
+        text = text.replace(old, new)
+    return parse(Document(text, "loop.toml", Path()))
+
+
+def warnings(scenario):
+    """Return what is said of the compensator before a run."""
+    with ExitStack() as resources:
+        told = Builder(scenario, resources).experiment().warnings
+    return [text for name, text in told if name == "compensator"]
+
+
+@pytest.mark.parametrize(
+    ("identified", "own", "theta"),
+    [
+        (f"{SINE}, {CONSTANT}", "", ""),
+        (f"{SINE}, {CONSTANT}", f"terms = [{SINE}, {CONSTANT}]\n", ""),
+        (f"{CONSTANT}, {SINE}", f'terms = [{SINE}, {{ family = "ramp" }}]\n', ""),
+        (f"{SINE}, {CONSTANT}", f"terms = [{SINE}, {CONSTANT}]\n", "[0]"),
+        (LARGER, f"terms = [{SINE}, {CONSTANT}]\n", ""),
+    ],
+)
+def test_the_same_terms_are_not_questioned(identified, own, theta):
+    """In any order, more polynomials, a constant alpha of another size."""
+    assert warnings(loop(identified, own, theta)) == []
+
+
+@pytest.mark.parametrize(
+    ("identified", "own", "theta", "message"),
+    [
+        (
+            '{ family = "exponential" }, { family = "ramp" }',
+            f"terms = [{SINE}]\n",
+            "",
+            r"theta\[0\] is 'theta' of terms\[0\] \(exponential\) of 'identifier', and is taken as "
+            r"'rate' of terms\[0\] \(sine\) of 'compensator'; needed the terms of 'identifier'",
+        ),
+        (f"{DAMPED}, {CONSTANT}", f"terms = [{SINE}]\n", "[0]", "is 'decay' of .* taken as 'rate'"),
+        (
+            f'{{ family = "sine", alpha = "1 + 0.5*cos(t)" }}, {CONSTANT}',
+            f"terms = [{SINE}]\n",
+            "",
+            "whose alpha = .* varies, and the internal model is of a constant alpha; needed a term",
+        ),
+    ],
+)
+def test_a_theta_of_something_else_is_refused(identified, own, theta, message):
+    """Another parameter, or an alpha that the internal model cannot have."""
+    with pytest.raises(UsageError, match=message):
+        warnings(loop(identified, own, theta))
+
+
+@pytest.mark.parametrize(
+    ("identified", "own", "theta", "message"),
+    [
+        (f"{DAMPED}, {CONSTANT}", f"terms = [{SINE}, {CONSTANT}]\n", "[1]", "is taken as 'rate'"),
+        (f"{SINE}, {CONSTANT}", f"terms = [{ROTATING}, {CONSTANT}]\n", "", "taken as 'theta_1'"),
+        (
+            f"{SINE}, {CONSTANT}",
+            f"terms = [{SINE}]\n",
+            "",
+            r"terms\[1\] \(constant\) of 'identifier' is not in the internal model",
+        ),
+    ],
+)
+def test_what_may_be_meant_is_said(identified, own, theta, message):
+    """The rate of a damped sine as that of a sine, another form of a term, a term left out."""
+    (told,) = warnings(loop(identified, own, theta))
+    assert re.search(message, told)

@@ -1,0 +1,412 @@
+"""A file of samples in the place of the plant: estimates at the bound for the samples there are."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.stats import chi2
+
+import cosim
+from cosim.errors import ScenarioError, UsageError
+from cosim.log import open_log
+from cosim.scenario.identification.from_logs import identifier_record, identify_records
+from cosim.scenario.identification.run_verdicts import IDENTIFICATION
+from cosim.scenario.recordings.recorded_metadata import recorded_identification, recorded_warnings
+from cosim.theory.disturbances.families import Exponential
+from cosim.theory.disturbed_plant import DataSet, disturbed_plant
+from cosim.theory.estimators.output_error import fit_output_error
+from cosim.theory.plants.descriptor import reduce
+from tests.theory.academic import THETA, academic, alpha
+
+STOP = 40.0
+STEP = 1e-2
+SIGMA = 2e-2
+JITTER = 1e-4
+# theta, the amplitudes, x(0): what is not known of the example
+TRUTH = np.array([*THETA, 1.0, 1.0, 1.0, -1.0])
+
+
+def outputs_at(t, unknowns):
+    """Solve the example for m values of the unknowns, shape (6, m); return y, shape (N, m)."""
+    reduced = reduce(academic())
+    m = unknowns.shape[1]
+
+    def rate(t, x):
+        exponentials = np.exp(unknowns[:2] * t) * unknowns[2:4]
+        forced = np.outer(reduced.B_2a[:, 0], alpha(np.array(t)) @ exponentials)
+        forced += np.outer(reduced.B_1a[:, 0], np.full(m, np.sin(t)))
+        return (reduced.A_a @ x.reshape(2, m) + forced).ravel()
+
+    solution = solve_ivp(
+        rate, (0.0, t[-1]), unknowns[4:].ravel(), method="DOP853", rtol=1e-12, atol=1e-12, t_eval=t
+    )
+    x = solution.y.reshape(2, m, len(t))
+    return (np.tensordot(reduced.C3[0], x, axes=1) + reduced.C4[0, 0] * np.sin(t)).T
+
+
+class Experiment:
+    """Samples with jitter, 1 % of them lost, and the Cramer-Rao bound for those that are there."""
+
+    def __init__(self, step, sigma):
+        rng = np.random.default_rng(11)
+        t = np.arange(round(STOP / step) + 1) * step
+        t = t + rng.uniform(-JITTER, JITTER, len(t))
+        kept = rng.random(len(t)) >= 0.01
+        kept[[0, -1]] = True
+        self.t = t[kept]
+        self.t[0] = 0.0
+        self.t[-1] = STOP
+        h = 1e-5
+        nearby = TRUTH[:, np.newaxis] + h * np.hstack([np.zeros((6, 1)), np.eye(6), -np.eye(6)])
+        y = outputs_at(self.t, nearby)
+        self.y = y[:, 0]
+        self.sigma = sigma
+        jacobian = (y[:, 1:7] - y[:, 7:]) / (2.0 * h)
+        # an estimate rests on the samples before the last step
+        jacobian = jacobian[self.t <= STOP - step]
+        self.covariance = sigma**2 * np.linalg.inv(jacobian.T @ jacobian)[:2, :2]
+        self.scenario = cosim.load("academic").set(
+            {
+                "scenario.step": step,
+                "observer.filter_rate": 50.0,
+                "identifier.method": "output-error",
+                "identifier.period": STOP,
+            }
+        )
+
+    def measured(self, seed):
+        noise = np.random.default_rng(seed).standard_normal(len(self.t))
+        return self.y + self.sigma * noise
+
+    def written(self, folder, y, *, header="t,y", scale=1.0, form="{!r},{!r}"):
+        path = folder / "field.csv"
+        samples = zip(self.t.tolist(), (scale * y).tolist(), strict=True)
+        lines = [form.format(t, value) for t, value in samples]
+        path.write_text("\n".join([header, *lines]) + "\n", encoding="utf-8")
+        return path
+
+    def run(self, path, changes=None, **options):
+        swapped = self.scenario.swap(plant=path)
+        return cosim.run(swapped.set(changes or {}), **options)
+
+
+@pytest.fixture(scope="module")
+def experiment():
+    return Experiment(STEP, SIGMA)
+
+
+@pytest.fixture(scope="module")
+def plain(experiment, tmp_path_factory):
+    """Return a run of the samples of seed 0, in the plainest form of a file."""
+    folder = tmp_path_factory.mktemp("plain")
+    return experiment.run(experiment.written(folder, experiment.measured(0)))
+
+
+def error_of(log):
+    return log["identifier.theta"][-1] - THETA
+
+
+@pytest.mark.usefixtures("without_verdicts")
+def test_estimates_reach_the_bound_for_the_samples_that_are_there(experiment, tmp_path):
+    """Over a few seeds: the errors in units of the bound are as chi-square says, up to 1.15."""
+    seeds = 6
+    total = 0.0
+    for seed in range(seeds):
+        log = experiment.run(experiment.written(tmp_path, experiment.measured(seed)))
+        error = error_of(log)
+        total += error @ np.linalg.inv(experiment.covariance) @ error
+        deviations = np.sqrt(np.diag(experiment.covariance))
+        # that of the noise is known to 1.1 % from 4000 samples; the bound is that at the estimate
+        np.testing.assert_allclose(log["identifier.standard_error"][-1], deviations, rtol=0.08)
+    # a run at 1.15 times the bound exceeds this once in a thousand cases
+    assert total < 1.15**2 * chi2.isf(1e-3, 2 * seeds)
+
+
+@pytest.mark.campaign
+@pytest.mark.usefixtures("without_verdicts")
+def test_estimates_reach_the_bound_over_200_seeds(tmp_path):
+    """At 1 ms and a deviation of 1e-3: RMSE <= 1.15 x the bound, for both theta."""
+    experiment = Experiment(1e-3, 1e-3)
+    errors = []
+    for seed in range(200):
+        log = experiment.run(experiment.written(tmp_path, experiment.measured(seed)))
+        errors.append(error_of(log))
+    ratio = np.sqrt(np.mean(np.square(errors), axis=0) / np.diag(experiment.covariance))
+    assert (ratio <= 1.15).all(), ratio
+    assert (ratio >= 0.85).all(), ratio
+
+
+def test_the_verdict_knows_the_inputs_between_the_samples(experiment, tmp_path):
+    """Of one sample in 20 the verdict has the estimate of the run, and the truth in its interval.
+
+    Straight lines from sample to sample, of u and alpha, would move theta by far more.
+    """
+    path = tmp_path / "field.csv"
+    sparse = np.append(np.arange(0, len(experiment.t) - 1, 20), len(experiment.t) - 1)
+    rows = zip(experiment.t[sparse].tolist(), experiment.y[sparse].tolist(), strict=True)
+    path.write_text("\n".join(["t,y", *(f"{t!r},{y!r}" for t, y in rows)]) + "\n", encoding="utf-8")
+    log = experiment.run(path, {"plant.maximum_gap": 1.0})
+    parameters = log.results[IDENTIFICATION]["identifier"]["parameters"]
+    for parameter, true in zip(parameters, THETA, strict=True):
+        assert parameter["verdict"] == "IDENTIFIABLE"
+        assert parameter["lower"] <= true <= parameter["upper"]
+        assert parameter["upper"] - parameter["lower"] < 1e-4
+    values = [parameter["value"] for parameter in parameters]
+    np.testing.assert_allclose(values, log["identifier.theta"][-1], atol=1e-6)
+
+
+@pytest.mark.usefixtures("without_verdicts")
+def test_the_same_file_gives_the_same_estimate_without_a_scenario(experiment, tmp_path):
+    """A fit of all samples at their times, from the functions of theory alone."""
+    path = experiment.written(tmp_path, experiment.measured(1))
+    theta = experiment.run(path)["identifier.theta"][-1]
+    data = cosim.read_field_data(path)
+    t = data.t[data.t <= STOP - STEP]
+    record = DataSet(t, data["y"][: len(t)], np.sin(t)[:, np.newaxis], alpha(t))
+    plant = disturbed_plant(reduce(academic()), [0, 0])
+    families = [Exponential(), Exponential()]
+    fit = fit_output_error([record], plant, families, np.array([-0.05, -0.5]))
+    # straight lines for curves: 5e-7 at 1 ms, by the square
+    assert (np.abs(theta - fit.theta) < 5e-5).all()
+
+
+@pytest.mark.usefixtures("without_verdicts")
+def test_the_form_of_the_file_does_not_matter(experiment, plain, tmp_path):
+    """An epoch, mm, semicolons and decimal commas: the same samples, the same estimate."""
+    y = experiment.measured(0)
+    form = "{:.6f};{:.9g}"
+    lines = ["time [ms];state;level [mm]"]
+    for t, value in zip(experiment.t, y, strict=True):
+        lines.append(
+            form.format(1.7e12 + 1e3 * t, 1e3 * value).replace(".", ",").replace(";", ";on;")
+        )
+    other = tmp_path / "other.csv"
+    other.write_text("\n".join(lines), encoding="utf-8")
+    changes = {
+        "plant.decimal": ",",
+        "plant.offset": "first",
+        "plant.columns": {"y": "level"},
+        "observer.unit": {"y": "m"},
+    }
+    found = experiment.run(other, changes)
+    deviations = np.sqrt(np.diag(experiment.covariance))
+    difference = np.abs(found["identifier.theta"][-1] - plain["identifier.theta"][-1])
+    assert (difference < 0.05 * deviations).all()  # times to 1e-9 s, values to nine digits
+    np.testing.assert_allclose(found["plant.y"], 1e3 * plain["plant.y"], rtol=1e-3, atol=1.0)
+
+
+@pytest.mark.usefixtures("without_verdicts")
+def test_the_samples_reach_the_identifier_as_they_are(experiment, tmp_path):
+    """Each with its own time; only y at the communication points is on straight lines."""
+    t = experiment.t
+    y = experiment.measured(3)
+    log = experiment.run(experiment.written(tmp_path, y))
+    np.testing.assert_allclose(log["plant.y"], np.interp(log.time("plant.y"), t, y), atol=1e-12)
+    times = log["plant.sample_times"]
+    samples = log["plant.y_samples"]
+    is_there = np.isfinite(times)
+    np.testing.assert_array_equal(times[is_there], t)
+    np.testing.assert_array_equal(samples[is_there], y)
+    every = slice(None, None, len(times) - 1)  # the rows that the log keeps of the identifier
+    np.testing.assert_array_equal(log["identifier.samples"], samples[every])
+    np.testing.assert_array_equal(log["identifier.sample_times"], times[every])
+
+
+@pytest.mark.usefixtures("without_verdicts")
+def test_a_log_replays_without_the_file(experiment, tmp_path):
+    """Bit for bit: the samples are signals, and nothing else of the file is needed."""
+    path = experiment.written(tmp_path, experiment.measured(4))
+    out = tmp_path / "run.mcap"
+    log = experiment.run(path, out=out)
+    path.unlink()
+    again = cosim.replay(out, out=tmp_path / "again.mcap")
+    for signal in log:
+        assert log[signal].tobytes() == again[signal].tobytes(), signal
+    other = cosim.replay(out, set={"identifier.window": 30.0})
+    assert not np.array_equal(other["identifier.theta"][-1], log["identifier.theta"][-1])
+    assert open_log(out).steps == round(STOP / STEP)
+
+
+@pytest.mark.usefixtures("without_verdicts")
+def test_ports_of_other_names_bring_their_samples(experiment, plain, tmp_path):
+    """A map of y is one of its samples too, also of elements."""
+    y = experiment.measured(0)
+    form = "{0!r},0,{1!r}"
+    path = experiment.written(tmp_path, y, header="t,x[0],x[1]", form=form)
+    mapped = experiment.scenario.swap(plant=path, map={"observer.y": "x[1]"})
+    np.testing.assert_array_equal(cosim.run(mapped)["identifier.theta"], plain["identifier.theta"])
+
+
+@pytest.mark.usefixtures("without_verdicts")
+def test_a_file_drives_the_inputs_too(experiment, plain, tmp_path):
+    """u of the same file, in the place of its source: straight lines between its own samples."""
+    y = experiment.measured(0)
+    path = tmp_path / "both.csv"
+    rows = [f"{t:.9f},{v:.12g},{np.sin(t):.12g}" for t, v in zip(experiment.t, y, strict=True)]
+    path.write_text("\n".join(["t,level,valve", *rows]), encoding="utf-8")
+    both = experiment.scenario.swap(plant=path, u=path, map={"plant.y": "level", "u.y": "valve"})
+    log = cosim.run(both)
+    deviations = np.sqrt(np.diag(experiment.covariance))
+    difference = np.abs(log["identifier.theta"][-1] - plain["identifier.theta"][-1])
+    assert (difference < 0.1 * deviations).all()  # u interpolated twice
+
+
+def test_what_is_not_true_of_the_data_is_said(experiment, tmp_path):
+    """Signals that the file lacks, connections that have no effect, and the units."""
+    path = experiment.written(tmp_path, experiment.y, header="t,y [mm]")
+    out = tmp_path / "run.mcap"
+    experiment.run(path, out=out)
+    warnings = "\n".join(text for _, text in recorded_warnings(open_log(out)))
+    for text in (
+        "has no 'plant.x_a': the report leaves out 'observer.x_a'",
+        "has no inputs: the connections to u, delta are left out, and what [truth] compares with",
+        "kind field-data (was model exchange)",
+        "units that cannot be compared with what is connected: y unit mm",
+    ):
+        assert text in warnings
+    assert "samples causality" not in warnings
+
+
+def test_times_in_another_unit_are_suspected(experiment, tmp_path):
+    """In ms without a unit two samples are left of 4000: no error, and a number neither."""
+    path = experiment.written(tmp_path, experiment.y)
+    rows = [line.split(",") for line in path.read_text(encoding="utf-8").splitlines()]
+    lines = [f"{1e3 * float(t)!r},{y}" for t, y in rows[1:]]
+    path.write_text("\n".join(["t,y", *lines]) + "\n", encoding="utf-8")
+    changes = {"scenario.stop": 15.0, "identifier.period": 1.0}
+    log = experiment.run(path, changes, out=tmp_path / "run.mcap")
+    warnings = "\n".join(text for _, text in recorded_warnings(log))
+    assert "2 of 3" in warnings
+    assert "samples are within the run, 0 s to 15 s, as their median distance is 10" in warnings
+    assert "are the times in another unit than s?" in warnings
+    found = recorded_identification(log)["identifier"]
+    assert "needed more" in found.problem
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"scenario.stop": 41.0}, "has samples from 0.0 s to 40.0 s; needed 0.0 s to 41.0 s"),
+        ({"plant.offset": 1.0}, "start_time = 0.0 and stop = 39.0 of [scenario] are inside"),
+        ({"plant.maximum_gap": 1e-3}, "needed at most maximum_gap = 0.001 s"),
+        ({"plant.time_unit": "ms"}, "has samples from 0.0 s to 0.04 s"),
+        ({"plant.columns": {"y": "level"}}, "has no column 'level'"),
+        ({"plant.columns": {"level": "y"}}, "'plant' has no output 'y'"),
+        (
+            {"connections.observer.y": {"from": "plant.y", "gain": [[1.0]]}},
+            "y has values between the samples of 'plant'; needed it from whole outputs",
+        ),
+        ({"plant.kind": "field"}, "unknown kind 'field'; did you mean 'field-data'?"),
+    ],
+)
+def test_what_cannot_be_right_is_refused(experiment, tmp_path, changes, text):
+    """Before the run, with the way out."""
+    path = experiment.written(tmp_path, experiment.y)
+    with pytest.raises(ScenarioError) as refused:
+        experiment.run(path, changes)
+    assert text in str(refused.value)
+
+
+def test_too_many_samples_in_a_step_are_refused(experiment, tmp_path):
+    """Every one of them has a place in the log, so there is a limit."""
+    path = tmp_path / "burst.csv"
+    times = [0.0, *(2.0 + 1e-6 * np.arange(1500)), *np.arange(2.1, 41.0, 0.1)]
+    path.write_text("\n".join(["t,y", *(f"{t!r},0" for t in map(float, times))]), encoding="utf-8")
+    with pytest.raises(ScenarioError, match="has 1499 samples in one of 4000 communication"):
+        experiment.run(path, {"plant.maximum_gap": 3.0})
+
+
+@pytest.mark.usefixtures("without_verdicts")
+def test_parts_between_the_file_and_the_identifier_are_refused(experiment, plain, tmp_path):
+    """A gain of the observer's y has no samples; one of the connection has."""
+    y = experiment.measured(0)
+    path = experiment.written(tmp_path, y)
+    with pytest.raises(ScenarioError, match="y has values between the samples of 'plant'"):
+        experiment.run(
+            path,
+            {
+                "components.half": {"kind": "gain", "K": 1.0},
+                "connections.half.u": "plant.y",
+                "connections.observer.y": "half.y",
+            },
+        )
+    doubled = experiment.written(tmp_path, y, scale=2.0)
+    log = experiment.run(doubled, {"connections.observer.y": {"from": "plant.y", "gain": 0.5}})
+    np.testing.assert_allclose(
+        log["identifier.theta"][-1], plain["identifier.theta"][-1], rtol=1e-6
+    )
+
+
+def test_the_paper_s_least_squares_takes_the_lines(experiment, tmp_path):
+    """Only output error knows of samples: nothing else changes."""
+    path = experiment.written(tmp_path, experiment.y)
+    log = experiment.run(path, {"identifier.method": "least-squares"})
+    assert "identifier.samples" not in log
+    assert np.abs(error_of(log)).max() < 0.1
+
+
+def test_a_dry_run_compares_the_file_with_the_plant(experiment, tmp_path):
+    """Port by port, as for an FMU or a log."""
+    from cosim.scenario.swapping.swap_comparison import compare_swaps
+
+    path = experiment.written(tmp_path, experiment.y, header="t,level")
+    reports = compare_swaps(experiment.scenario.swap(plant=path))
+    assert any("'plant' has no output 'y'" in problem for problem in reports.problems)
+    assert any("plant.level may be plant.y" in hint for hint in reports.hints)
+
+
+def test_the_verdict_and_the_log_rest_on_the_samples(experiment, tmp_path):
+    """Good data are identifiable; a later fit of the log is that of the run, gain applied."""
+    out = tmp_path / "run.mcap"
+    path = experiment.written(tmp_path, experiment.measured(6), scale=2.0)
+    changes = {
+        "connections.observer.y": {"from": "plant.y", "gain": 0.5},
+        "identifier.period": STOP,
+    }
+    experiment.run(path, changes, out=out)
+    log = open_log(out)
+    recorded = dict(log.results[IDENTIFICATION]["identifier"])
+    verdicts = [parameter["verdict"] for parameter in recorded["parameters"]]
+    assert verdicts == ["IDENTIFIABLE", "IDENTIFIABLE"]
+    record = identifier_record(log)
+    of_the_log = identify_records([record]).assessment.to_dict()
+    assert of_the_log == {key: recorded[key] for key in of_the_log}
+    np.testing.assert_array_equal(record.data.t[record.data.measured[:, 0]], experiment.t)
+
+
+def test_of_other_methods_it_is_said_that_they_take_interpolated_values(experiment, tmp_path):
+    """In a warning, in the place of the verdict, and where a log is to be fitted."""
+    out = tmp_path / "run.mcap"
+    path = experiment.written(tmp_path, experiment.y)
+    experiment.run(path, {"identifier.method": "least-squares"}, out=out)
+    log = open_log(out)
+    text = "y has values between the samples of 'plant'"
+    assert any(text in warning for _, warning in recorded_warnings(log))
+    assert text in log.results[IDENTIFICATION]["identifier"]["problem"]
+    with pytest.raises(UsageError, match=text):
+        identifier_record(log)
+
+
+@pytest.mark.usefixtures("without_verdicts")
+def test_units_are_declared_where_the_file_has_none(experiment, plain, tmp_path):
+    """Of an output and of its samples, under the name that the scenario has for it."""
+    y = experiment.measured(0)
+    path = experiment.written(tmp_path, y, header="t,level", scale=1e3)
+    swapped = experiment.scenario.swap(plant=path, map={"plant.y": "level"})
+    log = cosim.run(swapped.set({"plant.unit": {"y": "mm"}, "observer.unit": {"y": "m"}}))
+    np.testing.assert_allclose(
+        log["identifier.theta"][-1], plain["identifier.theta"][-1], rtol=1e-6
+    )
+
+
+@pytest.mark.usefixtures("without_verdicts")
+def test_estimates_come_online_before_the_regression_has_values(experiment, tmp_path):
+    """The grid of starts takes the samples too; what is said there is true."""
+    path = experiment.written(tmp_path, experiment.measured(1))
+    log = experiment.run(path, {"identifier.period": 0.5, "scenario.stop": 8.0})
+    theta = log["identifier.theta"]
+    error = log["identifier.standard_error"]
+    first = int(np.isfinite(theta).all(axis=1).argmax())
+    assert 0.0 < log.time("identifier.theta")[first] < 6.4  # T_id is 6.46 s at filter_rate 1e3
+    assert (np.abs(theta[first:] - THETA) < 5.0 * error[first:]).all()

@@ -1,0 +1,254 @@
+"""Observers on models in the general form, and of disturbances that reach y directly."""
+
+import re
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.errors import ScenarioError
+from cosim.report.summary import summarize
+from cosim.scenario.exporting import export_component
+from cosim.scenario.recordings.recorded_metadata import component_record, recorded_warnings
+from tests.scenario.general_plant import GENERAL, X0, write
+
+OBSERVER = """
+"observer.u" = "u.y"
+"observer.y" = "plant.y"
+[components.observer]
+kind = "unknown-input-observer"
+model = "m"
+{keys}
+[truth]
+"observer.x" = "plant.x"
+"observer.delta" = "delta.y"
+"""
+# the first disturbance is that of the example, the second one reaches its second output directly
+DIRECT = """\
+E = [[1, 0, 0], [0, 1, 0], [0, 0, 0]]
+A = [[0, 1, 1], [0, -2, 1], [1, 0, 1]]
+B = [[1, 0, 0], [0, 2, 1], [0, 1, 0]]
+C = [[2, 0, 1], [0, 1, 0]]
+D = [[0, 0, 0], [0, 0, 0.5]]
+disturbances = [0, 2]
+"""
+TWO = """
+[components.second]
+kind = "sine"
+amplitude = 0.3
+rate = 3.0
+phase = 0.7
+"""
+FILTERS = {
+    "first-order": "filter_rate = 1e4",
+    "consistent": 'filter = "consistent"\nfilter_rate = 200.0',
+    "savitzky-golay": 'filter = "savitzky-golay"\nhalf_width = 0.05',
+}
+
+
+def with_two(text):
+    """Drive delta by two components."""
+    text = text.replace('"plant.delta" = "delta.y"', '"plant.delta" = ["delta.y", "second.y"]')
+    text = text.replace(
+        '"observer.delta" = "delta.y"', '"observer.delta" = ["delta.y", "second.y"]'
+    )
+    return text.replace("[connections]", f"{TWO}[connections]")
+
+
+@pytest.fixture
+def direct(tmp_path):
+    """Return a function that writes a scenario with a direct disturbance, for a filter."""
+
+    def written(name):
+        keys = f"poles = [-4.0]\n{FILTERS[name]}\nx0 = [0.5, 0.0, 0.0]"
+        path = write(tmp_path / "direct.toml", DIRECT, "x0 = [1.0, -1.0, -1.0]", "")
+        path.write_text(with_two(path.read_text() + OBSERVER.format(keys=keys)))
+        return path
+
+    return written
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_every_filter_reconstructs_both_disturbances(direct, name):
+    """Poles at -4 and the zero: after 3 s e^-6 of the start is left, times 1e-2 what lag leaves.
+
+    The direct one follows y - x at once, or is averaged as the other is: one lag for all of delta.
+    """
+    log = cosim.run(direct(name), set={"scenario.step": 1e-3, "scenario.stop": 8.0})
+    lag = {"first-order": 0, "consistent": 5, "savitzky-golay": 50}[name]
+    delta = np.column_stack([log["delta.y"], log["second.y"]])
+    late = 6000
+    found = log["observer.delta"][late:]
+    expected = delta[late - lag : len(delta) - lag]
+    # first-order: rate 1e4, so w''/rate; averages: second order in the window
+    np.testing.assert_allclose(found, expected, rtol=0, atol=5e-3)
+    x = log["plant.x"]
+    np.testing.assert_allclose(log["observer.x"][late:], x[late:], rtol=0, atol=1e-3)
+
+
+def test_an_observer_in_any_coordinates_estimates_the_users_x(tmp_path):
+    """E singular and mixed: x_hat converges to x at the rates of the gain and the zero, 4 and 2."""
+    keys = "poles = [-4.0]\nfilter_rate = 1e3"
+    path = write(
+        tmp_path / "mixed.toml", GENERAL, f"x0 = {X0.tolist()}", OBSERVER.format(keys=keys)
+    )
+    log = cosim.run(path, out=tmp_path / "mixed.mcap")
+    error = np.abs(log["observer.x"] - log["plant.x"]).max(axis=1)
+    t = log.time("plant.x")
+    assert error[t == 2.0] < 2.0 * np.exp(-4.0) * error[0]
+    assert error[t == 4.0] < 2.0 * np.exp(-8.0) * error[0]
+    replayed = cosim.replay(log)
+    np.testing.assert_array_equal(replayed["observer.x"], log["observer.x"])
+    given = {"observer.x0": X0.tolist(), "delta.amplitude": 0.0}
+    exact = cosim.run(path, set=given)
+    np.testing.assert_allclose(exact["observer.x"][0], X0, rtol=0, atol=1e-13)
+    # y is no straight line within a step of 1e-2: an error of its second order
+    np.testing.assert_allclose(exact["observer.x"], exact["plant.x"], rtol=0, atol=1e-5)
+
+
+def test_a_gain_is_one_of_the_users_states(tmp_path):
+    """L of x has a row a state; what of it E does not keep has no effect."""
+    keys = "L = [[4.0], [0.0]]\nfilter_rate = 1e3"
+    model = "A = [[-1, 1], [-1, -2]]\nBu = [[-1], [1]]\nBd = [[1], [0]]\nC = [[1, 0]]\nDu = [[-1]]"
+    path = write(tmp_path / "gain.toml", model, "x0 = [1.0, -1.0]", OBSERVER.format(keys=keys))
+    log = cosim.run(path)
+    academic = cosim.run(
+        write(tmp_path / "poles.toml", model, "x0 = [1.0, -1.0]", OBSERVER.format(keys=keys)),
+        set={"observer.L": [4.0, 0.0]},
+    )
+    np.testing.assert_array_equal(log["observer.x"], academic["observer.x"])
+    wrong = OBSERVER.format(keys="L = [[4.0]]\nfilter_rate = 1e3")
+    wrong_path = write(tmp_path / "wrong.toml", model, "x0 = [1.0, -1.0]", wrong)
+    with pytest.raises(
+        ScenarioError, match=r"L has shape \(1, 1\); needed \(2, 1\): one row per s"
+    ):
+        cosim.run(wrong_path)
+
+
+WHOLLY_DIRECT = "A = [[-1]]\nB = [[1, 0.5]]\nC = [[1]]\nD = [[0, 2]]\ndisturbances = [1]"
+
+
+def test_a_direct_disturbance_is_not_said_to_be_filtered(tmp_path):
+    """y = x + 2 delta: noise of y counts by 1/2, and held inputs do no harm to a derivative."""
+    keys = OBSERVER.format(keys="poles = []")
+    path = write(tmp_path / "direct.toml", WHOLLY_DIRECT, "x0 = [1.0]", keys)
+    log = cosim.run(path, set={"scenario.input_interpolation": "zero-order"})
+    (reconstruction,) = summarize(log).reconstructions
+    assert reconstruction.filter == "direct"
+    np.testing.assert_allclose(reconstruction.noise_gain, [0.5], rtol=0.3)  # and what x hat adds
+    assert reconstruction.bias["coefficient"] == 0.0
+    assert recorded_warnings(log) == []
+    warned = cosim.run(
+        write(
+            tmp_path / "filtered.toml",
+            GENERAL,
+            f"x0 = {X0.tolist()}",
+            OBSERVER.format(keys="poles = [-4.0]\nfilter_rate = 100.0"),
+        ),
+        set={"scenario.input_interpolation": "zero-order"},
+    )
+    assert any("derivative filter" in text for _, text in recorded_warnings(warned))
+
+
+IDENTIFIED = """
+"regressor.delta" = "observer.delta"
+"identifier.regressor" = "regressor.mu"
+[components.regressor]
+kind = "regressor"
+terms = [{ family = "sine" }]
+delays = [0.0, 0.3, 0.6]
+[components.identifier]
+kind = "identifier"
+method = "least-squares"
+"""
+
+
+def test_a_filter_of_no_derivative_is_not_needed(tmp_path):
+    """Where y - x is 2 delta there is no q; T_id is that of observer and delays.
+
+    The keys of the filter change nothing, which is said. The one fixed mode is -1 - 0.5 / 2.
+    """
+    more = IDENTIFIED + OBSERVER.format(keys="poles = []")
+    observer = '"observer.u" = "u.y"\n"observer.y" = "plant.y"'
+    more = observer + more.replace(observer, "")
+    path = write(tmp_path / "direct.toml", WHOLLY_DIRECT, "x0 = [1.0]", more)
+    log = cosim.run(path, set={"scenario.stop": 10.0})
+    assert recorded_warnings(log) == []
+    assert "observer.q" not in log
+    # e^-12.5 of the start, and y is no straight line within a step of 1e-2
+    np.testing.assert_allclose(log["observer.delta"][-1], log["delta.y"][-1], rtol=0, atol=1e-5)
+    times = component_record(log, "identifier").times
+    assert times["T_f"] == 0.0
+    assert times["T_id"] == pytest.approx(np.log(1e3) / 1.25 + 0.6)
+    useless = {"observer.filter_rate": 100.0, "observer.q0": [0.0]}
+    same = cosim.run(path, set={"scenario.stop": 1.0, **useless})
+    np.testing.assert_array_equal(same["observer.delta"], log["observer.delta"][: len(same["u.y"])])
+    ((_, warning),) = recorded_warnings(same)
+    assert warning.startswith("filter_rate and q0: without effect, as delta follows from y direct")
+
+
+def test_a_filter_is_needed_where_a_part_of_delta_takes_a_derivative(direct):
+    """One of two disturbances is direct, the other one is not."""
+    path = direct("first-order")
+    path.write_text(path.read_text().replace("filter_rate = 1e4", ""))
+    with pytest.raises(ScenarioError, match="filter_rate is missing; needed with filter"):
+        cosim.run(path)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "first-order",
+        pytest.param("consistent", marks=pytest.mark.campaign),
+        pytest.param("savitzky-golay", marks=pytest.mark.campaign),
+    ],
+)
+def test_an_exported_observer_is_the_component(direct, tmp_path, name):
+    """The same arithmetic in the FMU, feedthrough of y to delta included."""
+    path = direct(name)
+    log = cosim.run(path, set={"scenario.stop": 0.5})
+    export_component(str(path), "observer", tmp_path / "observer.fmu", fmi="3")
+    fmu = cosim.run(
+        path,
+        swap={"observer": f"{tmp_path / 'observer.fmu'}#cs"},
+        set={"scenario.stop": 0.5},
+    )
+    for signal in ("observer.delta", "observer.x"):
+        np.testing.assert_allclose(fmu[signal], log[signal], rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("model", "keys", "message"),
+    [
+        (
+            GENERAL.replace("disturbances = [0]", ""),
+            "poles = []\nfilter_rate = 1.0",
+            "components.observer: the design model 'm' has no disturbance, and this observer is",
+        ),
+        (
+            DIRECT.replace("disturbances = [0, 2]", "disturbances = [0, 1, 2]"),
+            "poles = []\nfilter_rate = 1.0",
+            "2 output(s) for 3 disturbances, needed at least 3 outputs",
+        ),
+        (
+            GENERAL,
+            "poles = [-4.0]\nfilter_rate = 1.0\nx_a0 = [1.0, 2.0]",
+            "x_a0: the model 'm' has the states x; needed x0",
+        ),
+        (
+            GENERAL,
+            "poles = [-4.0]\nfilter_rate = 1.0\nx0 = [1.0, 2.0]",
+            "x0 has shape (2,); needed (3,): one number a state",
+        ),
+        (
+            "A = [[-1]]\nB = [[1, 0]]\nC = [[1]]\nD = [[0, 1]]\ndisturbances = [1]",
+            'poles = []\nfilter = "auto"\nnoise = 0.1\namplitude = 1.0\nbandwidth = 1.0',
+            "filter = 'auto' weighs the noise of a derivative; here delta follows from y directly",
+        ),
+    ],
+)
+def test_an_observer_that_cannot_be_is_refused(tmp_path, model, keys, message):
+    """Before any run, with what is needed."""
+    path = write(tmp_path / "wrong.toml", model, "x0 = [1.0]", OBSERVER.format(keys=keys))
+    with pytest.raises(ScenarioError, match=re.escape(message)):
+        cosim.run(path)

@@ -1,0 +1,272 @@
+"""Sources that jump: at communication points, by discrete signals, or not at all."""
+
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import cosim
+from cosim.blocks.source import Table
+from cosim.core.clock import Clock
+from cosim.errors import CosimError, ScenarioError, UsageError
+from cosim.scenario.building.build import parse
+from cosim.scenario.document.document import Document
+from cosim.scenario.kinds.jumps import held_from_points
+
+H = 0.125
+
+
+def run(folder, table, *, start_time=0.0, stop=1.0, step=H):
+    """Run a source with an integrator behind it: x' = u."""
+    text = (
+        f'[scenario]\nname = "u"\nstart_time = {start_time}\nstop = {stop}\nstep = {step}\n'
+        f"[components.u]\n{table}\n"
+        '[components.x]\nkind = "controller"\nA = [[0.0]]\nB = [[1.0]]\nC = [[1.0]]\n'
+        '[connections]\n"x.u" = "u.y"\n'
+    )
+    return cosim.run(parse(Document(text, "u", folder)))
+
+
+HELD = 'kind = "table"\ninterpolation = "zero-order"\n'
+
+
+@pytest.mark.parametrize(
+    ("table", "integral"),
+    [
+        (HELD + "t = [0.0, 0.5, 2.0]\ny = [1.0, 3.0, 3.0]", 2.0),
+        (HELD + "t = [0.0, 0.3, 2.0]\ny = [1.0, 1.0, 3.0]", 1.0),
+        (HELD + "t = [0.0, 0.5, 0.5, 2.0]\ny = [1.0, 1.0, 3.0, 3.0]", 2.0),
+        (HELD + "t = [0.0, 0.0, 0.5, 0.5, 0.5, 2.0]\ny = [9.0, 1.0, 1.0, 8.0, 3.0, 3.0]", 2.0),
+        (HELD + 't = [0.5, 0.5]\ny = [1.0, 3.0]\nextrapolation = "hold"', 2.0),
+        (HELD + 't = [0.25, 0.5]\ny = [1.0, 3.0]\nextrapolation = "hold"', 2.0),
+        ('kind = "expression"\ny = "1 + 2*step(t - 0.5)"\ndiscrete = true', 2.0),
+        ('kind = "expression"\ny = "2 + (2*step(t - 0.5) - 1)"\ndiscrete = true', 2.0),
+        ('kind = "expression"\ny = "1 + step(t) + step(t - 3)"', 2.0),
+        ('kind = "expression"\ny = "8*max(0, t - 0.5)"', 1.0),
+        ('kind = "table"\nt = [0.0, 0.5, 1.0]\ny = [0.0, 0.0, 4.0]', 1.0),
+        ('kind = "table"\nt = [0.5, 0.75]\ny = [1.0, 3.0]\nextrapolation = "hold"', 1.75),
+        ('kind = "step"\ntime = 0.5\nbefore = 1.0\nafter = 3.0', 2.0),
+        ('kind = "constant"\nvalue = 2.0', 2.0),
+    ],
+)
+def test_an_integral_over_a_source_is_exact(tmp_path, table, integral):
+    """Of what holds and jumps at communication points, and of what is linear between them.
+
+    Each number is a short binary fraction, so there is no rounding.
+    """
+    assert run(tmp_path, table)["x.y"][-1] == integral
+
+
+EXPRESSION = 'kind = "expression"\n'
+SAMPLED = EXPRESSION + "discrete = true\n"
+DISTURBANCE = 'kind = "disturbance"\n'
+
+
+@pytest.mark.parametrize(
+    ("table", "text"),
+    [
+        (
+            HELD + "t = [0.0, 0.37, 0.5, 0.6, 2.0]\ny = [0.0, 3.0, 4.0, 5.0, 5.0]",
+            r"table: y jumps at t\[1\] = 0\.37 s, between the communication points 0\.25 s and "
+            r"0\.375 s; needed one of them \(2 such instants\)",
+        ),
+        (
+            'kind = "table"\nt = [0.0, 0.5, 0.5, 2.0]\ny = [0.0, 1.0, 3.0, 3.0]',
+            r"t\[1\] and t\[2\] are both 0\.5 s, a jump.*interpolation = .zero-order.",
+        ),
+        (
+            HELD + "t = [0.0, 0.5, 0.4, 2.0]\ny = [0.0, 1.0, 3.0, 3.0]",
+            r"t\[2\] = 0\.4 s does not come after 0\.5 s",
+        ),
+        (
+            HELD + "t = [0.0, 0.3, 0.3, 2.0]\ny = [0.0, 0.0, 3.0, 3.0]",
+            r"table: y jumps at t\[2\] = 0\.3 s, between the communication points 0\.25 s and "
+            r"0\.375 s; needed one of them",
+        ),
+        (
+            'kind = "table"\nt = [0.5, 2.0]\ny = [0.0, 1.0]',
+            r'covers 0\.5 s to 2\.0 s; needed 0\.0 s to 1\.0 s, the whole run, or extrap.*"hold"',
+        ),
+        (
+            EXPRESSION + 'y = "step(t - 0.5)"',
+            r"step\(t - 0\.5\) jumps at 0\.5 s, and a signal that is interpolated linearly cannot: "
+            r"it would become a ramp of a whole step; needed discrete = true",
+        ),
+        (EXPRESSION + 'y = "t + sign(sin(t))"', r"sign\(sin\(t\)\) jumps, and a signal that"),
+        (EXPRESSION + 'y = "sign(t)"', r"sign\(t\) jumps at 0\.0 s"),
+        (EXPRESSION + 'y = ["1", "step(1 - 2*t)"]', r"step\(1 - 2 \* t\) jumps at 0\.5 s"),
+        (
+            SAMPLED + 'y = "step(t - 0.37)"',
+            r"step\(t - 0\.37\) jumps at 0\.37 s, between the communication points 0\.25 s and "
+            r"0\.375 s; needed one of them",
+        ),
+        (
+            SAMPLED + 'y = "sign(t - 0.5)"',
+            r"at the communication point 0\.5 s sign\(t - 0\.5\) has not yet the value after its "
+            r"jump, and what it has would hold for a step; write 2\*step\(t - 0\.5\) - 1",
+        ),
+        (SAMPLED + 'y = "step(0.5 - t)"', r"write 1 - step\(t - 0\.5\)"),
+        (
+            DISTURBANCE + 'terms = [{ alpha = "step(t - 0.5)", family = "sine", theta = 1.0 }]',
+            r"step\(t - 0\.5\) jumps at 0\.5 s.*needed continuous alphas; a disturbance that jumps",
+        ),
+        ('kind = "step"\ntime = 0.37', r"time: 0\.37 s is not a whole number of 0\.125 s steps"),
+    ],
+)
+def test_a_jump_that_would_be_wrong_is_refused(tmp_path, table, text):
+    """With its instant, the nearest points, and the way out."""
+    with pytest.raises(ScenarioError, match=text):
+        run(tmp_path, table)
+
+
+def test_a_value_that_rounding_delays_is_refused(tmp_path):
+    """3 t - 0.9 at t = 0.3 is -1.1e-16: the jump would come a step late."""
+    with pytest.raises(ScenarioError, match=r"point 0\.3 s step\(3 \* t - 0\.9\).*write step\(t -"):
+        run(tmp_path, SAMPLED + 'y = "step(3*t - 0.9)"', step=0.1)
+    found = run(tmp_path, SAMPLED + 'y = "step(t - 0.3)"', step=0.1)["u.y"]
+    assert found.tolist() == [0.0] * 3 + [1.0] * 8
+
+
+def test_jumps_outside_of_the_run_do_not_matter(tmp_path):
+    """Before the start and after the end nothing is computed."""
+    tables = [
+        (EXPRESSION + 'y = "step(t - 0.37) + sign(t - 9.1)"', 0.0),
+        (HELD + "t = [0.0, 0.37, 9.1]\ny = [1.0, 0.0, 3.0]", 0.0),
+    ]
+    for table, value in tables:
+        assert (run(tmp_path, table, start_time=2.0, stop=3.0)["u.y"] == value).all()
+
+
+def test_jumps_whose_instants_are_not_known_are_said(tmp_path):
+    """They cannot all be found, and a square wave by the sign of a sine is a usual thing."""
+    recording = run(tmp_path, SAMPLED + 'y = "step(sin(9*t))"')
+    (message,) = [message for message in recording.messages() if message.source == "u"]
+    assert "step(sin(9 * t)) jumps where its argument passes 0; between" in message.text
+
+
+@given(
+    st.integers(1, 10**9),
+    st.integers(0, 10**12),
+    st.lists(st.integers(0, 50), min_size=2, max_size=8, unique=True).map(sorted),
+    st.data(),
+)
+def test_a_held_table_has_its_value_from_its_instant_on(step_ns, start_ns, numbers, data):
+    """Also where the instants are sums and products of doubles, a few spacings off.
+
+    What is more than that beside a communication point is refused.
+    """
+    clock = Clock((start_ns + 50 * step_ns) / 1e9, step_ns / 1e9, start_time=start_ns / 1e9)
+    exact = (start_ns + np.array(numbers) * step_ns) / 1e9
+    shifts = data.draw(st.lists(st.integers(-2, 2), min_size=len(numbers), max_size=len(numbers)))
+    t = exact + np.array(shifts) * np.spacing(exact)
+    y = np.arange(float(len(t)))[:, np.newaxis]
+    held = held_from_points(t, y, clock)
+    assert (held == exact).all()
+    table = Table(held, y, hold=True, extrapolate=True)
+    block = next(Clock(clock.stop, clock.step, 50, clock.start_time).blocks(50))
+    found = [table.outputs(time, np.zeros(0))[0] for time in block.time]
+    expected = np.searchsorted(numbers, np.arange(51), side="right") - 1
+    assert found == np.maximum(expected, 0).tolist()
+    beside = exact.copy()
+    beside[-1] += 0.3 * step_ns / 1e9
+    if numbers[-1] < 50 and step_ns > 10**6:
+        with pytest.raises(UsageError, match="needed one of them"):
+            held_from_points(beside, y, clock)
+
+
+def test_a_regressor_refuses_alphas_that_jump():
+    """The delayed instants t - D are rounded, so a product could have one of them a step late."""
+    alpha = "1 + step(t - 1)"
+    terms = [{"alpha": alpha, "family": "exponential"}]
+    with pytest.raises(ScenarioError, match=r"step\(t - 1\) jumps at 1\.0 s.*continuous alpha"):
+        cosim.run("academic", set={"regressor.terms": terms, "regressor.delays": [0.1, 0.2]})
+
+
+CELLS = st.one_of(
+    st.sampled_from([0.0, 0.125, 0.25, 0.3, 0.375, 0.5, 0.75, 1.0, 2.0, -1.0]).map(repr),
+    st.sampled_from(["nan", "-inf", "1e400", "", "x", "1e-320"]),
+)
+INSTANTS = st.lists(CELLS, min_size=1, max_size=6) | st.lists(
+    st.sampled_from([-1.0, 0.0, 0.125, 0.25, 0.3, 0.5, 1.0, 2.0]), min_size=2, unique=True
+).map(lambda instants: [repr(t) for t in sorted(instants)])
+
+
+def rounded(t):
+    """Return the communication point that an instant is but for its rounding, else the instant."""
+    point = round(t / H) * H
+    return point if abs(t - point) <= 4.0 * np.spacing(max(abs(t), H)) else t
+
+
+def right_at(t, y, points, *, hold):
+    """Return a table at instants, searched row by row."""
+    found = []
+    for point in points:
+        if point < t[0]:
+            found.append(y[0])
+        elif point >= t[-1]:
+            found.append(y[-1])
+        else:
+            i = max(i for i in range(len(t)) if t[i] <= point)
+            part = 0.0 if hold else (point - t[i]) / (t[i + 1] - t[i])
+            found.append(y[i] + part * (y[i + 1] - y[i]))
+    return found
+
+
+@given(INSTANTS, st.randoms(use_true_random=False), st.booleans(), st.booleans())
+@settings(max_examples=60)
+def test_a_crafted_table_is_right_or_refused(tmp_path_factory, instants, random, hold, beyond):
+    """Unsorted, twice, off the grid, no numbers, too short: one error, or the right values.
+
+    A held one is right between the points too: it jumps at none of the instants between.
+    """
+    folder = tmp_path_factory.getbasetemp()
+    values = [float(random.randint(0, 3)) for _ in instants]
+    rows = [f"{t},{value}" for t, value in zip(instants, values, strict=True)]
+    (folder / "crafted.csv").write_text("\n".join(["t,y", *rows]))
+    interpolation = "zero-order" if hold else "linear"
+    extrapolation = "hold" if beyond else "error"
+    table = (
+        f'kind = "table"\nfile = "crafted.csv"\ninterpolation = "{interpolation}"\n'
+        f'extrapolation = "{extrapolation}"'
+    )
+    try:
+        recording = run(folder, table)
+    except CosimError:
+        return
+    t = [float(text) for text in instants]
+    assert t == sorted(t)
+    assert hold or len(t) == len(set(t))
+    t = [rounded(instant) for instant in t] if hold else t
+    assert beyond or t[0] <= 0.0 <= 1.0 <= t[-1]
+    found = recording["u.y"]
+    assert found == pytest.approx(right_at(t, values, recording.time("u"), hold=hold), abs=1e-12)
+    if hold:
+        between = np.arange(8) * H + H / 2
+        assert right_at(t, values, between, hold=True) == found[:-1].tolist()
+
+
+@pytest.mark.parametrize(
+    ("t", "y", "text"),
+    [
+        (
+            [0.0, 0.51, 0.55, 0.59, 1.0],
+            [0.0, 0.0, 100.0, 0.0, 0.0],
+            "1 rows .* t = 0.55 s it is 1 ",
+        ),
+        ([0.0, 0.45, 0.450001, 1.0], [0.0, 0.0, 1.0, 1.0], "2 rows .* t = 0.45 s it is 0.5 "),
+        ([0.0, 0.5, 1.0], [0.0, 1.0, 0.0], ""),  # the kink is at a point
+        ([0.0, 0.55, 1.0], [0.0, 0.55, 1.0], ""),  # no kink
+        ([0.0, 0.55, 1.0], [0.0, 0.5501, 1.0], ""),  # nearly none
+        ([0.0, 2.05, 2.1, 3.0], [0.0, 0.0, 9.0, 9.0], ""),  # behind the run
+    ],
+)
+def test_rows_of_a_table_that_fall_between_communication_points_are_said(tmp_path, t, y, text):
+    """A straight line from point to point cannot show them; step 0.1 s."""
+    table = f'kind = "table"\nextrapolation = "hold"\nt = {t}\ny = {y}'
+    result = run(tmp_path, table, step=0.1)
+    notes = [message.text for message in result.messages() if message.source == "u"]
+    assert len(notes) == bool(text)
+    if text:
+        assert re.search(text, notes[0])

@@ -1,0 +1,450 @@
+"""An observer that is designed on an FMU: as on the matrices, replayed from the log alone."""
+
+import json
+import math
+import re
+import shutil
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.errors import RunError, ScenarioError, UsageError
+from cosim.fmi.linearizing.linearize import linearize
+from cosim.scenario.assumptions.report import check_assumptions
+from cosim.scenario.building.linearizing import model_toml, split
+from cosim.scenario.exporting import export_component
+from tests.fmi.pendulum import jacobian, pendulum
+
+pytestmark = pytest.mark.usefixtures("without_verdicts")
+
+MODEL = {"fmu": "plant.fmu", "disturbance": "delta"}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Return a folder with the scenario, its plant as an FMU, and a pendulum."""
+    folder = tmp_path_factory.mktemp("linearized")
+    export_component("academic", "plant", folder / "plant.fmu")
+    pendulum(folder / "pendulum.fmu", derivatives=True, level=False)
+    (folder / "academic.toml").write_text(cosim.load("academic").document.text)
+    return folder
+
+
+def test_an_observer_designed_on_the_fmu_is_the_one_of_the_matrices(folder):
+    """The exported plant holds the reduced matrices bit for bit and linearizing it rounds nothing.
+
+    Therefore theta has the same bits.
+    """
+    scenario = folder / "academic.toml"
+    matrices = cosim.run(scenario)
+    fmu = cosim.run(scenario, set={"observer.model": MODEL})
+    for signal in ("observer.x_a", "observer.delta", "identifier.theta"):
+        assert np.array_equal(fmu[signal], matrices[signal], equal_nan=True), signal
+
+
+def test_an_observer_designed_by_differences_identifies_the_same(folder, foreign3):
+    """Its plant has the states x1, x2; a matrix entry is wrong by at most 1e-12 (its own estimate).
+
+    An entry of A_a that is wrong by e makes delta_hat wrong by e |x_a| / |C3 B_2a| = e, and theta2
+    errs by less than 1e2 times as much (as for rounding in ``test_swap``): 1e-10.
+    """
+    model = {"fmu": str(foreign3), "disturbance": "delta"}
+    matrices = cosim.run("academic")
+    fmu = cosim.run("academic", set={"observer.model": model})
+    metadata = json.loads(fmu.metadata["cosim.component.observer"]["metadata"])
+    errors = metadata["linearization"]["result"]["errors"]
+    assert max(errors.values()) <= 1e-12
+    assert abs(fmu["identifier.theta"][-1] - matrices["identifier.theta"][-1]).max() <= 1e-10
+
+
+def test_a_replay_needs_the_log_alone(folder, tmp_path):
+    """The linearization is in the log: the FMU may be gone.
+
+    Even a changed pole is designed on what was recorded.
+    """
+    shutil.copy(folder / "academic.toml", tmp_path)
+    shutil.copy(folder / "plant.fmu", tmp_path)
+    log = cosim.run(
+        tmp_path / "academic.toml",
+        set={"observer.model": MODEL, "scenario.stop": 8.0},
+        out=tmp_path / "run.mcap",
+    )
+    (tmp_path / "plant.fmu").unlink()
+    again = cosim.replay(log, out=tmp_path / "again.mcap")
+    assert cosim.diff(log, again).equal
+    assert cosim.diff(again, cosim.replay(again)).equal
+    faster = cosim.replay(log, set={"observer.L": [6.0, 0.0]})
+    assert not np.array_equal(faster["observer.x_a"], log["observer.x_a"])
+    metadata = json.loads(log.metadata["cosim.component.observer"]["metadata"])
+    assert len(metadata["linearization"]["sha256"]) == 64
+    text = (
+        r"components\.observer: a replay opens no file that only the log names: found 'plant\.fmu'"
+    )
+    with pytest.raises(ScenarioError, match=text):
+        cosim.replay(log, set={"observer.model.at": 1.0})
+    with pytest.raises(ScenarioError, match=r"plant\.fmu: there is no such file"):
+        cosim.replay(log, set={"observer.model.at": 1.0, "observer.model.fmu": "plant.fmu"})
+
+
+def test_an_input_that_reaches_y_directly_may_be_the_unknown_one(folder):
+    """y = x1 - u: u follows from y without a derivative, so without the error of a filter.
+
+    The zeros are at -2, twice; after 10 s t e^-2t of the start is left, 5e-8 of it.
+    """
+    model = {**MODEL, "disturbance": "u"}
+    options = {"observer.model": model, "scenario.stop": 12.0, "observer.L": [0.0, 0.0]}
+    connections = {"connections.observer.u": "delta.y"}
+    run = cosim.run(folder / "academic.toml", set={**options, **connections})
+    late = run.time("observer.delta") > 10.0
+    error = np.abs(run["observer.delta"] - run["u.y"])[late]
+    assert error.max() < 5e-7  # straight lines within a step of 1 ms: h^2/12 w''
+
+
+def swing(folder, amplitude, **model):
+    """Write a pendulum in a wind that the observer is to find."""
+    table = {
+        "fmu": "pendulum.fmu",
+        "disturbance": "wind",
+        "start": {"theta": 0.5, "torque": 4.0},
+        **model,
+    }
+    inline = json.dumps(table).replace('": ', '" = ')
+    (folder / "swing.toml").write_text(
+        f"""
+[scenario]
+name = "swing"
+stop = 4.0
+step = 1e-3
+[components.torque]
+kind = "constant"
+value = 4.0
+[components.wind]
+kind = "sine"
+amplitude = {amplitude}
+rate = 2.0
+[components.plant]
+kind = "fmu"
+path = "pendulum.fmu"
+interface_type = "me"
+start = {{ theta = {math.asin(4.0 / 9.81)!r} }}
+[components.observer]
+kind = "unknown-input-observer"
+model = {inline}
+poles = [-5.0]
+x_a0 = [{math.asin(4.0 / 9.81)!r}, 0.0]
+filter_rate = 1e4
+[connections]
+"plant.torque" = "torque.y"
+"plant.wind" = "wind.y"
+"observer.u" = "torque.y"
+"observer.y" = "plant.y"
+"""
+    )
+    return folder / "swing.toml"
+
+
+def error(scenario):
+    """Return the largest error of the wind that the observer estimates."""
+    run = cosim.run(scenario)
+    return abs(run["observer.delta"] - run["wind.y"]).max()
+
+
+def test_an_observer_of_a_nonlinear_plant_errs_by_the_square_of_the_swing(folder):
+    """Linearized at rest under its torque, and used with the whole of u, y and delta.
+
+    It neglects G sin(theta)/2 dtheta^2: half the wind leaves a quarter of that, but for the next
+    order.
+    """
+    rest = {"at": 300.0, "start": {"torque": 4.0}}
+    coarse = error(swing(folder, 0.5, **rest))
+    fine = error(swing(folder, 0.25, **rest))
+    assert 3.5 < coarse / fine < 4.5
+
+
+def test_an_observer_may_be_linearized_where_the_plant_is_not_at_rest(folder):
+    """The constants of the linearization are part of the observer.
+
+    Without wind it errs by what it neglects between the point and the rest of the plant:
+    G sin(theta)/2 (1.5e-4)^2 = 5e-8.
+    """
+    assert error(swing(folder, 0.0, start={"theta": 0.42, "omega": 0.1})) <= 1e-7
+
+
+def test_the_signals_of_the_observer_have_the_units_of_the_fmu(folder):
+    """What drives them is then compared and converted; where elements differ, none is declared."""
+    run = cosim.run(swing(folder, 0.1), set={"scenario.stop": 0.01})
+    interface = run.channels["observer"].interface
+    units = {s.name: s.unit for s in (*interface.inputs, *interface.outputs)}
+    assert units == {"u": "N.m", "y": None, "x_a": None, "delta": "N.m", "z": None, "q": None}
+
+
+REFUSED = {
+    "no such file": (
+        {"fmu": "no.fmu", "disturbance": "delta"},
+        r".*no\.fmu: there is no such file",
+    ),
+    "no such disturbance": (
+        {**MODEL, "disturbance": "detla"},
+        r"disturbance 'detla' is no input of academic_plant; did you mean 'delta'\?",
+    ),
+    "a disturbance twice": (
+        {**MODEL, "disturbance": ["delta", "delta"]},
+        r"disturbance 'delta' is named twice; needed each once",
+    ),
+    "an input twice": (
+        {**MODEL, "inputs": ["u", "delta"]},
+        r"academic_plant: input 'delta' is named twice",
+    ),
+    "no such output": (
+        {**MODEL, "outputs": ["yy"]},
+        r"academic_plant: no output 'yy'; did you mean 'y'\?",
+    ),
+    "no output y": (
+        {"fmu": "nameless.fmu", "disturbance": "delta"},
+        r"academic_plant: no output 'y'; did you mean 'y_m'\? There is: y_m, x_a",
+    ),
+    "co-simulation only": (
+        {"fmu": "cs.fmu", "disturbance": "delta"},
+        r".*cs\.fmu: is for co-simulation only",
+    ),
+}
+REFUSED_TABLES = {
+    "no disturbance": (
+        {"fmu": "plant.fmu"},
+        r": 'disturbance' is missing; needed name or names of the inputs",
+    ),
+    "an unknown key": (
+        {**MODEL, "output": ["y"]},
+        r"\.output: unknown key 'output'; did you mean 'outputs'\?",
+    ),
+    "neither": (3, r": found 3; needed a string or a table"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_cannot_be_a_design_model_is_refused(name, folder, foreign2):
+    """One clear error each, with the component: see REFUSED."""
+    from tests.scenario.swapping.test_swap import rewritten
+
+    shutil.copy(foreign2, folder / "cs.fmu")
+    rewritten(folder / "plant.fmu", folder / "nameless.fmu", ('name="y"', 'name="y_m"'))
+    model, message = REFUSED[name]
+    with pytest.raises(ScenarioError, match=rf"components\.observer: {message}"):
+        cosim.run(folder / "academic.toml", set={"observer.model": model})
+
+
+@pytest.mark.parametrize("name", REFUSED_TABLES)
+def test_what_is_no_table_of_a_design_model_is_refused(name, folder):
+    """One clear error each, with the key: see REFUSED_TABLES."""
+    model, message = REFUSED_TABLES[name]
+    with pytest.raises(ScenarioError, match=rf"components\.observer\.model{message}"):
+        cosim.run(folder / "academic.toml", set={"observer.model": model})
+
+
+def test_a_table_of_a_scenario_is_the_same_model(folder):
+    """The printed [models] table, in the place of the shipped one.
+
+    y = x1 - u by its D gives the same theta; the plant's x is the x_a of the matrices.
+    """
+    table = model_toml(linearize(folder / "plant.fmu", outputs=["y"]), ["delta"])
+    text = (folder / "academic.toml").read_text()
+    before, _, rest = text.partition("[models.academic]")
+    named = table.replace("[models.academic_plant]", "[models.academic]")
+    rest = "\n[components.u]" + rest.partition("[components.u]")[2]
+    rest = rest.replace("x_a0 =", "x0 =").replace(
+        '"observer.x_a" = "plant.x_a"', '"observer.x" = "plant.x"'
+    )
+    (folder / "table.toml").write_text(before + named + rest)
+    assert "# x: x_a[0], x_a[1]; u: u; delta: delta; y: y" in table
+    matrices = cosim.run(folder / "academic.toml")
+    run = cosim.run(folder / "table.toml")
+    assert abs(run["identifier.theta"][-1] - matrices["identifier.theta"][-1]).max() <= 1e-9
+
+
+def test_a_table_names_its_operating_point_and_what_it_lacks(folder):
+    """The constants are named; what is not there is left out: known inputs, disturbances."""
+    linearization = linearize(folder / "pendulum.fmu", outputs=["y"], start={"torque": 1.0})
+    table = model_toml(linearization, ["wind"])
+    assert (
+        "# pendulum linearized at t = 0.0 s, theta = 0.5, omega = 0.0, torque = 1.0, wind = 0.0"
+        in table
+    )
+    c = linearization.constants[0].tolist()
+    assert (
+        f"# for deviations from this point: it lacks c = {c} of x' = ... + c "
+        "and d = [0.0] of y = ... + d" in table
+    )
+    assert f"Bu = {jacobian(0.5, 0.0, 1.0)[1][:, :1].tolist()}" in table
+    assert "Bu" not in model_toml(linearization, ["torque", "wind"])
+    calm = model_toml(linearization, [])
+    assert "Bd" not in calm
+    assert "delta" not in calm
+
+
+def test_disturbances_are_named_by_elements_or_by_ports_that_exist(tmp_path):
+    """``f[1,1]`` and ``f[1,2]`` are two inputs: neither ``f`` nor an empty name is any."""
+
+    def renamed(xml):
+        for old, new in {"torque": "f[1,1]", "wind": "f[1,2]"}.items():
+            xml = xml.replace(f'name="{old}"', f'name="{new}"')
+        return xml
+
+    path = pendulum(tmp_path / "names.fmu", derivatives=True, edit=renamed)
+    linearization = linearize(path, outputs=["y"])
+    assert split(linearization, ["f[1,2]"]) == ([0], [1])
+    for name in ("f", "f[1", ""):
+        message = re.escape(f"disturbance {name!r} is no input of pendulum")
+        with pytest.raises(UsageError, match=message):
+            split(linearization, [name])
+
+
+def test_a_disturbance_may_be_a_whole_port(tmp_path):
+    """The two elements ``f[1]`` and ``f[2]`` are the port ``f``."""
+
+    def renamed(xml):
+        for old, new in {"torque": "f[1]", "wind": "f[2]"}.items():
+            xml = xml.replace(f'name="{old}"', f'name="{new}"')
+        return xml
+
+    path = pendulum(tmp_path / "names.fmu", derivatives=True, edit=renamed)
+    linearization = linearize(path, outputs=["y"])
+    assert split(linearization, ["f"]) == ([], [0, 1])
+    assert split(linearization, ["f[2]"]) == ([0], [1])
+
+
+# --- linearized anew along the estimate ---
+
+
+def far_swing(folder):
+    """Write a swing of 1.3 rad, of which y and the height are measured; the start is not known."""
+    path = swing(folder, 2.5, outputs=["y", "reach"])
+    text = path.read_text()
+    text = text.replace('"observer.y" = "plant.y"', '"observer.y" = ["plant.y", "plant.reach"]')
+    text = text.replace("poles = [-5.0]", "poles = [-4.0, -5.0]")
+    far = folder / "far.toml"
+    far.write_text(text)
+    return far
+
+
+ANEW = {"observer.relinearize": True, "observer.x_a0": [0.0, 0.0], "observer.filter_rate": 1e3}
+COARSE = {"scenario.step": 8e-3, "scenario.stop": 4.0}
+
+
+def late_errors(run):
+    """Return the largest errors of angle and wind in the second half."""
+    late = run.time("observer.delta") > 2.0
+    angle = np.abs(run["observer.x_a"][late, 0] - run["plant.angle"][late]).max()
+    wind = np.abs(run["observer.delta"][late] - run["wind.y"][late]).max()
+    return angle, wind
+
+
+def test_linearized_anew_the_estimates_converge_where_those_of_one_model_stay_wrong(folder):
+    """The angle by three orders, the wind to what its filter lags."""
+    scenario = far_swing(folder)
+    fixed = late_errors(cosim.run(scenario, set={**ANEW, **COARSE, "observer.relinearize": False}))
+    anew = late_errors(cosim.run(scenario, set={**ANEW, **COARSE}))
+    # of second order in the step of 8 ms: some (8e-3)^2
+    assert anew[0] < 1e-4
+    assert fixed[0] > 1000.0 * anew[0]
+    # the derivative of y belongs to a time half a step and 1/filter_rate earlier, 5 ms: times
+    # y'', at most 17.1 rad/s^2 here
+    assert anew[1] < 5e-3 * 17.2
+    assert fixed[1] > 10.0 * anew[1]
+
+
+def test_differences_do_where_the_fmu_has_no_derivatives(folder):
+    """Both ways lead to the same estimates."""
+    pendulum(folder / "plain.fmu", derivatives=False, level=False)
+    short = {**ANEW, "scenario.step": 5e-3, "scenario.stop": 0.2, "observer.poles": [-5.0]}
+    scenario = swing(folder, 2.5)
+    exact = cosim.run(scenario, set=short)
+    differences = cosim.run(scenario, set={**short, "observer.model.fmu": "plain.fmu"})
+    np.testing.assert_allclose(differences["observer.x_a"], exact["observer.x_a"], atol=1e-8)
+    np.testing.assert_allclose(differences["observer.delta"], exact["observer.delta"], atol=1e-6)
+
+
+def test_its_assumptions_are_decided_at_the_operating_point_alone(folder):
+    """Where the estimate will be, and the model linearized, only the run knows."""
+    report = check_assumptions(swing(folder, 2.5), set=ANEW)
+    of_observer = [verdict for name, verdict in report.verdicts if name == "observer"]
+    assert len(of_observer) == 4
+    for verdict in of_observer:
+        assert verdict.fulfilled is None
+        assert "fulfilled at the operating point" in verdict.evidence
+
+
+def test_a_replay_takes_it_from_the_log(folder, tmp_path):
+    """Bits that depend on the processor are not promised: the outputs are those of the run."""
+    shutil.copy(swing(folder, 2.5), tmp_path)
+    shutil.copy(folder / "pendulum.fmu", tmp_path)
+    short = {**ANEW, "scenario.step": 5e-3, "scenario.stop": 0.2}
+    log = cosim.run(tmp_path / "swing.toml", set=short, out=tmp_path / "run.mcap")
+    (tmp_path / "pendulum.fmu").unlink()
+    again = cosim.replay(log, out=tmp_path / "again.mcap")
+    assert cosim.diff(log, again).equal
+    with pytest.raises(UsageError, match=r"observer\.filter_rate"):
+        cosim.replay(log, set={"observer.filter_rate": 500.0})
+
+
+def test_a_run_stops_where_the_disturbance_does_not_reach_the_outputs_any_more(folder):
+    """d/dt power = torque omega' + ...: of a torque that passes zero it knows nothing there."""
+    path = swing(folder, 0.5, outputs=["power", "angle"])
+    text = path.read_text()
+    text = text.replace('"observer.y" = "plant.y"', '"observer.y" = ["plant.power", "plant.angle"]')
+    text = text.replace(
+        'kind = "constant"\nvalue = 4.0', 'kind = "ramp"\noffset = 4.0\nslope = -8.0'
+    )
+    text = text.replace("poles = [-5.0]", "poles = [-4.0, -5.0]")
+    fading = folder / "fading.toml"
+    fading.write_text(text)
+    message = r"observer.*linearized at the estimate x_a = \[\S+, \S+\] at t = 0\.5 s: .*C3 B"
+    with pytest.raises(RunError, match=message):
+        cosim.run(fading, set={**ANEW, "scenario.step": 5e-3, "scenario.stop": 1.0})
+
+
+ANEW_REFUSED = {
+    "a model of matrices": (
+        {"observer.relinearize": True},
+        "relinearize: found the model 'academic', which is linear; needed",
+    ),
+    "another filter": (
+        {"observer.relinearize": True, "observer.model": MODEL, "observer.filter": "consistent"},
+        "relinearize: found filter = 'consistent'; needed filter = \"first-order\"",
+    ),
+    "a state of the filter": (
+        {"observer.relinearize": True, "observer.model": MODEL, "observer.q0": [0.0]},
+        "q0: with relinearize = true q is that of the model of the moment; leave it out",
+    ),
+    "output error": (
+        {"observer.relinearize": True, "observer.model": MODEL},
+        "'observer' is linearized anew along its estimate, so that there is no one model of y",
+    ),
+    "a compensator": (
+        {
+            "observer.relinearize": True,
+            "observer.model": MODEL,
+            "components.c": {"kind": "compensator", "poles": [-1.0, -2.0]},
+            "connections.c.x_a": "observer.x_a",
+        },
+        "'observer' is linearized anew on the way, and a loop is proven stable with one observer",
+    ),
+    "a start of another size": (
+        {"observer.relinearize": True, "observer.model": MODEL, "observer.x_a0": [0.0]},
+        "x_a0: found 1 numbers; needed 2, one a state of the FMU",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", ANEW_REFUSED)
+def test_what_cannot_be_linearized_anew_is_refused(name, folder):
+    """One clear error each, with the way out: see ANEW_REFUSED."""
+    changes, message = ANEW_REFUSED[name]
+    with pytest.raises(ScenarioError, match=message):
+        cosim.run(folder / "academic.toml", set=changes)
+
+
+def test_an_observer_that_is_linearized_anew_is_not_exported(folder):
+    """An FMU has no other FMU in it."""
+    with pytest.raises(UsageError, match="needs the FMU of its model"):
+        export_component(str(far_swing(folder)), "observer", folder / "x.fmu", set=ANEW)

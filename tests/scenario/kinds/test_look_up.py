@@ -1,0 +1,80 @@
+"""Look-up tables in scenario files."""
+
+import pytest
+
+import cosim
+from cosim.errors import ScenarioError
+from cosim.scenario.building.build import parse
+from cosim.scenario.document.document import Document
+
+
+def run(folder, table, inputs=("u",), **more):
+    """Run a look-up table on ramps: u, u1 are t, u2 is 2 t."""
+    text = (
+        '[scenario]\nname = "f"\nstop = 1.0\nstep = 0.25\n'
+        '[components.once]\nkind = "ramp"\nslope = 1.0\n'
+        '[components.twice]\nkind = "ramp"\nslope = 2.0\n'
+        f'[components.f]\nkind = "look-up-table"\n{table}\n[connections]\n'
+    )
+    sources = {"u": "once.y", "u1": "once.y", "u2": "twice.y"}
+    for name in inputs:
+        text += f'"f.{name}" = "{sources[name]}"\n'
+    return cosim.run(parse(Document(text, "f", folder)), **more)
+
+
+BOTH = ("u1", "u2")
+
+
+@pytest.mark.parametrize(
+    ("table", "inputs", "y"),
+    [
+        ("u = [0.0, 0.5, 1.0]\ny = [0.0, 1.0, 0.0]", ("u",), [0.0, 0.5, 1.0, 0.5, 0.0]),
+        (
+            'u = [0.25, 0.5]\ny = [0.0, 1.0]\nextrapolation = "hold"',
+            ("u",),
+            [0.0, 0.0, 1.0, 1.0, 1.0],
+        ),
+        (
+            'u = [0.25, 0.5]\ny = [0.0, 1.0]\nextrapolation = "linear"',
+            ("u",),
+            [-1.0, 0.0, 1.0, 2.0, 3.0],
+        ),
+        (
+            "u1 = [0.0, 1.0]\nu2 = [0.0, 2.0]\ny = [[0.0, 0.0], [0.0, 2.0]]",  # u1 u2
+            BOTH,
+            [0.0, 0.125, 0.5, 1.125, 2.0],
+        ),
+        ('file = "f.csv"\ncolumns = ["a", "c"]', ("u",), [1.0, 1.5, 2.0, 2.5, 3.0]),
+        ('file = "g.csv"', BOTH, [0.0, 0.125, 0.5, 1.125, 2.0]),
+    ],
+)
+def test_a_function_by_its_values(tmp_path, table, inputs, y):
+    """Arrays, or a file with a row for each point, in any order."""
+    (tmp_path / "f.csv").write_text("a,b,c\n0,9,1\n1,9,3\n")
+    (tmp_path / "g.csv").write_text("u1,u2,y\n1,2,2\n0,2,0\n0,0,0\n1,0,0\n")
+    log = run(tmp_path, table, inputs, out=tmp_path / "f.mcap")
+    assert log["f.y"].tolist() == y
+    assert cosim.diff(log, cosim.replay(log)).equal
+
+
+@pytest.mark.parametrize(
+    ("table", "text"),
+    [
+        ("u = [0.0, 1.0]", "found u; needed u and y, or u1, u2 and y, or file"),
+        ("u1 = [0.0, 1.0]\ny = [0.0, 1.0]", "found u1, y; needed u and y, or u1, u2 and y"),
+        ("", "found nothing; needed"),
+        ("u = [0.0, 1.0]\ny = [[0.0, 1.0]]", "y needs one number for each point of u, or"),
+        ("u1 = [0.0, 1.0]\nu2 = [0.0, 1.0]\ny = [0.0, 1.0]", "y needs one number for each"),
+        ('file = "f.csv"\ny = [0.0]', "found file and arrays, needed one of them"),
+        ('file = "f.csv"\ncolumns = ["a"]', "found 1 columns; needed one or two of inputs"),
+        ('file = "f.csv"\ncolumns = ["a", "d"]', "has no column 'd'; there is: a, b, c"),
+        ('file = "f.csv"', r"has 3 rows over 2 and 2 points.*each pair of them once, 4 rows"),
+        ('file = "g.csv"', r"has 4 rows over 2 and 2 points.*each pair of them once, 4 rows"),
+    ],
+)
+def test_what_is_no_function_is_refused(tmp_path, table, text):
+    """With what was found and what was needed."""
+    (tmp_path / "f.csv").write_text("a,b,c\n0,0,1\n1,0,3\n1,1,3\n")
+    (tmp_path / "g.csv").write_text("a,b,c\n0,0,1\n1,0,3\n1,1,3\n1,1,4\n")
+    with pytest.raises(ScenarioError, match=text):
+        run(tmp_path, table)

@@ -1,0 +1,329 @@
+"""The identifier by output error, online: its contract, its options, and what it does not say."""
+
+import pickle
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.core.contracts import prepare
+from cosim.errors import ScenarioError, UsageError
+from cosim.report.summary import summarize
+from cosim.scenario.recordings.recorded_metadata import recorded_identification
+from cosim.testing import check_component
+from tests.scenario.online import COARSE, ONLINE, THETA, H, identifier, inputs, noisy, run
+
+SHORT = {**COARSE, "scenario.stop": 12.0}
+EVERY_STEP = {**SHORT, "identifier.period": H}  # what saves its state is not decimated
+
+
+@pytest.fixture(scope="module")
+def sensed(tmp_path_factory):
+    """Return the path of the example with noise."""
+    return noisy(tmp_path_factory.mktemp("noisy"))
+
+
+@pytest.fixture(scope="module")
+def recorded():
+    """Return what the identifier took in a run of 12 s, with an estimate from 0.7 s on."""
+    return inputs(cosim.run("academic", set=SHORT))
+
+
+def theta(log):
+    return np.reshape(log["identifier.theta"], (-1, 2))
+
+
+def standard_error(log):
+    return np.reshape(log["identifier.standard_error"], (-1, 2))
+
+
+def prepared(settings=EVERY_STEP):
+    component = identifier("academic", settings)
+    prepare(component, H, np.zeros(9, np.bool_), {})
+    return component
+
+
+def drive(component, recorded, begin, end):
+    t = np.arange(begin, end + 1) * H
+    return component.advance(t, H, recorded[begin : end + 1])
+
+
+def saved_size(component):
+    state, _ = component.save()
+    return state.state.size
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"identifier.window": 1.0, "identifier.offset": True, "identifier.period": 0.2},
+        {
+            "identifier.forgetting": 10.0,
+            "identifier.bounds": [[-1.0, 0.0], [-0.3, -0.3]],
+            "identifier.period": H,
+        },
+    ],
+    ids=["window", "forgetting"],
+)
+def test_the_contract_is_kept(options, recorded):
+    """On data that give estimates; around the first one, so that searches are repeated."""
+    settings = {**SHORT, **options, "scenario.stop": 1.5}
+    count = round(settings["scenario.stop"] / H)
+    check_component(lambda: identifier("academic", settings), inputs=recorded[: count + 1], h=H)
+
+
+def test_a_bound_of_a_file_may_be_infinite(tmp_path):
+    """``inf`` is no bound, in a scenario as in ``cosim identify``; NaN is nothing at all."""
+    settings = {**SHORT, "identifier.bounds": [[-np.inf, np.inf], [-np.inf, np.inf]]}
+    log = cosim.run("academic", set=settings, out=tmp_path / "log.mcap")
+    np.testing.assert_array_equal(theta(log), theta(cosim.run("academic", set=SHORT)))
+    assert cosim.diff(log, cosim.replay(log.path)).equal
+    settings["identifier.bounds"] = [[np.nan, np.inf], [-np.inf, np.inf]]
+    with pytest.raises(ScenarioError, match=r"found \[nan, inf\]; needed two numbers"):
+        cosim.run("academic", set=settings)
+
+
+def test_a_saved_state_does_not_grow_with_the_samples(recorded):
+    """A state of 12 s has the size of one at the beginning, and that of a run ten times as long."""
+    sizes = set()
+    for settings in (EVERY_STEP, {**EVERY_STEP, "scenario.stop": 120.0}):
+        component = prepared(settings)
+        component.initialize(0.0, recorded[0])
+        sizes.add(saved_size(component))
+        drive(component, recorded, 0, 1200)
+        sizes.add(saved_size(component))
+    assert len(sizes) == 1
+    assert sizes.pop() < 1200 * 6  # numbers that the samples of 12 s are
+
+
+def test_a_run_goes_on_from_a_saved_state_after_another_continuation(recorded):
+    """The samples that the other one appended are replaced, whatever they were."""
+    component = prepared()
+    component.initialize(0.0, recorded[0])
+    drive(component, recorded, 0, 1100)
+    state = component.save()
+    expected = drive(component, recorded, 1100, 1200)
+    component.restore(state)
+    other = drive(component, 1.5 * recorded, 1100, 1200)
+    assert not np.array_equal(other, expected)
+    component.restore(state)
+    assert np.array_equal(drive(component, recorded, 1100, 1200), expected)
+
+
+def test_a_state_keeps_its_samples_when_others_come_in_their_places(recorded):
+    """Behind the state that was restored since, behind an initialization, and out of a pickle."""
+    component = prepared()
+    component.initialize(0.0, recorded[0])
+    drive(component, recorded, 0, 1000)
+    early = component.save()
+    drive(component, recorded, 1000, 1100)
+    late = component.save()
+    expected = drive(component, recorded, 1100, 1200)
+    component.restore(early)
+    assert not np.array_equal(drive(component, 1.5 * recorded, 1000, 1200)[100:], expected)
+    component.restore(late)
+    assert np.array_equal(drive(component, recorded, 1100, 1200), expected)
+    component.initialize(0.0, recorded[0])
+    drive(component, 1.5 * recorded, 0, 1200)
+    component.restore(early)
+    drive(component, recorded, 1000, 1100)
+    assert np.array_equal(drive(component, recorded, 1100, 1200), expected)
+    component.restore(pickle.loads(pickle.dumps(late)))
+    assert np.array_equal(drive(component, recorded, 1100, 1200), expected)
+
+
+def test_a_state_goes_on_in_an_identifier_for_a_longer_run(recorded):
+    """Which keeps its samples elsewhere; the one that it is of goes another way meanwhile."""
+    component = prepared()
+    component.initialize(0.0, recorded[0])
+    drive(component, recorded, 0, 1100)
+    state = component.save()
+    expected = drive(component, recorded, 1100, 1200)
+    longer = prepared({**EVERY_STEP, "scenario.stop": 120.0})
+    longer.initialize(0.0, recorded[0])
+    drive(longer, 1.5 * recorded, 0, 900)
+    own = longer.save()
+    other = drive(longer, 1.5 * recorded, 900, 1000)
+    longer.restore(state)
+    assert np.array_equal(drive(longer, recorded, 1100, 1200), expected)
+    longer.restore(own)
+    assert np.array_equal(drive(longer, 1.5 * recorded, 900, 1000), other)
+
+
+@pytest.mark.parametrize("period", [H, 0.1])
+def test_replay_is_bit_exact(period, sensed, tmp_path):
+    """With the recorded design, at every step as at a period."""
+    settings = {**SHORT, "identifier.period": period}
+    log = cosim.run(sensed, set=settings, out=tmp_path / "log.mcap")
+    assert np.isfinite(theta(log)[-1]).all()
+    assert cosim.diff(log, cosim.replay(log.path)).equal
+
+
+def test_an_estimate_rests_on_all_samples_before_it():
+    """The default period is the communication step, and estimates do not depend on the period."""
+    often = cosim.run("academic", set={**SHORT, "identifier.period": H})
+    seldom = cosim.run("academic", set=SHORT)
+    assert len(theta(often)) == 1201
+    np.testing.assert_allclose(theta(often)[-1], theta(seldom)[-1], rtol=1e-11)
+    np.testing.assert_allclose(theta(seldom)[-1], THETA, rtol=1e-11)
+
+
+def test_there_is_no_value_before_there_is_an_estimate(sensed):
+    """The same NaN in all outputs, and numbers in all of them afterwards."""
+    log = run(sensed)
+    known = np.isfinite(theta(log)).all(axis=1)
+    first = int(np.argmax(known))
+    assert first > 0
+    assert known[first:].all()
+    for name in ("theta", "standard_error", "deviation", "amplitude"):
+        rows = np.reshape(log[f"identifier.{name}"], (len(known), -1))
+        assert np.array_equal(np.isfinite(rows).all(axis=1), known)
+        before = np.ascontiguousarray(rows[:first])
+        assert set(before.view(np.uint64).ravel().tolist()) == {0x7FF8000000000000}
+
+
+def settled(estimates, relative):
+    """Return the first row from which on all relative errors stay below a number."""
+    good = (np.abs(estimates / THETA - 1.0) < relative).all(axis=1)
+    return int(np.flatnonzero(~good)[-1]) + 1
+
+
+@pytest.mark.parametrize("seed", range(1, 5))
+def test_the_first_estimate_comes_before_mu_counts_and_every_one_keeps_its_error(seed, sensed):
+    """From y alone, once no other minimum explains the samples as well."""
+    log = cosim.run(sensed, set={**COARSE, "sensor.seed": seed})
+    estimates = theta(log)
+    first = int(np.argmax(np.isfinite(estimates).all(axis=1)))
+    assert first * 0.1 < COARSE["identifier.start"]
+    # 170 estimates of 2 parameters, most of the same samples
+    errors = np.abs(estimates[first:] - THETA) / standard_error(log)[first:]
+    assert errors.max() < 5.0
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("seed", range(1, 9))
+def test_one_percent_and_a_thousandth_come_as_early_as_the_bound_lets_them(seed, sensed):
+    """At 1 ms and noise 1e-3 about 3.0 s and 7.5 s; two deviations of that are a third more."""
+    log = cosim.run(sensed, set={**ONLINE, "scenario.stop": 15.0, "sensor.seed": seed})
+    assert settled(theta(log), 1e-2) * 0.1 < 4.5
+    assert settled(theta(log), 1e-3) * 0.1 < 10.0
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"offset": True}, {"window": 8.0}, {"forgetting": 5.0}],
+    ids=["plain", "offset", "window", "forgetting"],
+)
+def test_noise_leaves_an_error_of_the_standard_errors_size(options, sensed):
+    """Whichever samples count, and with an offset among the unknowns or without."""
+    log = run(sensed, **options)
+    errors = (theta(log)[-1] - THETA) / standard_error(log)[-1]
+    assert (np.abs(errors) < 4.0).all()
+    # 800 samples of the shortest window: the deviation is known to 2.5 %
+    assert log["identifier.deviation"][-1] == pytest.approx(1e-3, rel=0.1)
+    np.testing.assert_allclose(log["identifier.amplitude"][-1] > 0.0, True)
+
+
+def test_fewer_samples_mean_larger_standard_errors(sensed):
+    """All of them tell more than those of 5 s forgetting, and these more than a constant lets."""
+    plain = standard_error(run(sensed))[-1]
+    for options in ({"window": 8.0}, {"forgetting": 5.0}, {"offset": True}):
+        assert (standard_error(run(sensed, **options))[-1] > plain).all()
+
+
+def test_amplitudes_are_those_at_the_beginning_of_the_window():
+    """exp(theta t) there, as all are 1 at t = 0."""
+    log = run(window=8.0)
+    np.testing.assert_allclose(
+        log["identifier.amplitude"][-1], np.exp(THETA * (20.0 - 8.0)), rtol=1e-8
+    )
+
+
+def test_bounds_fix_theta_and_keep_it(sensed):
+    """Equal bounds give the number itself, without error; the search keeps to bounds too."""
+    log = run(sensed, bounds=[[-0.2, 0.0], [-0.3, -0.3]])
+    assert theta(log)[-1, 1] == -0.3
+    assert standard_error(log)[-1, 1] == 0.0
+    assert abs(theta(log)[-1, 0] + 0.1) < 4.0 * standard_error(log)[-1, 0]
+    away = run(bounds=[[-0.2, 0.0], [-9.0, -8.0]])
+    assert np.isnan(theta(away)[:, 1]).all()
+
+
+@pytest.mark.parametrize("seed", [1, 2, 4, 5])
+def test_an_absent_component_has_no_value(seed, sensed):
+    """Of two exponentials of which one has the amplitude 0 the other is estimated.
+
+    Its error is no amplitude of the absent one, at any time.
+    """
+    terms = [
+        {"alpha": "1.35 + 0.25*sin(1.7*t)", "family": "exponential", "theta": -0.1},
+        {"alpha": "1.10", "family": "exponential", "theta": -0.3, "amplitude": 0.0},
+    ]
+    log = cosim.run(sensed, set={**COARSE, "delta.terms": terms, "sensor.seed": seed})
+    assert np.isnan(theta(log)[:, 1]).all()
+    assert np.isnan(standard_error(log)[:, 1]).all()
+    error = theta(log)[-1, 0] + 0.1
+    assert abs(error) < 4.0 * standard_error(log)[-1, 0]
+
+
+def test_a_zero_order_hold_costs_the_square_of_the_step_or_the_step():
+    """Held inputs are taken as held; what the plant held of the disturbance is half a step late."""
+    errors = []
+    for step in (0.02, 0.01):
+        settings = {**COARSE, "scenario.step": step, "scenario.input_interpolation": "zero-order"}
+        log = cosim.run("academic", set=settings)
+        errors.append(np.abs(theta(log)[-1] - THETA))
+    assert (errors[1] < 1e-3).all()
+    ratio = errors[0] / errors[1]
+    assert (ratio > 1.7).all()
+    assert (ratio < 4.3).all()
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"window": 0.0}, "window: found 0.0 s, needed a positive finite time"),
+        ({"window": 8.0, "forgetting": 3.0}, "found both window and forgetting"),
+        ({"window": 0.0151}, "window of 'identifier'"),
+        ({"bounds": [[0.0, -1.0], [0.0, 1.0]]}, "the lower 0 is above the upper -1"),
+        ({"P0": 1.0}, "P0: not of method 'output-error'"),
+    ],
+)
+def test_options_that_make_no_sense_are_refused(options, text):
+    """Each with what was found."""
+    with pytest.raises((ScenarioError, UsageError), match=text):
+        run(**options)
+
+
+def test_the_verdict_of_a_window_is_made_of_its_samples():
+    """Its interval is that of the last 4 s; theta is in it, as it rests on the same samples."""
+    whole = recorded_identification(run())["identifier"].parameters
+    log = run(window=4.0)
+    found = recorded_identification(log)["identifier"]
+    assert "of the last 4 s" in found.extent
+    for part, full in zip(found.parameters, whole, strict=True):
+        assert part.standard_error is None or part.standard_error > full.standard_error
+    assert "of the last 4 s" in " ".join(summarize(log).identifications[0].notes)
+
+
+def test_a_window_too_short_for_a_value_has_no_verdict_of_other_samples():
+    """No number stands beside an estimate that has none."""
+    log = run(window=3 * H)
+    assert np.isnan(theta(log)[-1]).all()
+    found = recorded_identification(log)["identifier"]
+    assert found.problem
+    assert found.parameters == ()
+
+
+def test_verdicts_beside_forgetting_say_that_they_do_not_forget():
+    """And the estimate that forgot too much has its reason."""
+    log = run(forgetting=1e-3)
+    assert np.isnan(theta(log)[-1]).all()
+    notes = " ".join(summarize(log).identifications[0].notes)
+    assert "those of all samples with equal weight" in notes
+    assert (
+        "identifier.theta itself has no value at the end: no fit during the run led to one" in notes
+    )
+    found = recorded_identification(log)["identifier"]
+    assert "the fit after the run did" in notes
+    assert {parameter.verdict for parameter in found.parameters} == {"IDENTIFIABLE"}

@@ -1,0 +1,491 @@
+"""Filters of delta in scenarios: what lags is read at its instant, what was chosen is replayed."""
+
+import json
+from contextlib import ExitStack
+
+import numpy as np
+import pytest
+from fmpy.validation import validate_fmu
+
+import cosim
+from cosim.core.contracts import prepare
+from cosim.errors import LogError, ScenarioError
+from cosim.fmi.component import load as load_fmu
+from cosim.fmi.options import FmuOptions
+from cosim.report.summary import summarize
+from cosim.scenario.building.build import Builder
+from cosim.scenario.exporting import export_component
+from cosim.scenario.running.execution import load
+from cosim.theory.disturbances.families import Exponential, Sine, group_by_alpha
+from cosim.theory.disturbances.regression import expand
+from cosim.theory.estimators.least_squares import (
+    least_squares,
+    plan,
+    recover,
+    trapezoid_weights,
+)
+from tests.log.crafting import put_together, take_apart
+from tests.scenario.exported import columns
+
+H = 1e-3
+SHORT = {"scenario.stop": 9.0}
+WINDOW = {"observer.filter": "savitzky-golay", "observer.half_width": 0.1}
+CONSISTENT = {"observer.filter": "consistent"}
+AUTO = {"observer.filter": "auto", "observer.noise": 1e-3}
+
+# two outputs, one disturbance with a rate and an exponent
+TWO = """
+[scenario]
+name = "two-outputs"
+stop = 30.0
+step = 1e-3
+[models.two]
+n_a = 2
+A = [[-1.0, 2.0], [-2.0, -1.5]]
+Bu = [[0.0], [1.0]]
+Bd = [[1.0], [0.5]]
+C = [[1.0, 0.0], [0.0, 1.0]]
+[components.u]
+kind = "sine"
+rate = 0.7
+[components.delta]
+kind = "disturbance"
+terms = [
+  { alpha = "1", family = "sine", theta = 1.3 },
+  { alpha = "1.0 + 0.3*cos(2.3*t)", family = "exponential", theta = -0.05 },
+]
+[components.plant]
+kind = "descriptor"
+model = "two"
+x_a0 = [1.0, -1.0]
+[components.observer]
+kind = "unknown-input-observer"
+model = "two"
+poles = [-4.0, -5.0]
+filter_rate = 200.0
+[components.regressor]
+kind = "regressor"
+terms = [
+  { alpha = "1", family = "sine" },
+  { alpha = "1.0 + 0.3*cos(2.3*t)", family = "exponential" },
+]
+delays = [0.4, 1.0, 1.6, 2.2]
+[connections]
+"plant.u" = "u.y"
+"plant.delta" = "delta.y"
+"observer.u" = "u.y"
+"observer.y" = "plant.y"
+"regressor.delta" = "observer.delta"
+[truth]
+"observer.delta" = "delta.y"
+"""
+
+
+@pytest.fixture(scope="module")
+def two(tmp_path_factory):
+    """Return the path of the scenario with two outputs."""
+    path = tmp_path_factory.mktemp("two") / "two-outputs.toml"
+    path.write_text(TWO, encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def academic(tmp_path_factory):
+    """Return the path of the shipped example without its identifier: nothing is fitted here."""
+    text = cosim.load("academic").document.text
+    begin = text.index("[components.identifier]")
+    text = text[:begin] + text[text.index("[connections]") :]
+    lines = [line for line in text.splitlines() if '"identifier.' not in line]
+    path = tmp_path_factory.mktemp("academic") / "academic.toml"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    return path
+
+
+def settled_error(recording, lag, since=8.0):
+    """Return |delta hat(t) - delta(t - lag)| behind the transients, the truth interpolated."""
+    t = recording.time("observer.delta")
+    true = np.interp(t - lag, recording.time("delta.y"), recording["delta.y"])
+    return np.abs(recording["observer.delta"] - true)[t >= since]
+
+
+def metadata(recording, component):
+    return json.loads(recording.metadata[f"cosim.component.{component}"]["metadata"])
+
+
+def theta_error(recording):
+    """Return the errors of theta by least squares (33)-(35) on the recorded regressor."""
+    families = [Sine(), Exponential()]
+    groups = group_by_alpha(["1", "1.0 + 0.3*cos(2.3*t)"], families)
+    recovery = plan(expand((2, 1)), groups, [0.4, 1.0, 1.6, 2.2])
+    used = recording.time("regressor.mu") >= 5.0
+    weights = trapezoid_weights(recording.time("regressor.mu")[used])
+    eta = least_squares(recording["regressor.mu"][used], weights)
+    return np.abs(recover(recovery, eta) - [1.3, -0.05])
+
+
+def test_the_lag_of_the_papers_filter_is_a_bias_that_no_step_removes(two):
+    """w' is read 1/200 s late, at 1 ms and at 0.5 ms alike."""
+    coarse = theta_error(cosim.run(two))
+    fine = theta_error(cosim.run(two, set={"scenario.step": 0.5e-3}))
+    assert coarse[1] > 5e-3
+    assert fine[1] == pytest.approx(coarse[1], rel=0.02)
+
+
+@pytest.mark.parametrize("changes", [CONSISTENT, WINDOW], ids=["consistent", "window"])
+def test_what_lags_by_a_known_time_identifies_without_that_bias(two, changes):
+    """The alphas are read where delta belongs to, so 1/rate^2 or the fourth order is left."""
+    run = cosim.run(two, set=changes)
+    assert (theta_error(run) < 5e-5).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "lag", "factor"),
+    [
+        (CONSISTENT, 0.5e-3 / np.tanh(0.5), 0.5e-6),  # delta''/(2 rate^2)
+        ({**CONSISTENT, "observer.filter_rate": 130.0}, 0.5e-3 / np.tanh(0.065), 0.5 / 130.0**2),
+        ({**WINDOW, "observer.order": 2}, 0.1, 0.1**2 / 10.0),  # (m h)^2/10 delta''
+    ],
+    ids=["consistent", "between steps", "window"],
+)
+def test_the_error_is_that_of_the_instant_that_delta_belongs_to(changes, lag, factor, academic):
+    """The summary compares with the truth that much earlier, and says so.
+
+    The curvature of delta is at most about that of its terms, 0.25 1.7^2 + 0.2 2.3^2 = 1.8.
+    """
+    run = cosim.run(academic, set=SHORT | changes)
+    errors = {signal.estimate: signal for signal in summarize(run).signals}
+    assert errors["observer.delta"].lag == pytest.approx(lag, rel=1e-5)
+    assert errors["observer.x_a"].lag == 0.0
+    # the drift is interpolated linearly between samples of y, which adds h^2/12 y''
+    lag = errors["observer.delta"].lag
+    error = settled_error(run, lag)
+    assert 0.2 * factor < error.max() < 1.8 * factor + 2e-6
+    assert errors["observer.delta"].last == pytest.approx(error[-1], abs=1e-13)
+    assert metadata(run, "observer")["lags"] == {"delta": lag}
+    assert metadata(run, "regressor")["lag"] == lag
+
+
+def test_held_outputs_do_no_harm_to_averages(academic):
+    """The paper's filter reads a ramp 58 % too high; increments are what they are."""
+    held = {"scenario.input_interpolation": "zero-order"}
+    errors = {}
+    for name, changes in (("first-order", {}), ("consistent", CONSISTENT), ("window", WINDOW)):
+        run = cosim.run(academic, set=SHORT | held | changes)
+        errors[name] = settled_error(run, summarize(run).signals[1].lag).max()
+        warned = "filter reads a ramp 58% too high" in run.metadata["cosim.run"]["warnings"]
+        assert warned == (name == "first-order")
+    assert errors["first-order"] > 0.1
+    # u held in plant and observer alike; y held in the drift lags by half a step
+    assert errors["consistent"] < 2e-3
+    assert errors["window"] < 2e-3
+
+
+def test_there_is_no_value_until_the_window_is_full(academic):
+    """The regressor waits for it too, by its longest delay."""
+    run = cosim.run(academic, set=SHORT | WINDOW)
+    t = run.time("observer.delta")
+    assert np.array_equal(np.isnan(run["observer.delta"]), t < 0.2 - 1e-9)
+    assert np.array_equal(np.isnan(run["regressor.mu"]).any(axis=1), t < 3.2 - 1e-9)
+    assert not np.isnan(run["observer.x_a"]).any()
+
+
+def test_a_run_shorter_than_the_window_has_no_error_to_show(academic):
+    """Nor an error of 0."""
+    run = cosim.run(academic, set=WINDOW | {"scenario.stop": 0.1})
+    delta = summarize(run).signals[1]
+    assert np.isnan([delta.largest, delta.rms, delta.last]).all()
+
+
+def test_the_products_are_those_of_the_disturbance_that_much_earlier(academic):
+    """mu = sign delta(t - lag - D_j) product of alpha(t - lag - D_i), by numpy; (25) vanishes."""
+    run = cosim.run(academic, set=SHORT | WINDOW)
+    late = run.time("regressor.mu") >= 8.0
+    t = run.time("regressor.mu")[late]
+    delays = (1.0, 2.0, 3.0)
+    delta = [np.interp(t - D, run.time("observer.delta"), run["observer.delta"]) for D in delays]
+    first = [1.35 + 0.25 * np.sin(1.7 * (t - 0.1 - D)) for D in delays]
+    second = [1.1 + 0.2 * np.cos(2.3 * (t - 0.1 - D)) for D in delays]
+    products = np.stack(
+        [
+            delta[row] * first[a] * second[b]
+            for row, a, b in ((0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0))
+        ]
+    )
+    mu = np.abs(run["regressor.mu"][late]).T
+    # each of the six is there once, whatever their order
+    for product in np.abs(products):
+        assert np.abs(mu - product).max(axis=1).min() < 1e-12
+
+
+@pytest.mark.parametrize("changes", [CONSISTENT, WINDOW, AUTO], ids=["consistent", "sg", "auto"])
+def test_blocks_and_replays_do_not_change_a_bit(changes, academic, tmp_path):
+    """K = 1000, K = 1 and K = 7, and the replay of the log."""
+    settings = SHORT | {"scenario.stop": 2.0}
+    logs = []
+    for block in (1000, 1, 7):
+        path = tmp_path / f"{block}.mcap"
+        logs.append(cosim.run(academic, out=path, block=block, set=settings | changes))
+    for log in logs[1:]:
+        assert cosim.diff(logs[0], log).equal
+    again = cosim.replay(logs[0])
+    assert cosim.diff(logs[0], again).equal
+    assert metadata(again, "observer") == metadata(logs[0], "observer")
+
+
+def test_a_gain_on_the_way_keeps_the_lag(two):
+    """What has no memory adds no lag; and takes none away."""
+    halved = {
+        "components.half": {"kind": "gain", "K": 0.5},
+        "connections.half.u": "observer.delta",
+        "connections.regressor.delta": "half.y",
+        "scenario.stop": 8.0,
+    }
+    direct = cosim.run(two, set=CONSISTENT | {"scenario.stop": 8.0})
+    scaled = cosim.run(two, set=CONSISTENT | halved)
+    assert metadata(scaled, "regressor")["lag"] == metadata(direct, "regressor")["lag"] > 0.0
+    half = 0.5 * direct["regressor.mu"]
+    assert np.array_equal(scaled["regressor.mu"], half, equal_nan=True)
+
+
+def test_signals_that_lag_differently_have_no_instant(two):
+    """Their sum belongs to none."""
+    added = {
+        "components.both": {"kind": "sum", "signs": [1.0, 1.0]},
+        "connections.both.u1": "observer.delta",
+        "connections.both.u2": "delta.y",
+        "connections.regressor.delta": "both.y",
+    }
+    message = r"'delta' is driven by signals that lag behind differently: .*observer.delta by 0.005"
+    with pytest.raises(ScenarioError, match=message):
+        cosim.run(two, set=CONSISTENT | added)
+
+
+def test_a_recorded_observer_keeps_its_lag(academic, tmp_path):
+    """In the place of the observer, and in the replay of that run."""
+    log = cosim.run(academic, out=tmp_path / "a.mcap", set=SHORT | WINDOW)
+    swapped = cosim.load(academic).set(SHORT).swap(observer=log.path)
+    run = cosim.run(swapped, out=tmp_path / "b.mcap")
+    assert np.array_equal(run["regressor.mu"], log["regressor.mu"], equal_nan=True)
+    again = cosim.replay(run, out=tmp_path / "c.mcap")
+    third = cosim.replay(again)
+    for replayed in (again, third):
+        assert np.array_equal(replayed["regressor.mu"], log["regressor.mu"], equal_nan=True)
+        assert summarize(replayed).signals[1].lag == 0.1
+
+
+# --- the choice ---
+
+
+def test_the_choice_is_for_the_noise_that_is_there(academic):
+    """Predicted with the amplitude and the rate of alpha, found on a run with that noise.
+
+    The window is one of 0.6 s, with 0.37 of the noise of y: 764 with the paper's filter.
+    """
+    sensor = {
+        "components.sensor": {"kind": "sensor", "noise": 1e-3, "seed": 3},
+        "connections.sensor.u": "plant.y",
+        "connections.observer.y": "sensor.y",
+    }
+    run = cosim.run(academic, set=SHORT | {"scenario.stop": 12.0} | AUTO | sensor)
+    record = metadata(run, "observer")
+    result = record["choice"]["result"]
+    assert result["noise"] == [1e-3]
+    assert result["bandwidth"] == pytest.approx(2.3, rel=1e-2)
+    assert result["amplitude"] == pytest.approx(np.hypot(1.3616, 1.1091), rel=1e-2)
+    predicted = np.hypot(result["error_by_noise"], result["error_by_bias"])
+    rms = np.sqrt(np.mean(settled_error(run, record["lags"]["delta"]) ** 2))
+    # bias of a sine of this amplitude at the highest rate is more than there is; noise is not
+    assert 0.5 * result["error_by_noise"] < rms < 1.5 * predicted
+    (reconstruction,) = summarize(run).reconstructions
+    assert reconstruction.noise_gain[0] * 1e-3 == pytest.approx(result["error_by_noise"], rel=0.02)
+    assert "each exponential of size 1" in reconstruction.choice["assumption"]
+
+
+def test_the_noise_can_be_that_of_a_log_which_a_replay_does_not_need(academic, tmp_path):
+    """The choice is in the log of the run, with the noise that was found."""
+    sensor = {
+        "components.sensor": {"kind": "sensor", "noise": 1e-3, "seed": 3},
+        "connections.sensor.u": "plant.y",
+        "connections.observer.y": "sensor.y",
+    }
+    source = tmp_path / "noisy.mcap"
+    cosim.run(academic, out=source, set=SHORT | sensor)
+    changes = {"observer.filter": "auto", "observer.noise_from": str(source)}
+    log = cosim.run(academic, out=tmp_path / "a.mcap", set=SHORT | changes)
+    (found,) = metadata(log, "observer")["choice"]["result"]["noise"]
+    assert found == pytest.approx(1e-3, rel=0.05)
+    source.unlink()
+    assert cosim.diff(log, cosim.replay(log)).equal
+    with pytest.raises(ScenarioError, match="a replay opens no file that only the log names"):
+        cosim.replay(log, set={"observer.bandwidth": 3.0})
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("half_width_steps", 0, "the recorded choice of 'observer' cannot be used: .* 0 samples"),
+        ("order", "six", "cannot be understood: choice.result.order"),
+    ],
+)
+def test_a_recorded_choice_that_is_none_is_refused(key, value, message, academic, tmp_path):
+    """A log may come from anywhere."""
+    log = cosim.run(academic, out=tmp_path / "a.mcap", set=SHORT | AUTO)
+    content = take_apart(log.path)
+    for name, items in content.metadata:
+        if name == "cosim.component.observer":
+            table = json.loads(items["metadata"])
+            table["choice"]["result"][key] = value
+            items["metadata"] = json.dumps(table)
+    path = put_together(content, tmp_path / "b.mcap")
+    with pytest.raises((LogError, ScenarioError), match=message):
+        cosim.replay(path)
+
+
+# --- refusals ---
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"filter": "median"}, r"filter"),
+        ({"filter": "savitzky-golay"}, r"half_width is missing; needed with filter = 'savitzky-"),
+        ({"half_width": 0.1}, r"half_width: found it with filter = 'first-order', which has none"),
+        ({"noise": 0.1}, r"noise: found it with filter = 'first-order'.* needed filter = 'auto'"),
+        ({"filter": "auto"}, r"needed either noise, its deviation, or noise_from"),
+        ({"filter": "auto", "noise": 1.0, "noise_from": "x.mcap"}, r"needed either noise"),
+        ({"filter": "auto", "noise": -1.0}, r"noise: found \[-1.0\]; needed deviations of 0"),
+        ({"filter": "auto", "noise": [1.0, 2.0]}, r"noise: found 2 numbers, needed 1"),
+        ({"filter": "auto", "noise": 1e3}, r"leaves an error of"),
+        ({"filter": "auto", "noise_from": "no.mcap"}, r"no\.mcap"),
+        ({"filter": "savitzky-golay", "half_width": 0.0105}, r"half_width.*nearest"),
+        ({"filter": "savitzky-golay", "half_width": 0.0}, r"half width of 0 samples; needed 1"),
+        ({"filter": "savitzky-golay", "half_width": 0.1, "order": 11}, r"order 11 with 201"),
+    ],
+)
+def test_what_cannot_be_reconstructed_is_refused(changes, message, academic):
+    """Each with what was found, what is needed and the way out; nothing is guessed."""
+    named = {f"observer.{key}": value for key, value in changes.items()}
+    with pytest.raises(ScenarioError, match=message):
+        cosim.run(academic, set=SHORT | named)
+
+
+@pytest.mark.parametrize(
+    ("noise", "message"),
+    [
+        (-1.0, r"noise: found \[-1.0\]; needed deviations of 0"),
+        ([0.1, 0.1], r"noise: found 2 numbers, needed 1"),
+        (0.1, r"give both, or a regressor of exponentials alone whose alphas vary"),
+    ],
+)
+def test_a_constant_alpha_has_no_bandwidth_and_hides_no_other_fault(noise, message):
+    """There is a regressor, of an exponential: what it lacks is said, and a wrong noise first."""
+    terms = [{"alpha": "1.0", "family": "exponential"}]
+    changes = {"observer.filter": "auto", "observer.noise": noise, "regressor.terms": terms}
+    changes |= {"regressor.delays": [0.5, 1.0], "identifier.method": "output-error"}
+    with pytest.raises(ScenarioError, match=message):
+        cosim.run("academic", set=changes)
+
+
+def test_an_estimate_without_a_value_in_the_run_is_called_so(call):
+    """The run is shorter than the window of the observer: no number, and why."""
+    changes = {**SHORT, **WINDOW, "scenario.stop": 0.05, "observer.half_width": 0.1}
+    settings = [f"--set={key}={json.dumps(value)}" for key, value in changes.items()]
+    _, out, _ = call("run", "academic", *settings)
+    (row,) = [line for line in out.splitlines() if line.startswith("observer.delta\t")]
+    assert row.split("\t")[3].startswith("no value for t >= 0 s, as it lags by 0.1 s")
+
+
+def test_an_identifier_waits_for_the_window():
+    """Its start comes after the longest delay and the window; a computed one by itself."""
+    changes = {"scenario.stop": 9.0, "identifier.start": 8.0, "observer.half_width": 2.6}
+    changes["observer.filter"] = "savitzky-golay"
+    message = "found 8.0 s, needed at least the longest delay, 3.0 s and the observer's window, 5.2"
+    with pytest.raises(ScenarioError, match=message):
+        cosim.run("academic", set=changes)
+    start = {"epsilon_observer": 1e-3, "epsilon_filter": 1e-3}
+    computed = {"identifier.method": "least-squares", "identifier.start": start}
+    run = cosim.run("academic", set=WINDOW | computed | {"scenario.stop": 7.0})
+    times = metadata(run, "identifier")
+    assert times["T_f"] == 0.2
+    assert times["T_id"] == pytest.approx(np.log(1e3) / 2.0 + 3.2)
+
+
+def test_delta_is_fitted_where_it_belongs():
+    """By projection, which reads its alphas at the lag: a hundredth of the error of (19) is left.
+
+    An alpha of another instant would make the rates of (31) wrong in the second digit.
+    """
+    changes = {"identifier.method": "projection", "identifier.period": 20.0, "scenario.stop": 20.0}
+    true = np.array([-0.1, -0.3])
+    papers = np.abs(cosim.run("academic", set=changes)["identifier.theta"][-1] - true)
+    run = cosim.run("academic", set=WINDOW | changes)
+    assert (np.abs(run["identifier.theta"][-1] - true) < 0.01 * papers).all()
+
+
+def test_a_filter_without_its_rate_is_refused(two):
+    """Only a window does without."""
+    text = two.read_text(encoding="utf-8").replace("filter_rate = 200.0\n", "")
+    path = two.parent / "no-rate.toml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ScenarioError, match="filter_rate is missing; needed with filter = 'first-"):
+        cosim.run(path)
+    changes = {"observer.filter": "savitzky-golay", "observer.half_width": 0.1}
+    assert summarize(cosim.run(path, set=changes)).signals[0].largest < 1e-4
+
+
+def test_the_choice_needs_what_delta_is_like(two):
+    """A sine has no rate that is known before: it is what is identified."""
+    with pytest.raises(ScenarioError, match="needs the amplitude and the bandwidth of delta"):
+        cosim.run(two, set=AUTO)
+    given = {"observer.amplitude": 2.0, "observer.bandwidth": 2.3}
+    run = cosim.run(two, set=AUTO | given | {"scenario.stop": 8.0})
+    assert metadata(run, "observer")["choice"]["result"]["bandwidth"] == 2.3
+
+
+def test_a_log_without_the_observer_has_no_noise_of_its_y(academic, tmp_path):
+    """Nothing is taken from another signal."""
+    other = cosim.run(
+        academic,
+        out=tmp_path / "a.mcap",
+        set=SHORT | {"scenario.stop": 1.0},
+    )
+    text = academic.read_text(encoding="utf-8")
+    text = text.replace("components.observer", "components.watcher")
+    text = text.replace('"observer.', '"watcher.')
+    path = tmp_path / "watcher.toml"
+    path.write_text(text, encoding="utf-8")
+    changes = {"watcher.filter": "auto", "watcher.noise_from": str(other.path)}
+    with pytest.raises(ScenarioError, match=r"has no 'watcher\.y'; needed a log of a run of this"):
+        cosim.run(path, set=changes)
+
+
+# --- FMUs ---
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "fmi"),
+    [("observer", WINDOW, "2"), ("observer", CONSISTENT, "3"), ("regressor", WINDOW, "3")],
+    ids=["window", "consistent", "regressor"],
+)
+def test_an_exported_average_gives_what_the_component_gave(name, changes, fmi, academic, tmp_path):
+    """As an FMU for co-simulation, on what drove it in the run; no problems for FMPy."""
+    settings = {**SHORT, "scenario.stop": 4.0} | changes
+    run = cosim.run(academic, set=settings)
+    path = tmp_path / "exported.fmu"
+    export_component(academic, name, path, fmi=fmi, set=settings)
+    assert validate_fmu(str(path)) == []
+    with ExitStack() as resources:
+        graph = Builder(load(academic).set(settings), resources).experiment().graph
+        interface = graph.components[name].interface
+        fmu = resources.enter_context(load_fmu(path, FmuOptions(interface_type="cs")))
+        u = columns(run, name, interface.inputs)
+        y = columns(run, name, interface.outputs)
+        prepare(fmu.component, H, graph.held[name], {})
+        t = np.arange(len(u)) * 1_000_000 / 1e9
+        first = fmu.component.initialize(0.0, u[0])
+        rows = np.vstack([first, fmu.component.advance(t, H, u)])
+    own = fmu.component.interface.output_columns()
+    found = np.hstack([rows[:, own[signal.name]] for signal in interface.outputs])
+    assert np.array_equal(np.isnan(found), np.isnan(y))
+    # an input is u0 + h (u1 - u0)/h there, which may be 1e-16 off u1; times 1/step
+    assert np.nanmax(np.abs(found - y)) < 1e-12

@@ -1,0 +1,222 @@
+"""Identifiers of plants with several outputs: each counts by its noise, stated or estimated."""
+
+import re
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.errors import CosimError
+from cosim.scenario.exporting import export_component
+from cosim.scenario.recordings.recorded_metadata import recorded_identification
+from cosim.testing import check_component
+from tests.scenario.online import identifier
+
+SCENARIO = """
+[scenario]
+name = "two-sensors"
+stop = 20.0
+step = 1e-2
+[models.academic]
+n_a = 2
+A = [[0, 1, 1], [0, -2, 1], [1, 0, 1]]
+Bu = [[0], [2], [1]]
+Bd = [[1], [0], [0]]
+C = [[2, 0, 1], [1, 0.5, 0]]
+[components.u]
+kind = "sine"
+rate = 1.0
+[components.delta]
+kind = "disturbance"
+terms = [
+  { alpha = "1.35 + 0.25*sin(1.7*t)", family = "exponential", theta = -0.1 },
+  { alpha = "1.10 + 0.20*cos(2.3*t)", family = "exponential", theta = -0.3 },
+]
+[components.plant]
+kind = "descriptor"
+model = "academic"
+x_a0 = [1.0, -1.0]
+[components.sensor]
+kind = "sensor"
+size = 2
+noise = [0.1, 1e-3]
+seed = 1
+[components.observer]
+kind = "unknown-input-observer"
+model = "academic"
+poles = [-4.0, -5.0]
+filter_rate = 100.0
+[components.regressor]
+kind = "regressor"
+terms = [
+  { alpha = "1.35 + 0.25*sin(1.7*t)", family = "exponential" },
+  { alpha = "1.10 + 0.20*cos(2.3*t)", family = "exponential" },
+]
+delays = [1.0, 2.0, 3.0]
+[components.identifier]
+kind = "identifier"
+method = "output-error"
+start = 4.0
+period = 0.1
+[connections]
+"plant.u" = "u.y"
+"plant.delta" = "delta.y"
+"observer.u" = "u.y"
+"sensor.u" = "plant.y"
+"observer.y" = "sensor.y"
+"regressor.delta" = "observer.delta"
+"identifier.regressor" = "regressor.mu"
+"""
+SIGMA = np.array([0.1, 1e-3])
+
+
+@pytest.fixture(scope="module")
+def two(tmp_path_factory):
+    """Return the path of the scenario."""
+    path = tmp_path_factory.mktemp("two") / "two.toml"
+    path.write_text(SCENARIO, encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def log(two):
+    """Run it with nothing stated."""
+    return cosim.run(two)
+
+
+def verdicts(log):
+    """Return what output error says at the end of a run."""
+    return recorded_identification(log)["identifier"]
+
+
+def test_online_and_offline_say_the_same_at_the_end(log):
+    """Theta to a small part of its error, errors and deviations to those of their estimates.
+
+    The noise is that of at least half of the samples, 1000: deviations are known to 2.2 %.
+    """
+    found = verdicts(log)
+    offline = np.array([one.value for one in found.parameters])
+    errors = np.array([one.standard_error for one in found.parameters])
+    assert [one.verdict for one in found.parameters] == 2 * ["IDENTIFIABLE"]
+    assert (np.abs(log["identifier.theta"][-1] - offline) < 0.05 * errors).all()
+    np.testing.assert_allclose(log["identifier.standard_error"][-1], errors, rtol=0.05)
+    np.testing.assert_allclose(log["identifier.deviation"][-1], found.deviation, rtol=0.05)
+    np.testing.assert_allclose(found.deviation, SIGMA, rtol=0.1)
+
+
+def test_errors_online_are_those_of_the_weights(log):
+    """Whenever there is an estimate, its error is one of its standard errors' size."""
+    theta = log["identifier.theta"]
+    late = log.time("identifier.theta") > 10.0
+    relative = (theta - [-0.1, -0.3])[late] / log["identifier.standard_error"][late]
+    assert np.abs(relative).max() < 4.5
+    assert np.abs(relative).max() > 0.1
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"identifier.deviation": [0.1, 1e-3]},
+        {"identifier.covariance": [[1e-2, 0.0], [0.0, 1e-6]]},
+    ],
+)
+def test_stated_noise_weighs_the_outputs(options, two, log):
+    """Deviations or the covariance: theta is that of the estimated one, but for a part."""
+    stated = cosim.run(two, set=options)
+    error = log["identifier.standard_error"][-1]
+    apart = np.abs(stated["identifier.theta"][-1] - log["identifier.theta"][-1])
+    assert (apart < 0.2 * error).all()
+    np.testing.assert_allclose(stated["identifier.standard_error"][-1], error, rtol=0.1)
+    np.testing.assert_allclose(stated["identifier.deviation"][-1], SIGMA, rtol=0.05)
+    assert [one.verdict for one in verdicts(stated).parameters] == 2 * ["IDENTIFIABLE"]
+
+
+def test_noise_that_is_stated_wrong_is_said(two):
+    """Ten times smaller than it is, of the exact output."""
+    log = cosim.run(two, set={"identifier.deviation": [0.1, 1e-4]})
+    for one in verdicts(log).parameters:
+        assert one.verdict == "INCONSISTENT"
+        assert "deviation of y[1] over the stated one" in one.reason
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"identifier.window": 2.0},
+        {"identifier.forgetting": 2.0},
+        {"identifier.deviation": [0.1, 1e-3]},
+    ],
+    ids=["estimated", "window", "forgetting", "stated"],
+)
+def test_the_contract_is_kept(options, two, log):
+    """One call of many steps equals many calls of one step; a state goes back."""
+    settings = {**options, "scenario.stop": 3.0, "identifier.period": 0.5}
+    columns = [log[name] for name in ("regressor.mu", "observer.delta", "sensor.y", "u.y")]
+    inputs = np.hstack([np.reshape(rows, (len(rows), -1)) for rows in columns])
+    check_component(
+        lambda: identifier(str(two), settings), inputs=np.ascontiguousarray(inputs[:301]), h=1e-2
+    )
+
+
+def test_a_replay_has_the_same_bits(two, tmp_path):
+    """The weights are estimated without linear algebra of the processor."""
+    log = cosim.run(two, out=tmp_path / "two.mcap")
+    assert cosim.diff(log, cosim.replay(log.path)).equal
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"deviation": [0.1]}, "deviation: found 1 numbers; needed one, or one for each of 2"),
+        ({"deviation": 0.0}, "deviation: found 0.0; needed positive finite numbers"),
+        ({"covariance": [[1.0, 0.0]]}, r"found \[\[1.0, 0.0\]\]; needed 2 rows of 2"),
+        ({"covariance": [[1.0, 2.0], [2.0, 1.0]]}, "needed a symmetric positive definite"),
+        ({"covariance": [[1.0, 0.1], [0.2, 1.0]]}, "needed a symmetric positive definite"),
+        (
+            {"deviation": 1.0, "covariance": [[1.0, 0.0], [0.0, 1.0]]},
+            "found both deviation and covariance",
+        ),
+        (
+            {"method": "least-squares", "deviation": 1.0},
+            "deviation: not of method 'least-squares'",
+        ),
+    ],
+)
+def test_what_is_no_noise_is_refused(options, text, two):
+    """Before the run, with what was found and what was needed."""
+    with pytest.raises(CosimError, match=text):
+        cosim.run(two, set={f"identifier.{key}": value for key, value in options.items()})
+
+
+@pytest.mark.parametrize("method", ["extended-kalman", "augmented-kalman"])
+def test_kalman_filters_take_one_deviation_an_output(method, two):
+    """Two equal ones say what one number says, to the rounding of the scales; others do not."""
+    ends = []
+    for deviation in (0.1, [0.1, 0.1], [0.2, 0.1]):
+        settings = {"identifier.method": method, "identifier.deviation": deviation}
+        ends.append(cosim.run(two, set=settings)["identifier.theta"][-1])
+    np.testing.assert_allclose(ends[1], ends[0], rtol=1e-6)
+    assert np.abs(ends[2] - ends[0]).max() > 1e-5
+
+
+def test_an_unstable_plant_needs_its_noise_stated(two):
+    """What predicts one output from the others depends on their noise."""
+    text = two.read_text(encoding="utf-8").replace(
+        "[[0, 1, 1], [0, -2, 1]", "[[3, 1, 1], [0, -2, 1]"
+    )
+    path = two.with_name("unstable.toml")
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(CosimError, match=re.escape("needed its deviation, one number an output")):
+        cosim.run(path)
+
+
+def test_an_exported_identifier_has_the_same_bits(two, log, tmp_path):
+    """The weights are estimated by the same kernel in both homes."""
+    fmu = tmp_path / "identifier.fmu"
+    export_component(str(two), "identifier", fmu)
+    settings = {"identifier.interface_type": "cs", "scenario.stop": 8.0}
+    run = cosim.run(two, swap={"identifier": fmu}, set=settings)
+    for signal in ("identifier.theta", "identifier.standard_error", "identifier.deviation"):
+        found = run[signal][::10]  # the FMU has no period
+        assert np.array_equal(found, log[signal][:81], equal_nan=True), signal

@@ -1,0 +1,271 @@
+"""Sensors that sample less often than at every communication point: each sample counts once."""
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.errors import CosimError
+from cosim.scenario.document.document import find
+from cosim.scenario.exporting import export_component
+from cosim.scenario.identification.from_logs import identifier_record, identify_records
+from cosim.scenario.recordings.recorded_metadata import recorded_identification
+from tests.scenario.kinds.test_several_outputs import SCENARIO as TWO
+
+H = 1e-2  # s
+PERIOD = 0.1  # s
+SETTINGS = {
+    "scenario.step": H,
+    "scenario.stop": 40.0,
+    "observer.filter_rate": 100.0,
+    "identifier.start": 3.5,
+    "identifier.period": 0.5,
+}
+# Cramer-Rao bound over the deviation of the noise for 40 s at 1 ms; tests/theory/experiments.py
+BOUND = np.array([7.0863e-3, 6.2226e-2])
+
+
+def run(**changes):
+    """Run the example with a sensor of deviation 1e-3."""
+    settings = {f"sensor.{key}": value for key, value in changes.items()}
+    return cosim.run("academic-noisy", set={**SETTINGS, **settings})
+
+
+@pytest.fixture(scope="module")
+def slow():
+    """Run it with ten communication steps between two samples."""
+    return run(period=PERIOD)
+
+
+def verdicts(log):
+    """Return what output error says at the end of a run."""
+    return recorded_identification(log)["identifier"]
+
+
+def errors(log):
+    """Return the standard errors of output error at the end of a run."""
+    return np.array([one.standard_error for one in verdicts(log).parameters])
+
+
+def test_standard_errors_are_those_of_the_samples_that_there_are(slow):
+    """They are the bound for a hundredth of the samples, 10 times that for all.
+
+    Their own noise is that of the deviation, 1/sqrt(800) = 3.5 %, and the sum over 401 samples is
+    that over 40001 to 1 %: within 15 %.
+    """
+    np.testing.assert_allclose(errors(slow), 10.0 * 1e-3 * BOUND, rtol=0.15)
+    online = slow["identifier.standard_error"][-1]
+    np.testing.assert_allclose(online, errors(slow), rtol=0.05)
+    assert slow["identifier.deviation"][-1] == pytest.approx(1e-3, rel=0.15)
+
+
+def test_the_verdict_is_that_of_good_data(slow):
+    """The residual of held samples would be no noise."""
+    found = verdicts(slow)
+    assert [one.verdict for one in found.parameters] == 2 * ["IDENTIFIABLE"]
+    assert [one.verdict for one in found.estimate] == 2 * ["IDENTIFIABLE"]
+    for one, true in zip(found.parameters, [-0.1, -0.3], strict=True):
+        assert abs(one.value - true) < 4.0 * one.standard_error
+
+
+def test_online_is_offline(slow):
+    """Both count the same samples, with the inputs at all communication points between them."""
+    offline = np.array([one.value for one in verdicts(slow).parameters])
+    assert (np.abs(slow["identifier.theta"][-1] - offline) < 0.05 * errors(slow)).all()
+
+
+def test_the_data_of_a_log_are_the_samples(tmp_path):
+    """401 of 40 s; the sensor's log has these rows alone, so all are there."""
+    log = cosim.run(
+        "academic-noisy",
+        set={**SETTINGS, "sensor.period": PERIOD},
+        out=tmp_path / "slow.mcap",
+    )
+    record = identifier_record(log)
+    assert int(record.data.measured.sum()) == 401
+    assert len(record.data.t) == 4001
+    np.testing.assert_array_equal(log["sensor.y_samples"], log["sensor.y"])
+    assert cosim.diff(log, cosim.replay(log.path)).equal
+
+
+def test_lost_samples_do_not_count():
+    """Of every other sample lost those kept count: the standard errors grow by sqrt(2)."""
+    ratio = errors(run(dropout=0.5)) / errors(run())
+    np.testing.assert_allclose(ratio, np.sqrt(2.0), rtol=0.1)
+
+
+@pytest.mark.parametrize("jitter", [0.0, 1e-2])
+def test_errors_have_the_size_of_standard_errors_over_seeds(jitter):
+    """Over 8 seeds: the sum of 16 squares is a chi-square of 16 degrees, 3e-4 below 3.3, above 43.
+
+    Held samples as new ones would make it ten times that. Jitter, of which the sensor says nothing,
+    is more noise: its deviation is found.
+    """
+    squares = 0.0
+    for seed in range(8):
+        log = run(period=PERIOD, jitter=jitter, seed=seed)
+        found = verdicts(log).parameters
+        for one, true in zip(found, [-0.1, -0.3], strict=True):
+            squares += ((one.value - true) / one.standard_error) ** 2
+    assert 3.3 < squares < 43.0
+
+
+def test_a_delay_that_no_sensor_tells_is_inconsistent():
+    """A fiftieth of the period is enough: all samples are of an earlier time than they say."""
+    found = verdicts(run(period=PERIOD, delay=PERIOD / 50.0))
+    assert [one.verdict for one in found.parameters] == 2 * ["INCONSISTENT"]
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"period": PERIOD, "delay": 0.05},
+        {"period": PERIOD, "delay": 0.163, "dropout": 0.1},
+        {"delay": 0.025, "jitter": 0.005},
+        {"period": PERIOD, "delay": 0.025, "jitter": 0.02},
+    ],
+    ids=["delay", "parts of steps, lost ones", "jitter", "slow with jitter"],
+)
+def test_samples_with_time_stamps_count_at_their_instants(changes):
+    """Delay and jitter cost nothing: the deviation is that of the noise, the interval holds.
+
+    Online as in the verdict, which has the last samples too: those of the delay.
+    """
+    log = run(time_stamps=True, **changes)
+    found = verdicts(log)
+    assert [one.verdict for one in found.parameters] == 2 * ["IDENTIFIABLE"]
+    assert found.deviation[0] == pytest.approx(1e-3, rel=0.15)
+    for one, true in zip(found.parameters, [-0.1, -0.3], strict=True):
+        assert abs(one.value - true) < 4.0 * one.standard_error
+    offline = np.array([one.value for one in found.parameters])
+    assert (np.abs(log["identifier.theta"][-1] - offline) < 0.2 * errors(log)).all()
+
+
+def test_a_log_of_time_stamps_is_fitted_as_its_run(tmp_path):
+    """The same samples, and a replay with the same bits."""
+    settings = {"sensor.period": PERIOD, "sensor.delay": 0.05, "sensor.time_stamps": True}
+    log = cosim.run("academic-noisy", set={**SETTINGS, **settings}, out=tmp_path / "late.mcap")
+    record = identifier_record(log)
+    assert int(record.data.measured.sum()) == 400  # that of t = 0 is of before the start
+    assert len(record.data.t) == 4001
+    found = identify_records([record]).assessment.parameters
+    assert [one.value for one in found] == [one.value for one in verdicts(log).parameters]
+    assert cosim.diff(log, cosim.replay(log.path)).equal
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"jitter": 0.005}, "time_stamps: found a jitter of 0.5 communication steps and a delay"),
+        ({"jitter": 0.005, "delay": 0.01, "size": 2}, "time_stamps: found jitter and size 2"),
+    ],
+)
+def test_time_stamps_that_no_sensor_has_are_refused(changes, text):
+    """Of samples that are taken after they are reported, or at several instants."""
+    with pytest.raises(CosimError, match=text):
+        run(time_stamps=True, **changes)
+
+
+@pytest.mark.parametrize("stamps", [False, True])
+def test_an_exported_identifier_takes_samples(stamps, tmp_path):
+    """With the same bits; not those that come after their instants, which is said."""
+    text = find("academic-noisy").text.replace("step = 1e-3 ", "step = 1e-2 ")
+    text = text.replace("filter_rate = 1e3", "filter_rate = 1e2")
+    keys = "seed = 1\nperiod = 0.1" + "\ntime_stamps = true" * stamps
+    path = tmp_path / "slow.toml"
+    path.write_text(text.replace("seed = 1", keys), encoding="utf-8")
+    fmu = tmp_path / "identifier.fmu"
+    if stamps:
+        with pytest.raises(CosimError, match="needed a sensor without time_stamps"):
+            export_component(str(path), "identifier", fmu)
+        return
+    export_component(str(path), "identifier", fmu)
+    expected = cosim.run(path)["identifier.theta"]
+    settings = {"identifier.interface_type": "cs"}
+    swapped = cosim.run(path, swap={"identifier": fmu}, set=settings)
+    assert np.isfinite(expected[-1]).all()
+    assert np.array_equal(swapped["identifier.theta"][::10], expected, equal_nan=True)
+
+
+def test_other_methods_get_no_verdict_on_held_samples():
+    """They take y at every communication point; the reason is said."""
+    log = cosim.run(
+        "academic-noisy",
+        set={**SETTINGS, "sensor.period": PERIOD, "identifier.method": "rayleigh"},
+    )
+    assert "y has values between the samples of 'sensor'" in verdicts(log).problem
+
+
+def two_sensors(tmp_path, second):
+    """Write a scenario with a sensor for each output; return its path."""
+    sensors = f"""
+[components.first]
+kind = "sensor"
+noise = 0.1
+seed = 1
+period = 0.1
+[components.second]
+kind = "sensor"
+noise = 1e-3
+seed = 2
+{second}
+[components.observer]
+"""
+    begin = TWO.index("[components.sensor]")
+    text = TWO[:begin] + sensors + TWO[TWO.index("[components.observer]") + 22 :]
+    text = text.replace(
+        '"sensor.u" = "plant.y"', '"first.u" = "plant.y[0]"\n"second.u" = "plant.y[1]"'
+    )
+    text = text.replace('"observer.y" = "sensor.y"', '"observer.y" = ["first.y", "second.y"]')
+    path = tmp_path / "two.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_sensors_with_one_period_are_one(tmp_path):
+    """Their samples have the same times; the noise of each is its own."""
+    log = cosim.run(two_sensors(tmp_path, "period = 0.1"))
+    found = verdicts(log)
+    assert [one.verdict for one in found.parameters] == 2 * ["IDENTIFIABLE"]
+    np.testing.assert_allclose(found.deviation, [0.1, 1e-3], rtol=0.2)
+
+
+@pytest.mark.parametrize(
+    ("second", "samples"), [("", 2001), ("period = 0.05", 401), ("period = 0.03", 667)]
+)
+def test_each_sensor_counts_at_its_own_times(tmp_path, second, samples):
+    """At every point, in turn with the other or not; a later fit of the log is that of the run."""
+    path = two_sensors(tmp_path, second)
+    log = cosim.run(path, out=tmp_path / "two.mcap")
+    found = verdicts(log)
+    assert [one.verdict for one in found.parameters] == 2 * ["IDENTIFIABLE"]
+    np.testing.assert_allclose(found.deviation, [0.1, 1e-3], rtol=0.2)
+    offline = np.array([one.value for one in found.parameters])
+    assert (np.abs(log["identifier.theta"][-1] - offline) < 0.2 * errors(log)).all()
+    record = identifier_record(log)
+    np.testing.assert_array_equal(record.data.measured.sum(axis=0), [201, samples])
+    later = identify_records([record]).assessment
+    np.testing.assert_array_equal(later.fit.theta, offline)
+
+
+@pytest.mark.parametrize("sensor", [{"dropout": 0.2}, {"period": 0.05}])
+def test_an_unstable_plant_is_identified_by_the_samples_that_are_there(sensor, tmp_path):
+    """Online as after the run, with the truth in the interval; and a replay has the same bits."""
+    changes = {
+        "models.academic.A": [[2, 1, 1], [0, -2, 1], [1, 0, 1]],
+        "scenario.stop": 20.0,
+        "scenario.step": 1e-2,
+        "observer.filter_rate": 50.0,
+        "identifier.period": 2.0,
+    }
+    changes |= {f"sensor.{key}": value for key, value in sensor.items()}
+    out = tmp_path / "unstable.mcap"
+    log = cosim.run(cosim.load("academic-noisy").set(changes), out=out)
+    theta = log["identifier.theta"][-1]
+    error = log["identifier.standard_error"][-1]
+    assert (np.abs(theta - [-0.1, -0.3]) < 4.0 * error).all()
+    for parameter, value, deviation in zip(verdicts(log).parameters, theta, error, strict=True):
+        assert parameter.verdict == "IDENTIFIABLE"
+        assert parameter.standard_error == pytest.approx(deviation, rel=0.05)
+        assert parameter.value == pytest.approx(value, abs=0.1 * deviation)
+    again = cosim.replay(out, out=tmp_path / "again.mcap")
+    assert again["identifier.theta"].tobytes() == log["identifier.theta"].tobytes()

@@ -1,0 +1,591 @@
+"""Scenarios advanced by hand: the bits of a run, logs that a replay verifies, states, resets."""
+
+import pickle
+import subprocess
+import sys
+import threading
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.core.signals import Interface, Signal
+from cosim.core.stages import pacing
+from cosim.errors import GraphError, LogError, NonFiniteError, RunError, UsageError
+from cosim.fmi.component import Fmu
+from cosim.log import Log
+from cosim.report.verification import verify
+from cosim.scenario.exporting import export_component
+from cosim.scenario.running.execution import replay
+from tests.scenario.online import COARSE
+
+pytestmark = pytest.mark.usefixtures("without_verdicts")
+
+SHORT = {"scenario.stop": 0.1}
+
+
+def scenario(name="academic", **changes):
+    return cosim.load(name).set({**SHORT, **changes})
+
+
+@pytest.fixture(scope="module")
+def plant(tmp_path_factory):
+    path = tmp_path_factory.mktemp("session") / "plant.fmu"
+    export_component("academic", "plant", path, fmi="3")
+    return path
+
+
+def overridden(name, path, *, swap=None, overrides=("plant.u",), size=7):
+    """Record a session with overrides, changed and released; return its log."""
+    loaded = scenario(name)
+    if swap is not None:
+        loaded = loaded.edit(swap={"plant": swap})
+    with loaded.start(out=path) as sim:
+        sim.step(size)
+        for to in overrides:
+            sim[to] = np.full(sim[to].shape, 0.3)
+        sim.step(size)
+        sim[overrides[0]] = np.full(sim[overrides[0]].shape, -2.0)
+        sim.step(1)
+        for to in overrides:
+            sim.release(to)
+        sim.step(size)
+    return cosim.open_log(path)
+
+
+# --- a run by hand ---
+
+
+@pytest.mark.parametrize("name", ["academic", "closed-loop", "academic-noisy", "compensation"])
+def test_a_session_a_run_and_its_blocks_have_one_content_hash(name, tmp_path):
+    """With a log, whatever the size of the steps."""
+    hashes = set()
+    for block in (None, 1, 13):
+        log = cosim.run(scenario(name), out=tmp_path / f"run-{block}.mcap", block=block)
+        hashes.add(log.recorded_hash)
+    for size in (7, 100):
+        path = tmp_path / f"session-{size}.mcap"
+        with scenario(name).start(out=path) as sim:
+            while sim.steps_left:
+                sim.step(min(size, sim.steps_left))
+        log = cosim.open_log(path)
+        assert (log.status, log.reason, log.events()) == ("complete", "", [])
+        hashes.add(log.recorded_hash)
+    assert len(hashes) == 1
+
+
+def test_a_session_without_a_log_has_the_values_of_a_run():
+    """And writes nothing."""
+    run = cosim.run(scenario())
+    with scenario().start() as sim:
+        assert sim.logs == ()
+        assert set(sim.signals) == set(run)
+        rows = sim.step(100)
+        assert sim.t_ns == 10**8
+        assert (sim.t, sim.steps_left) == (0.1, 0)
+    for name in run:
+        array = np.reshape(run[name], (len(run[name]), -1))
+        assert rows[name].tobytes() == array[1:].tobytes() or name.startswith("identifier.")
+        assert sim[name].tobytes() == rows[name][-1].tobytes()
+
+
+def test_a_closed_session_takes_no_steps():
+    """What it has reached can be read on."""
+    sim = scenario().start()
+    sim.step(3)
+    sim["plant.u"] = 0.3
+    sim.close()
+    sim.close()
+    assert sim["plant.u"].tolist() == [0.3]
+    for use in (sim.step, lambda: sim.release("plant.u"), lambda: sim.state):
+        with pytest.raises(UsageError, match="this simulation is closed; needed another one"):
+            use()
+    with pytest.raises(UsageError, match="reset: this session is closed; needed another one"):
+        sim.reset()
+
+
+def test_what_is_read_or_overridden_is_there(tmp_path):
+    """The messages of the core, with the scenario's names; a refusal does not end the session."""
+    with scenario().start(out=tmp_path / "x.mcap") as sim:
+        with pytest.raises(GraphError, match=r"'plant.w': 'plant' has no input 'w'; .*: u, delta"):
+            sim["plant.w"] = 1.0
+        with pytest.raises(GraphError, match=r"'plant.u': found 2 values; needed 1"):
+            sim["plant.u"] = [1.0, 2.0]
+        with pytest.raises(UsageError, match=r"found 200 communication steps; needed at most 100"):
+            sim.step(200)
+        sim.step(100)
+        with pytest.raises(UsageError, match=r"the simulation is at its stop, t = 0.1 s"):
+            sim.step()
+    assert cosim.open_log(tmp_path / "x.mcap").status == "complete"
+
+
+# --- logs ---
+
+
+@pytest.mark.parametrize(
+    ("name", "overrides"),
+    [
+        ("academic", ("plant.u",)),
+        ("academic", ("observer.y", "plant.delta")),
+        ("closed-loop", ("controller.u", "plant.u")),
+        ("academic-noisy", ("plant.u", "regressor.delta")),
+    ],
+)
+def test_the_replay_of_a_session_equals_its_log(name, overrides, tmp_path):
+    """Overrides, releases and what followed them, bit for bit; in blocks of any size."""
+    log = overridden(name, tmp_path / "x.mcap", overrides=overrides)
+    causes = [event.cause for event in log.events()]
+    assert causes.count("release") == len(overrides)
+    for block in (None, 1):
+        verification = verify(log, replay(log, block=block))
+        assert verification.passed, verification.problems
+    again = replay(log, out=tmp_path / "again.mcap")
+    assert again.events() == log.events()
+    assert again.recorded_hash == log.recorded_hash
+
+
+@pytest.mark.parametrize("interface_type", ["#cs", "#me"])
+def test_the_replay_of_a_session_with_an_fmu_equals_its_log(plant, interface_type, tmp_path):
+    """Its outputs are copied, and so are their jumps: the observer follows these."""
+    swap = f"{plant}{interface_type}"
+    log = overridden("academic", tmp_path / "x.mcap", swap=swap)
+    followed = {event.signal for event in log.events() if event.cause == "follow"}
+    assert {"plant.y", "observer.y", "observer.delta"} <= followed
+    verification = verify(log, replay(log))
+    assert verification.passed, verification.problems
+
+
+def test_the_row_keeps_the_left_limit_and_the_event_has_the_right_one(tmp_path):
+    """At the instant of the override; the input keeps its value from then on."""
+    log = overridden("academic", tmp_path / "x.mcap")
+    first, *_ = log.events()
+    assert (first.time_ns, first.cause, first.signal) == (7_000_000, "override", "plant.u")
+    assert first.values == (0.3,)
+    run = cosim.run(scenario())
+    assert log["plant.u"][:8].tobytes() == run["plant.u"][:8].tobytes()
+    assert log["plant.u"][8:15].tolist() == [0.3] * 7
+    assert log["plant.u"][15] == -2.0
+    assert log["plant.u"][16] == log["u.y"][16]
+    (followed,) = (event for event in log.events()[:2] if event.signal == "plant.y")
+    # y = 2 x1 + x3, and 0 = x1 + x3 + u
+    jump = -(0.3 - log["plant.u"][7])
+    assert followed.values[0] - log["plant.y"][7] == pytest.approx(jump, abs=1e-14)
+
+
+def test_a_replay_of_other_overrides_is_found_out(tmp_path, monkeypatch):
+    """The rows differ, and what the log says of its overrides."""
+    log = overridden("academic", tmp_path / "x.mcap")
+    again = replay(log)
+    events = log.events()
+    changed = [replace_values(events[0], (0.31,)), *events[1:]]
+    monkeypatch.setattr(Log, "events", lambda self: changed)
+    verification = verify(log, again)
+    assert not verification.passed
+    assert "the log contradicts its scenario: overrides: found" in "\n".join(verification.problems)
+    other = verify(log, replay(log))
+    assert not other.difference.equal
+
+
+def replace_values(event, values):
+    return event._replace(values=values)
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"signal": "plant.z"}, r"the event of 'plant.z' at t = 0.007 s does not fit: .*no input"),
+        ({"values": (1.0, 2.0)}, r"the event of 'plant.u' .*found 2 values; needed 1"),
+        ({"time_ns": 7_000_001}, r"an event at t = 0.007000001 s: that is no communication point"),
+        ({"cause": "release"}, r"the event of 'plant.u' .* is not overridden"),
+    ],
+)
+def test_an_event_that_does_not_fit_is_refused(change, text, tmp_path, monkeypatch):
+    """Of a log that was changed."""
+    log = overridden("academic", tmp_path / "x.mcap")
+    event = log.events()[0]._replace(**change)
+    monkeypatch.setattr(Log, "events", lambda self: [event])
+    with pytest.raises(LogError, match=text):
+        replay(log)
+
+
+def test_overrides_hold_in_a_what_if_replay_too(tmp_path):
+    """They come from outside; events behind an earlier stop are left out."""
+    log = overridden("academic", tmp_path / "x.mcap", overrides=("observer.u",))
+    again = replay(log, set={"observer.filter_rate": 100.0, "scenario.stop": 0.012})
+    assert again["observer.u"].tobytes() == log["observer.u"][:13].tobytes()
+    assert [event.cause for event in again.events() if event.cause != "follow"] == ["override"]
+
+
+def test_a_session_that_is_closed_early_says_so(tmp_path):
+    """It is a regular end, with a reason; an error in the block is none."""
+    path = tmp_path / "x.mcap"
+    with scenario().start(out=path) as sim:
+        sim.step(5)
+    log = cosim.open_log(path)
+    assert log.status == "complete"
+    assert log.reason == "the session was closed at t = 0.005 s, before its stop"
+    with pytest.raises(ZeroDivisionError), scenario().start(out=path, force=True) as sim:
+        sim.step(5 // 0)
+    log = cosim.open_log(path)
+    assert (log.status, log.steps) == ("failed", 0)
+    assert "division" in log.reason
+
+
+def test_an_override_behind_the_last_step_is_recorded(tmp_path):
+    """It took effect at the point reached."""
+    path = tmp_path / "x.mcap"
+    with scenario().start(out=path) as sim:
+        sim.step(5)
+        sim["plant.u"] = 0.3
+    log = cosim.open_log(path)
+    assert (log.events()[0].time_ns, log.events()[0].values) == (5_000_000, (0.3,))
+    assert verify(log, replay(log)).passed
+
+
+def test_the_log_of_a_session_that_is_not_closed_is_completed(plant, tmp_path):
+    """Where nobody has it any more; a warning says so, as of a file."""
+    path = tmp_path / "x.mcap"
+    sim = scenario().edit(swap={"plant": f"{plant}#cs"}).start(out=path)
+    sim.step(20)
+    sim["plant.u"] = 0.5
+    sessions = [sim]
+    del sim
+    with pytest.warns(ResourceWarning, match=r"x\.mcap: the session was not closed"):
+        sessions.clear()
+    log = cosim.open_log(path)
+    assert log.status == "interrupted"
+    assert log.reason == "the session was not closed, at t = 0.02 s"
+    assert log.events()[0].signal == "plant.u"
+    assert verify(log, replay(log)).passed
+
+
+def test_the_log_of_a_session_is_completed_at_the_end_of_its_program(tmp_path):
+    """Of which it may be a variable."""
+    lines = [
+        "import cosim",
+        "sim = cosim.load('academic').start(out='x.mcap')",
+        "sim.step(20)",
+        "raise SystemExit(0)",
+    ]
+    subprocess.run([sys.executable, "-c", "\n".join(lines)], cwd=tmp_path, check=True)
+    assert len(cosim.open_log(tmp_path / "x.mcap")["plant.y"]) == 21
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "reason"),
+    [
+        (KeyError("plant.u"), "failed", "KeyError: 'plant.u'"),
+        (ValueError(), "failed", "ValueError"),
+        (SystemExit(0), "interrupted", "SystemExit: 0"),
+        (GeneratorExit(), "interrupted", "GeneratorExit"),
+        (KeyboardInterrupt(), "interrupted", "interrupted by the user"),
+        (GraphError("no such input"), "failed", "no such input"),
+    ],
+)
+def test_a_log_says_what_its_session_was_left_by(error, status, reason, tmp_path):
+    """With the type of an error that is none of cosim; to leave the program is no failure."""
+    sim = scenario().start(out=tmp_path / "x.mcap")
+    sim.step()
+    with pytest.raises(type(error)), sim:
+        raise error
+    log = cosim.open_log(sim.logs[0])
+    assert (log.status, log.reason) == (status, reason)
+
+
+def test_the_log_of_an_interrupted_step_ends_where_its_session_stands(tmp_path, monkeypatch):
+    """At the last row that was recorded; also where the block goes on."""
+    monkeypatch.setattr(pacing, "PIECE_WORK", 0.0)
+
+    def advance(self, t, h, u):
+        if t[-1] > 0.05:
+            raise KeyboardInterrupt
+        return np.zeros((len(t) - 1, 1))
+
+    monkeypatch.setattr(Relay, "advance", advance)
+    changes = {"relay": {"kind": "python", "class": f"{__name__}:Relay"}}
+    with scenario(**changes).start(out=tmp_path / "x.mcap") as sim:
+        sim.step(2)
+        with pytest.raises(KeyboardInterrupt):
+            sim.step(90)
+        reached = 2 + sim.rows.steps
+        assert 2 < reached <= 50
+        assert sim.t == reached / 1000.0
+        assert sim["plant.y"] == sim.rows["plant.y"][-1]
+        refusal = f"ended at t = {sim.t} s: it was interrupted inside a step"
+        with pytest.raises(UsageError, match=refusal):
+            sim.step()
+    log = cosim.open_log(sim.logs[0])
+    assert len(log["plant.y"]) == reached + 1
+    assert log.status == "interrupted"
+    assert log.reason == "interrupted inside a step"
+
+
+class Relay:
+    """Its output is 0."""
+
+    interface = Interface((), (Signal("y"),))
+
+    def initialize(self, t, u):
+        return np.zeros(1)
+
+    def outputs(self, t, u):
+        return np.zeros(1)
+
+    def advance(self, t, h, u):
+        return np.zeros((len(t) - 1, 1))
+
+
+def test_what_stops_a_session_is_in_its_log(tmp_path):
+    """Also where the block goes on."""
+    path = tmp_path / "x.mcap"
+    with scenario().start(out=path) as sim:
+        sim.step(5)
+        sim["plant.u"] = 1.7e308
+        with pytest.raises(NonFiniteError, match="became"):
+            sim.step(95)
+    log = cosim.open_log(path)
+    assert log.status == "failed"
+    assert "became" in log.reason
+
+
+def test_a_log_that_cannot_be_written_is_refused_first(tmp_path):
+    """As of a run; nothing has begun then."""
+    path = tmp_path / "x.mcap"
+    path.write_text("")
+    with pytest.raises(LogError, match="exists; choose another path, or force=True"):
+        scenario().start(out=path)
+    with pytest.raises(UsageError, match="found force=True, which is about the log at out"):
+        scenario().start(force=True)
+    with pytest.raises(UsageError, match=r"a log needs a path that ends in .mcap"):
+        scenario().start(out=tmp_path / "x.txt")
+    with pytest.raises(UsageError, match="numbered"):
+        scenario().start(numbered=3)
+    with scenario().start(out=path, numbered=True) as sim:
+        assert sim.logs == (tmp_path / "x-2.mcap",)
+
+
+def test_a_reset_begins_the_next_log(tmp_path):
+    """Each is complete, and equals a run of its own."""
+    path = tmp_path / "x.mcap"
+    with scenario().start(out=path) as sim:
+        for count in (100, 20, 30):
+            sim.step(count)
+            sim["plant.u"] = 0.3
+            if count != 30:
+                sim.reset()
+                assert (sim.t_ns, sim.overrides) == (0, {})
+    names = ["x.mcap", "x-2.mcap", "x-3.mcap"]
+    assert [log.name for log in sim.logs] == names
+    logs = [cosim.open_log(tmp_path / name) for name in names]
+    assert [log.steps for log in logs] == [100, 20, 30]
+    assert logs[1].reason == "the session was reset at t = 0.02 s, before its stop"
+    for log in logs:
+        assert verify(log, replay(log)).passed
+        assert log["plant.y"].tobytes() == logs[0]["plant.y"][: log.steps + 1].tobytes()
+
+
+def test_a_recorded_plant_that_jumps_is_warned_of(tmp_path):
+    """In another scenario its rows are all there is of it."""
+
+    def warnings(log):
+        swapped = cosim.run(scenario(**{"scenario.stop": 0.02}), swap={"plant": log.path})
+        return [message.text for message in swapped.messages() if message.level == "warning"]
+
+    jumping = overridden("academic", tmp_path / "jumping.mcap")
+    text = "jumps at 3 instants, the first at t = 0.007 s, where inputs were overridden"
+    assert sum(text in warning for warning in warnings(jumping)) == 1
+    calm = overridden("academic", tmp_path / "calm.mcap", overrides=("observer.u",))
+    assert not any("jumps at" in warning for warning in warnings(calm))
+
+
+# --- states ---
+
+
+def test_a_state_is_set_back_in_a_session_without_a_log():
+    """Also after it was pickled, and in another session of the scenario."""
+    name = "academic-noisy"
+    with scenario(name).start() as sim:
+        sim.step(10)
+        sim["plant.u"] = 0.3
+        saved = sim.state
+        first = {name: values.copy() for name, values in sim.step(50).items()}
+        sim.state = saved
+        again = sim.step(50)
+        text = pickle.dumps(saved)
+    with scenario(name).start() as other:
+        other.state = pickle.loads(text)
+        assert other.t_ns == 10_000_000
+        elsewhere = other.step(50)
+    for signal, values in first.items():
+        assert values.tobytes() == again[signal].tobytes() == elsewhere[signal].tobytes()
+
+
+METHODS = (
+    "output-error",
+    "least-squares",
+    "rayleigh",
+    "projection",
+    "augmented-kalman",
+    "extended-kalman",
+    "gradient",
+    "drem",
+)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_state_has_all_samples_of_an_identifier(method):
+    """In its own session, in any order, and in another one with a later stop."""
+    changes = {**COARSE, "identifier.method": method, "scenario.stop": 12.0}
+    coarse = cosim.load("academic-noisy").set(changes)
+    with coarse.start() as sim:
+        sim.step(300)
+        early = sim.state
+        sim.step(300)
+        saved = sim.state
+        pickled = pickle.dumps(saved)
+        expected = sim.step(300)
+        sim.state = early
+        sim["plant.delta"] = 1.0
+        sim.step(400)
+        sim.state = saved
+        again = sim.step(300)
+        sim.reset()
+        sim.state = saved
+        behind_reset = sim.step(300)
+    with coarse.set({"scenario.stop": 13.0}).start() as other:
+        other.step(100)
+        there = other.state
+        other.state = pickle.loads(pickled)
+        elsewhere = other.step(300)
+        other.state = there
+        assert other.step(100)["identifier.theta"].shape == (100, 2)
+        other.state = saved
+        straight = other.step(300)
+    for rows in (again, behind_reset, elsewhere, straight):
+        for signal, values in expected.items():
+            assert rows[signal].tobytes() == values.tobytes(), signal
+
+
+def test_a_state_beyond_the_stop_is_refused():
+    """Nothing would be left to step."""
+    with scenario().start() as sim:
+        sim.step(80)
+        saved = sim.state
+    with scenario(**{"scenario.stop": 0.05}).start() as shorter:
+        with pytest.raises(
+            UsageError, match=r"state: found one at t = 0\.08 s, behind the stop at 0\.05 s; needed"
+        ):
+            shorter.state = saved
+        assert shorter.step().steps == 1
+
+
+def test_a_state_of_another_scenario_is_refused():
+    """One with another value among its parameters is another."""
+    with scenario().start() as sim:
+        saved = sim.state
+    for changes in ({"u.amplitude": 2.0}, {"scenario.step": 5e-4}):
+        other = scenario(**changes).start()
+        with other, pytest.raises(UsageError, match="state: found one of another graph"):
+            other.state = saved
+    with scenario(**{"scenario.stop": 0.2}).start() as longer:
+        longer.state = saved
+
+
+def test_with_a_log_a_state_is_taken_and_not_set(tmp_path):
+    """A log goes forward only."""
+    with scenario().start(out=tmp_path / "x.mcap") as sim:
+        saved = sim.state
+        with pytest.raises(UsageError, match=r"state: a log is open.*or reset\(\), which begins"):
+            sim.state = saved
+    with scenario().start() as other:
+        other.state = saved
+
+
+def test_the_state_of_an_fmu_stays_in_its_session(plant):
+    """It lies in the memory of the FMU."""
+    swapped = scenario().edit(swap={"plant": f"{plant}#cs"})
+    with swapped.start() as sim:
+        sim.step(5)
+        saved = sim.state
+        first = {name: values.copy() for name, values in sim.step(20).items()}
+        sim.state = saved
+        again = sim.step(20)
+        for name, values in first.items():
+            assert values.tobytes() == again[name].tobytes()
+        with pytest.raises(UsageError, match="state: that of 'plant' cannot leave its simulation"):
+            pickle.dumps(saved)
+        other = swapped.start()
+        with other, pytest.raises(UsageError, match="that of 'plant' cannot leave its simulation"):
+            other.state = saved
+        sim.reset()
+        sim.step(5)
+        assert {name: v.tobytes() for name, v in sim.step(20).items()} == {
+            name: v.tobytes() for name, v in first.items()
+        }
+    del saved  # after its FMU is gone
+
+
+def test_an_fmu_with_a_log_is_reset_too(plant, tmp_path):
+    """Its log ends with it, and the next one is equal."""
+    with scenario().edit(swap={"plant": str(plant)}).start(out=tmp_path / "x.mcap") as sim:
+        sim.step(100)
+        sim.reset()
+        sim.step(100)
+    first, second = (cosim.open_log(path) for path in sim.logs)
+    assert first.recorded_hash == second.recorded_hash
+
+
+# --- threads ---
+
+
+def test_a_session_used_from_another_thread_is_an_error(tmp_path):
+    """Whoever resets or closes it, too; the log goes on."""
+    errors = []
+
+    def use(function):
+        try:
+            function()
+        except UsageError as error:
+            errors.append(str(error))
+
+    with scenario().start(out=tmp_path / "x.mcap") as sim:
+        for function in (sim.step, sim.reset, sim.close, lambda: sim["plant.u"]):
+            thread = threading.Thread(target=use, args=(function,))
+            thread.start()
+            thread.join()
+        sim.step(3)
+    assert len(errors) == 4
+    assert all("was started in another thread" in error for error in errors)
+    assert len(sim.logs) == 1
+    assert len(cosim.open_log(sim.logs[0])["plant.y"]) == 4
+
+
+def test_sessions_in_two_threads_have_the_hash_of_a_run(tmp_path):
+    """Side by side, each with a log."""
+    expected = cosim.run(scenario(), out=tmp_path / "run.mcap").recorded_hash
+
+    def work(number):
+        with scenario().start(out=tmp_path / f"{number}.mcap") as sim:
+            while sim.steps_left:
+                sim.step()
+
+    threads = [threading.Thread(target=work, args=(number,)) for number in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for number in range(2):
+        assert cosim.open_log(tmp_path / f"{number}.mcap").recorded_hash == expected
+
+
+def test_an_fmu_that_fails_at_its_end_fails_the_session(plant, monkeypatch):
+    """Without a log nobody else would say it."""
+
+    def fails(self):
+        raise RunError("no")
+
+    sim = scenario().edit(swap={"plant": str(plant)}).start()
+    sim.step()
+    monkeypatch.setattr(Fmu, "terminate", fails)
+    with pytest.raises(RunError, match="'plant' failed at the end of the run: no"):
+        sim.close()

@@ -1,0 +1,161 @@
+"""Two components side by side: each aspect with its verdict, and what may be the renamed port."""
+
+import numpy as np
+import pytest
+
+from cosim.core.signals import Interface, Signal
+from cosim.scenario.kinds.base import LinearSystem
+from cosim.scenario.swapping.port_comparison import (
+    ComparedComponent,
+    ComponentCapabilities,
+    LinearBehavior,
+    compare_components,
+    propose,
+)
+
+ABLE = ComponentCapabilities("model exchange", True, True, True, True)
+BEFORE = Interface(
+    (Signal("u", unit="N"), Signal("delta")),
+    (
+        Signal("y", unit="Hz"),
+        Signal("x_a", 2),
+        Signal("x_b"),
+        Signal("s", unit="m"),
+        Signal("n", type="integer"),
+    ),
+    {"y": ("u",)},
+)
+AFTER = Interface(
+    (Signal("u", unit="kg.m/s2", variability="discrete"), Signal("x_b"), Signal("k")),
+    (Signal("y", unit="1/s"), Signal("x_a", 3), Signal("s", unit="mm"), Signal("n", unit="V")),
+    {"y": None},
+)
+
+
+def verdicts(before, after, **options):
+    """Compare by name; return the verdicts by (port, aspect)."""
+    rows = compare_components(before, after, **options)
+    return {(row.port, row.aspect): row.verdict for row in rows}
+
+
+def test_every_aspect_has_a_verdict():
+    """The verdict is an error only where a connection is refused.
+
+    Units that convert differ, units of one meaning do not.
+    """
+    before = ComparedComponent(
+        BEFORE, ABLE, start={"u": np.array([1.0])}, initial={"s": np.array([2.0])}
+    )
+    after = ComparedComponent(
+        AFTER,
+        ComponentCapabilities("co-simulation", False, None, True, True),
+        start={"u": np.array([2.0])},
+        initial={"s": np.array([2e3])},
+    )
+    found = verdicts(before, after, refused={"delta", "x_a"})
+    assert {key: verdict for key, verdict in found.items() if verdict != "ok"} == {
+        ("u", "variability"): "differs",
+        ("u", "start value"): "differs",
+        ("delta", "causality"): "error",
+        ("y", "feedthrough"): "differs",
+        ("x_a", "size"): "error",
+        ("x_b", "causality"): "differs",
+        ("s", "unit"): "differs",
+        ("n", "type"): "differs",
+        ("n", "unit"): "unknown",
+        ("k", "causality"): "differs",
+        ("", "interface type"): "differs",
+        ("", "rollback"): "differs",
+        ("", "variable step"): "unknown",
+    }
+    assert set(verdicts(before, before).values()) <= {"ok"}
+
+
+def test_values_are_compared_in_one_unit():
+    """2 m are 2000 mm; 2 mm are not 2 m."""
+    before = ComparedComponent(BEFORE, ABLE, initial={"s": np.array([2.0])})
+    for millimetres, verdict in ((2e3, "ok"), (2.0, "differs")):
+        after = ComparedComponent(AFTER, ABLE, initial={"s": np.array([millimetres])})
+        assert verdicts(before, after)["s", "initial output"] == verdict
+
+
+def test_sizes_are_compared_in_one_unit():
+    """A factor of ten is the limit; zeros and what is not known have no size."""
+    before = ComparedComponent(BEFORE, ABLE, nominal={"s": np.array([2.0])})
+    for millimetres, another in ((2e3, False), (2e4, False), (2.1e4, True), (1.9e2, True), (0, 0)):
+        after = ComparedComponent(AFTER, ABLE, nominal={"s": np.array([millimetres])})
+        rows = compare_components(before, after)
+        (row,) = [row for row in rows if (row.port, row.aspect) == ("s", "nominal")]
+        assert row.of_another_size == another
+        assert row.verdict == ("differs" if another else "ok")
+
+
+def first_order(a, *, gain):
+    """x' = a x + u, y = gain x."""
+    return LinearSystem(np.array([[a]]), np.eye(1), gain * np.eye(1), np.zeros((1, 1)), error=0.0)
+
+
+def test_gain_and_poles_are_compared_within_their_error():
+    """x' = -2 x + u, y = 4 x: gain 2, pole -2.
+
+    A difference of 1e-7 is seen unless the numbers are wrong by that.
+    """
+    interface = Interface((Signal("u"),), (Signal("y"),))
+    exact = LinearBehavior.of(first_order(-2.0, gain=4.0))
+    close = LinearBehavior.of(first_order(-2.0 - 1e-7, gain=4.0))
+    assert exact.gain == pytest.approx(2.0, abs=1e-15)
+    assert exact.poles == pytest.approx(-2.0, abs=1e-15)
+    for error, verdict in ((0.0, "differs"), (1e-7, "ok")):
+        behavior = LinearBehavior(close.poles, close.gain, error)
+        other = ComparedComponent(interface, ABLE, linear=behavior)
+        found = verdicts(ComparedComponent(interface, ABLE, linear=exact), other)
+        assert found["y", "static gain"] == found["", "poles"] == verdict
+    assert LinearBehavior.of(first_order(0.0, gain=1.0)).gain is None
+
+
+def test_a_row_shows_what_its_port_stands_for():
+    """Ports are paired by name; after it stands what the map makes it of."""
+    before = ComparedComponent(BEFORE, ABLE)
+    after = ComparedComponent(AFTER, ABLE)
+    rows = compare_components(before, after, names={"u": "k", "x_a": "s1, s2"}, connected={"u"})
+    labels = list(dict.fromkeys(row.label for row in rows))
+    assert labels == ["u -> k", "delta", "y", "x_a -> s1, s2", "x_b", "s", "n", "k", ""]
+    assert {row.port for row in rows if row.connected} == {"u", ""}
+
+
+def test_what_fits_best_is_proposed_with_its_reasons():
+    """Unit and size decide what fits, initial value and dependencies which is likelier.
+
+    Several that are equal are all proposed, elements too.
+    """
+    before = ComparedComponent(
+        Interface((Signal("u"),), (Signal("y", unit="V"), Signal("z")), {"y": ("u",)}),
+        ABLE,
+        initial={"y": np.array([1.0]), "z": np.array([5.0])},
+    )
+    outputs = (
+        Signal("a", unit="V"),
+        Signal("b", unit="V"),
+        Signal("c", unit="A"),
+        Signal("d", 2, unit="V"),
+        Signal("i", type="integer"),
+    )
+    values = {"a": [1.0], "b": [2.0], "c": [1.0], "d": [1.0, 3.0], "i": [5.0]}
+    after = ComparedComponent(
+        Interface((Signal("f"), Signal("g")), outputs, {"a": ("f",), "d": ("f",)}),
+        ABLE,
+        initial={name: np.array(value) for name, value in values.items()},
+    )
+    found = propose(before, after, ["y", "u"])
+    assert [(one.port, one.name) for one in found] == [
+        ("y", "a"),
+        ("y", "d[0]"),
+        ("u", "f"),
+        ("u", "g"),
+    ]
+    assert found[0].reasons == (
+        "output of size 1, real",
+        "unit 'V'",
+        "direct feedthrough from f",
+        "initial output 1",
+    )

@@ -1,0 +1,440 @@
+"""Before a run: how a swapped component compares with the one that it replaces.
+
+The report has what stops the run, too, and which ports may have been meant.
+"""
+
+import ast
+import json
+import tomllib
+from collections import Counter
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+import cosim
+from cosim.cli import main
+from cosim.errors import RunError, ScenarioError, UsageError
+from cosim.fmi.binary.loaded import LoadedInstance
+from cosim.fmi.reading import model_description
+from cosim.scenario.building.build import build_context, parse
+from cosim.scenario.document.document import find
+from cosim.scenario.exporting import export_component
+from cosim.scenario.kinds.plants import FmuKind
+from cosim.scenario.swapping.port_comparison import ComparedAspect
+from cosim.scenario.swapping.swap_comparison import compare_swaps
+from cosim.scenario.swapping.swap_report import SwapReport, row_texts
+from tests.scenario.swapping.renamed import MAP, packed, renamed
+from tests.scenario.swapping.test_swap import rewritten
+
+SHORT = {"scenario.stop": 0.1}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Write the plant as it is, renamed, packed into a vector, and as a log."""
+    folder = tmp_path_factory.mktemp("plants")
+    export_component("academic", "plant", folder / "plant.fmu")
+    renamed(folder / "other.fmu")
+    packed(folder / "packed.fmu")
+    cosim.run("academic", set=SHORT, out=folder / "log.mcap")
+    return folder
+
+
+def report(folder, name, maps=None, **changes):
+    swap = {"plant": folder / name}
+    return compare_swaps(cosim.load("academic").edit(swap=swap, map=maps, set={**SHORT, **changes}))
+
+
+def verdicts(reports, *kept):
+    return {
+        (row.port, row.aspect): row.verdict
+        for row in reports.reports["plant"].rows
+        if row.verdict in kept
+    }
+
+
+def test_an_exported_plant_differs_in_nothing(folder):
+    """Poles and static gain too: the FMU's are those of the matrices."""
+    found = report(folder, "plant.fmu")
+    assert not verdicts(found, "differs", "error", "unknown")
+    assert (found.problems, found.failure, found.hints, found.warnings) == ((), "", [], [])
+    rows = {(row.port, row.aspect): row.after for row in found.reports["plant"].rows}
+    assert rows["y", "initial output"] == [1.0]  # x1(0) - u(0)
+    assert rows["", "poles"] == [
+        pytest.approx([-1.5, -(3**0.5) / 2]),
+        pytest.approx([-1.5, 3**0.5 / 2]),
+    ]
+    assert rows["y", "static gain"] == pytest.approx([-4 / 3, 2 / 3])  # D - C A^-1 B of (28)
+
+
+def test_another_interface_type_and_start_are_listed_and_warned_of_in_one_line(folder, tmp_path):
+    """Only what is connected; the run goes on, and its log keeps the whole report."""
+    changes = {"plant.start": {"x_a[0]": 1.5}}
+    found = report(folder, "plant.fmu#cs", **changes)
+    assert set(verdicts(found, "differs", "error")) == {
+        ("y", "initial output"),
+        ("x_a", "initial output"),
+        ("x_b", "initial output"),
+        ("", "interface type"),
+    }
+    text = (
+        "differs from what it replaces: y initial output 1.5 (was 1); x_a initial output 1.5 -1 "
+        "(was 1 -1); interface type co-simulation (was model exchange)"
+    )
+    log = cosim.run(
+        "academic",
+        swap={"plant": str(folder / "plant.fmu#cs")},
+        set={**SHORT, **changes},
+        out=tmp_path / "a.mcap",
+    )
+    assert ["plant", text] in json.loads(log.metadata["cosim.run"]["warnings"])
+    kept = json.loads(log.metadata["cosim.component.plant"]["metadata"])["swap_report"]
+    assert kept == json.loads(json.dumps(found.reports["plant"].to_dict()))
+
+
+def test_renamed_ports_are_proposed_and_never_applied(folder):
+    """Each by its option, with the reason; taken at their word, the proposals make the run."""
+    with pytest.raises(ScenarioError) as caught:
+        cosim.run("academic", swap={"plant": folder / "other.fmu"}, set=SHORT)
+    message = str(caught.value)
+    for option in (
+        "map={'plant.u': 'force'}",
+        "map={'plant.delta': 'push'}",
+        "map={'plant.y': 'out1'}",
+        "map={'plant.x_a': 's'}",
+    ):
+        assert f"\n{option}: plant." in message, message
+    assert message.count("\nmap={") == 4
+    assert (
+        "map={'plant.y': 'out1'}: plant.out1 may be plant.y (output of size 1, real; direct "
+        "feedthrough from force; initial output 1;" in message
+    )
+    maps = {}
+    for line in message.splitlines():
+        if line.startswith("map={"):
+            maps |= ast.literal_eval(line.partition(": plant.")[0].removeprefix("map="))
+    assert not report(folder, "other.fmu", maps).problems
+
+
+def test_an_element_of_a_vector_is_proposed(folder):
+    """Of out = (x_b, x_b, y) only the last begins at 1 and has the static gains of y."""
+    found = report(
+        folder, "packed.fmu", {"plant.u": "force", "plant.delta": "push", "plant.x_a": "s"}
+    )
+    assert [(one.port, one.name) for one in found.reports["plant"].proposals] == [("y", "out[2]")]
+
+
+def test_a_mapped_port_is_compared_with_the_one_it_replaces(folder):
+    """Under both names; it is shown with the scenario's."""
+    found = report(folder, "other.fmu", MAP)
+    assert not found.problems
+    rows = {(row.port, row.aspect): row for row in found.reports["plant"].rows}
+    initial = rows["y", "initial output"]
+    assert (initial.before, initial.verdict) == ([1.0], "ok")
+    labels = {row.label for row in found.reports["plant"].rows}
+    assert {"u -> force", "delta -> push", "y -> out1", "x_a -> s"} <= labels
+    recorded = {(row["port"], row["source"]) for row in found.reports["plant"].to_dict()["ports"]}
+    assert {("plant.y", "out1"), ("plant.x_b", None), ("plant", None)} <= recorded
+    assert set(verdicts(found, "differs", "error")) == {
+        ("x_b", "causality"),
+        ("aux", "causality"),
+    }, "which nothing needs"
+
+
+def test_a_recording_says_what_it_does_not_know(folder):
+    """Ports and first values are there; start values, capabilities and poles are not."""
+    found = report(folder, "log.mcap")
+    assert not found.problems
+    assert set(verdicts(found, "differs", "error")) == {("", "kind")}
+    unknown = {aspect for _, aspect in verdicts(found, "unknown")}
+    assert {"start value", "static gain", "poles", "rollback"} <= unknown
+    assert verdicts(found, "ok")["y", "initial output"] == "ok"
+
+
+def test_what_is_replaced_need_not_work(folder):
+    """The scenario's own plant is broken: nothing to compare with, nothing in the way."""
+    document = find("academic")
+    text = document.text.replace("x_a0 = [1.0, -1.0]", "x_a0 = [1.0]")
+    swapped = replace(document, text=text).with_swaps({"plant": str(folder / "plant.fmu")})
+    found = compare_swaps(parse(swapped))
+    assert (found.reports, found.problems) == ({}, ())
+
+
+def test_a_dry_run_has_rows_proposals_and_problems_for_programs(folder, capsys):
+    """Exit 2 where the run would stop, 0 where it would not."""
+    with pytest.raises(SystemExit) as left:
+        main(["run", "academic", "--swap", f"plant={folder / 'other.fmu'}", "--dry-run", "--json"])
+    assert left.value.code == 2
+    found = json.loads(capsys.readouterr().out)
+    assert set(found) == {"swaps", "problems", "imported"}
+    assert set(found["swaps"]["plant"]) == {"ports", "proposals"}
+    assert {frozenset(row) for row in found["swaps"]["plant"]["ports"]} == {
+        frozenset({"port", "aspect", "before", "after", "verdict", "connected", "ratio", "source"})
+    }
+    assert {
+        row["port"]: row["verdict"]
+        for row in found["swaps"]["plant"]["ports"]
+        if row["verdict"] == "error"
+    } == {
+        "plant.u": "error",
+        "plant.delta": "error",
+        "plant.y": "error",
+    }
+    assert {one["option"] for one in found["swaps"]["plant"]["proposals"]} >= {"--map plant.y=out1"}
+    options = []
+    for port, name in MAP.items():
+        options += ["--map", f"{port}={name}"]
+    with pytest.raises(SystemExit) as left:
+        main(
+            [
+                "run",
+                "academic",
+                "--swap",
+                f"plant={folder / 'other.fmu'}",
+                *options,
+                "--dry-run",
+                "--json",
+            ]
+        )
+    assert not left.value.code
+    assert json.loads(capsys.readouterr().out)["problems"] == []
+
+
+def test_a_run_with_a_swap_says_what_differs_on_stderr(folder, tmp_path, capsys):
+    """One warning; exit 0. The log's info shows the rows."""
+    with pytest.raises(SystemExit) as left:
+        main(
+            [
+                "run",
+                "academic",
+                "--swap",
+                f"plant={folder / 'plant.fmu#cs'}",
+                "--stop",
+                "0.1",
+                "--out",
+                str(tmp_path / "a.mcap"),
+            ]
+        )
+    assert not left.value.code
+    warned = (
+        "warning: plant: differs from what it replaces: interface type co-simulation "
+        "(was model exchange)\n"
+    )
+    assert capsys.readouterr().err == warned
+    with pytest.raises(SystemExit):
+        main(["info", str(tmp_path / "a.mcap")])
+    shown = capsys.readouterr().out
+    assert "plant: differences from the replaced component" in shown
+    row = next(line for line in shown.splitlines() if "model exchange" in line)
+    aspect = "plant interface type"
+    assert " ".join(row.split()) == f"{aspect} model exchange co-simulation differs"
+    with pytest.raises(SystemExit):
+        main(["info", str(tmp_path / "a.mcap"), "--json"])
+    (found,) = json.loads(capsys.readouterr().out)["differences"]["plant"]
+    assert (found["port"], found["aspect"]) == ("plant", "interface type")
+
+
+def test_no_direct_feedthrough_is_said_so():
+    """In rows and warnings; the values stay plain for programs."""
+    row = ComparedAspect("y", "feedthrough", [], "unknown", "differs", True)
+    report = SwapReport("plant", (row,), ())
+    assert report.lines[0]["before"] == "no direct feedthrough"
+    assert report.warnings == [
+        "differs from what it replaces: y feedthrough unknown (was no direct feedthrough)"
+    ]
+    assert report.to_dict()["ports"][0]["before"] == []
+    assert row_texts(report.to_dict()["ports"][0], whole=False) == report.lines[0]
+
+
+def test_a_port_may_have_any_name():
+    """Blanks too, which FMI allows: its unit is warned of like that of any other."""
+    row = ComparedAspect("my port", "unit", "m", "mm", "differs", True, source="its -> port")
+    report = SwapReport("plant", (row,), (), frozenset({"my port"}))
+    assert report.warnings == [
+        "differs from what it replaces: my port -> its -> port unit mm (was m)",
+        "units that cannot be compared with what is connected: my port -> its -> port unit mm "
+        "(was m); values are taken as they are",
+    ]
+
+
+@pytest.fixture(scope="module")
+def milli(folder):
+    """Write the plant with its output in mm."""
+    matrix = {"models.academic.C": [[2000, 0, 1000]], "plant.unit": {"y": "mm"}}
+    export_component("academic", "plant", folder / "milli.fmu", set=matrix)
+    return folder
+
+
+def swap_warnings(folder, **changes):
+    return [text for _, text in report(folder, "milli.fmu", **changes).warnings]
+
+
+def test_a_unit_on_one_side_only_is_said_and_its_size_warned_of(milli, capsys):
+    """1 m and 1000 mm: without a unit before, only the sizes show that they are not the same.
+
+    The dry run says so too.
+    """
+    differences, units, sizes = swap_warnings(milli)
+    assert differences.startswith("differs from what it replaces: y initial output 1000 (was 1)")
+    assert "units that cannot be compared" in units
+    assert "y unit mm (was -)" in units
+    assert "y initial output 1e+03 times as large; y static gain 1e+03 times as large" in sizes
+    with pytest.raises(SystemExit) as ended:
+        main(["run", "academic", "--swap", f"plant={milli / 'milli.fmu'}", "--dry-run"])
+    assert ended.value.code in (0, None)
+    assert f"warning: plant: {sizes}" in capsys.readouterr().err
+
+
+def test_units_that_convert_leave_no_warning_but_that_of_the_unit(milli):
+    """The old plant in m, the new one in mm, an observer that takes m: all is converted.
+
+    An observer without a unit would take one for the other, which is said.
+    """
+    text = cosim.load("academic").document.text
+    file = milli / "metres.toml"
+    file.write_text(text.replace('kind = "descriptor"', 'kind = "descriptor"\nunit = "m"'))
+    original = cosim.load(file)
+    swap = {"plant": milli / "milli.fmu"}
+    unconverted = compare_swaps(original.edit(swap=swap)).warnings
+    assert [text.partition(":")[0] for _, text in unconverted] == [
+        "differs from what it replaces",
+        "units that cannot be compared with what is connected",
+    ]
+    converted = original.set({"observer.unit": {"y": "m"}}).edit(swap=swap)
+    assert [text for _, text in compare_swaps(converted).warnings] == [
+        "differs from what it replaces: y unit mm (was m)"
+    ]
+    metres = cosim.run(original.set(SHORT))
+    millimetres = cosim.run(converted.set(SHORT))
+    worst = abs(metres["observer.delta"] - millimetres["observer.delta"]).max()
+    # y is rounded twice more, and delta_hat multiplies that by the filter rate of 1000
+    assert worst <= 1e3 * 8 * 2.3e-16 * abs(metres["plant.y"]).max()
+
+
+def test_what_cannot_be_linearized_is_unknown(folder, tmp_path):
+    """For co-simulation the FMU would be loaded once more; start values must be numbers."""
+    once = (
+        'canBeInstantiatedOnlyOncePerProcess="false"',
+        'canBeInstantiatedOnlyOncePerProcess="true"',
+    )
+    rewritten(folder / "plant.fmu", tmp_path / "once.fmu", once)
+    assert verdicts(report(tmp_path, "once.fmu#cs"), "unknown")["", "poles"] == "unknown"
+    assert verdicts(report(tmp_path, "once.fmu"), "ok")["", "poles"] == "ok"
+    export_component("academic", "plant", tmp_path / "arrays.fmu", fmi="3")
+    arrays = {"x_a": [1.0, -1.0]}
+    cases = (
+        (FmuKind(kind="fmu", path="once.fmu", interface_type="cs"), "one instance only"),
+        (FmuKind(kind="fmu", path="arrays.fmu", start=arrays), "numbers as start values only"),
+    )
+    scenario = parse(replace(find("academic"), folder=tmp_path))
+    for kind, text in cases:
+        with ExitStack() as resources:
+            context = build_context(scenario, resources)
+            kind.build("plant", context)
+            with pytest.raises(UsageError, match=text):
+                kind.linear_system("plant", context)
+
+
+PAIR = """
+[scenario]
+name = "pair"
+stop = 0.1
+step = 0.01
+[components]
+source = { kind = "sine", rate = 2.0, unit = "N" }
+part = { kind = "transfer-function", numerator = [NUMBER], denominator = [0.5, 1.0], unit = UNITS }
+after = { kind = "lag", time_constant = 0.3, unit = "m" }
+[connections]
+"part.u" = "source.y"
+"after.u" = "part.y"
+"""
+
+
+def pair(folder, number, units):
+    path = folder / f"{number}.toml"
+    path.write_text(PAIR.replace("NUMBER", number).replace("UNITS", units))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("units", "verdict", "ratio"), [('{ u = "kN", y = "mm" }', "ok", 1.0), ("{}", "differs", 1e6)]
+)
+def test_the_static_gain_of_an_fmu_with_local_states_is_known(tmp_path, units, verdict, ratio):
+    """Its states are recorded behind its outputs: the gain has rows for them too.
+
+    2 m/N are 2e6 mm/kN; without units the gain alone says that they are others, as all begins at 0.
+    """
+    original = cosim.load(pair(tmp_path, "2.0", '{ u = "N", y = "m" }'))
+    milli = pair(tmp_path, "2e6", units)
+    path = tmp_path / "part.fmu"
+    export_component(milli, "part", path)
+    rows = compare_swaps(original.edit(swap={"part": path})).reports["part"].rows
+    gain = next(row for row in rows if (row.port, row.aspect) == ("y", "static gain"))
+    assert gain.verdict == verdict
+    assert gain.ratio == pytest.approx(ratio, rel=1e-9)
+
+
+@pytest.fixture
+def counted(monkeypatch):
+    """Return what is counted: TOML texts that are parsed, FMUs that are read, instances."""
+    counts = Counter()
+    parse_toml = tomllib.loads
+    read_fmu = model_description.open_archive
+    instantiate = LoadedInstance.__init__
+
+    def counted_parse(text):
+        counts["TOML", text] += 1
+        return parse_toml(text)
+
+    def counted_read(path, *arguments):
+        counts["description", Path(path).name] += 1
+        return read_fmu(path, *arguments)
+
+    def counted_instance(self, *arguments, **options):
+        counts["instance", Path(options["label"]).name] += 1
+        instantiate(self, *arguments, **options)
+
+    monkeypatch.setattr(tomllib, "loads", counted_parse)
+    monkeypatch.setattr(model_description, "open_archive", counted_read)
+    monkeypatch.setattr(LoadedInstance, "__init__", counted_instance)
+    return counts
+
+
+def test_a_swapped_scenario_is_read_and_built_once(folder, tmp_path, counted):
+    """One text, one FMU, one instance: the one that is compared and linearized then runs."""
+    text = f"# {tmp_path}\n{find('academic').text}"  # no other test has parsed it
+    (tmp_path / "mine.toml").write_text(text)
+    with pytest.raises(SystemExit) as left:
+        main(
+            [
+                *("run", str(tmp_path / "mine.toml"), "--stop", "0.1", "--quiet"),
+                *("--swap", f"plant={folder / 'plant.fmu'}", "--out", str(tmp_path / "a.mcap")),
+            ]
+        )
+    assert not left.value.code
+    assert counted == {
+        ("TOML", text): 1,
+        ("description", "plant.fmu"): 1,
+        ("instance", "plant.fmu"): 1,
+    }
+    report = json.loads(
+        cosim.open_log(tmp_path / "a.mcap").metadata["cosim.component.plant"]["metadata"]
+    )
+    aspects = {row["aspect"]: row["verdict"] for row in report["swap_report"]["ports"]}
+    assert aspects["poles"] == aspects["static gain"] == "ok"
+
+
+def test_an_fmu_that_cannot_be_reset_is_loaded_again(folder, counted, monkeypatch):
+    """It is not linearized then, and the run has an instance of its own."""
+    reference = cosim.run("academic", swap={"plant": folder / "plant.fmu"}, set=SHORT)
+    assert counted["instance", "plant.fmu"] == 1
+
+    def refuse(self):
+        raise RunError("fmi2Reset: error")
+
+    monkeypatch.setattr(LoadedInstance, "reset", refuse)
+    run = cosim.run("academic", swap={"plant": folder / "plant.fmu"}, set=SHORT)
+    assert counted["instance", "plant.fmu"] == 3
+    assert cosim.diff(reference, run).equal

@@ -1,0 +1,526 @@
+"""Swapped components with other port names: each form of a map, and every wrong one."""
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.cli import main
+from cosim.core.linear import LinearModel
+from cosim.core.signals import Interface, Signal
+from cosim.errors import ScenarioError, UsageError
+from cosim.fmi.exporting.export import export
+from cosim.report.summary import summarize
+from cosim.scenario.building.build import parse
+from cosim.scenario.document.document import find
+from tests.scenario.swapping.renamed import MAP, PACKED, packed, renamed
+
+pytestmark = pytest.mark.usefixtures("without_verdicts")
+
+SHORT = {"scenario.stop": 7.0}
+BY_HAND = (
+    (
+        r'kind = "descriptor"\nmodel = "academic"\nx_a0 = \[1.0, -1.0\]\n',
+        'kind = "fmu"\npath = "PATH"\n',
+    ),
+    (r'"plant.u" = ', '"plant.force" = '),
+    (r'"plant.delta" = ', '"plant.push" = '),
+    (r'"observer.y" = "plant.y"', '"observer.y" = "plant.out1"'),
+    (r'"observer.x_a" = "plant.x_a"', '"observer.x_a" = "plant.s"'),
+)
+SHOWN = {"plant.u": "force", "plant.delta": "push", "plant.y": "out1", "plant.x_a": "s"}
+
+
+@pytest.fixture(scope="module")
+def other(tmp_path_factory):
+    return renamed(tmp_path_factory.mktemp("renamed") / "other.fmu")
+
+
+@pytest.fixture(scope="module")
+def by_hand(other):
+    """Run the scenario that was edited by hand."""
+    text = find("academic").text
+    for before, after in BY_HAND:
+        text, count = re.subn(before, after.replace("PATH", str(other)), text)
+        assert count == 1
+    return cosim.run(parse(replace(find("academic"), text=text).with_changes(SHORT)))
+
+
+def signals(run):
+    """Return the bits of every signal by its name."""
+    names = []
+    for component, channel in run.channels.items():
+        names += [f"{component}.{signal.name}" for signal in channel.signals]
+    return {name: run[name].tobytes() for name in names}
+
+
+def text_with(swap):
+    return replace(find("academic"), text=f"{find('academic').text}\n[swap]\n{swap}\n")
+
+
+def test_a_map_means_what_was_edited_by_hand(other, by_hand, tmp_path, monkeypatch):
+    """Python, command line and file give the same bits, under the scenario's names, truth too."""
+    monkeypatch.chdir(tmp_path)
+    options = []
+    for port, name in MAP.items():
+        options += ["--map", f"{port}={name}"]
+    with pytest.raises(SystemExit) as left:
+        main(
+            [
+                "run",
+                "academic",
+                "--swap",
+                f"plant={other}",
+                *options,
+                "--stop",
+                "7",
+                "--out",
+                "a.mcap",
+                "--quiet",
+            ]
+        )
+    assert not left.value.code
+    entries = ", ".join(f'"{port}" = "{name}"' for port, name in MAP.items())
+    table = f'plant = {{ path = "{other}", map = {{ {entries} }} }}'
+    nested = f'plant.path = "{other}"\n[swap.plant.map]\n' + "\n".join(
+        f'{port} = "{name}"' for port, name in MAP.items()
+    )
+    runs = [
+        cosim.run("academic", swap={"plant": other}, map=MAP, set=SHORT),
+        cosim.run(cosim.load("academic").swap(plant=other, map=MAP).set(SHORT)),
+        cosim.open_log("a.mcap"),
+        cosim.run(parse(text_with(table).with_changes(SHORT))),
+        cosim.run(parse(text_with(nested).with_changes(SHORT))),
+    ]
+    expected = signals(by_hand)
+    for port, name in SHOWN.items():
+        expected[port] = expected.pop(f"plant.{name}")
+    for run in runs:
+        assert signals(run) == expected
+        assert json.loads(run.metadata["cosim.run"]["truth"])["observer.x_a"] == "plant.x_a"
+
+
+def test_a_swapped_run_is_measured_and_the_same(other):
+    """The wall time of every component, whose graph was prepared for the comparison already."""
+    short = {"scenario.stop": 0.1}
+    profile = {}
+    measured = cosim.run("academic", swap={"plant": other}, map=MAP, set=short, profile=profile)
+    plain = cosim.run("academic", swap={"plant": other}, map=MAP, set=short)
+    assert profile.keys() == {*measured.channels, "recorder and master"}
+    assert min(profile.values()) > 0.0
+    assert cosim.diff(measured, plain).equal
+
+
+def test_an_element_may_take_a_ports_place(by_hand, tmp_path):
+    """out[2] is y, for the observer and in the truth; the vector is recorded too."""
+    path = packed(tmp_path / "packed.fmu")
+    document = replace(
+        find("academic"),
+        text=find("academic").text.replace(
+            '"observer.delta" = "delta.y"', '"observer.y" = "plant.y"'
+        ),
+    )
+    run = cosim.run(
+        parse(document.with_swaps({"plant": str(path)}, PACKED).with_changes(SHORT)),
+        out=tmp_path / "a.mcap",
+    )
+    assert (run["observer.delta"] == by_hand["observer.delta"]).all()
+    truth = json.loads(run.metadata["cosim.run"]["truth"])
+    assert truth["observer.y"] == "plant.y"
+    assert (run["plant.out"][:, 2] == run["plant.y"]).all()
+    assert [
+        signal.largest for signal in summarize(run).signals if signal.estimate == "observer.y"
+    ] == [0.0]
+
+
+def test_a_mapped_run_replays_bit_for_bit(other, tmp_path):
+    """The map is in the log with the swap."""
+    copy = tmp_path / "copy.fmu"
+    copy.write_bytes(other.read_bytes())
+    log = cosim.run("academic", swap={"plant": copy}, map=MAP, set=SHORT, out=tmp_path / "a.mcap")
+    copy.unlink()
+    assert json.loads(log.metadata["cosim.run"]["edits"])["maps"] == MAP
+    assert cosim.diff(log, cosim.replay(tmp_path / "a.mcap")).equal
+
+
+def test_a_port_has_one_name(other):
+    """What drives observer.y is plant.y; the same name may be given for both."""
+    text = (
+        r"map\['plant\.y'\]: 'plant\.y' is given twice, as 'out1' for 'observer\.y' "
+        r"and as 'aux' for 'plant\.y'; needed one"
+    )
+    with pytest.raises(ScenarioError, match=text):
+        cosim.load("academic").swap(plant=other, map={**MAP, "plant.y": "aux"})
+    names = {**MAP, "plant.y": "out1"}
+    run = cosim.run("academic", swap={"plant": other}, map=names, set={"scenario.stop": 0.01})
+    assert run["observer.y"].tolist() == run["plant.y"].tolist()
+
+
+@pytest.mark.parametrize(
+    "names", [["s[0]", "s[1]"], ["s[0:2]"], "[s[0], s[1]]", """["s[0]",'s[1]']"""]
+)
+def test_a_vector_may_be_made_of_elements(names, by_hand, other, tmp_path):
+    """A list in Python and in the file, or text on the command line, give the same bits."""
+    maps = {**MAP, "plant.x_a": names}
+    runs = [cosim.run("academic", swap={"plant": other}, map=maps, set=SHORT)]
+    if not isinstance(names, str):
+        entries = ", ".join(f'"{port}" = {json.dumps(name)}' for port, name in maps.items())
+        document = text_with(f'plant = {{ path = "{other}", map = {{ {entries} }} }}')
+        runs.append(cosim.run(parse(document.with_changes(SHORT)), out=tmp_path / "a.mcap"))
+        assert cosim.diff(runs[1], cosim.replay(tmp_path / "a.mcap")).equal
+    for run in runs:
+        assert run["plant.x_a"].tolist() == by_hand["plant.s"].tolist()
+
+
+def test_scalars_may_make_a_vector_and_an_input_its_elements(tmp_path):
+    """Each element of x_a in its place, turned round; what nothing covers keeps its own name."""
+    path = packed(tmp_path / "packed.fmu")
+    names = {**PACKED, "plant.x_a": ["out[2]", "out[0]"]}
+    run = cosim.run("academic", swap={"plant": path}, map=names, set={"scenario.stop": 0.1})
+    assert (run["plant.x_a"] == run["plant.out"][:, [2, 0]]).all()
+    assert run["plant.s"].shape == (101, 2)
+
+
+def test_a_recorded_plant_may_be_mapped(by_hand, other, tmp_path):
+    """A log of a plant with other names stands in the place of one with the scenario's."""
+    text = find("academic").text
+    for before, after in BY_HAND:
+        text = re.sub(before, after.replace("PATH", str(other)), text)
+    document = replace(find("academic"), text=text).with_changes(SHORT)
+    cosim.run(parse(document), out=tmp_path / "a.mcap")
+    run = cosim.run("academic", swap={"plant": tmp_path / "a.mcap"}, map=MAP, set=SHORT)
+    assert run["plant.y"].tolist() == by_hand["plant.out1"].tolist()
+    assert run["observer.delta"].tolist() == by_hand["observer.delta"].tolist()
+
+
+def test_a_swap_of_the_file_may_choose_the_interface_type_and_give_way_to_an_option(
+    other, by_hand, tmp_path
+):
+    """x.fmu#cs in the file is co-simulation; a path is taken from the file's folder.
+
+    An option replaces the entry, its map too.
+    """
+    document = replace(text_with('plant = "other.fmu#cs"'), folder=other.parent).with_changes(SHORT)
+    entry = replace(document, maps=MAP)
+    assert parse(entry).specs["plant"].interface_type == "cs"
+    with pytest.raises(ScenarioError, match="must_not_be"):
+        cosim.run(parse(document.with_swaps({"plant": str(tmp_path / "must_not_be.fmu")})))
+    assert not parse(replace(document, swapped=False)).file.swap
+
+
+def test_a_component_that_is_swapped_too_has_a_map_of_its_own(other, tmp_path):
+    """Both ends of a connection may have other names; observer.y is the observer's own then."""
+    names = {"observer.u": "force", "observer.y": "push", "observer.delta": "out1"}
+    maps = {**MAP, "plant.y": "out1", **names}
+    scenario = parse(
+        find("academic").with_swaps({"plant": str(other), "observer": str(other)}, maps)
+    )
+    found = {}
+    for component, entries in scenario.maps.items():
+        for entry in entries:
+            assert {source.component for source in entry.renaming.sources} == {component}
+            found[str(entry.renaming.port)] = [s.name for s in entry.renaming.sources]
+    assert found == {port: [name] for port, name in maps.items()}
+
+
+MAP_OF_Y = {port: name for port, name in MAP.items() if port != "plant.x_a"}
+WRONG = {
+    "a map without a swap": (
+        {},
+        {"observer.y": "out1"},
+        r"^map\['observer\.y'\]: nothing is swapped, so no port gets another name",
+    ),
+    "no dot": (True, {"y": "out1"}, r"map\['y'\]: found no dot, needed COMPONENT\.PORT"),
+    "no such component": (
+        True,
+        {"plnt.u": "force"},
+        r"map\['plnt\.u'\]: there is no component 'plnt'; did you mean 'plant'\?",
+    ),
+    "no such port": (
+        True,
+        {"plant.uu": "force"},
+        r"map\['plant\.uu'\]: the scenario connects no 'plant\.uu', and the component that is "
+        r"replaced has no such port; did you mean 'plant\.u'\?",
+    ),
+    "another component's port": (
+        True,
+        {"regressor.delta": "out1"},
+        r"map\['regressor\.delta'\]: 'regressor\.delta' does not belong to 'plant', nor does that "
+        r"drive it; .*: .*observer\.y",
+    ),
+    "no such output there": (
+        True,
+        {**MAP, "observer.y": "out2"},
+        r"map\['observer\.y'\]: 'plant\.out2': 'plant' has no output 'out2'; did you mean 'out1'\?",
+    ),
+    "no such input there": (
+        True,
+        {**MAP, "plant.u": "forse"},
+        r"map\['plant\.u'\]: 'plant\.forse': 'plant' has no input 'forse'; did you mean 'force'\?",
+    ),
+    "no such output there, for the truth": (
+        True,
+        {**MAP, "plant.x_a": "t"},
+        r"map\['plant\.x_a'\]: 'plant\.t': 'plant' has no output 't'; there is",
+    ),
+    "no such element": (
+        True,
+        {**MAP, "observer.y": "s[2]"},
+        r"'plant\.s\[2\]': 'plant\.s' has 2 elements, numbered from 0",
+    ),
+    "an input for an output": (
+        True,
+        {**MAP, "observer.y": "force"},
+        r"'plant\.force' is an input of 'plant'; needed an output",
+    ),
+    "no such element of an input": (
+        True,
+        {**MAP, "plant.u": "force[1]"},
+        r"map\['plant\.u'\]: 'plant\.force\[1\]': 'plant\.force' has 1 element, numbered",
+    ),
+    "one name for two": (
+        True,
+        {**MAP, "plant.delta": "force"},
+        r"map\['plant\.delta'\]: 'plant\.force' is given twice, for 'plant\.u' and 'plant\.delta'",
+    ),
+    "no name in a list": (
+        True,
+        {**MAP, "observer.y": ["out1", ""]},
+        r"map\['observer\.y'\]: found no name",
+    ),
+    "a slice of nothing": (
+        True,
+        {**MAP, "observer.y": "s[1:1]"},
+        r"map\['observer\.y'\]: 'plant\.s\[1:1\]' has no elements",
+    ),
+    "another size": (
+        True,
+        {**MAP, "observer.y": "s"},
+        r"connections\.observer\.y: plant\.y -> observer\.y: size 2 cannot drive size 1",
+    ),
+    "an element beside its vector": (
+        True,
+        {**MAP, "plant.x_a[0]": "s[1]"},
+        r"map\['plant\.x_a\[0\]'\]: 'plant\.x_a\[0\]' \(as s\[1\]\) overlaps 'plant\.x_a' \(as s\)",
+    ),
+    "an element beside a slice": (
+        True,
+        {**MAP_OF_Y, "plant.x_a[0]": "s[1]", "plant.x_a[0:2]": "s"},
+        r"map\['plant\.x_a\[0:2\]'\]: 'plant\.x_a\[0:2\]' \(as s\) overlaps 'plant\.x_a\[0\]'",
+    ),
+    "an element alone": (
+        True,
+        {**MAP_OF_Y, "plant.x_a[1]": "s[1]"},
+        r"map\['plant\.x_a\[1\]'\]: .* is a part of 'plant\.x_a', which has 2 elements; needed",
+    ),
+    "an element that the replaced has not": (
+        True,
+        {**MAP_OF_Y, "plant.x_a[5]": "s[1]"},
+        r"map\['plant\.x_a\[5\]'\]: .*: 'plant\.x_a' has 2 elements, numbered from 0",
+    ),
+    "an element beside its scalar": (
+        True,
+        {**MAP, "plant.y[0]": "s[1]"},
+        r"map\['plant\.y\[0\]'\]: 'plant\.y\[0\]' \(as s\[1\]\) overlaps 'plant\.y' \(as out1\)",
+    ),
+    "a list that is not closed": (
+        True,
+        {**MAP, "plant.x_a": "[s[0], s[1]"},
+        r"map\['plant\.x_a'\]: found '\[s\[0\], s\[1\]', a list that is not closed; needed \[NAME",
+    ),
+    "no name": (
+        True,
+        {**MAP, "observer.y": ""},
+        r"map\['observer\.y'\]: found no name, needed that of a port of the component",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_a_wrong_map_is_reported(case, other):
+    """The option, what was found, the nearest."""
+    swapped, maps, text = WRONG[case]
+    with pytest.raises(ScenarioError, match=text):
+        cosim.run("academic", swap={"plant": other} if swapped else {}, map=maps, set=SHORT)
+
+
+def test_all_that_is_wrong_is_reported_at_once(other):
+    """Swap, map, set and file in one report."""
+    with pytest.raises(ScenarioError) as caught:
+        cosim.load("academic").edit(
+            swap={"plant": other, "plnt": other},
+            map={"plant.uu": "x"},
+            set={"observer.filter_rat": 1.0, "obsrver.L": [1.0]},
+        )
+    for text in (
+        "swap['plnt']: there is no",
+        "map['plant.uu']: ",
+        "set['observer.filter_rat']: ",
+        "set['obsrver.L']: there is no",
+    ):
+        assert text in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("swap", "text"),
+    [
+        ("plant = 3", r"academic:\d+: swap\.plant: found 3; needed a table"),
+        (
+            'plant = { map = { "plant.u" = "x" } }',
+            r"academic:\d+: swap\.plant: 'path' is missing; needed path of an \.fmu",
+        ),
+        (
+            'plant = "x.txt"',
+            r"academic:\d+: swap\.plant: found 'x\.txt', needed a path that ends in \.fmu",
+        ),
+        (
+            'plant = "x.fmu#xx"',
+            r"found '#xx' behind the path, needed '#me' \(model exchange\) "
+            r"or '#cs' \(co-simulation\)",
+        ),
+        (
+            'plant = { path = "x.fmu", map = { "regressor.z" = "x" } }',
+            r"academic:\d+: swap\.plant\.map\.regressor\.z: the scenario connects no 'regr",
+        ),
+        (
+            'plant = { path = "x.fmu", map = { "observer.y[0]" = "x" } }',
+            r"swap\.plant\.map\.observer\.y\[0\]: 'observer\.y\[0\]' does not belong to 'plant'",
+        ),
+        (
+            'plant = { path = "x.fmu", map = { plant.u = 1 } }',
+            r"swap\.plant\.map\.plant\.u: found 1; needed a string",
+        ),
+        ('plant = { path = "x.fmu", mode = "cs" }', r"swap\.plant\.mode: unknown key 'mode'"),
+    ],
+)
+def test_a_wrong_entry_of_the_file_is_reported_with_its_line(swap, text):
+    """As everything else in a file."""
+    with pytest.raises(ScenarioError, match=text):
+        parse(text_with(swap))
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        (
+            ["--swap", "plant=a.fmu", "--swap", "plant=b.fmu"],
+            "--swap plant: given 2 times, needed once; 'cosim compare' runs several plants",
+        ),
+        (["--map", "plant.u=a", "--map", "plant.u=b"], "--map plant.u: given 2 times, needed once"),
+    ],
+)
+def test_a_name_is_given_once(options, text, capsys):
+    """The last one does not win in silence."""
+    with pytest.raises(SystemExit) as left:
+        main(["run", "academic", *options])
+    assert left.value.code == 2
+    assert text in capsys.readouterr().err
+
+
+def test_who_is_swapped_again_loses_its_own_map_only():
+    swapped = find("academic").with_swaps(
+        {"plant": "a.fmu", "observer": "b.fmu"},
+        {"plant.y": "out1", "observer.delta": "d", "observer.y": "in1"},
+    )
+    assert swapped.with_swaps({"plant": "c.fmu"}).maps == {
+        "observer.delta": "d",
+        "observer.y": "in1",
+    }
+    assert swapped.with_swaps({"regressor": "c.fmu"}, {"regressor.mu": "m"}).maps == {
+        **swapped.maps,
+        "regressor.mu": "m",
+    }
+
+
+def test_elements_of_an_input_may_be_turned_round(tmp_path):
+    """As the list form does; an input is no output."""
+    inputs = (Signal("u", 2, role="input"),)
+    outputs = (Signal("y", 2, role="state"),)
+    gains = np.array([[1.0, 0.0], [0.0, 10.0]])
+    zeros = np.zeros((2, 2))
+    model = LinearModel(
+        Interface(inputs, outputs, {"y": ()}),
+        ("y[0]", "y[1]"),
+        zeros,
+        gains,
+        np.eye(2),
+        zeros,
+        np.zeros(2),
+        zeros,
+    )
+    path = export(model, tmp_path / "k.fmu", name="k", fmi="3").path
+    (tmp_path / "k.toml").write_text(
+        f"""
+        [scenario]
+        name = "k"
+        stop = 0.2
+        step = 0.1
+        [components.u]
+        kind = "expression"
+        y = ["1", "2"]
+        [components.k]
+        kind = "fmu"
+        path = "{path}"
+        [connections]
+        "k.u" = "u.y"
+        """
+    )
+    scenario = str(tmp_path / "k.toml")
+    maps = [
+        {"k.u": ["u[1]", "u[0]"]},
+        {"k.u[0]": "u[1]", "k.u[1]": "u[0]"},
+    ]
+    runs = [cosim.run(scenario, swap={"k": path}, map=names) for names in maps]
+    assert runs[0]["k.u"].tolist() == runs[1]["k.u"].tolist() == [[1.0, 2.0]] * 3
+    assert runs[0]["k.y"].tolist() == runs[1]["k.y"].tolist()
+    assert runs[0]["k.y"][-1] == pytest.approx([0.4, 2.0])
+    wrong = {"k.u[0]": "y[1]", "k.u[1]": "y[0]"}
+    with pytest.raises(ScenarioError, match=r"'k\.y\[1\]' is an output of 'k'; needed an input"):
+        cosim.run(scenario, swap={"k": path}, map=wrong)
+
+
+def test_a_port_that_nothing_connects_may_be_mapped(other, by_hand, tmp_path):
+    """The replaced component has it; an output there is no input here.
+
+    A replay may rewire away from a port, or from an input that named it.
+    """
+    names = {**MAP, "plant.x_b": "aux"}
+    log = cosim.run(
+        "academic", swap={"plant": other}, map=names, set=SHORT, out=tmp_path / "a.mcap"
+    )
+    assert log["plant.x_b"].tolist() == by_hand["plant.aux"].tolist()
+    assert "aux" not in [signal.name for signal in log.channels["plant"].signals]
+    for driver in ("plant.x_a[1]", "u.y"):
+        rewired = cosim.replay(tmp_path / "a.mcap", set={"connections.observer.y": driver})
+        assert rewired["observer.y"].tolist() == log[driver].tolist()
+    wrong = {**MAP, "plant.x_b": "push"}
+    with pytest.raises(
+        ScenarioError, match=r"map\['plant\.x_b'\]: 'plant\.push' is an input of 'pl"
+    ):
+        cosim.run("academic", swap={"plant": other}, map=wrong, set=SHORT)
+
+
+def test_where_the_replaced_is_unknown_a_map_may_name_its_ports(other, by_hand):
+    """It cannot be built; what the entry stands for is still checked."""
+    text = find("academic").text.replace("x_a0 = [1.0, -1.0]", "x_a0 = [1.0]")
+    document = replace(find("academic"), text=text)
+    swaps = {"plant": str(other)}
+    names = {**MAP, "plant.x_b": "aux"}
+    run = cosim.run(parse(document.with_swaps(swaps, names).with_changes(SHORT)))
+    assert run["plant.x_b"].tolist() == by_hand["plant.aux"].tolist()
+    wrong = {**MAP, "plant.x_b": "auxx"}
+    with pytest.raises(ScenarioError, match=r"map\['plant\.x_b'\]: 'plant\.auxx': 'plant' has no"):
+        cosim.run(parse(document.with_swaps(swaps, wrong).with_changes(SHORT)))
+
+
+def test_a_comparison_takes_lists_of_ports_too(other):
+    """An entry is for every alternative that has all of its ports; an unknown one is named."""
+    maps = {**MAP, "plant.x_a": "[s[0], s[1]]"}
+    short = {"scenario.stop": 0.01}
+    comparison = cosim.compare("academic", swap={"plant": [other]}, map=maps, set=short)
+    assert [outcome.error for outcome in comparison.outcomes] == ["", ""]
+    with pytest.raises(UsageError, match=r"map\['plant\.x_a'\]: no alternative has a port 't'"):
+        cosim.compare("academic", swap={"plant": [other]}, map={"plant.x_a": ["s", "t"]})
