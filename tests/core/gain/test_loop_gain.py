@@ -22,7 +22,7 @@ from cosim.core.master import run
 from cosim.core.recorders import Memory
 from cosim.errors import NonFiniteError
 from tests.core.parts import Scripted, times
-from tests.core.test_newton import pair
+from tests.core.stages.test_newton import pair
 
 NEWTON = {"coupling": "newton", "input_interpolation": "linear"}
 WAYS = [
