@@ -25,7 +25,7 @@ from cosim.core.stepping.actions import (
 )
 from cosim.core.stepping.fault_injection import faults_of
 from cosim.core.structure.ports import ConnectionEnd, Ports, layout_of
-from cosim.errors import ClockError, CosimError, GraphError, listing, nearest
+from cosim.errors import ClockError, CosimError, GraphError, UsageError, listing, nearest
 from cosim.scenario.actions.action_tables import effect_of, signals_of
 from cosim.scenario.actions.settings import SettingBuilder
 from cosim.scenario.actions.timed_swaps import SwapBuilder
@@ -366,7 +366,8 @@ def _action_of(table: ActionTable, to: str, end: ConnectionEnd, clock: Clock) ->
         kind = cast(FaultKind, effect)
         faults_of(end, kind, parameters)
     except CosimError as error:
-        raise TableProblems([((effect,), str(error))]) from error
+        text = str(error).removeprefix(f"{effect}: ")
+        raise TableProblems([((effect,), text)]) from error
     return Injection(to, kind, parameters)
 
 
@@ -383,7 +384,7 @@ def _parameters(table: ActionTable, effect: str, size: int, clock: Clock) -> tup
     Raises
     ------
     CosimError
-        If there are not as many as elements, or a delay is no whole number of steps.
+        If there are not as many as elements, or a delay is no whole number of steps from 1 on.
     """
     value: Any = getattr(table, effect)
     seed = float(table.seed or 0)
@@ -394,7 +395,7 @@ def _parameters(table: ActionTable, effect: str, size: int, clock: Clock) -> tup
             probability = 1.0 if value is True else float(value)
             return (probability, seed) * size
         case "delay":
-            return (float(whole_steps(value, clock.step_ns, "delay")),) * size
+            return (float(_late_steps(value, clock)),) * size
     values = _broadcast(value, size)
     if len(values) != size:
         raise GraphError(f"found {len(values)} values; needed {size}, one an element, or one")
@@ -404,3 +405,18 @@ def _parameters(table: ActionTable, effect: str, size: int, clock: Clock) -> tup
             parameters += [deviation, seed]
         return tuple(parameters)
     return tuple(values)
+
+
+def _late_steps(delay: float, clock: Clock) -> int:
+    """Return a delay [s] in communication steps.
+
+    Raises
+    ------
+    CosimError
+        If it is no whole number of them, from 1 on.
+    """
+    if delay < clock.step:
+        raise UsageError(
+            f"delay: found {delay} s; needed at least a communication step, {clock.step} s"
+        )
+    return whole_steps(delay, clock.step_ns, "delay")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import unicodedata
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator
@@ -22,6 +22,7 @@ def _check_bits(number: int) -> int:
 
 
 Whole = Annotated[int, Field(strict=True), AfterValidator(_check_bits)]
+LARGEST_SEED: Final = 2**53  # of an action: a log has it as a float
 Size = Annotated[Whole, Field(ge=1, le=100_000)]  # of a signal
 Flag = Annotated[bool, Field(strict=True)]
 NumberRow = tuple[Number, ...]
@@ -233,7 +234,9 @@ class ActionTable(TomlTable):
     delay: Number | None = Field(
         None, description="how late the source arrives [s], whole communication steps"
     )
-    seed: Whole | None = Field(None, ge=0, description="of noise, or of what is lost; default: 0")
+    seed: Whole | None = Field(
+        None, ge=0, le=LARGEST_SEED, description="of noise, or of what is lost; default: 0"
+    )
     release: Flag | None = Field(None, description="true: its source drives it again")
     set: dict[str, Flag | Number | NumberRow | str] | None = Field(
         None,

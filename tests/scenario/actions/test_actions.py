@@ -232,11 +232,35 @@ CASES = {
     ),
     "delay off the grid": (
         'at = 1.0\nsignal = "x.u"\ndelay = 0.25',
-        r"actions\.0\.delay: delay: 0\.25 s is not a whole number of 0\.1 s steps",
+        r"actions\.0\.delay: 0\.25 s is not a whole number of 0\.1 s steps; nearest: 0\.2 s$",
+    ),
+    "no delay": (
+        'at = 1.0\nsignal = "x.u"\ndelay = 0.0',
+        r"actions\.0\.delay: found 0\.0 s; needed at least a communication step, 0\.1 s$",
+    ),
+    "negative delay": (
+        'at = 1.0\nsignal = "x.u"\ndelay = -0.2',
+        r"actions\.0\.delay: found -0\.2 s; needed at least a communication step, 0\.1 s$",
+    ),
+    "delay that is too small": (
+        'at = 1.0\nsignal = "x.u"\ndelay = 1e-12',
+        r"actions\.0\.delay: found 1e-12 s; needed at least a communication step, 0\.1 s$",
+    ),
+    "delay beyond all times": (
+        'at = 1.0\nsignal = "x.u"\ndelay = 1e300',
+        r"actions\.0\.delay: 1e\+300 s does not fit into 64-bit nanoseconds",
+    ),
+    "negative deviation": (
+        'at = 1.0\nsignal = "x.u"\nnoise = -0.5',
+        r"actions\.0\.noise: found a deviation of -0\.5; needed 0 or more$",
+    ),
+    "seed that no number of the log has": (
+        'at = 1.0\nsignal = "x.u"\nnoise = 0.5\nseed = 9007199254740993',
+        r"actions\.0\.seed: found 9007199254740993; needed at most 9007199254740992$",
     ),
     "probability": (
         'at = 1.0\nsignal = "x.u"\ndrop = 1.5',
-        r"actions\.0\.drop: drop: found a probability of 1\.5; needed more than 0, up to 1",
+        r"actions\.0\.drop: found a probability of 1\.5; needed more than 0, up to 1",
     ),
     "seed of nothing": (
         'at = 1.0\nsignal = "x.u"\noffset = 1.5\nseed = 3',
