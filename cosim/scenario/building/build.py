@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import unicodedata
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 from cosim.blocks.declared import with_units
 from cosim.blocks.replay import Replay
 from cosim.core.clock import Clock, start_nanoseconds
-from cosim.core.contracts import Component, Design, Plan, Recording, SignalEvent
-from cosim.core.gain.loop_gain import LoopGain
+from cosim.core.contracts import Component, Recording
 from cosim.core.graph import Graph
 from cosim.core.port import Port
 from cosim.core.signals import Interface
@@ -25,11 +21,12 @@ from cosim.core.structure.ports import Ports, layout_of
 from cosim.errors import CosimError
 from cosim.scenario.building.context import (
     DependsOnInvalid,
-    MessageSource,
     NotImported,
     ScenarioBuildContext,
     clock_of,
 )
+from cosim.scenario.building.experiment import Experiment
+from cosim.scenario.building.graph_checks import held_disturbances, jump_problems
 from cosim.scenario.building.initial_states import GivenStates
 from cosim.scenario.building.models import form_problems
 from cosim.scenario.building.stopping import check_until, until_warnings
@@ -37,104 +34,12 @@ from cosim.scenario.building.truth import check_truth
 from cosim.scenario.document.document import Document
 from cosim.scenario.document.problems import Key, Problem, TableProblems
 from cosim.scenario.document.swap import MapEntry, ports_in, unknown_ports
-from cosim.scenario.identification.model import IdentifiedPlant
 from cosim.scenario.kinds import BuildContext, Kind
 from cosim.scenario.parsing import Scenario, read
-from cosim.scenario.recordings.recorded_metadata import ReplayOrigin, component_record
+from cosim.scenario.recordings.recorded_metadata import component_record
 
 if TYPE_CHECKING:
     from cosim.blocks.port_map import PortMap
-    from cosim.fmi.binary.messages import Message
-
-
-_HELD_IN_LOOP: Final = (
-    "{source} depends on what it drives, so that '{to}' takes it with a zero-order hold, on the "
-    "mean {delay:g} s late: an error of first order in the step, which no identifier has in its "
-    "model; needed a small step"
-)
-
-
-@dataclass(frozen=True)
-class Experiment:
-    """A scenario ready to run.
-
-    Parameters
-    ----------
-    scenario : Scenario
-    graph : Graph
-    clock : Clock
-    truth : mapping of estimate to its truth
-        What the report compares.
-    metadata : mapping of component name to plain values
-        What the log keeps of a component.
-    warnings : tuple of (component, text)
-    reads : mapping of component name to names of tables
-        That were read to build the component, beside its own.
-    attachments : mapping of file name to text
-        For the log: modelDescription.xml of each FMU.
-    fmus : mapping of component name to MessageSource
-        What was opened for this run and may have messages.
-    files : frozenset of Path
-        What is read beside the scenario.
-    identified : mapping of identifier to IdentifiedPlant
-        What its estimates are judged by.
-    models : mapping of name to plain values
-        Of those that were read from files: file, hash and matrices.
-    given_states : mapping of component name to GivenStates
-        Initial states that the run may have to change.
-    plan : Plan or None
-        Of the graph, where it was prepared already.
-    gains : tuple of LoopGain
-        Of its loops; of a replay as they were recorded.
-    designs : mapping of component name to Design, or None
-        Of a replay: the recorded designs that it takes.
-    messages : mapping of component name to list of Message
-        What was drained from ``fmus`` already.
-    origin : ReplayOrigin or None
-        Of a replay: the log it is made from.
-    events : tuple of SignalEvent
-        Of a replay: overrides and releases of inputs, and what followed them.
-    actions : tuple of TimedAction
-        What happens at communication points.
-    reactions : tuple of ConditionalAction
-        What happens where conditions come true.
-    until : str or None
-        The condition where it ends before its stop.
-    settings : mapping of (int, str) to Action
-        What sets parameters, by time [ns] and component; those of a replay too.
-    setting_designs : mapping of str to str
-        The designs of the components that take the places of others, for the log.
-    """
-
-    scenario: Scenario
-    graph: Graph
-    clock: Clock
-    truth: Mapping[str, Any]
-    metadata: Mapping[str, Mapping[str, Any]]
-    warnings: tuple[tuple[str, str], ...]
-    reads: Mapping[str, frozenset[str]]
-    attachments: Mapping[str, str]
-    fmus: Mapping[str, MessageSource]
-    files: frozenset[Path]
-    identified: Mapping[str, IdentifiedPlant] = field(default_factory=dict)
-    models: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    given_states: Mapping[str, GivenStates] = field(default_factory=dict)
-    plan: Plan | None = None
-    gains: tuple[LoopGain, ...] = ()
-    designs: Mapping[str, Design] | None = None
-    messages: Mapping[str, Sequence[Message]] = field(default_factory=dict)
-    origin: ReplayOrigin | None = None
-    events: tuple[SignalEvent, ...] = ()
-    actions: tuple[TimedAction, ...] = ()
-    reactions: tuple[ConditionalAction, ...] = ()
-    until: str | None = None
-    settings: Mapping[tuple[int, str], Action] = field(default_factory=dict)
-    setting_designs: Mapping[str, str] = field(default_factory=dict)
-
-    @property
-    def has_events(self) -> bool:
-        """Whether signals may jump by actions, or by the events of a recording."""
-        return bool(self.events or self.actions or self.reactions)
 
 
 class Builder:
@@ -470,7 +375,7 @@ class Builder:
             graph = self._graph()
         except CosimError as error:
             return [(("connections",), str(error))]
-        return self._jumps(graph)
+        return jump_problems(self.scenario, graph)
 
     def experiment(self) -> Experiment:
         """Return the experiment.
@@ -483,7 +388,7 @@ class Builder:
         self.check()
         context = self.context
         graph = self.graph()
-        jumps = self._jumps(graph)
+        jumps = jump_problems(self.scenario, graph)
         if jumps:
             raise self.scenario.document.report(jumps)
         self._warn(graph)
@@ -507,20 +412,6 @@ class Builder:
             settings=self._settings(),
         )
 
-    def _jumps(self, graph: Graph) -> list[Problem]:
-        """Return the problems of inputs that must not jump."""
-        problems: list[Problem] = []
-        for to, connection in self.scenario.connections.items():
-            way_out = self.scenario.specs[to.component].continuous_inputs.get(to.signal)
-            if way_out is None:
-                continue
-            for source in connection.sources:
-                jumping = graph.jumps(source)
-                if jumping:
-                    text = f"{to.signal} '{source}' {_how(source, jumping)}; {way_out}"
-                    problems.append((("components", to.component), text))
-        return problems
-
     def _warn(self, graph: Graph) -> None:
         """Record the warnings of the components, knowing what drives them, and of the graph."""
         h = self.clock.step_ns / 1e9
@@ -540,33 +431,9 @@ class Builder:
                 self.context.warn(name, text)
         keys = ["until"] if self.scenario.file.scenario.until is not None else []
         keys += ["when"] if self._reactions else []
-        more = (*self._held_disturbances(graph), *until_warnings(keys, graph))
-        for name, text in (*graph.warnings, *more):
+        held_inputs = held_disturbances(self.scenario, graph, self.clock.step_ns)
+        for name, text in (*graph.warnings, *held_inputs, *until_warnings(keys, graph)):
             self.context.warn(name, text)
-
-    def _held_disturbances(self, graph: Graph) -> Iterator[tuple[str, str]]:
-        """Yield (component, text) where a disturbance is in a loop, by signals among its alphas."""
-        if graph.input_interpolation != "linear":
-            return
-        delay = 0.5 * self.clock.step_ns / 1e9
-        for stage in graph.stages:
-            loop = {member.name for member in stage.members}
-            for to, connection in graph.connections.items():
-                if to.component not in loop:
-                    continue
-                end = graph.ports.input(to)
-                first = end.columns.start - end.channel.inputs.start
-                held = graph.held[to.component][first : first + end.size]
-                for source in connection.sources:
-                    is_inside = source.component in loop
-                    if is_inside and held.any() and self._is_modulated(source.component):
-                        text = _HELD_IN_LOOP.format(source=source, to=to, delay=delay)
-                        yield source.component, text
-
-    def _is_modulated(self, name: str) -> bool:
-        """Return whether a component has inputs that must not jump, such as alphas."""
-        inputs = self.components[name].interface.input_names
-        return not inputs.isdisjoint(self.scenario.specs[name].continuous_inputs)
 
     def graph(self) -> Graph:
         """Return the graph of the components; what is wrong beside them does not matter.
@@ -601,17 +468,6 @@ class Builder:
 def out_of_range(error: Exception) -> str:
     """Return in words that a number has left the range of numbers."""
     return f"a number is too large or too small to compute with: {error}"
-
-
-def _how(source: Port, jumping: Sequence[Port]) -> str:
-    """Return how a signal jumps."""
-    jumps = "is discrete and jumps"
-    if source.whole not in jumping:
-        jumps = f"jumps with {', '.join(map(str, jumping))}, which feeds through"
-    return (
-        f"{jumps}, and a signal that is interpolated linearly cannot: it would become a ramp of a "
-        "whole step"
-    )
 
 
 def parse(document: Document) -> Scenario:
@@ -681,23 +537,3 @@ def build_context(scenario: Scenario, resources: ExitStack) -> BuildContext:
     """
     clock_of(scenario)
     return ScenarioBuildContext(scenario, resources, None)
-
-
-def fingerprint(scenario: Scenario, name: str, reads: frozenset[str]) -> str:
-    """Hash everything that the design of a component rests on.
-
-    This is its table, the tables that it read, communication step, input interpolation and
-    coupling.
-    """
-    settings = scenario.file.scenario
-    names = sorted({f"components.{name}", *reads})
-    tables = {dotted: _table(scenario.tree, dotted) for dotted in names}
-    method = [settings.coupling, settings.iterations]
-    values = [tables, settings.step, settings.input_interpolation, *method]
-    text = json.dumps(values, sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
-def _table(tree: Mapping[str, Any], dotted: str) -> Any:
-    table, _, name = dotted.partition(".")
-    return tree.get(table, {}).get(name)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping
 from contextlib import ExitStack
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
 
@@ -37,7 +37,6 @@ from cosim.theory.plants.descriptor import DescriptorSystem
 
 if TYPE_CHECKING:
     from cosim.blocks.field_data import FieldData
-    from cosim.fmi.binary.messages import Message
     from cosim.fmi.component import Fmu
     from cosim.fmi.driving.model_exchange import ModelExchange
     from cosim.fmi.linearizing.linearization import Linearization
@@ -52,22 +51,6 @@ _NOT_IMPORTED: Final = (
     "known to its class alone, which is not imported here; 'cosim run SCENARIO --dry-run' imports "
     "it, in a process of its own"
 )
-
-
-class MessageSource(Protocol):
-    """An opened FMU, as a run sees it beside its component."""
-
-    def terminate(self) -> None:
-        """End the run; raise RunError where the FMU says that it failed."""
-        ...
-
-    def discard(self) -> None:
-        """Forget the messages since the last call of ``drain``; what warns only once may again."""
-        ...
-
-    def drain(self) -> Sequence[Message]:
-        """Return the messages since the last call."""
-        ...
 
 
 def clock_of(scenario: Scenario) -> Clock:

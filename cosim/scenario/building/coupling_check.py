@@ -21,7 +21,7 @@ from cosim.core.contracts import Plan
 from cosim.core.gain.loop_gain import NOTED, REFUSED, LinearizedLoops, LoopGain
 from cosim.core.graph import Graph
 from cosim.errors import CosimError, listing
-from cosim.scenario.building.build import Experiment
+from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.document.problems import Problem
 
 COUPLING: Final = "coupling"  # whose warnings these are

@@ -34,7 +34,7 @@ from cosim.core.recorders import end_of_run, error_text
 from cosim.core.signals import Layout
 from cosim.errors import CosimError, Interrupted, RunError, UsageError, option
 from cosim.scenario.actions.action_tables import signals_of
-from cosim.scenario.building.build import Experiment
+from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.certification.thinned_rows import QUARTERS, JumpWatch, ThinnedRows
 from cosim.scenario.document.schema import ActionTable
 from cosim.scenario.parsing import Scenario

@@ -17,7 +17,7 @@ from cosim.errors import LogError, RunError, UsageError, flag, option
 from cosim.files import file_type
 from cosim.log import Log, McapRecorder
 from cosim.log.paths import check_new_log, log_path
-from cosim.scenario.building.build import Experiment
+from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.recordings.records import MessageRecorder, attachments_of, metadata_of
 from cosim.scenario.running.interrupting import interruptible
 

@@ -18,7 +18,8 @@ from cosim.errors import Interrupted, RunError
 from cosim.interrupts import uninterrupted
 from cosim.log import Attachment
 from cosim.scenario.actions.settings import SETTINGS
-from cosim.scenario.building.build import Experiment, fingerprint
+from cosim.scenario.building.experiment import Experiment
+from cosim.scenario.building.fingerprint import fingerprint
 from cosim.scenario.building.initial_states import INITIAL_STATES, change_text, changed_states
 from cosim.scenario.identification.run_verdicts import IDENTIFICATION, Assessor
 from cosim.units import Conversion

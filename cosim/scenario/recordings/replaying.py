@@ -18,7 +18,9 @@ from cosim.core.stepping.actions import Action
 from cosim.errors import LogError, UsageError, command, flag, option
 from cosim.log import Log
 from cosim.log.metadata import json_table
-from cosim.scenario.building.build import Builder, Experiment, fingerprint, parse
+from cosim.scenario.building.build import Builder, parse
+from cosim.scenario.building.experiment import Experiment
+from cosim.scenario.building.fingerprint import fingerprint
 from cosim.scenario.document.document import Document
 from cosim.scenario.document.edits import ACTIONS, short
 from cosim.scenario.document.swap import is_map_key

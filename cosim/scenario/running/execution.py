@@ -15,7 +15,8 @@ from cosim.core.contracts import Recorder
 from cosim.core.recorders import Memory
 from cosim.errors import UsageError, option, quoted
 from cosim.log import Log, open_log
-from cosim.scenario.building.build import Experiment, parse
+from cosim.scenario.building.build import parse
+from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.document.document import Document, find
 from cosim.scenario.document.swap import PortNames
 from cosim.scenario.parsing import Scenario

@@ -6,8 +6,9 @@ from contextlib import ExitStack
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from cosim.scenario.building.build import Builder, Experiment
+from cosim.scenario.building.build import Builder
 from cosim.scenario.building.coupling_check import with_loop_gains
+from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.parsing import Scenario
 
 if TYPE_CHECKING:

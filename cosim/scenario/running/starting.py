@@ -11,7 +11,7 @@ from pathlib import Path
 from cosim.arguments import truth_argument
 from cosim.core.simulation import Simulation
 from cosim.errors import RunError, UsageError
-from cosim.scenario.building.build import Experiment
+from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.recordings.recording import Target, check_target, log_recorder
 from cosim.scenario.recordings.records import MessageRecorder, metadata_of

@@ -21,7 +21,8 @@ from cosim.core.port import Port
 from cosim.core.signals import Causality, Interface
 from cosim.errors import CosimError, GraphError, ScenarioError
 from cosim.fmi.description import INTERFACE_TYPE_NAMES, Description, InterfaceType
-from cosim.scenario.building.build import Builder, Experiment, parse
+from cosim.scenario.building.build import Builder, parse
+from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.document.schema import truth_ports
 from cosim.scenario.document.swap import ports_in
 from cosim.scenario.kinds import Kind

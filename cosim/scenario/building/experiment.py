@@ -1,0 +1,120 @@
+"""A scenario ready to run: its graph, clock and actions, and what its log keeps beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+from cosim.core.clock import Clock
+from cosim.core.contracts import Design, Plan, SignalEvent
+from cosim.core.gain.loop_gain import LoopGain
+from cosim.core.graph import Graph
+from cosim.core.stepping.actions import Action, ConditionalAction, TimedAction
+from cosim.scenario.building.initial_states import GivenStates
+from cosim.scenario.identification.model import IdentifiedPlant
+from cosim.scenario.parsing import Scenario
+from cosim.scenario.recordings.recorded_metadata import ReplayOrigin
+
+if TYPE_CHECKING:
+    from cosim.fmi.binary.messages import Message
+
+
+class MessageSource(Protocol):
+    """An opened FMU, as a run sees it beside its component."""
+
+    def terminate(self) -> None:
+        """End the run; raise RunError where the FMU says that it failed."""
+        ...
+
+    def discard(self) -> None:
+        """Forget the messages since the last call of ``drain``; what warns only once may again."""
+        ...
+
+    def drain(self) -> Sequence[Message]:
+        """Return the messages since the last call."""
+        ...
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A scenario ready to run.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    graph : Graph
+    clock : Clock
+    truth : mapping of estimate to its truth
+        What the report compares.
+    metadata : mapping of component name to plain values
+        What the log keeps of a component.
+    warnings : tuple of (component, text)
+    reads : mapping of component name to names of tables
+        That were read to build the component, beside its own.
+    attachments : mapping of file name to text
+        For the log: modelDescription.xml of each FMU.
+    fmus : mapping of component name to MessageSource
+        What was opened for this run and may have messages.
+    files : frozenset of Path
+        What is read beside the scenario.
+    identified : mapping of identifier to IdentifiedPlant
+        What its estimates are judged by.
+    models : mapping of name to plain values
+        Of those that were read from files: file, hash and matrices.
+    given_states : mapping of component name to GivenStates
+        Initial states that the run may have to change.
+    plan : Plan or None
+        Of the graph, where it was prepared already.
+    gains : tuple of LoopGain
+        Of its loops; of a replay as they were recorded.
+    designs : mapping of component name to Design, or None
+        Of a replay: the recorded designs that it takes.
+    messages : mapping of component name to list of Message
+        What was drained from ``fmus`` already.
+    origin : ReplayOrigin or None
+        Of a replay: the log it is made from.
+    events : tuple of SignalEvent
+        Of a replay: overrides and releases of inputs, and what followed them.
+    actions : tuple of TimedAction
+        What happens at communication points.
+    reactions : tuple of ConditionalAction
+        What happens where conditions come true.
+    until : str or None
+        The condition where it ends before its stop.
+    settings : mapping of (int, str) to Action
+        What sets parameters, by time [ns] and component; those of a replay too.
+    setting_designs : mapping of str to str
+        The designs of the components that take the places of others, for the log.
+    """
+
+    scenario: Scenario
+    graph: Graph
+    clock: Clock
+    truth: Mapping[str, Any]
+    metadata: Mapping[str, Mapping[str, Any]]
+    warnings: tuple[tuple[str, str], ...]
+    reads: Mapping[str, frozenset[str]]
+    attachments: Mapping[str, str]
+    fmus: Mapping[str, MessageSource]
+    files: frozenset[Path]
+    identified: Mapping[str, IdentifiedPlant] = field(default_factory=dict)
+    models: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    given_states: Mapping[str, GivenStates] = field(default_factory=dict)
+    plan: Plan | None = None
+    gains: tuple[LoopGain, ...] = ()
+    designs: Mapping[str, Design] | None = None
+    messages: Mapping[str, Sequence[Message]] = field(default_factory=dict)
+    origin: ReplayOrigin | None = None
+    events: tuple[SignalEvent, ...] = ()
+    actions: tuple[TimedAction, ...] = ()
+    reactions: tuple[ConditionalAction, ...] = ()
+    until: str | None = None
+    settings: Mapping[tuple[int, str], Action] = field(default_factory=dict)
+    setting_designs: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def has_events(self) -> bool:
+        """Whether signals may jump by actions, or by the events of a recording."""
+        return bool(self.events or self.actions or self.reactions)
