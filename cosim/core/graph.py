@@ -15,25 +15,25 @@ import numpy as np
 
 from cosim.arrays import Mask, Vector
 from cosim.core.arguments import check_type, checked_components, kind_of
-from cosim.core.connections import ONE_SOURCE, Connection, SourceText, conversions_of
+from cosim.core.connections import Connection, SourceText
 from cosim.core.contracts import Component, Design, Plan, Recording, Transfer
 from cosim.core.initialization.initial_values import InitialValues
 from cosim.core.port import Port
-from cosim.core.signals import Channel, Signal, Variability
+from cosim.core.signals import Variability
 from cosim.core.stages.calls import GuardedComponent
 from cosim.core.stages.coupling import Cascade, Loop, Stage
 from cosim.core.stages.member import Member, first_non_finite
 from cosim.core.stages.torn_inputs import TornInputs
 from cosim.core.stages.wires import Wire, constant_wires, wires_of
+from cosim.core.structure.checked_connections import CheckedConnections
 from cosim.core.structure.connection_checks import (
-    check_connections,
     element_warnings,
     unit_warnings,
 )
 from cosim.core.structure.cycles import groups_in_order
 from cosim.core.structure.feedthrough import Edge, extrapolation_text
 from cosim.core.structure.order import Coupling, order_loop
-from cosim.core.structure.ports import Ports, layout_of, undriven_parts
+from cosim.core.structure.ports import Ports, layout_of
 from cosim.core.structure.variability import Variabilities
 from cosim.errors import GraphError, listing, nearest
 from cosim.native.stages.loop_solver import LoopSolver
@@ -125,13 +125,12 @@ class Graph:
         self.input_interpolation = input_interpolation
         self.layout = layout_of(self.components, self.periods)
         self.ports = Ports(self.layout)
-        self.connections = self._checked(connections)
-        self._parts = self._parts_by_input()
-        self.conversions = self._conversions()
-        self.unconnected = self._find_unconnected()
-        self._sources = {
-            channel.name: self._sources_of(channel) for channel in self.layout.channels
-        }
+        self._checked = CheckedConnections(self.ports, connections)
+        self.connections = self._checked.by_port
+        self.conversions = self._checked.conversions
+        self.unconnected = self._checked.unconnected
+        self._parts = self._checked.parts
+        self._sources = self._checked.sources
         self._variabilities = Variabilities(
             self.ports,
             self.connections,
@@ -403,6 +402,10 @@ class Graph:
         """Return the discrete outputs whose jumps are known to be in an output, itself first."""
         return self._variabilities.jumps(output)
 
+    def sources_of(self, port: Port) -> tuple[Port, ...]:
+        """Return the outputs, or elements of them, that drive an input, in its order."""
+        return self._checked.sources_of(port)
+
     def labels(self) -> list[str]:
         """Return the name of every column: ``component.signal`` or ``component.signal[i]``."""
         labels = []
@@ -424,77 +427,6 @@ class Graph:
                 label = f"recorded design of {name!r}, {key!r}"
                 check_type(label, array, np.ndarray, GraphError)
 
-    def _checked(
-        self, connections: Mapping[str, SourceText | Connection] | Mapping[Port, Connection]
-    ) -> dict[Port, Connection]:
-        """Return the connections by the port of the input, after a check of them all."""
-        check_type("connections", connections, Mapping, GraphError)
-        parsed: dict[Port, Connection] = {}
-        for to, given in connections.items():
-            port = to if isinstance(to, Port) else Port.parse(to)
-            if port in parsed:
-                raise GraphError(f"'{port}' is given twice; {ONE_SOURCE}")
-            parsed[port] = given if isinstance(given, Connection) else Connection(given)
-        problems = check_connections(self.ports, parsed)
-        if problems:
-            raise GraphError("\n".join(problems.values()))
-        by_input = {}
-        for port, connection in parsed.items():
-            whole = self.ports.input(port).port
-            # a signal may have a name that looks like that of an element
-            by_input[whole if port.name == whole.signal else port] = connection
-        return by_input
-
-    def _parts_by_input(self) -> dict[Port, list[Port]]:
-        """Return the connected ports of every input, in the order of its elements."""
-        parts: dict[Port, list[Port]] = {}
-        for channel in self.layout.channels:
-            for signal in channel.interface.inputs:
-                parts[Port(channel.name, signal.name)] = []
-        for to in self.connections:
-            parts[self.ports.input(to).port].append(to)
-        for ports in parts.values():
-            ports.sort(key=lambda to: self.ports.input(to).elements.start)
-        return parts
-
-    def sources_of(self, port: Port) -> tuple[Port, ...]:
-        """Return the outputs, or elements of them, that drive an input, in its order."""
-        sources: list[Port] = []
-        for part in self._parts[self.ports.input(port).port]:
-            sources += self.connections[part].sources
-        return tuple(sources)
-
-    def _conversions(self) -> dict[Port, tuple[Conversion, ...]]:
-        conversions = {}
-        for to, connection in self.connections.items():
-            by_source = conversions_of(self.ports, to, connection)
-            if not all(conversion.copies for conversion in by_source):
-                conversions[to] = by_source
-        return conversions
-
-    def _find_unconnected(self) -> dict[Port, tuple[float, ...]]:
-        unconnected = {}
-        for channel in self.layout.channels:
-            for signal in channel.interface.inputs:
-                port = Port(channel.name, signal.name)
-                for part in self._undriven(port, signal):
-                    unconnected[part] = signal.initial_values[part.elements_of(signal)]
-        return unconnected
-
-    def _undriven(self, port: Port, signal: Signal) -> list[Port]:
-        """Return the parts of an input that nothing drives."""
-        ends = [self.ports.input(to) for to in self._parts[port]]
-        return undriven_parts(port, signal, ends)
-
-    def _sources_of(self, channel: Channel) -> dict[str, tuple[Port, ...]]:
-        """Return the outputs that drive each input."""
-        sources = {}
-        for signal in channel.interface.inputs:
-            driving = self.sources_of(Port(channel.name, signal.name))
-            ports = [self.ports.output(port).port for port in driving]
-            sources[signal.name] = tuple(dict.fromkeys(ports))
-        return sources
-
     def _wires_of(self, name: str) -> dict[Port, tuple[Wire, ...]]:
         """Return the wires that feed each input of a component."""
         wires: dict[Port, tuple[Wire, ...]] = {}
@@ -504,7 +436,7 @@ class Graph:
             feeding: list[Wire] = []
             for to in self._parts[port]:
                 feeding += self._wires_to(to)
-            for part in self._undriven(port, signal):
+            for part in self._checked.undriven(port, signal):
                 columns = self.ports.columns(port, part.elements_of(signal))
                 feeding += constant_wires(columns, self.unconnected[part])
             wires[port] = tuple(feeding)
