@@ -324,7 +324,8 @@ class _Together:
             values = {parameter: value for parameter, (_, value) in own.items()}
             places: dict[str, Place] = {}
             for parameter, (number, _) in own.items():
-                places[parameter] = (number, ("set", f"{name}.{parameter}"))
+                text = f"{name}.{parameter}" if parameter else name
+                places[parameter] = (number, ("set", text))
             yield index, name, values, places
 
 

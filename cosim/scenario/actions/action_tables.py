@@ -79,6 +79,10 @@ def _problems(action: ActionTable) -> list[Problem]:
     if len(effects) != 1:
         found = " and ".join(effects) or "nothing that happens"
         problems.append(((), f"found {found}; needed one of: {', '.join(EFFECTS)}"))
+    if action.set == {}:
+        problems.append((("set",), "found nothing; needed a parameter and its value"))
+    if action.swap == {}:
+        problems.append((("swap",), "found nothing; needed a component and its .fmu"))
     for name in SWITCHES:
         if getattr(action, name) is False:
             problems.append(((name,), "found False; needed true, or another action"))

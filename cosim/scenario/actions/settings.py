@@ -21,10 +21,10 @@ from cosim.core.graph import Graph
 from cosim.core.port import Port
 from cosim.core.stepping.actions import AT_CONDITION, NO_VARIANTS, ActedOn, Action, Setting
 from cosim.core.stepping.jumps import ParameterValues
-from cosim.errors import LogError, RunError, UsageError, listing, nearest
+from cosim.errors import LogError, RunError, UsageError, listing, nearest, quoted
 from cosim.log.metadata import decode_design, encode_design
 from cosim.scenario.building.context import ScenarioBuildContext
-from cosim.scenario.document.problems import TableProblems, problems_of
+from cosim.scenario.document.problems import Problem, TableProblems, problems_of
 from cosim.scenario.kinds import Kind
 from cosim.scenario.parsing import Scenario
 
@@ -111,6 +111,7 @@ class SettingBuilder:
         spec = self._specs[name]
         self._check_names(name, spec, values)
         fmu = spec.tuned_fmu(name, self._context)
+        _check_values(values, are_nested=fmu is not None)
         if fmu is not None:
             from cosim.fmi.driving.tuning import check_tuning  # where there is an FMU
 
@@ -134,9 +135,18 @@ class SettingBuilder:
 
     def _check_names(self, name: str, spec: Kind, values: Mapping[str, Any]) -> None:
         known = spec.tunable_parameters(name, self._context)
-        problems = []
+        problems: list[Problem] = []
         for key in values:
-            if key not in known:
+            if not key:
+                there_are = f": {', '.join(known)}" if known else ", and it has none"
+                text = f"found no parameter of {name!r}; needed one that is tunable{there_are}"
+                problems.append(((key,), text))
+            elif key not in known and key in spec.tunable:
+                text = (
+                    f"{key!r} of {name!r} is no number or list of numbers; needed one in its table"
+                )
+                problems.append(((key,), text))
+            elif key not in known:
                 there_are = f"tunable: {', '.join(known)}" if known else "it has none that is"
                 is_there = key in type(spec).model_fields
                 suggestion = there_are if is_there or not known else nearest(key, known)
@@ -173,6 +183,40 @@ class SettingBuilder:
         return spec.with_period(component, spec.period_steps(name, context.step_ns))
 
 
+def _check_values(values: Mapping[str, Any], *, are_nested: bool) -> None:
+    """Check that values are numbers, or lists of them; nested ones, and texts, only of an FMU.
+
+    Raises
+    ------
+    TableProblems
+        If one is something else.
+    """
+    problems = []
+    for key, value in values.items():
+        if are_nested and not _is_start(value):
+            text = f"found {quoted(value)}; needed a number, a text, or a list of these"
+            problems.append(((key,), text))
+        elif not are_nested and not all(map(_is_number, _row(value))):
+            text = f"found {quoted(value)}; needed a number or a list of numbers"
+            problems.append(((key,), text))
+    if problems:
+        raise TableProblems(problems)
+
+
+def _is_start(value: Any) -> bool:
+    if isinstance(value, list | tuple):
+        return all(map(_is_start, value))
+    return isinstance(value, bool | int | float | str)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, bool | int | float)
+
+
+def _row(value: Any) -> Sequence[Any]:
+    return value if isinstance(value, list | tuple) else [value]
+
+
 def _changed(spec: Kind, values: Mapping[str, Any]) -> Kind:
     """Return a table with other values.
 
@@ -189,8 +233,7 @@ def _changed(spec: Kind, values: Mapping[str, Any]) -> Kind:
 
 
 def _numbers(value: Any) -> tuple[float, ...]:
-    values = value if isinstance(value, list | tuple) else [value]
-    return tuple(map(float, values))
+    return tuple(map(float, _row(value)))
 
 
 def _like(current: Any, values: Sequence[float]) -> Any:

@@ -238,7 +238,7 @@ class ActionTable(TomlTable):
         None, ge=0, le=LARGEST_SEED, description="of noise, or of what is lost; default: 0"
     )
     release: Flag | None = Field(None, description="true: its source drives it again")
-    set: dict[str, Flag | Number | NumberRow | str] | None = Field(
+    set: dict[str, Any] | None = Field(
         None,
         description='tunable parameters and their values: { "observer.filter_rate" = 500.0 }; '
         "the state stays",

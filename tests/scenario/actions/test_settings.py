@@ -27,6 +27,7 @@ limit = { kind = "limit", lower = -1.0, upper = 1.5 }
 x = { kind = "lag", time_constant = 0.5, initial = 0.0 }
 pid = { kind = "pid", gain = 2.0, integral_time = 1.0, lower = -5.0, upper = 5.0 }
 noise = { kind = "noise", deviation = 0.1, seed = 3 }
+k = { kind = "controller", A = [[-1.0]], B = [[1.0]], C = [[1.0]] }
 
 [connections]
 "g.u" = "s.y"
@@ -34,6 +35,7 @@ noise = { kind = "noise", deviation = 0.1, seed = 3 }
 "x.u" = "g.y"
 "pid.setpoint" = "s.y"
 "pid.measurement" = "x.y"
+"k.u" = "s.y"
 """
 ACTIONS = """
 [[actions]]
@@ -208,7 +210,7 @@ def test_a_setting_is_set_from_outside(write):
 CASES = {
     "unknown component": (
         'set = { "h.K" = 1.0 }',
-        r":24: actions\.0\.set\.h\.K: there is no component 'h'; ",
+        r":26: actions\.0\.set\.h\.K: there is no component 'h'; ",
     ),
     "not tunable": (
         'set = { "x.initial" = 1.0 }',
@@ -235,7 +237,37 @@ CASES = {
         'set = { "g.K" = 1.0 }\n[[actions]]\nat = 1.0\nset = { "g.K" = 2.0 }',
         r"actions\.1\.set\.g\.K: is set by actions\.0 at the same instant; needed one of them",
     ),
-    "no parameter": ('set = { "g" = 1.0 }', r"'g' has no tunable parameter ''; "),
+    "no parameter": (
+        'set = { "g" = 1.0 }',
+        r"actions\.0\.set\.g: found no parameter of 'g'; needed one that is tunable: K$",
+    ),
+    "matrix that is not tunable": (
+        'set = { "k.A" = [[1.0]] }',
+        r"set\.k\.A: 'k' has no tunable parameter 'A'; it has none that is$",
+    ),
+    "what the table leaves out": (
+        'set = { "pid.tracking_time" = 1.0 }',
+        r"'tracking_time' of 'pid' is no number or list of numbers; needed one in its table$",
+    ),
+    "matrix of an unknown component": (
+        'set = { "h.K" = [[1.0]] }',
+        r"actions\.0\.set\.h\.K: there is no component 'h'; ",
+    ),
+    "matrix for a number": (
+        'set = { "x.time_constant" = [[1.0]] }',
+        r"set\.x\.time_constant: found \[\[1\.0\]\]; needed a number or a list of numbers$",
+    ),
+    "matrix for a row": (
+        'set = { "c.value" = [[1.0], [2.0]] }',
+        r"set\.c\.value: found \[\[1\.0\], \[2\.0\]\]; needed a number or a list of numbers$",
+    ),
+    "table": (
+        'set = { "x.time_constant" = { a = 1 } }',
+        r"set\.x\.time_constant: found \{'a': 1\}; needed a number or a list of numbers$",
+    ),
+    "infinity": ('set = { "g.K" = inf }', r"set\.g\.K: found inf; needed a finite number"),
+    "nothing": ("set = {}", r"actions\.0\.set: found nothing; needed a parameter and its value$"),
+    "no swap": ("swap = {}", r"actions\.0\.swap: found nothing; needed a component and its \.fmu$"),
 }
 
 
