@@ -23,7 +23,7 @@ from cosim.core.signals import Variability
 from cosim.core.stages.calls import GuardedComponent
 from cosim.core.stages.coupling import Cascade, Loop, Stage
 from cosim.core.stages.member import Member, first_non_finite
-from cosim.core.stages.torn_inputs import TornInputs
+from cosim.core.stages.torn_inputs import KeptInputs, TornInputs
 from cosim.core.stages.wires import Wire, constant_wires, wires_of
 from cosim.core.structure.checked_connections import CheckedConnections
 from cosim.core.structure.connection_checks import (
@@ -515,6 +515,9 @@ class Graph:
             _check_rollback(members)
             iterations = 0 if self.coupling == "newton" else self.iterations
             torn = TornInputs(order.torn, members, self.ports, iterations)
+        kept = None
+        if self.coupling == "jacobi" and torn is None:
+            kept = KeptInputs(order.kept, members, self.ports)
         for member in members:
             member.note = self._loop_note(member.name, names)
         return Loop(
@@ -525,6 +528,7 @@ class Graph:
             order.broken,
             tuple(warnings),
             torn,
+            kept,
             self._lags(members),
         )
 

@@ -13,7 +13,7 @@ More than ``REFUSED`` is no result any more; more than ``NOTED`` is worth a warn
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final, Literal, TypeAlias
 
@@ -32,6 +32,7 @@ from cosim.errors import GraphError
 
 REFUSED: Final = 10.0
 NOTED: Final = 1.01
+FAR: Final = 10  # a fine step that is so much smaller than one that is not refused is not offered
 TOO_FAST: Final = "it grows beyond all numbers within a step"
 NO_SOLUTION: Final = "its algebraic loop has no one solution at the start"
 
@@ -145,19 +146,28 @@ class LinearizedLoops:
         return tuple(self._gain(loop) for loop in self.graph.stages if loop.is_loop)
 
     def step_for(self, number: int) -> int | None:
-        """Return a communication step [ns] at which a loop would not be refused; None: none found.
+        """Return a communication step [ns] at which a loop would run; None: none found.
 
         It divides the present one, so that it divides all that the present one does. Of such the
-        largest is looked for by bisection; the gain is computed at the one that is returned.
+        largest is looked for by bisection at which the loop would be fine; the gain is computed at
+        the one that is returned. Where that is less than a tenth of the largest that would not be
+        refused, as of undamped loops, whose error grows slowly at any step, it is the latter.
         """
         model = self._model(self._loops()[number])
+        fine = self._largest_step(model, ("fine",))
+        allowed = self._largest_step(model, ("fine", "noted"))
+        if fine is None or allowed is None:
+            return allowed
+        return fine if FAR * fine >= allowed else allowed
+
+    def _largest_step(self, model: LoopModel, verdicts: Sequence[GainVerdict]) -> int | None:
         step_ns = self.clock.step_ns
         parts = [count for count in _divisors(step_ns) if count > 1]
         lower = 0
         upper = len(parts)
         while lower < upper:
             middle = (lower + upper) // 2
-            if self._is_right(model, parts[middle]):
+            if self._verdict(model, parts[middle]) in verdicts:
                 upper = middle
             else:
                 lower = middle + 1
@@ -198,9 +208,8 @@ class LinearizedLoops:
         model = self._model(loop)
         return _gain_of(model, names, coupling, self.clock.steps)
 
-    def _is_right(self, model: LoopModel, parts: int) -> bool:
-        gain = _gain_of(model.refined(parts), (), "", self.clock.steps * parts)
-        return gain.verdict in ("fine", "noted")
+    def _verdict(self, model: LoopModel, parts: int) -> GainVerdict:
+        return _gain_of(model.refined(parts), (), "", self.clock.steps * parts).verdict
 
 
 def _gain_of(model: LoopModel, names: tuple[str, ...], coupling: str, steps: int) -> LoopGain:

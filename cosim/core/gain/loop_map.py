@@ -26,6 +26,7 @@ from cosim.core.stages.member import Member
 
 LARGEST: Final = 400  # rows of a map, up to which its eigenvalues take little time
 SINGULAR: Final = 1e-12  # relative; equations closer to that have no solution to rely on
+CHANGING: Final = ("gather together", "advance", "advance together", "refresh")
 LONGEST: Final = 4096  # communication steps after which the steps of components repeat
 
 
@@ -41,13 +42,15 @@ class LoopModel:
     held : tuple of Mask, shapes (n_u,)
         Which inputs have a zero-order hold.
     operations : tuple of (OperationName, int)
-        Of a step, with numbers of components; those that change outputs.
+        Of a step, with numbers of components; those that change outputs, or inputs for them.
     h : float
         Communication step [s].
     torn : tuple of (int, int)
-        The inputs that are solved for: component and element.
+        The inputs that are solved for, or kept for a sweep: component and element.
     iterations : int
         Sweeps of a step, where their number is fixed; 0: the torn inputs are solved for.
+    records_torn : bool
+        Whether the row has what is taken for the torn inputs, and not what their sources give.
     latest : tuple of bool
         Which components take the inputs at the end of a step over the whole step.
     """
@@ -59,6 +62,7 @@ class LoopModel:
     h: float
     torn: tuple[tuple[int, int], ...] = ()
     iterations: int = 0
+    records_torn: bool = True
     latest: tuple[bool, ...] = ()
 
     @property
@@ -81,7 +85,7 @@ class LoopModel:
     @property
     def n_kept(self) -> int:
         """Number of torn inputs that differ from their sources, so that a step hands them on."""
-        return len(self.torn) if self.iterations else 0
+        return len(self.torn) if self.iterations and self.records_torn else 0
 
     @property
     def is_too_large(self) -> bool:
@@ -119,7 +123,7 @@ def loop_model(
     numbers = {member.name: number for number, member in enumerate(loop.members)}
     operations: list[tuple[OperationName, int]] = []
     for kind, members in loop.program:
-        if kind in ("advance", "refresh"):
+        if kind in CHANGING:
             operations += [(kind, numbers[member.name]) for member in members]
     return LoopModel(
         tuple(linearized[member.name] for member in loop.members),
@@ -128,14 +132,22 @@ def loop_model(
         tuple(operations),
         h,
         _torn(loop),
-        0 if loop.torn is None else loop.torn.solver.iterations,
+        _iterations(loop),
+        loop.kept is None,
         tuple(member.takes_latest for member in loop.members),
     )
 
 
+def _iterations(loop: Stage) -> int:
+    if loop.kept is not None:
+        return 1
+    return 0 if loop.torn is None else loop.torn.solver.iterations
+
+
 def _torn(loop: Stage) -> tuple[tuple[int, int], ...]:
-    """Return the inputs of a loop that are solved for, as component and element."""
-    columns = () if loop.torn is None else loop.torn.columns
+    """Return the inputs of a loop that are solved for or kept, as component and element."""
+    inputs = loop.torn or loop.kept
+    columns = () if inputs is None else inputs.columns
     torn = []
     for number, member in enumerate(loop.members):
         first = member.inputs.start
@@ -222,9 +234,14 @@ class _Sweep:
         outputs = model.outputs
         state = list(self._state)
         end = self._row.copy()  # what extrapolated inputs read
+        together: dict[int, Matrix] = {}  # inputs that are gathered before anybody advances
         for kind, number in model.operations:
-            u1 = self._inputs(number, end, torn)
-            if kind == "advance":
+            if kind == "gather together":
+                together[number] = self._inputs(number, end, torn)
+                continue
+            is_gathered = kind == "advance together"
+            u1 = together[number] if is_gathered else self._inputs(number, end, torn)
+            if kind != "refresh":
                 u0 = u1 if model.latest[number] else self._inputs(number, self._row, self._kept)
                 state[number], y = self._steps[number].advance(state[number], u0, u1)
             else:

@@ -6,6 +6,9 @@ component from one that has not reached the end of the step yet is *extrapolated
 value from the start of the step (first order). Outputs that feed through from it are evaluated
 again as soon as it is known.
 
+Components that advance together (Jacobi) take their inputs before any of them advances, whatever
+the order of their names (:mod:`cosim.core.stages.torn_inputs`).
+
 A loop that iterates extrapolates nothing: the inputs at which it is torn are unknowns. Its
 components advance with what is tried for these, go back, and advance again, until it is what their
 sources give (:mod:`cosim.core.stages.torn_inputs`). Every input then follows its source through the
@@ -26,13 +29,24 @@ from numpy.typing import NDArray
 from cosim.arrays import Matrix, Vector, read_only
 from cosim.core.contracts import Block, Stopped
 from cosim.core.stages.member import Member, NonFinite, driving_groups, first_non_finite
-from cosim.core.stages.torn_inputs import END, TornInputs
+from cosim.core.stages.torn_inputs import END, KeptInputs, TornInputs
 from cosim.core.structure.order import OperationKind
 from cosim.errors import RunError
 from cosim.native.stages.loop_solver import SOLVED, SWEEP
 
 OperationName: TypeAlias = Literal[
-    "keep", "gather", "advance", "refresh", "check", "save", "begin", "restore", "solve"
+    "keep",
+    "gather",
+    "advance",
+    "refresh",
+    "check",
+    "save",
+    "begin",
+    "restore",
+    "solve",
+    "gather together",
+    "advance together",
+    "record",
 ]
 ProgramOperation: TypeAlias = tuple[OperationName, tuple[Member, ...]]
 StageProgram: TypeAlias = tuple[ProgramOperation, ...]
@@ -125,6 +139,11 @@ class Stage(Advancing, Protocol):
         """The unknowns that it solves for; None: it does not iterate."""
         ...
 
+    @property
+    def kept(self) -> KeptInputs | None:
+        """The inputs of components that advance together; None: they do not."""
+        ...
+
 
 @dataclass(frozen=True, slots=True)
 class Cascade:
@@ -136,6 +155,7 @@ class Cascade:
     is_first_order: bool = False
     is_loop: bool = False
     torn: None = None
+    kept: None = None
     coupling: str = ""
 
     @property
@@ -189,8 +209,8 @@ class Cascade:
 class Loop:
     """Components of a cycle of the graph, advanced step by step in a fixed order of operations.
 
-    ``broken`` connections are extrapolated; ``lags``: inputs hold their values over a step, or
-    outputs belong to inputs inside it.
+    ``broken`` connections are extrapolated; ``kept``: the inputs of components that advance
+    together; ``lags``: inputs hold their values over a step, or outputs belong to inputs inside it.
     """
 
     coupling: str
@@ -200,6 +220,7 @@ class Loop:
     broken: int
     warnings: tuple[tuple[str, str], ...]
     torn: TornInputs | None
+    kept: KeptInputs | None
     lags: bool
     is_loop: bool = True
 
@@ -236,6 +257,8 @@ class Loop:
     def program(self) -> StageProgram:
         """What :meth:`_solve` does, without copies that nothing reads or that change nothing."""
         check: ProgramOperation = ("check", self.members)
+        if self.kept is not None:
+            return (*self._sweep_together_program, check)
         if self.torn is None:
             return (*self._sweep_program, check)
         program: list[ProgramOperation] = []
@@ -268,6 +291,16 @@ class Loop:
             last = gathered[member.name]
             if any(written[source] >= last for source in sources[member.name]):
                 program.append(("gather", (member,)))
+        return tuple(program)
+
+    @property
+    def _sweep_together_program(self) -> StageProgram:
+        """What :meth:`_sweep` does where components advance together."""
+        program: list[ProgramOperation] = [("keep", (member,)) for member in self.members]
+        program.append(("gather together", self.members))
+        for kind, member in self.operations:
+            program.append((kind if kind == "refresh" else "advance together", (member,)))
+        program.append(("record", self.members))
         return tuple(program)
 
     def _sources(self) -> dict[str, set[str]]:
@@ -350,8 +383,11 @@ class Loop:
         """
         stopped: Stopped | None = None
         self._keep(rows)
+        if self.kept is not None:
+            self.kept.gather(rows)
         for kind, member in self.operations:
-            self._gather(member, rows)
+            if self.kept is None or kind == "refresh":
+                self._gather(member, rows)
             try:
                 y = call(kind, member, time, h, member.inputs_over(known))
             except Stopped as stop:
@@ -363,7 +399,9 @@ class Loop:
             results.append((member, y))
         # What is recorded as applied at the end of the step is what the sources gave there at last.
         for member in self.members:
-            self._gather(member, rows)
+            member.gather(rows, END)
+            if self.torn is not None:  # they were given what was tried, not what the sources gave
+                self.torn.put(rows, member)
         return stopped
 
     def _keep(self, rows: Matrix) -> None:
@@ -376,6 +414,8 @@ class Loop:
         member.gather(rows, END)
         if self.torn is not None:
             self.torn.put(rows, member)
+        if self.kept is not None:
+            self.kept.put(rows, member)
 
 
 def call(kind: OperationName, member: Member, time: Vector, h: float, u: Matrix) -> Vector:
@@ -383,7 +423,7 @@ def call(kind: OperationName, member: Member, time: Vector, h: float, u: Matrix)
 
     Parameters
     ----------
-    kind : {"advance", "refresh"}
+    kind : {"advance", "advance together", "refresh"}
     member : Member
     time : Vector, shape (2,)
     h : float
@@ -396,10 +436,10 @@ def call(kind: OperationName, member: Member, time: Vector, h: float, u: Matrix)
         With component and time, and with a row of outputs where the step is complete.
     """
     try:
-        if kind == "advance":
-            y: Vector = member.component.advance(time, h, u)[0]
-            return y
-        return member.component.outputs(float(time[1]), u[1])
+        if kind == "refresh":
+            return member.component.outputs(float(time[1]), u[1])
+        y: Vector = member.component.advance(time, h, u)[0]
+        return y
     except RunError as error:
         raise _stop_of(error, member, time) from error
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cosim.core.signals import Layout
 from cosim.core.stages.coupling import Stage, StageProgram
 from cosim.core.stages.member import Member
-from cosim.core.stages.torn_inputs import TornInputs
+from cosim.core.stages.torn_inputs import KeptInputs, TornInputs
 from cosim.core.stages.wires import Wire
 from cosim.native.library import int32, pointer
 from cosim.native.stages.stage import (
@@ -79,17 +79,20 @@ class StageStructs:
         operations = _operations(programs, addresses)
         segments = _segments(stages, programs, operations)
         self.unknowns: dict[str, UnknownsStruct] = {}
-        torn = []
+        put: list[object] = []
         for stage, program, segment in zip(stages, programs, segments, strict=True):
+            if stage.kept is not None:
+                put.append(_put(by_name, stage.members, stage.kept))
             if stage.torn is None:
                 continue
             unknowns = _unknowns(program, stage.torn)
             segment.unknowns = addressof(unknowns)
             self.unknowns[stage.members[0].name] = unknowns
-            torn.append(_tear(by_name, stage, steps))
+            put.append(_put(by_name, stage.members, stage.torn))
+            put.append(_let_go_back(by_name, stage.members, steps))
         tile = max(1, min(TILE_STEPS, TILE_BYTES // (8 * layout.width + 8)))
         self.stage = StageStruct(addressof(segments), len(segments), layout.width, tile)
-        self._keep = (structs, optional, wires, operations, segments, steps, torn)
+        self._keep = (structs, optional, wires, operations, segments, steps, put)
 
 
 def _optional(layout: Layout) -> NDArray[np.uint8]:
@@ -149,23 +152,33 @@ def _unknowns(program: StageProgram, torn: TornInputs) -> UnknownsStruct:
     return UnknownsStruct(torn.solver.address, pointer(torn.answer), behind, first)
 
 
-def _tear(structs: Mapping[str, MemberStruct], stage: Stage, steps: NativeSteps) -> object:
-    """Tear the inputs of members of a loop, and let them go back; return the memory of that."""
-    assert stage.torn is not None
+def _put(
+    structs: Mapping[str, MemberStruct], members: Sequence[Member], inputs: TornInputs | KeptInputs
+) -> object:
+    """Put values to inputs of members of a loop; return the memory of that."""
     keep: list[object] = []
-    for member in stage.members:
+    for member in members:
         struct = structs[member.name]
-        columns, values = stage.torn.inputs_of(member)
+        columns, values = inputs.inputs_of(member)
         numbers = int32(columns)
         struct.n_torn = len(numbers)
         struct.torn = pointer(numbers)
         struct.tried = pointer(values)
         keep += [numbers, values]
+    return keep
+
+
+def _let_go_back(
+    structs: Mapping[str, MemberStruct], members: Sequence[Member], steps: NativeSteps
+) -> object:
+    """Let members of a loop go back to the start of a step; return the memory of that."""
+    keep: list[object] = []
+    for member in members:
         step = steps.get(member.name)
         if step is not None:
             rollback = step.rollback()
             if rollback is not None:
-                struct.rollback = addressof(rollback)
+                structs[member.name].rollback = addressof(rollback)
                 keep.append(rollback)
     return keep
 

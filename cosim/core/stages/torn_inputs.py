@@ -1,4 +1,12 @@
-"""The unknowns of a loop that iterates: the input elements at which it is torn."""
+"""The input elements at which a loop is torn: solved for where it iterates, kept with Jacobi.
+
+Components that advance together (Jacobi) take inputs that are all gathered before any of them
+advances, from the outputs that are known then: those of the start of the step for the components of
+the loop, those of its end for all others. What feeds through is evaluated again with inputs that
+are gathered again. Of those that are *kept* nothing better is known: they close algebraic loops,
+which are not solved. They stay as they were before the step, so that nothing depends on who is
+evaluated first.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +18,7 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
 from cosim.core.contracts import Recording, Stopped
+from cosim.core.stages.input_elements import InputElements
 from cosim.core.stages.member import Member
 from cosim.core.structure.feedthrough import Edge
 from cosim.core.structure.ports import Ports
@@ -17,7 +26,6 @@ from cosim.errors import listing
 from cosim.native.stages.loop_solver import INVALID, UNDECIDED, LoopSolver
 
 END: Final = slice(1, 2)  # of the two rows of a step
-NOTHING_TORN: Final = (np.empty(0, np.intp), slice(0, 0))
 
 
 @final
@@ -38,8 +46,6 @@ class TornInputs:
     ----------
     columns : tuple of int
         Of the elements, in the row; ascending by component.
-    members : tuple of Member
-        The components that have some.
     solver : LoopSolver
     answer : Vector, shape (n,)
         What the last sweep gave for the elements.
@@ -52,46 +58,32 @@ class TornInputs:
         ports: Ports,
         iterations: int = 0,
     ) -> None:
-        columns: list[int] = []
-        self._own: dict[str, tuple[NDArray[np.intp], slice]] = {}
-        with_some = []
-        for member in members:
-            own = _torn_columns(connections, member, ports)
-            if not own:
-                continue
-            with_some.append(member)
-            places = slice(len(columns), len(columns) + len(own))
-            self._own[member.name] = (np.array(own), places)
-            columns += own
-        self.members = tuple(with_some)
-        self.columns = tuple(columns)
-        self.solver = LoopSolver(len(columns), iterations)
+        elements = InputElements(connections, members, ports)
+        self._elements = elements
+        self.columns = elements.columns
+        self.solver = LoopSolver(len(elements), iterations)
         of_members = [np.arange(m.columns.start, m.columns.stop) for m in members]
         self._of_loop = np.concatenate(of_members)
-        self.answer = np.empty(len(columns))
+        self.answer = np.empty(len(elements))
 
     @property
     def labels(self) -> list[str]:
         """The names of the elements."""
-        labels = []
-        for member in self.members:
-            columns, _ = self._own[member.name]
-            labels += [member.label(int(column) - member.columns.start) for column in columns]
-        return labels
+        return self._elements.labels
 
     def take(self, recording: Recording) -> None:
         """Take the values that a run has recorded from now on, and solve for nothing.
 
         Where it did not record every row of them, they are solved for.
         """
-        if any(recording.channels[member.name].period != 1 for member in self.members):
+        if any(recording.channels[member.name].period != 1 for member in self._elements.members):
             return
         parts = []
-        for member in self.members:
-            columns, _ = self._own[member.name]
+        for member in self._elements.members:
+            columns, _ = self._elements.of(member)
             blocks = [rows for _, rows in recording.blocks(member.name)]
             parts.append(np.concatenate(blocks)[:, columns - member.columns.start])
-        times = recording.time_ns(self.members[0].name) / 1e9
+        times = recording.time_ns(self._elements.members[0].name) / 1e9
         self.solver.take(times, np.hstack(parts))
 
     def begin(self, t1: float, rows: Matrix) -> None:
@@ -101,37 +93,26 @@ class TornInputs:
         their sources have there, which row 1 has so far.
         """
         if self.solver.iterations:
-            self._gather(rows)
+            self._elements.driven(rows[1], self.answer)
             self.solver.begin(t1, self.answer)
         else:
             self.solver.begin(t1, rows[0, list(self.columns)])
 
     def inputs_of(self, member: Member) -> tuple[NDArray[np.intp], Vector]:
         """Return the columns of a component's elements, and what is tried for them, to be read."""
-        columns, places = self._own.get(member.name, NOTHING_TORN)
+        columns, places = self._elements.of(member)
         return columns, self.solver.v[places]
 
     def put(self, rows: Matrix, member: Member) -> None:
         """Set inputs of a component, at the end of the step, to what is tried for them."""
-        own = self._own.get(member.name)
-        if own is not None:
-            columns, places = own
-            rows[1, columns] = self.solver.v[places]
+        self._elements.put(rows[1], member, self.solver.v)
 
     def next(self, rows: Matrix) -> int:
         """Look at what a sweep gave; return what is next: ``SOLVED``, ``SWEEP``, ..."""
-        self._gather(rows)
+        self._elements.driven(rows[1], self.answer)
         values = np.abs(rows[1, self._of_loop])
         largest = float(np.fmax.reduce(values))
         return self.solver.next(self.answer, largest)
-
-    def _gather(self, rows: Matrix) -> None:
-        """Bring the answer up to date: what row 1 gives for the elements."""
-        gathered = rows[1:].copy()
-        for member in self.members:
-            columns, places = self._own[member.name]
-            member.gather(gathered, slice(0, 1))
-            self.answer[places] = gathered[0, columns]
 
     def stop(self, status: int, t: float) -> Stopped:
         """Return why there is no solution at ``t`` [s], the end of a step, as what stops it."""
@@ -153,19 +134,42 @@ class TornInputs:
         return Stopped(np.empty((0, 0)), text)
 
 
-def _torn_columns(connections: Collection[Edge], member: Member, ports: Ports) -> list[int]:
-    """Return the columns of a component's inputs that torn connections feed."""
-    sources: dict[str, set[int]] = {}
-    for to, source in connections:
-        if to.component == member.name:
-            columns = ports.output(source).columns
-            sources.setdefault(to.signal, set()).update(range(columns.start, columns.stop))
-    torn: set[int] = set()
-    for signal, torn_sources in sources.items():
-        of_input = member.channel.signal_columns[signal]
-        for wire in member.wires:
-            if of_input.start <= wire.to.start < of_input.stop:
-                for column, own_sources in wire.sources_by_column.items():
-                    if own_sources & torn_sources:
-                        torn.add(column)
-    return sorted(torn)
+@final
+class KeptInputs:
+    """The inputs of components that advance together.
+
+    Parameters
+    ----------
+    connections : collection of (input Port, source Port)
+        Those that are kept; there may be none.
+    members : sequence of Member
+        The components of the loop.
+    ports : Ports
+    """
+
+    def __init__(
+        self, connections: Collection[Edge], members: Sequence[Member], ports: Ports
+    ) -> None:
+        self._members = tuple(members)
+        self._elements = InputElements(connections, members, ports)
+        self._values = np.zeros(len(self._elements))
+
+    @property
+    def columns(self) -> tuple[int, ...]:
+        """Of the elements that are kept, in the row; ascending by component."""
+        return self._elements.columns
+
+    def gather(self, rows: Matrix) -> None:
+        """Gather all inputs, before the first component advances."""
+        for member in self._members:
+            member.gather(rows, END)
+        self._values[:] = rows[1, list(self.columns)]
+
+    def put(self, rows: Matrix, member: Member) -> None:
+        """Set inputs of a component that are kept to what they were before the step."""
+        self._elements.put(rows[1], member, self._values)
+
+    def inputs_of(self, member: Member) -> tuple[NDArray[np.intp], Vector]:
+        """Return the columns of a component's elements that are kept, and their values."""
+        columns, places = self._elements.of(member)
+        return columns, self._values[places]

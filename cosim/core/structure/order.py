@@ -7,7 +7,7 @@ Which inputs are extrapolated (:mod:`cosim.core.stages.coupling`) is fixed befor
   state follows the input through the step: first order. It is not where that input is delayed
   (:class:`cosim.core.signals.Interface`) or has a zero-order hold, so a delay or a sampled
   controller goes first.
-* Jacobi: all inputs from inside the loop are extrapolated.
+* Jacobi: all inputs from inside the loop are extrapolated, whatever the order of the components.
 * Newton: the same order as Gauss-Seidel. A connection that would be broken is *torn* instead: what
   it has at the end of the step is an unknown, which is solved for. The same holds for the others
   where they take a step several times.
@@ -65,6 +65,9 @@ class LoopOrder:
         that nothing evaluates again.
     torn : tuple of (input Port, source Port)
         The connections whose values at the end of a step are unknowns, sorted.
+    kept : tuple of (input Port, source Port)
+        With Jacobi, where nothing solves for them: the connections of algebraic loops, sorted.
+        Their inputs stay what they were before the step until all outputs of it are known.
     algebraic : tuple of Port
         An algebraic loop, closed; empty: there is none.
     unknown : tuple of UnknownFeedthrough
@@ -74,6 +77,7 @@ class LoopOrder:
     extrapolated: Mapping[str, frozenset[str]]
     broken: int
     torn: tuple[Edge, ...]
+    kept: tuple[Edge, ...]
     algebraic: tuple[Port, ...]
     unknown: tuple[UnknownFeedthrough, ...]
 
@@ -128,12 +132,13 @@ def order_loop(
         progress.advance_together()
     else:
         progress = _search(network) or _choose_greedily(network)
-    torn = tuple(sorted(progress.torn)) if iterates else ()
+    torn = tuple(sorted(progress.torn))
     return LoopOrder(
         tuple(progress.operations),
         progress.extrapolated,
         0 if iterates else progress.cost.broken,
-        torn,
+        torn if iterates else (),
+        torn if coupling == "jacobi" and not iterates else (),
         found.path,
         found.unknown,
     )
@@ -285,7 +290,7 @@ class _Progress:
         self._spread(self._computable(name))
 
     def advance_together(self) -> None:
-        """Advance all components with the values of the step before (Jacobi)."""
+        """Advance all components with the values from before the step (Jacobi)."""
         outputs: list[Port] = []
         for name in self.network.names:
             self._tear(name)

@@ -199,11 +199,10 @@ RARE static int32_t timed_call(const cosim_stage *s, const cosim_member *m, int3
     return status;
 }
 
-/* Advance or refresh a member. */
+/* Advance or refresh a member with the inputs that are there. */
 static inline int32_t evaluate(cosim_stage *s, const cosim_member *m, int32_t kind,
                                const Step *step)
 {
-    gather(s, m, step->row);
     const int32_t status = m->seconds ? timed_call(s, m, kind, step) : call(s, m, kind, step);
     if (status == COSIM_OK)
         trace(s, m, step->row);
@@ -212,7 +211,31 @@ static inline int32_t evaluate(cosim_stage *s, const cosim_member *m, int32_t ki
 
 RARE static int32_t refresh(cosim_stage *s, const cosim_member *m, const Step *step)
 {
+    gather(s, m, step->row);
     return evaluate(s, m, COSIM_REFRESH, step);
+}
+
+/* Gather the inputs of members that advance together; keep what is not gathered again. */
+static int32_t gather_together(cosim_stage *s, const cosim_operation *operation, double *row)
+{
+    for (int32_t i = 0; i < operation->count; ++i) {
+        const cosim_member *m = operation->members + i;
+        gather_copies(m, row);
+        gather_driven(s, m, row);
+        for (int32_t j = 0; j < m->n_torn; ++j)
+            m->tried[j] = row[m->torn[j]];
+    }
+    return COSIM_OK;
+}
+
+/* What their sources gave at last. */
+static int32_t record(cosim_stage *s, const cosim_operation *operation, double *row)
+{
+    for (int32_t i = 0; i < operation->count; ++i) {
+        gather_copies(operation->members + i, row);
+        gather_driven(s, operation->members + i, row);
+    }
+    return COSIM_OK;
 }
 
 RARE static int32_t check(const cosim_operation *operation, const double *row)
@@ -332,6 +355,7 @@ static inline int32_t perform(cosim_stage *s, const cosim_operation *operation, 
     const cosim_member *m = operation->members;
     switch (operation->kind) {
     case COSIM_ADVANCE:
+        gather(s, m, step->row);
         return evaluate(s, m, COSIM_ADVANCE, step);
     case COSIM_KEEP:
         copy(step->row + m->y, step->before + m->y, m->n_y);
@@ -343,6 +367,12 @@ static inline int32_t perform(cosim_stage *s, const cosim_operation *operation, 
         return refresh(s, m, step);
     case COSIM_CHECK: /* inputs are sums, or copies of outputs with the same need of a value */
         return s->suspicious ? check(operation, step->row) : COSIM_OK;
+    case COSIM_GATHER_TOGETHER:
+        return gather_together(s, operation, step->row);
+    case COSIM_ADVANCE_TOGETHER:
+        return evaluate(s, m, COSIM_ADVANCE, step);
+    case COSIM_RECORD:
+        return record(s, operation, step->row);
     default:
         return iterate(s, operation, step);
     }
@@ -415,7 +445,8 @@ static void pass(cosim_stage *s)
 {
     const cosim_segment *segment = s->segments + s->segment;
     const cosim_operation *operation = segment->operations + s->operation;
-    if (operation->kind == COSIM_ADVANCE || operation->kind == COSIM_REFRESH)
+    if (operation->kind == COSIM_ADVANCE || operation->kind == COSIM_ADVANCE_TOGETHER
+        || operation->kind == COSIM_REFRESH)
         trace(s, operation->members, s->rows + (s->step + 1) * s->width);
     ++s->operation;
 }

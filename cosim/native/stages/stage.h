@@ -65,13 +65,14 @@ typedef struct {
      * the gain is 0 it has the value; else the gain times what its source gives, plus the value. */
     const int32_t *overridden;
     const double *gains, *overrides;
-    /* inputs that a loop solves for (n_torn): their columns, and what is tried for them */
+    /* inputs that a loop solves for, or keeps for a step (n_torn): their columns, and what is tried
+     * for them, or kept */
     const int32_t *torn;
-    const double *tried;
+    double *tried;
     cosim_rollback *rollback; /* NULL: left to the caller */
 } cosim_member;
 
-/* What an operation does to a member, the last one to `count` of them: */
+/* What an operation does to a member, or to `count` of them: */
 #define COSIM_KEEP 0    /* outputs of the new row <- those of the row before */
 #define COSIM_GATHER 1  /* inputs of the new row <- their sources in it */
 #define COSIM_ADVANCE 2 /* gather; outputs <- advance */
@@ -82,6 +83,10 @@ typedef struct {
 #define COSIM_BEGIN 6   /* begin to solve for the torn inputs: on to `sweep` */
 #define COSIM_RESTORE 7 /* put the copied state back */
 #define COSIM_SOLVE 8   /* on behind it, or to `restore` for another sweep; or left to the caller */
+/* and where components advance together: */
+#define COSIM_GATHER_TOGETHER 9   /* gather; keep what is to be kept of it */
+#define COSIM_ADVANCE_TOGETHER 10 /* outputs <- advance, with the inputs that are there */
+#define COSIM_RECORD 11           /* gather, also what was kept */
 
 typedef struct {
     const cosim_member *members;

@@ -18,6 +18,9 @@ KINDS: Final = {
     "begin": 6,
     "restore": 7,
     "solve": 8,
+    "gather together": 9,
+    "advance together": 10,
+    "record": 11,
 }
 """COSIM_KEEP and so on."""
 HERE: Final = 0  # COSIM_HERE and so on
