@@ -19,7 +19,7 @@ from cosim.core.master import run
 from cosim.core.recorders import Memory
 from tests.core.gain.test_loop_gain import gain_of
 from tests.core.parts import half_through, integrator, through
-from tests.core.test_newton import pair, record
+from tests.core.stages.test_newton import pair, record
 
 PAIR = ((-0.9, 0.5, 3.0, 1.0), (-1.0, 10.0, -31.0, -0.9))
 
