@@ -17,12 +17,10 @@ end of every step until it is released.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from ctypes import addressof, c_char
+from collections.abc import Sequence
 from numbers import Integral
 from threading import get_ident
-from time import perf_counter
-from typing import Any, Final, final
+from typing import Final, final
 
 import numpy as np
 
@@ -30,26 +28,22 @@ from cosim.arrays import Matrix, Vector
 from cosim.core.arguments import check_type, kind_of
 from cosim.core.clock import Clock
 from cosim.core.conditions import conditions_until
-from cosim.core.contracts import Block, Component, EventCause, Plan, Recorder, Transfer
+from cosim.core.contracts import Component, EventCause, Plan, Recorder, Transfer
 from cosim.core.graph import Graph
 from cosim.core.recorders import Nothing, end_of_run, error_text
 from cosim.core.signals import FaultKind
-from cosim.core.stages.coupling import Cut
 from cosim.core.stages.engine import Engine
-from cosim.core.stages.native_stage import NativeStage
 from cosim.core.stages.overrides import OverrideValue
-from cosim.core.stages.pacing import PIECE_WORK
 from cosim.core.stepping.actions import Agenda, ConditionalAction, Reactions, TimedAction
 from cosim.core.stepping.fault_injection import VaryingFaults, faults_of
 from cosim.core.stepping.jump_events import events_of
 from cosim.core.stepping.jumps import Jumps, ParameterValues
 from cosim.core.stepping.right_limits import NOTHING_GIVEN, GivenOutputs
+from cosim.core.stepping.row_filler import RowFiller, StepTimes
 from cosim.core.stepping.states import SimulationState, States
 from cosim.core.stepping.step_rows import SignalColumns, StepRows, joined_rows
 from cosim.errors import Interrupted, RunError, UsageError, quoted, steps_text
 
-POINTS: Final = 4096  # communication points whose times are computed at once
-DOUBLE: Final = 8  # bytes
 NEVER_TRUE: Final = "never_came_true"  # result: the conditions of actions that were not performed
 INTERRUPTED: Final = "it was interrupted inside a step"
 
@@ -121,6 +115,7 @@ class Simulation:
         self._conditions = conditions_until(until, graph.layout, clock, texts)
         self._components = dict(graph.components)  # those that actions may exchange
         self._width = graph.layout.width
+        self._times = StepTimes(clock)
         self._h = clock.step
         self._thread = get_ident()
         self._closed = False
@@ -138,21 +133,20 @@ class Simulation:
         self.index = 0
         self.error: RunError | None = None
         self.rows: StepRows | None = None
-        self._find_compiled()
+        self._filler = RowFiller(
+            self._engine,
+            self._recorder,
+            self._varying,
+            self._times,
+            h=self._h,
+            is_recorded=self._is_recorded,
+        )
         row = self._engine.first_row
         self._jumps.stand_at(row)
         self._varying.find()
-        self._look_ahead(1)
-        self._recorder.write(self._block(0), row[np.newaxis])
+        self._recorder.write(self._times.block(0, 0), row[np.newaxis])
         if not self._conditions.is_over:
             self._act()
-
-    def _find_compiled(self) -> None:
-        """Find the stages in compiled code, if all of them are."""
-        stages = self._engine.stages
-        compiled = [stage for stage in stages if isinstance(stage, NativeStage)]
-        is_compiled = len(compiled) == len(stages) and not (self._is_recorded or self._conditions)
-        self._compiled = compiled if is_compiled else []
 
     # --- time ---
 
@@ -230,12 +224,17 @@ class Simulation:
                 self.complete_jumps()
             end = self._agenda.next_point(self.index, index)
             most = min(self._clock.block or end, self._engine.limit)
-            block = self._block(min(most, end - self.index))
+            block = self._times.block(self.index, min(most, end - self.index))
             if self._jumps.are_there:  # row 0 in the memory of a recorder keeps the left limits
                 signals = self._rows_behind(block.steps)
             else:
                 signals = self._engine.rows(block, self._jumps.row)
-            reached, error = self._pass_through(block, signals)
+            try:
+                error = self._filler.fill_block(block, signals)
+            except BaseException as raised:
+                self._break_off(signals, raised)
+                raise
+            reached = self._filler.reached
             self.rows = None
             self._arrive(signals[reached], reached, error)
 
@@ -264,10 +263,12 @@ class Simulation:
         if self._jumps.are_pending:
             self.complete_jumps()
         signals = self._rows_behind(count)
-        if count == 1 and self._compiled and not self._varying.are_there:
-            reached, error = self._pass_one(signals)
-        else:
-            reached, error = self._pass_through(self._block(count), signals)
+        try:
+            error = self._filler.fill(self.index, signals)
+        except BaseException as raised:
+            self._break_off(signals, raised)
+            raise
+        reached = self._filler.reached
         signals.flags.writeable = False  # who keeps the rows sees them as they are
         if reached < count:
             signals = signals[: reached + 1]
@@ -281,88 +282,14 @@ class Simulation:
         signals[0] = self._jumps.row
         return signals
 
-    def _pass_one(self, signals: Matrix) -> tuple[int, RunError | None]:
-        """Fill row 1 by stages in compiled code alone, where the engine would cost more.
-
-        Returns
-        -------
-        (int, RunError or None)
-            The row that is reached, and what stopped there.
-        """
-        first = self.index - self._ahead.index
-        if not 0 <= first < self._ahead.steps:
-            self._look_ahead(1)
-            first = 0
-        memory: Any = signals
-        rows = addressof(c_char.from_buffer(memory))  # a tenth of what .ctypes costs
-        addresses = (self._times_address + first * DOUBLE, rows)
-        reached = 1
-        error: RunError | None = None
-        for stage in self._compiled:
-            try:
-                stage.advance_at(addresses, signals, self._h, self._next_step)
-            except Cut as cut:
-                reached = cut.steps
-                error = cut.error
-                if not reached:
-                    break
-            except BaseException as raised:
-                self._break_off(signals[:1], raised)
-                raise
-        return reached, error
-
-    def _next_step(self) -> Block:
-        return self._block(1)
-
-    def _pass_through(self, block: Block, signals: Matrix) -> tuple[int, RunError | None]:
-        """Fill and record rows 1 to K; return the last one that is complete, and what stopped."""
-        reached = 0
-        try:
-            for part, rows in self._pieces(block, signals):
-                if part.steps:
-                    self._recorder.write(part, rows)
-                    reached += part.steps
-        except BaseException as raised:
-            self._break_off(signals[: reached + 1], raised)
-            raise
-        return reached, self._engine.error
-
-    def _pieces(self, block: Block, signals: Matrix) -> Iterator[tuple[Block, Matrix]]:
-        """Advance; yield what is completed: of steps that are taken one by one, many at once."""
-        if not self._varying.are_there:
-            yield from self._engine.advance(block, signals)
-            return
-        first = 0
-        reached = 0
-        deadline = perf_counter() + PIECE_WORK
-        error: RunError | None = None
-        while reached < block.steps and error is None:
-            try:
-                reached += self._take_step(block.part(reached, reached + 1), signals[reached:])
-            except BaseException:
-                yield block.part(first, reached), signals[first : reached + 1]
-                raise
-            error = self._engine.error
-            if self._conditions.came_true:
-                break
-            if perf_counter() > deadline:
-                yield block.part(first, reached), signals[first : reached + 1]
-                first = reached
-                deadline = perf_counter() + PIECE_WORK
-        yield block.part(first, reached), signals[first : reached + 1]
-
-    def _take_step(self, step: Block, signals: Matrix) -> int:
-        """Determine faults at the next point, and advance to it; return 0 if that failed."""
-        self._varying.determine(step.index + 1, signals[0])
-        parts = self._engine.advance(step, signals[:2])
-        return sum(part.steps for part, _ in parts)
-
     def _break_off(self, signals: Matrix, raised: BaseException) -> None:
         """Stand at the last row that is recorded, and end: components may be ahead of it."""
-        signals.flags.writeable = False
-        self.rows = StepRows(self._columns, signals, self.index)
-        self.index += len(signals) - 1
-        self._jumps.stand_at(signals[-1])
+        reached = self._filler.reached
+        completed = signals[: reached + 1]
+        completed.flags.writeable = False
+        self.rows = StepRows(self._columns, completed, self.index)
+        self.index += reached
+        self._jumps.stand_at(completed[-1])
         if end_of_run(raised).status == "interrupted":
             self._ended = INTERRUPTED
             self.error = Interrupted("interrupted inside a step")
@@ -397,20 +324,6 @@ class Simulation:
             except RunError as error:
                 self._end_with(error)
                 raise
-
-    def _block(self, count: int) -> Block:
-        """Return the next steps."""
-        first = self.index - self._ahead.index
-        if not 0 <= first <= self._ahead.steps - count:
-            self._look_ahead(count)
-            first = 0
-        return self._ahead.part(first, first + count)
-
-    def _look_ahead(self, count: int) -> None:
-        """Compute the times of the next steps, at least of ``count``, for many of them at once."""
-        steps = min(max(count, POINTS), self.steps_left)
-        self._ahead = self._clock.block_at(self.index, steps)
-        self._times_address = self._ahead.time.ctypes.data
 
     def _end_with(self, error: RunError) -> None:
         """Take no further steps."""
@@ -656,8 +569,7 @@ class Simulation:
         """
         self._check_ready("exchange")
         self._graph.hand_over(name, component, self.t, self._jumps.row, transfer=transfer)
-        self._engine.compile()
-        self._find_compiled()
+        self._filler.compile()
         self.change(name, settings, cause=cause)
 
     def change(self, name: str, settings: ParameterValues, *, cause: EventCause = "set") -> None:
@@ -738,8 +650,7 @@ class Simulation:
         self._reactions.performed = state.performed
         if self._agenda or self._reactions:
             self._put_back(state.index)
-            self._engine.compile()
-            self._find_compiled()
+            self._filler.compile()
         self._states.restore(state)
         self._conditions.held = state.conditions
         self.index = state.index

@@ -16,8 +16,9 @@ from cosim.core.graph import Graph
 from cosim.core.master import run
 from cosim.core.recorders import Memory
 from cosim.core.signals import Interface, Signal
-from cosim.core.simulation import POINTS, Simulation
+from cosim.core.simulation import Simulation
 from cosim.core.stepping.repeating import repeat
+from cosim.core.stepping.row_filler import POINTS
 from cosim.errors import (
     ClockError,
     GraphError,
