@@ -281,6 +281,14 @@ def memory_of(recorder: Recorder, block: Block, steps: int) -> Matrix | None:
     return recorder.memory_for(block, steps) if isinstance(recorder, RowMemory) else None
 
 
+def close(recorder: Recorder, error: BaseException | None) -> None:
+    """Close a recorder with the error that its run ended with; None: it came to its end."""
+    if error is None:
+        recorder.__exit__(None, None, None)
+    else:
+        recorder.__exit__(type(error), error, error.__traceback__)
+
+
 class Nothing:
     """Keeps nothing."""
 
@@ -317,24 +325,31 @@ class Watched:
     ----------
     recorder : Recorder
     reached : callable
-        Called with every block after it has been recorded; what it raises ends the run, cleanly.
+        Called with every block and its rows after they have been recorded; what it raises ends the
+        run, cleanly.
     began : callable, optional
         Called once, before the first step.
+    jumped : callable, optional
+        Called with every event.
     ended : callable, optional
-        Called at the end with the other recorder, which still takes results.
+        Called at the end with the other recorder, which still takes results and is to be closed
+        then, and the error that the run ended with. Left out: :func:`close`.
     """
 
     def __init__(
         self,
         recorder: Recorder,
-        reached: Callable[[Block], None],
+        reached: Callable[[Block, Matrix], None],
+        *,
         began: Callable[[], None] | None = None,
-        ended: Callable[[Recorder], None] | None = None,
+        jumped: Callable[[SignalEvent], None] | None = None,
+        ended: Callable[[Recorder, BaseException | None], None] = close,
     ) -> None:
-        self._ended = ended
         self._recorder = recorder
         self._reached = reached
         self._began = began
+        self._jumped = jumped
+        self._ended = ended
 
     def __enter__(self) -> Self:
         self._recorder.__enter__()
@@ -346,9 +361,7 @@ class Watched:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        if self._ended is not None:
-            self._ended(self._recorder)
-        self._recorder.__exit__(error_type, error, trace)
+        self._ended(self._recorder, error)
 
     def begin(self, plan: Plan) -> None:
         """Pass on, then report."""
@@ -365,8 +378,10 @@ class Watched:
         self._recorder.message(time_ns, level, source, text)
 
     def event(self, event: SignalEvent) -> None:
-        """Pass on."""
+        """Pass on, then report."""
         self._recorder.event(event)
+        if self._jumped is not None:
+            self._jumped(event)
 
     def result(self, values: Mapping[str, Any]) -> None:
         """Pass on."""
@@ -375,4 +390,4 @@ class Watched:
     def write(self, block: Block, signals: Matrix) -> None:
         """Pass on, then report."""
         self._recorder.write(block, signals)
-        self._reached(block)
+        self._reached(block, signals)

@@ -379,7 +379,8 @@ def test_watched_reports_after_recording_and_may_end_the_run(block):
     memory = Guarded()
     instants = []
 
-    def reached(block):
+    def reached(block, rows):
+        assert rows[-1].tolist() == memory._rows.all()[-1].tolist()
         instants.append(block.time_ns[-1])
         assert memory._times[-1][-1] == block.time_ns[-1]
         if block.time_ns[-1] >= 5 * 10**8:

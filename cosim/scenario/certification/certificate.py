@@ -20,17 +20,16 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
-from types import TracebackType
-from typing import Any, Final, Self, final
+from typing import Any, Final, final
 
 import numpy as np
 
 from cosim.arrays import Mask, Matrix
 from cosim.core.clock import NANOSECONDS, nanoseconds
-from cosim.core.contracts import Block, MessageLevel, Plan, Recorder, SignalEvent
+from cosim.core.contracts import Block, Recorder
 from cosim.core.graph import Graph
 from cosim.core.port import Port
-from cosim.core.recorders import end_of_run, error_text
+from cosim.core.recorders import Nothing, Watched, close, end_of_run, error_text
 from cosim.core.signals import Layout
 from cosim.errors import CosimError, Interrupted, RunError, UsageError, option
 from cosim.scenario.actions.action_tables import signals_of
@@ -264,13 +263,19 @@ def finer_run(
     """
     step = subject.step_ns / finer / NANOSECONDS
     jumps = JumpWatch(subject.layout.width)
-    rows = ThinnedRows(subject.every * finer, subject.steps * finer, jumps)
+    rows = ThinnedRows(subject.every * finer, subject.steps * finer)
+
+    def take(block: Block, signals: Matrix) -> None:
+        jumps.take(block, signals)
+        rows.take(block, signals)
+
+    watched = Watched(Nothing(), take, jumped=jumps.expect)
     problem = ""
     with ExitStack() as resources:
         experiment = _finer_experiment(scenario, subject, finer, resources)
         experiment = replace(experiment, identified={})
         try:
-            run_into(rows, experiment, progress=progress, profile=None)
+            run_into(watched, experiment, progress=progress, profile=None)
         except Interrupted:
             raise
         except RunError as error:
@@ -443,12 +448,32 @@ class Certification:
     def __init__(self, subject: Subject, certifier: Callable[[], Certifier]) -> None:
         self._subject = subject
         self._certifier = certifier
-        self._run: _CertifiedRun | None = None
+        self._rows = subject.own_rows()
+        self._recorder: Recorder | None = None
+        self._error: BaseException | None = None  # with which a complete run ended
 
     def beside(self, recorder: Recorder) -> Recorder:
-        """Return a recorder that keeps what is compared, and leaves another one open behind."""
-        self._run = _CertifiedRun(recorder, self._subject)
-        return self._run
+        """Return a recorder that keeps what is compared, and leaves another one open behind.
+
+        A run that ends early has no certificate, and its recording ends with it.
+        """
+        self._recorder = recorder
+        return Watched(recorder, self._rows.take, ended=self._end)
+
+    def _end(self, recorder: Recorder, error: BaseException | None) -> None:
+        """Leave the recorder of a complete run open; record why another has none."""
+        ended = end_of_run(error)
+        if ended.status == "complete":
+            self._error = error
+            return
+        try:
+            self._record_problem(recorder, f"the run ended early: {ended.reason}")
+        finally:
+            close(recorder, error)
+
+    def _record_problem(self, recorder: Recorder, problem: str) -> None:
+        """Record why there is no certificate."""
+        recorder.result({CERTIFICATE: self._subject.certificate([self._rows], problem)})
 
     def complete(self, resources: ExitStack) -> None:
         """Compute the certificate, record it, and end the recording.
@@ -463,88 +488,16 @@ class Certification:
         CosimError
             If the runs behind do not come to their end; the recording is whole, and says so.
         """
-        run = self._run
-        assert run is not None, "beside a recorder"
+        recorder = self._recorder
+        assert recorder is not None, "beside a recorder"
         try:
             resources.close()
-            run.record(self._certifier())
+            recorder.result({CERTIFICATE: self._certifier().certificate(self._rows)})
         except BaseException as error:
             reason = error_text(error) or "interrupted by the user"
-            run.record_problem(f"a run with a smaller step did not come to its end: {reason}")
+            problem = f"a run with a smaller step did not come to its end: {reason}"
+            self._record_problem(recorder, problem)
             error.add_note("no certificate: a run with a smaller step did not come to its end")
             raise
         finally:
-            run.end()
-
-
-class _CertifiedRun:
-    """Passes everything on to another recorder but the end, and keeps the rows.
-
-    A run that ends early has no certificate, and its recording ends with it.
-
-    Parameters
-    ----------
-    recorder : Recorder
-    subject : Subject
-    """
-
-    def __init__(self, recorder: Recorder, subject: Subject) -> None:
-        self._recorder = recorder
-        self._subject = subject
-        self._rows = subject.own_rows()
-        self._end: BaseException | None = None  # with which a complete run ended
-
-    def record(self, certifier: Certifier) -> None:
-        """Record the certificate."""
-        self._recorder.result({CERTIFICATE: certifier.certificate(self._rows)})
-
-    def record_problem(self, problem: str) -> None:
-        """Record why there is none."""
-        content = self._subject.certificate([self._rows], problem)
-        self._recorder.result({CERTIFICATE: content})
-
-    def end(self) -> None:
-        """End the recording of a complete run."""
-        error = self._end
-        trace = None if error is None else error.__traceback__
-        self._recorder.__exit__(None if error is None else type(error), error, trace)
-
-    def __enter__(self) -> Self:
-        self._recorder.__enter__()
-        return self
-
-    def __exit__(
-        self,
-        error_type: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        ended = end_of_run(error)
-        if ended.status == "complete":
-            self._end = error
-            return
-        try:
-            self.record_problem(f"the run ended early: {ended.reason}")
-        finally:
-            self._recorder.__exit__(error_type, error, trace)
-
-    def begin(self, plan: Plan) -> None:
-        """Pass on."""
-        self._recorder.begin(plan)
-
-    def write(self, block: Block, signals: Matrix) -> None:
-        """Pass on, and keep the rows that are compared."""
-        self._recorder.write(block, signals)
-        self._rows.write(block, signals)
-
-    def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
-        """Pass on."""
-        self._recorder.message(time_ns, level, source, text)
-
-    def event(self, event: SignalEvent) -> None:
-        """Pass on."""
-        self._recorder.event(event)
-
-    def result(self, values: Mapping[str, Any]) -> None:
-        """Pass on."""
-        self._recorder.result(values)
+            close(recorder, self._error)

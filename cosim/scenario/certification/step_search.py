@@ -19,6 +19,7 @@ from typing import Any, Final
 
 from cosim.core.clock import NANOSECONDS
 from cosim.core.recorded import find_signal
+from cosim.core.recorders import Nothing, Watched
 from cosim.errors import CosimError, Interrupted, RunError, UnknownSignalError, UsageError, option
 from cosim.scenario.certification.certificate import Certifier, certifier_of
 from cosim.scenario.certification.thinned_rows import QUARTERS
@@ -295,11 +296,12 @@ class _StepSearch:
         scenario = self._at(step_ns)
         certifier = certifier_of(scenario, self._progress)
         own = certifier.rows()
+        watched = Watched(Nothing(), own.take)
         problem = certifier.problem
         with ExitStack() as resources:
             experiment = replace(build_experiment(scenario, resources, None), identified={})
             try:
-                run_into(own, experiment, progress=self._progress, profile=None)
+                run_into(watched, experiment, progress=self._progress, profile=None)
             except Interrupted:
                 raise
             except RunError as error:

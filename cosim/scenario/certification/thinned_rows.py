@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from types import TracebackType
-from typing import Any, Final, Self
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Nanoseconds, Vector
-from cosim.core.contracts import Block, MessageLevel, Plan, SignalEvent
+from cosim.core.contracts import Block, SignalEvent
 
 JUMP: Final = 4.0  # times as much as the steps before and after it: what changes at once
 SEVERAL: Final = 8  # jumps in the last quarter of a step by chance: one in 65536
@@ -19,7 +17,7 @@ QUARTERS: Final = 4  # steps of the finest run in one of the run that is certifi
 
 
 class ThinnedRows:
-    """Keeps every n-th row of a run, and the last one that its clock has; a Recorder.
+    """Keeps every n-th row of a run, and the last one that its clock has.
 
     Parameters
     ----------
@@ -27,8 +25,6 @@ class ThinnedRows:
         Communication steps between two rows that are kept.
     steps : int
         Communication steps of the run.
-    jumps : JumpWatch, optional
-        Watches all rows.
 
     Attributes
     ----------
@@ -36,31 +32,15 @@ class ThinnedRows:
         The last instant of the run [ns], kept or not.
     """
 
-    def __init__(self, every: int, steps: int, jumps: JumpWatch | None = None) -> None:
+    def __init__(self, every: int, steps: int) -> None:
         self._every = every
         self._steps = steps
-        self._jumps = jumps
         self._rows: list[Matrix] = []
         self._times: list[Nanoseconds] = []
         self.end_ns = 0
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        error_type: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None: ...
-
-    def begin(self, plan: Plan) -> None:
-        """Do nothing."""
-
-    def write(self, block: Block, signals: Matrix) -> None:
+    def take(self, block: Block, signals: Matrix) -> None:
         """Keep the rows that are due."""
-        if self._jumps is not None:
-            self._jumps.take(block, signals)
         self.end_ns = int(block.time_ns[-1])
         first = 0 if block.index == 0 and not self._rows else 1
         rows = np.arange(first, block.steps + 1)
@@ -68,17 +48,6 @@ class ThinnedRows:
         due = rows[(numbers % self._every == 0) | (numbers == self._steps)]
         self._rows.append(signals[due])
         self._times.append(block.time_ns[due])
-
-    def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
-        """Do nothing."""
-
-    def event(self, event: SignalEvent) -> None:
-        """Note the instant: signals jump there as they should."""
-        if self._jumps is not None:
-            self._jumps.expected_ns.add(event.time_ns)
-
-    def result(self, values: Mapping[str, Any]) -> None:
-        """Do nothing."""
 
     @property
     def rows(self) -> Matrix:
@@ -146,6 +115,10 @@ class JumpWatch:
         """
         regular: Mask = self._largest_at_ends[0] > ABOUT * self._largest_at_ends[-1]
         return regular
+
+    def expect(self, event: SignalEvent) -> None:
+        """Note the instant of an event: signals jump there as they should."""
+        self.expected_ns.add(event.time_ns)
 
     def take(self, block: Block, signals: Matrix) -> None:
         """Look at the next rows."""

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 
+from cosim.arrays import Matrix
 from cosim.core.contracts import Block, Recorder
 from cosim.core.master import run as run_graph
 from cosim.core.recorders import Memory, Watched
@@ -150,7 +151,7 @@ def run_into(
     first = perf_counter()
     with interruptible() as check:
         reached = _reached(experiment, progress, check)
-        watched = Watched(with_messages, reached, began)
+        watched = Watched(with_messages, reached, began=began)
         _run(experiment, watched)
     if profile is not None:
         elapsed = perf_counter() - first
@@ -213,10 +214,10 @@ def log_recorder(
 
 def _reached(
     experiment: Experiment, progress: Progress | None, check: Callable[[], None]
-) -> Callable[[Block], None]:
+) -> Callable[[Block, Matrix], None]:
     end = experiment.clock.stop
 
-    def reached(block: Block) -> None:
+    def reached(block: Block, _: Matrix) -> None:
         if progress is not None:
             progress(float(block.time[-1]), end)
         check()

@@ -13,7 +13,7 @@ from cosim.arrays import Matrix, Vector
 from cosim.core.conditions import until_text
 from cosim.core.connections import Connection
 from cosim.core.contracts import Block, MessageLevel, Plan, Recorder, SignalEvent, Stopped
-from cosim.core.recorders import end_of_run, error_text
+from cosim.core.recorders import close, end_of_run, error_text
 from cosim.errors import Interrupted, RunError
 from cosim.interrupts import uninterrupted
 from cosim.log import Attachment
@@ -57,7 +57,7 @@ class MessageRecorder:
             with uninterrupted():
                 self._conclude(ended)
         finally:
-            self._recorder.__exit__(None if ended is None else type(ended), ended, trace)
+            close(self._recorder, ended)
         if ended is not None and ended is not error:
             raise ended
 

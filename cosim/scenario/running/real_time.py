@@ -15,7 +15,7 @@ from typing import Any, Final, final
 from cosim.arguments import number_argument
 from cosim.core.clock import Clock
 from cosim.core.contracts import Block, Recorder
-from cosim.core.recorders import Watched
+from cosim.core.recorders import Watched, close
 from cosim.errors import UsageError, option
 
 BLOCK: Final = 0.01  # s of wall time between two waits, about
@@ -80,7 +80,12 @@ class RealTimePace:
 
     def beside(self, recorder: Recorder) -> Recorder:
         """Return a recorder that passes everything on, at this pace, and then how late it was."""
-        return Watched(recorder, self.wait, self.begin, self.record)
+        return Watched(
+            recorder,
+            lambda block, _: self.wait(block),
+            began=self.begin,
+            ended=self.end,
+        )
 
     def begin(self) -> None:
         """Take the wall time of now as that of the start."""
@@ -104,10 +109,13 @@ class RealTimePace:
             reached if is_latest else before.time,
         )
 
-    def record(self, recorder: Recorder) -> None:
-        """Record how late the run was."""
+    def end(self, recorder: Recorder, error: BaseException | None) -> None:
+        """Record how late the run was, and close the recorder."""
         values: dict[str, Any] = asdict(self._lateness)
-        recorder.result({REAL_TIME: values})
+        try:
+            recorder.result({REAL_TIME: values})
+        finally:
+            close(recorder, error)
 
 
 def pace_of(factor: object) -> float:

@@ -16,7 +16,7 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.core.contracts import Recorder, Stopped
-from cosim.core.recorders import end_of_run
+from cosim.core.recorders import close, end_of_run
 from cosim.core.simulation import Simulation
 from cosim.core.stages.overrides import OverrideValue
 from cosim.core.stepping.states import SimulationState
@@ -244,8 +244,7 @@ def _conclude(opened: Opened, ended: BaseException | None) -> None:
     """Complete the log, or end the FMUs without one."""
     recorder = opened.recorder
     if recorder is not None:
-        trace = None if ended is None else ended.__traceback__
-        recorder.__exit__(None if ended is None else type(ended), ended, trace)
+        close(recorder, ended)
         return
     try:
         opened.terminate()

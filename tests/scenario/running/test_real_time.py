@@ -42,7 +42,7 @@ def paced(works, factor=2.0, step=0.5):
         pace.wait(block)
     memory = Memory()
     with memory:
-        pace.record(memory)
+        pace.end(memory, None)
     return wall, memory.results["real_time"]
 
 
