@@ -79,5 +79,5 @@ def switch(
     inputs = (Signal("u1", size, unit), Signal("u2", size, unit), Signal("control"))
     names = tuple(signal.name for signal in inputs)
     y = Signal("y", size, unit, "discrete" if discrete else "inherited")
-    interface = Interface(inputs, (y,), {"y": names})
+    interface = Interface(inputs, (y,), {"y": names}, jumping=() if discrete else ("y",))
     return CompiledStatic(interface, switch_step(threshold, size))

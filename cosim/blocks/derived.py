@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from cosim.blocks.static import CompiledStatic
 from cosim.core.signals import Interface, Signal, Variability
 from cosim.native.numerics.expression import Program, compile_over_signals
+from cosim.native.numerics.jumps import jumps_with_signals
 from cosim.native.numerics.programs import expression_step
 
 
@@ -56,7 +57,9 @@ def derived(
     names = tuple(signal.name for signal in inputs)
     y = Signal("y", len(texts), unit, variability, optional=optional)
     programs = [_of_inputs(compile_over_signals(text), signals) for text in texts]
-    return CompiledStatic(Interface(inputs, (y,), {"y": names}), expression_step(programs))
+    jumps = variability != "discrete" and any(map(jumps_with_signals, texts))
+    interface = Interface(inputs, (y,), {"y": names}, jumping=("y",) if jumps else ())
+    return CompiledStatic(interface, expression_step(programs))
 
 
 def _of_inputs(program: Program, signals: Sequence[str]) -> Program:

@@ -121,6 +121,8 @@ class PortMap:
                 initial[name] = self._shown_inputs_behind(port, at_start)
         inputs = tuple(port.signal for port in self.inputs)
         outputs = tuple(port.signal for port in self.outputs)
+        own_jumping = self.component.jumping
+        jumping = [p.signal.name for p in self.outputs if p.sources.keys() & set(own_jumping)]
         own_delayed = set(self.component.delayed)
         delayed = [port.signal.name for port in self.inputs if port.sources.keys() <= own_delayed]
         return replace(
@@ -130,6 +132,7 @@ class PortMap:
             feedthrough=feedthrough,
             initial=initial,
             delayed=tuple(delayed),
+            jumping=tuple(jumping),
         )
 
     def _shown_inputs_behind(

@@ -117,6 +117,7 @@ class Sensor:
         self._is_linear = is_regular and (self._period == 1 or not parameters.delay)
         self._instants = SamplingInstants(parameters, size)
         chain = MeasuringChain(parameters, size)
+        self._quantizes = chain.levels is not None
         self._streams = SampleStreams(parameters, size)
         constants = SensorConstants(
             depth=self._instants.depth,
@@ -153,6 +154,7 @@ class Sensor:
             feedthrough=by_u if now else {},
             initial=by_u,
             delayed=() if now else ("u",),
+            jumping=("y",) if now and self._quantizes and not self._holds else (),
             prepares=True,
             rollback=True,
             native=True,

@@ -196,6 +196,10 @@ class Interface:
     lagging : tuple of output names
         Outputs that follow inputs directly, or may, but not those at the end of a step: they belong
         to what the inputs have inside it, so that a loop through them is of first order at best.
+    jumping : tuple of output names
+        Outputs that jump while inputs that they follow directly change as little as one likes, as
+        those of a switch do: a loop that meets a jump may have no solution there, whatever its step
+        is.
     linearizable : bool
         Whether the component has ``linearized`` (:class:`cosim.core.contracts.Linearizable`).
     restarts : bool
@@ -219,6 +223,7 @@ class Interface:
     linearizable: bool = False
     restarts: bool = False
     lagging: tuple[str, ...] = ()
+    jumping: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         # What is declared must not change later: copies, and nothing that can be written to.
@@ -242,7 +247,7 @@ class Interface:
         initial = dict(self.initial)
         values = (self.inputs, self.outputs, feedthrough, initial, self.delayed)
         methods = (self.prepares, self.rollback, self.native, self.linearizable)
-        return Interface, (*values, *methods, self.restarts, self.lagging)
+        return Interface, (*values, *methods, self.restarts, self.lagging, self.jumping)
 
     def _dependencies(self, key: str, declared: Dependencies) -> dict[str, tuple[str, ...] | None]:
         """Return a copy of declared dependencies, after a check of the names."""

@@ -54,7 +54,7 @@ from cosim.core.stages.member import Member, NonFinite
 from cosim.core.stages.wires import Wire
 from cosim.core.structure.cycles import find_cycle, groups_in_order, strongly_connected
 from cosim.core.structure.feedthrough import PortDependencies, Sources
-from cosim.errors import GraphError
+from cosim.errors import GraphError, listing
 
 SWEEPS: Final = 100  # of a loop with discrete signals, beyond one for each port
 NO_OUTPUTS: Final = np.empty(0)
@@ -78,6 +78,8 @@ class AlgebraicLoop:
         A signal in it is not a continuous real number.
     path : str
         Every port of it, for messages.
+    jumping : tuple of Port
+        Outputs in it that may jump as their inputs change.
     """
 
     order: tuple[Port, ...]
@@ -86,6 +88,7 @@ class AlgebraicLoop:
     optional: Mask
     discrete: bool
     path: str
+    jumping: tuple[Port, ...]
 
 
 class InitialValues:
@@ -168,8 +171,15 @@ class InitialValues:
         columns = _numbers([self.columns[port] for port in torn])
         optional = np.repeat([self._signals[port].optional for port in torn], sizes)
         discrete = any(_is_discrete(self._signals[port]) for port in ports)
+        jumping = [port for port in ports if port.signal in interfaces[port.component].jumping]
         return AlgebraicLoop(
-            (*sweep, *torn), tuple(elements), columns, optional, discrete, _path_text(path, ports)
+            (*sweep, *torn),
+            tuple(elements),
+            columns,
+            optional,
+            discrete,
+            _path_text(path, ports),
+            tuple(jumping),
         )
 
     def find(self, t: float, row: Vector) -> Mapping[str, NonFinite]:
@@ -468,6 +478,9 @@ def _residual_text(loop: AlgebraicLoop, candidate: Candidate) -> str:
 
 
 def _unsolved(loop: AlgebraicLoop, reason: str) -> GraphError:
+    if loop.jumping:
+        names = listing([str(port) for port in loop.jumping])
+        reason += f", and {names} may jump as inputs change, so that there may be no solution"
     return GraphError(
         f"no initial values for {loop.path}, which depend on each other at initialization: "
         f"{reason}; give a component among them an initial value of its own: a lag or a delay "

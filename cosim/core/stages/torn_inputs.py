@@ -64,6 +64,11 @@ class TornInputs:
         self.solver = LoopSolver(len(elements), iterations)
         of_members = [np.arange(m.columns.start, m.columns.stop) for m in members]
         self._of_loop = np.concatenate(of_members)
+        self._jumping = [
+            f"{member.name}.{name}"
+            for member in members
+            for name in member.channel.interface.jumping
+        ]
         self.answer = np.empty(len(elements))
 
     @property
@@ -128,10 +133,24 @@ class TornInputs:
         inputs = listing(self.labels)
         text = (
             f"the inputs {inputs} of a loop, which depend on each other, were not solved at t = "
-            f"{t} s: {reason}; needed a smaller step, or a component with a state of its own "
-            "between, such as a lag or a delay"
+            f"{t} s: {reason}; {self._way_out}"
         )
         return Stopped(np.empty((0, 0)), text)
+
+    @property
+    def _way_out(self) -> str:
+        """What can be done about a loop that is not solved."""
+        if not self._jumping:
+            return (
+                "needed a smaller step, or a component with a state of its own between, such as a "
+                "lag or a delay"
+            )
+        return (
+            f"{listing(self._jumping)} may jump as inputs of the loop change, and where it meets a "
+            "jump there may be no solution with any step; needed an output that jumps at "
+            'communication points only (discrete = true, or a period), or coupling = "gauss-seidel"'
+            ' or "jacobi", which solve for nothing'
+        )
 
 
 @final

@@ -7,8 +7,12 @@ import pytest
 import scipy.linalg
 import scipy.optimize
 
+from cosim.blocks import lag, switch
+from cosim.blocks.derived import derived
+from cosim.blocks.measurement import SensorParameters
 from cosim.blocks.replay import Replay
-from cosim.blocks.source import ramp
+from cosim.blocks.sensor import Sensor
+from cosim.blocks.source import constant, ramp
 from cosim.blocks.state_space import controller
 from cosim.core.clock import Clock
 from cosim.core.graph import Graph
@@ -55,6 +59,46 @@ def record(graph, stop=1.0, step=0.01, block=None):
 
 def states(memory):
     return np.array([memory["one.x"][-1], memory["two.x"][-1]])
+
+
+def relay(coupling="newton", *, part=None, plant=None):
+    """Return a lag that a relay holds at 0.5, its threshold: u = -1 above and 1 below it."""
+    components = {
+        "relay": part or switch(),
+        "below": constant([1.0]),
+        "above": constant([-1.0]),
+        "plant": plant or Linear(lag(time_constant=0.5, initial=0.0)),
+    }
+    connections = {
+        "relay.control": "plant.y",
+        "relay.u1": "above.y",
+        "relay.u2": "below.y",
+        "plant.u": "relay.y",
+    }
+    return Graph(components, connections, coupling=coupling)
+
+
+@pytest.mark.parametrize("step", [0.1, 0.001])
+def test_a_jump_that_a_loop_cannot_solve_is_named(step):
+    """y(t1) of the plant is below 0.5 with u = -1 and above it with u = 1, so no u is what drives.
+
+    That is so with any step, and the ways out that are offered run.
+    """
+    ways_out = 'discrete = true, or a period), or coupling = "gauss-seidel" or "jacobi"'
+    with pytest.raises(RunError, match=r"inputs plant\.u of a loop.* not solved") as raised:
+        record(relay(), step=step)
+    assert "relay.y may jump as inputs of the loop change, and where it" in str(raised.value)
+    assert ways_out in str(raised.value)
+    assert "smaller step" not in str(raised.value)
+    record(relay(part=switch(discrete=True)), step=step)
+    for coupling in ("gauss-seidel", "jacobi"):
+        record(relay(coupling), step=step)
+
+
+def test_a_jump_that_leaves_no_initial_values_is_named():
+    graph = relay(plant=Linear(lag(time_constant=0.5)))
+    with pytest.raises(GraphError, match=r"relay\.y may jump as inputs change, so that there may"):
+        record(graph)
 
 
 def test_initial_values_solve_the_algebraic_loop():
@@ -388,3 +432,15 @@ def test_a_steep_saturation_is_solved(k):
             lambda v, t=t: np.sin(5.0 * t) - np.tanh(k * v) - v, -2.0, 2.0, xtol=1e-15
         )
         assert abs(v - expected) < 1e-11
+
+
+def test_what_may_jump_is_declared():
+    """A switch, sign and step of signals, a quantizer; not where y is held, nor under a map."""
+    assert switch().interface.jumping == ("y",)
+    assert switch(discrete=True).interface.jumping == ()
+    assert derived(["2 * sign(a.y)"]).interface.jumping == ("y",)
+    assert derived(["2 * sign(a.y)"], variability="discrete").interface.jumping == ()
+    assert derived(["abs(a.y)"]).interface.jumping == ()
+    assert Sensor(SensorParameters(resolution=0.1)).interface.jumping == ("y",)
+    assert Sensor(SensorParameters(resolution=0.1), holds=True).interface.jumping == ()
+    assert Sensor(SensorParameters(bias=0.1)).interface.jumping == ()
