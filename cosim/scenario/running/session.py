@@ -160,7 +160,9 @@ class Session:
         """Advance over some communication steps; return their rows by the names of signals.
 
         See :meth:`cosim.core.Simulation.step`. An array of the rows has shape (count, size), cannot
-        be written to, and is yours to keep.
+        be written to, and is yours to keep. Where the run ends before, by ``until`` or as a
+        component asks for it, :class:`cosim.core.Stopped` says why, and :attr:`rows` has what came
+        before.
         """
         return self._simulation.step(count)
 

@@ -139,8 +139,25 @@ def test_a_session_stops_where_its_condition_came_true(tmp_path):
     other = cosim.open_log(tmp_path / "b.mcap")
     assert (other.status, other.reason) == (log.status, log.reason)
     assert other.content_hash() == log.content_hash()
-    with cosim.load(path).start() as sim, pytest.raises(Stopped):
-        sim.step(40)
+
+
+def test_an_end_that_leaves_a_session_leaves_its_log_complete(tmp_path):
+    """Where nobody catches it, as in a loop up to the stop: its rows and its reason are there."""
+    end = end_of(tmp_path)
+    out = tmp_path / "a.mcap"
+    sim = cosim.load(file(tmp_path, HALF)).start(out=out)
+
+    def step_to_the_stop():
+        with sim:
+            while sim.steps_left:
+                assert len(sim.step(3)["x.y"]) == 3  # of all steps, or none
+
+    with pytest.raises(Stopped) as stop:
+        step_to_the_stop()
+    assert sim.rows.steps == (end - 1) % 3 + 1
+    assert sim.rows["x.y"][-1] == cosim.open_log(out)["x.y"][-1]
+    log = cosim.open_log(out)
+    assert (log.status, log.reason, log.steps) == ("complete", str(stop.value), end)
 
 
 def test_a_session_that_goes_on_to_its_stop_says_so(tmp_path):
