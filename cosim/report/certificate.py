@@ -8,7 +8,7 @@ from typing import Any
 
 from cosim.core.contracts import Recording
 from cosim.core.signals import Channel
-from cosim.errors import LogError, command, flag
+from cosim.errors import LogError, UnknownSignalError, command, flag, listing, nearest
 from cosim.report.summary import Summary, ValueOutcome, summarize
 from cosim.scenario.recordings.recorded_metadata import (
     CertificateRecord,
@@ -59,8 +59,11 @@ class StepTrial:
 
 
 @dataclass(frozen=True)
-class StepCertificate:
+class StepCertificate(Mapping[str, SignalCertificate]):
     """How large the error of the communication step is in a run, signal by signal.
+
+    A mapping of the elements of outputs by their names, as a run is one of its signals: empty where
+    nothing was compared.
 
     Parameters
     ----------
@@ -102,14 +105,23 @@ class StepCertificate:
 
         Raises
         ------
-        LogError
-            If there is none of that name.
+        UnknownSignalError
+            If there is none of that name; names the nearest, or the elements of a signal.
         """
         for entry in self.signals:
             if entry.signal == signal:
                 return entry
-        names = ", ".join(entry.signal for entry in self.signals)
-        raise LogError(f"the certificate has no {signal!r}; it has: {names or 'nothing'}")
+        names = list(self)
+        elements = [name for name in names if name.startswith(f"{signal}[")]
+        suggestion = f"it has: {listing(elements)}" if elements else nearest(str(signal), names)
+        reason = f": {self.problem}" if self.problem else f"; {suggestion}"
+        raise UnknownSignalError(f"the certificate has no {signal!r}{reason}")
+
+    def __iter__(self) -> Iterator[str]:
+        return (entry.signal for entry in self.signals)
+
+    def __len__(self) -> int:
+        return len(self.signals)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""

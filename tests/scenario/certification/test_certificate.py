@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import block_diag, expm
 
 import cosim
-from cosim.errors import Interrupted, LogError, ScenarioError, UsageError
+from cosim.errors import Interrupted, LogError, ScenarioError, UnknownSignalError, UsageError
 from cosim.report.tables.certificate import notes
 from cosim.scenario.certification import certificate as certificate_module
 from tests.scenario import certified
@@ -124,7 +124,7 @@ def test_rows_and_hash_are_those_of_the_run_without_a_certificate(tmp_path):
     assert json.loads(log.attachment("result.json"))["certificate"]["step"] == 1e-3
     with pytest.raises(LogError, match=r"has no certificate; needed cosim.run with certify=True"):
         cosim.certificate(plain)
-    with pytest.raises(LogError, match=r"the certificate has no 'observer\.x'; it has: u\.y"):
+    with pytest.raises(LogError, match=r"the certificate has no 'observer\.x'; "):
         cosim.certificate(log)["observer.x"]
 
 
@@ -165,7 +165,9 @@ def test_an_interrupt_behind_the_run_leaves_its_log_whole(tmp_path, number, ends
     certificate = cosim.certificate(log)
     reason = "a run with a smaller step did not come to its end: interrupted by the user"
     assert (certificate.problem, list(certificate.ends)) == (reason, ends)
-    assert not certificate.signals
+    assert list(certificate) == []
+    with pytest.raises(UnknownSignalError, match=f"the certificate has no 'plant.y': {reason}"):
+        certificate["plant.y"]
 
 
 def test_an_interrupt_in_the_run_itself_ends_it_there(tmp_path):
@@ -197,6 +199,26 @@ def test_an_interrupted_search_says_that_nothing_is_written(tmp_path):
         cosim.run("academic", out=path, force=True, find_step=tolerances, progress=interrupt)
     assert raised.value.__notes__ == ["no step is found yet, so that nothing is recorded"]
     assert cosim.open_log(path).recorded_hash == old
+
+
+def test_a_certificate_is_a_mapping():
+    """Of the elements of outputs, as the run that it is of is one of signals."""
+    log, certificate = certified_run("academic", 10.0)
+    names = list(certificate)
+    assert len(certificate) == len(certificate.signals) == len(set(names))
+    assert {name.partition("[")[0] for name in names} <= set(log)
+    assert "plant.x_a[1]" in certificate
+    assert "plant.x_a[2]" not in certificate
+    assert "plant.u" not in certificate  # an input: what drives it is there
+    for name, error in certificate.items():
+        assert error is certificate[name]
+        assert error.signal == name
+    assert certificate.get("plant.z") is None
+    text = r"no 'plant\.x_a'; it has: plant\.x_a\[0\], plant\.x_a\[1\]$"
+    with pytest.raises(UnknownSignalError, match=text):
+        certificate["plant.x_a"]
+    with pytest.raises(UnknownSignalError, match=r"no 'plant\.yy'; did you mean 'plant\.y'\?"):
+        certificate["plant.yy"]
 
 
 def test_certificate_does_not_depend_on_blocks():
