@@ -11,6 +11,7 @@ import cosim
 from cosim.native.numerics.expression import FUNCTIONS
 from cosim.report.tables.catalog import print_catalog, print_kind
 from cosim.scenario.document.schema import ModelTable, Settings
+from cosim.scenario.kinds import KINDS
 
 
 @pytest.mark.parametrize(("entry", "table"), [("settings", Settings), ("models", ModelTable)])
@@ -43,6 +44,27 @@ def test_kinds_say_their_ports_and_expressions_their_functions(capsys):
     assert all(f" {name}" in text for name in FUNCTIONS)
     print_kind("lag", as_json=True)
     assert json.loads(capsys.readouterr().out)["ports"] == "u -> y"
+
+
+def test_kinds_mark_what_may_be_set_in_a_run(capsys):
+    print_kind("pid", as_json=False)
+    lines = capsys.readouterr().out.splitlines()
+    assert "parameter\tdefault\tin a run\tmeaning" in lines
+    rows = {line.split("\t")[0]: line.split("\t")[2] for line in lines[2:]}
+    assert rows["gain"] == rows["upper"] == "tunable"
+    assert rows["period"] == rows["initial_integral"] == ""
+    print_kind("lag", as_json=True)
+    assert json.loads(capsys.readouterr().out)["tunable"] == ["time_constant"]
+    print_kind("delay", as_json=False)
+    assert "parameter\tdefault\tmeaning" in capsys.readouterr().out.splitlines()
+    print_kind("fmu", as_json=False)
+    text = "tunable: parameters that the FMU declares so, of which 'cosim info' of the file has a"
+    assert text in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("kind", "keys"), sorted((n, k.tunable) for n, k in KINDS.items()))
+def test_what_is_marked_is_a_key_of_its_kind(kind, keys):
+    assert set(keys) <= set(KINDS[kind].model_fields)
 
 
 def test_a_list_needs_no_numerical_library_but_numpy():

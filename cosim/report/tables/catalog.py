@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -87,7 +87,9 @@ def print_kind(name: str, *, as_json: bool) -> None:
         return
     print_line(f"{name}: {_description(kind)}")
     print_line(f"ports: {kind.ports}")
-    print_table(_parameters_table("", parameters_of(kind)))
+    if kind.tunable_elsewhere:
+        print_line(f"tunable: {kind.tunable_elsewhere}")
+    print_table(_parameters_table("", parameters_of(kind), kind.tunable))
 
 
 def _installed_table() -> Table:
@@ -125,11 +127,17 @@ def _print_installed(entry: InstalledClass, *, as_json: bool) -> None:
     print_line("parameters: those of its constructor; nothing is imported here")
 
 
-def _parameters_table(title: str, parameters: Iterable[Parameter]) -> Table:
-    """Return a table of keys, with their defaults and what they mean."""
-    table = new_table(title, ("parameter", "default", "meaning"))
+def _parameters_table(
+    title: str, parameters: Iterable[Parameter], tunable: Collection[str] = ()
+) -> Table:
+    """Return a table of keys, with their defaults, what they mean, and those that are tunable."""
+    headings = ("parameter", "default", "in a run", "meaning")
+    table = new_table(title, headings if tunable else (*headings[:2], headings[-1]))
     for parameter in parameters:
-        table.add_row(parameter.name, _presence(parameter), parameter.description)
+        row = [parameter.name, _presence(parameter)]
+        if tunable:
+            row.append("tunable" if parameter.name in tunable else "")
+        table.add_row(*row, parameter.description)
     return table
 
 
@@ -138,7 +146,12 @@ def _plain(kind: type[Kind]) -> dict[str, Any]:
     from cosim.scenario.kinds.parameters import parameters_of
 
     parameters = _plain_parameters(parameters_of(kind))
-    return {"description": _description(kind), "ports": kind.ports, "parameters": parameters}
+    return {
+        "description": _description(kind),
+        "ports": kind.ports,
+        "tunable": list(kind.tunable),
+        "parameters": parameters,
+    }
 
 
 def _plain_parameters(parameters: Iterable[Parameter]) -> dict[str, Any]:

@@ -296,6 +296,8 @@ class Kind(TomlTable):
     tunable : tuple of str
         Keys with numbers that may be set in a run: another component with them, of the same kind,
         can go on from the state that this one has.
+    tunable_elsewhere : str
+        What else may be set in a run, in words.
     """
 
     ports: ClassVar[str]
@@ -304,6 +306,7 @@ class Kind(TomlTable):
     is_recorded: ClassVar[bool] = False
     continuous_inputs: ClassVar[Mapping[str, str]] = MappingProxyType({})
     tunable: ClassVar[tuple[str, ...]] = ()
+    tunable_elsewhere: ClassVar[str] = ""
     kind: str
     unit: PortUnits = Field(None, description=unit_of("y"))
 

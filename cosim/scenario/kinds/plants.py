@@ -149,6 +149,9 @@ class FmuKind(PlantKind, PeriodicKind):
     """A real FMU, FMI 1.0, 2.0 or 3.0."""
 
     ports: ClassVar[str] = "those of the FMU"
+    tunable_elsewhere: ClassVar[str] = (
+        "parameters that the FMU declares so, of which 'cosim info' of the file has a list"
+    )
     kind: Literal["fmu"]
     path: str = Field(description="path of the .fmu")
     interface_type: Literal["me", "cs"] | None = Field(
