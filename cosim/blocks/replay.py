@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector, as_columns
 from cosim.core.contracts import Design, Recording, Stopped
+from cosim.core.port import Port
 from cosim.core.recorded import find_channel
 from cosim.core.signals import Interface, Signal
 from cosim.errors import GraphError, LogError
@@ -52,8 +54,14 @@ class Replay:
         if inputs:
             signals = tuple(_shown(recording, component, signal) for signal in recorded.inputs)
             shown = replace(recorded, inputs=signals)
+        self._limits = _left_limits(recording, component, recorded)
         self.interface = replace(
-            shown, prepares=True, rollback=True, native=True, linearizable=False
+            shown,
+            prepares=True,
+            rollback=True,
+            native=not self._limits,
+            linearizable=False,
+            left_limits=_jumping(recorded, self._limits),
         )
         blocks = [rows[:, recorded.n_u :] for _, rows in recording.blocks(component)]
         self._rows = blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
@@ -97,6 +105,17 @@ class Replay:
             raise Stopped(rows, f"the recording ends at {end} s")
         return rows
 
+    def left_limits(self, t: Vector) -> dict[int, Vector]:
+        """Return the recorded left limits at ``t``."""
+        limits = {}
+        for place, time in enumerate(t.tolist()):
+            if time in self._limits:
+                y = self.outputs(time, t[:0])
+                for columns, values in self._limits[time]:
+                    y[columns] = values
+                limits[place] = y
+        return limits
+
     def save(self) -> None:
         """Copy nothing: there is no state."""
 
@@ -113,6 +132,32 @@ class Replay:
             begin = self._time[0]
             raise GraphError(f"the recording begins at {begin} s, was asked for {t[0]} s")
         return index
+
+
+def _left_limits(
+    recording: Recording, component: str, interface: Interface
+) -> dict[float, list[tuple[slice, tuple[float, ...]]]]:
+    """Return the left limits of outputs by time [s]: their columns, and the values."""
+    limits: dict[float, list[tuple[slice, tuple[float, ...]]]] = {}
+    columns = interface.output_columns()
+    for event in recording.events():
+        port = Port.parse(event.signal)
+        if event.cause == "jump" and port.component == component:
+            own = (columns[port.name], event.values)
+            limits.setdefault(event.time_ns / 1e9, []).append(own)
+    return limits
+
+
+def _jumping(
+    interface: Interface, limits: Mapping[float, Sequence[tuple[slice, tuple[float, ...]]]]
+) -> tuple[str, ...]:
+    """Return the outputs of which there are left limits."""
+    starts = {columns.start for at_time in limits.values() for columns, _ in at_time}
+    names = []
+    for name, columns in interface.output_columns().items():
+        if columns.start in starts:
+            names.append(name)
+    return tuple(names)
 
 
 def _shown(recording: Recording, component: str, signal: Signal) -> Signal:

@@ -38,7 +38,7 @@ from cosim.errors import LogError, RunError
 from cosim.native.step import NativeStep
 
 Design: TypeAlias = Mapping[str, NDArray[np.float64]]
-EventCause: TypeAlias = FaultKind | Literal["override", "release", "set", "swap", "follow"]
+EventCause: TypeAlias = FaultKind | Literal["override", "release", "set", "swap", "follow", "jump"]
 MessageLevel: TypeAlias = Literal["debug", "info", "warning", "error", "fatal"]
 # a signal or elements of it, or several that are stacked
 SignalNames: TypeAlias = str | Port | Sequence[str | Port]
@@ -142,6 +142,21 @@ class Rollback(Protocol[State]):
 
     def restore(self, state: State) -> None:
         """Go back to a saved state."""
+        ...
+
+
+class Jumping(Protocol):
+    """For components with outputs that jump by themselves; their interface names these."""
+
+    def left_limits(self, t: Vector) -> Mapping[int, Vector]:
+        """Return all outputs before their jumps, shape (n_y,), by place in ``t``.
+
+        Parameters
+        ----------
+        t : Vector
+            Times at which the last ``advance`` returned outputs [s]. Where these did not jump they
+            need not be returned.
+        """
         ...
 
 
@@ -319,14 +334,19 @@ class Plan:
 
 
 class SignalEvent(NamedTuple):
-    """A jump of a signal at a communication point: its right limit; the row has the left one.
+    """A jump of a signal at a communication point: the limit that the row there has not.
+
+    That is the right one, as the row was recorded before something was done at the point; but the
+    left one of what jumps by itself.
 
     Parameters
     ----------
     time_ns : int
     cause : EventCause
         An input was overridden, has a fault, or was released; a parameter was set, or a component
-        swapped; or the signal followed one of these.
+        swapped; or the signal followed one of these. "jump": a continuous output jumped with a
+        discrete signal; ``values`` is its left limit. (That of a discrete one is in the row
+        before.)
     signal : str
         ``component.signal``; but for one that followed also elements of one; or
         ``component.parameter``, ``component.file``.
@@ -491,7 +511,7 @@ class Recording(Protocol):
         ...
 
     def events(self) -> list[SignalEvent]:
-        """Return the jumps of signals by overrides, in the order of time."""
+        """Return the jumps of signals, in the order of time."""
         ...
 
 

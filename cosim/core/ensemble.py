@@ -107,10 +107,10 @@ class _MemberRun:
     def run(self, graph: Graph, clock: Clock) -> CosimError | None:
         """Run to the end, or return what ended it before."""
         limit = max(1, ROWS_BYTES // (8 * len(self._last)))
-        rows = np.empty((limit + 1, len(self._last)))
+        rows = np.zeros((limit + 1, graph.layout.row_width))
         try:
             graph.initialize(clock.start_time, rows[0])
-            self._last[:] = rows[0]
+            self._last[:] = rows[0, : len(self._last)]
             stages = advancing_stages(graph)
             for block in clock.blocks(limit):
                 completed = self._advance(stages, block, rows[: block.steps + 1])
@@ -133,8 +133,10 @@ class _MemberRun:
             except Cut as cut:
                 end = cut.steps
                 error = cut.error
-        accumulate(rows[1 : end + 1], *self._totals)
-        self._last[:] = rows[end]
+        width = len(self._last)
+        # a copy where left limits stand behind the signals
+        accumulate(np.ascontiguousarray(rows[1 : end + 1, :width]), *self._totals)
+        self._last[:] = rows[end, :width]
         self.steps += end
         if error is not None:
             raise error

@@ -6,7 +6,7 @@ whole block in one call. Feedthrough orders only the inside of loops and the ini
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import cached_property
 from itertools import chain
 from typing import Literal
@@ -19,9 +19,10 @@ from cosim.core.connections import Connection, SourceText
 from cosim.core.contracts import Component, Design, Plan, Recording, Transfer
 from cosim.core.initialization.initial_values import InitialValues
 from cosim.core.port import Port
-from cosim.core.signals import Variability
+from cosim.core.signals import Channel, Variability
 from cosim.core.stages.calls import GuardedComponent
 from cosim.core.stages.coupling import Cascade, Loop, Stage
+from cosim.core.stages.left_limits import JumpColumns
 from cosim.core.stages.member import Member, first_non_finite
 from cosim.core.stages.torn_inputs import KeptInputs, TornInputs
 from cosim.core.stages.wires import Wire, constant_wires, wires_of
@@ -32,6 +33,7 @@ from cosim.core.structure.connection_checks import (
 )
 from cosim.core.structure.cycles import groups_in_order
 from cosim.core.structure.feedthrough import Edge, extrapolation_text
+from cosim.core.structure.jumping import JumpingOutputs
 from cosim.core.structure.order import Coupling, order_loop
 from cosim.core.structure.ports import Ports, layout_of
 from cosim.core.structure.variability import Variabilities
@@ -138,12 +140,16 @@ class Graph:
             self._sources,
             zero_order=input_interpolation != "linear",
         )
+        self._jumping = JumpingOutputs(self.ports.channels, self._variabilities)
+        self.layout = self.layout.with_left_limits(self._columns_of(self._jumping.ports))
+        self._jump_sources = self._jumping.sources()
         wires: dict[Port, tuple[Wire, ...]] = {}
         self._members: dict[str, Member] = {}
         for name in self.components:
             wires_of_inputs = self._wires_of(name)
             wires.update(wires_of_inputs)
             self._members[name] = self._member(name, wires_of_inputs)
+        self._torn: list[Edge] = []
         self.stages = self._order()
         self.initializations = 0
         self._initial_values = InitialValues(self.layout, self._members, self._sources, wires)
@@ -386,6 +392,7 @@ class Graph:
         warnings = list(unit_warnings(self.ports, self.connections))
         warnings += element_warnings(self.ports, self.connections)
         warnings += self._variabilities.warnings()
+        warnings += self._jumping.warnings(self._sources, self._torn)
         for stage in self.stages:
             warnings += stage.warnings
         return warnings
@@ -459,7 +466,28 @@ class Graph:
             # a delay takes its inputs there, whatever becomes of them in the step
             or channel.interface.delayed
         )
-        return Member(channel, self.components[name], tuple(flat), takes_latest=takes_latest)
+        return Member(
+            channel,
+            self.components[name],
+            tuple(flat),
+            takes_latest=takes_latest,
+            jumps=self._jumps_of(channel),
+        )
+
+    def _jumps_of(self, channel: Channel) -> JumpColumns | None:
+        """Return what of a component jumps, and is followed; None: nothing."""
+        sources = self._jump_sources.get(channel.name, ())
+        if not sources and all(port.component != channel.name for port in self._jumping.ports):
+            return None
+        columns = [self.ports.output(port).columns for port in sources]
+        return JumpColumns(self.layout, columns, channel.outputs)
+
+    def _columns_of(self, outputs: Iterable[Port]) -> list[int]:
+        columns: list[int] = []
+        for port in outputs:
+            own = self.ports.output(port).columns
+            columns += range(own.start, own.stop)
+        return columns
 
     def _drivers(self, name: str) -> set[str]:
         """Return the components that drive an input of this one."""
@@ -511,6 +539,7 @@ class Graph:
         if order.algebraic and not order.torn:
             warnings.append((order.algebraic[0].component, extrapolation_text(order.algebraic)))
         torn = None
+        self._torn += order.torn
         if order.torn:
             _check_rollback(members)
             iterations = 0 if self.coupling == "newton" else self.iterations

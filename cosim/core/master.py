@@ -26,7 +26,7 @@ from cosim.core.clock import Clock
 from cosim.core.conditions import RunConditions, conditions_until
 from cosim.core.contracts import Block, Design, Plan, Recorder, Stopped
 from cosim.core.graph import Graph
-from cosim.core.recorders import Nothing
+from cosim.core.recorders import Nothing, record
 from cosim.core.stages.engine import Engine
 from cosim.errors import UsageError
 
@@ -78,7 +78,7 @@ def run(
                 plan = graph.prepare(clock.step_ns, designs)
             recorder.begin(plan)
             for block, signals in _advance(graph, clock, recorder, conditions, divide=True):
-                recorder.write(block, signals)
+                record(recorder, graph.layout, block, signals)
     except Stopped as stop:
         if stop.failed:
             raise
@@ -113,7 +113,9 @@ def simulate(
     _check(graph, clock, plan)
     if plan is None:
         graph.prepare(clock.step_ns)
-    yield from _advance(graph, clock, Nothing(), RunConditions(), divide=clock.block is None)
+    divide = clock.block is None
+    for block, signals in _advance(graph, clock, Nothing(), RunConditions(), divide=divide):
+        yield block, signals[:, : graph.layout.width]
 
 
 def _check(graph: Graph, clock: Clock, plan: Plan | None) -> None:

@@ -205,6 +205,9 @@ class Interface:
     restarts : bool
         Whether ``save`` starts the component anew where it is, as a solver whose memory cannot be
         copied does: what follows has other bits than without it.
+    left_limits : tuple of output names
+        Outputs that may jump at communication points by themselves, whatever the inputs are: the
+        component has ``left_limits`` (:class:`cosim.core.contracts.Jumping`).
 
     Raises
     ------
@@ -224,6 +227,7 @@ class Interface:
     restarts: bool = False
     lagging: tuple[str, ...] = ()
     jumping: tuple[str, ...] = ()
+    left_limits: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         # What is declared must not change later: copies, and nothing that can be written to.
@@ -247,7 +251,8 @@ class Interface:
         initial = dict(self.initial)
         values = (self.inputs, self.outputs, feedthrough, initial, self.delayed)
         methods = (self.prepares, self.rollback, self.native, self.linearizable)
-        return Interface, (*values, *methods, self.restarts, self.lagging, self.jumping)
+        jumps = (self.jumping, self.left_limits)
+        return Interface, (*values, *methods, self.restarts, self.lagging, *jumps)
 
     def _dependencies(self, key: str, declared: Dependencies) -> dict[str, tuple[str, ...] | None]:
         """Return a copy of declared dependencies, after a check of the names."""
@@ -387,9 +392,20 @@ class Channel:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Where every signal of a graph stands in a row of ``width`` columns."""
+    """Where every signal of a graph stands in a row of ``width`` columns.
+
+    While a graph advances there are ``row_width``: behind the channels stand left limits, of those
+    columns that may jump at a communication point, where the channels have the right limits.
+
+    Parameters
+    ----------
+    channels : tuple of Channel
+    jumping : tuple of int
+        The columns that may jump, and are followed through a step.
+    """
 
     channels: tuple[Channel, ...]
+    jumping: tuple[int, ...] = ()
     _by_name: dict[str, Channel] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -400,6 +416,20 @@ class Layout:
     def width(self) -> int:
         """Number of columns of a row."""
         return self.channels[-1].columns.stop if self.channels else 0
+
+    @property
+    def row_width(self) -> int:
+        """Number of columns of a row while the graph advances."""
+        return self.width + len(self.jumping)
+
+    @property
+    def left_limits(self) -> dict[int, int]:
+        """The columns of left limits, by those that may jump."""
+        return {column: self.width + place for place, column in enumerate(self.jumping)}
+
+    def with_left_limits(self, jumping: Iterable[int]) -> Layout:
+        """Return this layout with the columns that may jump."""
+        return Layout(self.channels, tuple(jumping))
 
     def __getitem__(self, component: str) -> Channel:
         """Return the channel of a component."""

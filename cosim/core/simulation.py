@@ -30,7 +30,7 @@ from cosim.core.clock import Clock
 from cosim.core.conditions import conditions_until
 from cosim.core.contracts import Component, EventCause, Plan, Recorder, Transfer
 from cosim.core.graph import Graph
-from cosim.core.recorders import Nothing, end_of_run, error_text
+from cosim.core.recorders import Nothing, end_of_run, error_text, record
 from cosim.core.signals import FaultKind
 from cosim.core.stages.engine import Engine
 from cosim.core.stages.overrides import OverrideValue
@@ -114,7 +114,7 @@ class Simulation:
         texts = self._reactions.texts
         self._conditions = conditions_until(until, graph.layout, clock, texts)
         self._components = dict(graph.components)  # those that actions may exchange
-        self._width = graph.layout.width
+        self._width = graph.layout.row_width
         self._times = StepTimes(clock)
         self._h = clock.step
         self._thread = get_ident()
@@ -135,6 +135,7 @@ class Simulation:
         self.rows: StepRows | None = None
         self._filler = RowFiller(
             self._engine,
+            self._graph.layout,
             self._recorder,
             self._varying,
             self._times,
@@ -144,7 +145,7 @@ class Simulation:
         row = self._engine.first_row
         self._jumps.stand_at(row)
         self._varying.find()
-        self._recorder.write(self._times.block(0, 0), row[np.newaxis])
+        record(self._recorder, self._graph.layout, self._times.block(0, 0), row[np.newaxis])
         if not self._conditions.is_over:
             self._act()
 

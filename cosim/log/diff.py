@@ -89,7 +89,7 @@ class LogDifference:
     atol, rtol : float
         The tolerances of :func:`diff`.
     events : EventsDifference
-        How the jumps by overrides compare.
+        How the jumps compare.
     """
 
     rows: tuple[SignalDifference, ...]

@@ -1,4 +1,4 @@
-"""The jumps by overrides of two recorded runs compared, element by element."""
+"""The jumps of two recorded runs compared, element by element."""
 
 from __future__ import annotations
 
@@ -32,6 +32,7 @@ class _Place(NamedTuple):
     time_ns: int
     signal: str
     element: int
+    is_left: bool  # the left limit of what jumps by itself; else where something else led to
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,7 +142,8 @@ def _jumps(
             continue
         for column, value in _elements(run, event):
             for signal, element in known.get((Port.parse(event.signal).component, column), ()):
-                jumps[_Place(event.time_ns, signal, element)] = ElementEvent(event.cause, value)
+                place = _Place(event.time_ns, signal, element, event.cause == "jump")
+                jumps[place] = ElementEvent(event.cause, value)
                 is_compared = True
         count += is_compared
     return count, jumps

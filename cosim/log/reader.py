@@ -331,7 +331,7 @@ class Log(RecordedSignals):
             raise LogError(f"{self.path} is damaged: {error}") from error
 
     def events(self) -> list[SignalEvent]:
-        """Return the jumps of signals by overrides, in the order of time.
+        """Return the jumps of signals, in the order of time.
 
         Raises
         ------

@@ -30,6 +30,7 @@ CAUSES: tuple[EventCause, ...] = (
     "set",
     "swap",
     "follow",
+    "jump",
 )
 
 _LEGAL = re.compile(r"[A-Za-z][A-Za-z0-9_]*")

@@ -72,7 +72,7 @@ class McapRecorder:
         ``cosim.component.<name>`` (parameters).
     attachments : sequence of Attachment
     events : bool
-        Inputs may be overridden: there is a channel ``/cosim/event`` for the jumps.
+        Signals may jump at communication points: there is a channel ``/cosim/event`` for that.
     """
 
     def __init__(

@@ -137,13 +137,19 @@ def _digits(value: float | None) -> float | None:
 def _event_counts(events: Sequence[SignalEvent]) -> str:
     """Return how many events there are of each cause."""
     counts = Counter(event.cause for event in events)
-    causes = ", ".join(f"{cause} {count}" for cause, count in counts.items())
-    return f"{len(events)} by overrides: {causes}"
+    jumps = counts.pop("jump", 0)
+    texts = []
+    if counts:
+        causes = ", ".join(f"{cause} {count}" for cause, count in counts.items())
+        texts.append(f"{counts.total()} by overrides: {causes}")
+    if jumps:
+        texts.append(f"{jumps} jumps of continuous outputs")
+    return "; ".join(texts)
 
 
 def _overrides(events: Sequence[SignalEvent]) -> Section:
     """Return the first overrides, faults and releases, and how many more there are."""
-    overrides = [event for event in events if event.cause != "follow"]
+    overrides = [event for event in events if event.cause not in ("follow", "jump")]
     rows: list[Section] = []
     for event in overrides[:MOST_OVERRIDES]:
         t = event.time_ns / 1e9

@@ -221,7 +221,7 @@ class _Statements:
 
 
 def _event_bits(run: Log | Memory) -> list[tuple[Any, ...]]:
-    """Return the jumps by overrides, values to the last bit; NaN is equal to itself so."""
+    """Return the jumps, values to the last bit; NaN is equal to itself so."""
     events: list[tuple[Any, ...]] = []
     for event in run.events():
         values = tuple(value.hex() for value in (*event.values, *event.parameters))

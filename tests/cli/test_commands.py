@@ -208,7 +208,7 @@ def test_info_and_diff_show_overrides(call):
     code, out, _ = call("diff", "a.mcap", "b.mcap", "plant.u")
     assert code == 1
     assert (
-        "events by overrides: 12 in a, 12 in b: 6 of 12 jumps of elements differ; first plant.u at "
+        "events: 12 in a, 12 in b: 6 of 12 jumps of elements differ; first plant.u at "
         "0.001 s: override 0.3, override 0.4"
     ) in " ".join(out.split())
     code, out, _ = call("diff", "a.mcap", "b.mcap", "plant.u", "--atol", "0.2")

@@ -7,7 +7,7 @@ to, what they return is checked, and what they raise is named.
 from __future__ import annotations
 
 import traceback
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from time import perf_counter
 from typing import Any, Final, cast
@@ -19,6 +19,7 @@ from cosim.arrays import Mask, Matrix, Vector, read_only
 from cosim.core.contracts import (
     Component,
     Design,
+    Jumping,
     Native,
     Preparable,
     Rollback,
@@ -233,6 +234,28 @@ class GuardedComponent:
             raise RunError(f"advance {problem}")
         return y
 
+    def left_limits(self, t: Vector) -> dict[int, Vector]:
+        """Return outputs before the jumps that the component makes by itself, by place in ``t``.
+
+        Raises
+        ------
+        RunError
+            As from :meth:`advance`.
+        """
+        if not self._interface.left_limits:
+            return {}
+        try:
+            limits = dict(cast(Jumping, self._component).left_limits(read_only(t)))
+        except RunError:
+            raise
+        except RAISED as error:
+            raise RunError(_raised("left_limits", error)) from error
+        for y in limits.values():
+            problem = result_problem(y, (self._n_y,))
+            if problem:
+                raise RunError(f"left_limits {problem}")
+        return limits
+
     def save(self) -> Any:
         """Copy the state of the component, whose interface declares ``rollback``.
 
@@ -343,6 +366,11 @@ class Timed:
         """Pass on."""
         with self._measured():
             return self._component.advance(t, h, u)
+
+    def left_limits(self, t: Vector) -> Mapping[int, Vector]:
+        """Pass on."""
+        with self._measured():
+            return cast(Jumping, self._component).left_limits(t)
 
     def linearized(self, t: float, u: Vector) -> Linearized | None:
         """Pass on."""

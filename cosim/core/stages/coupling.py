@@ -14,6 +14,9 @@ components advance with what is tried for these, go back, and advance again, unt
 sources give (:mod:`cosim.core.stages.torn_inputs`). Every input then follows its source through the
 step (second order), and an algebraic loop is solved with it. The row keeps what the components were
 given, which is as far from the outputs of the sources as the residual.
+
+Where what a component reads jumps at the end of a step, it takes the left limit there; its outputs
+are evaluated again for the right one (:mod:`cosim.core.stages.left_limits`).
 """
 
 from __future__ import annotations
@@ -28,8 +31,8 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector, read_only
 from cosim.core.contracts import Block, Stopped
-from cosim.core.stages.member import Member, NonFinite, driving_groups, first_non_finite
-from cosim.core.stages.torn_inputs import END, KeptInputs, TornInputs
+from cosim.core.stages.member import END, Member, NonFinite, driving_groups, first_non_finite
+from cosim.core.stages.torn_inputs import KeptInputs, TornInputs
 from cosim.core.structure.order import OperationKind
 from cosim.errors import RunError
 from cosim.native.stages.loop_solver import SOLVED, SWEEP
@@ -39,6 +42,7 @@ OperationName: TypeAlias = Literal[
     "gather",
     "advance",
     "refresh",
+    "right",
     "check",
     "save",
     "begin",
@@ -176,33 +180,67 @@ class Cascade:
     @property
     def program(self) -> StageProgram:
         """Advance, look at the row."""
-        return ("advance", self.members), ("check", self.members)
+        operations = with_limits("advance", self.member)
+        return (*((kind, self.members) for kind in operations), ("check", self.members))
 
     def advance(self, block: Block, signals: Matrix) -> None:
-        """Advance the whole block in one call; by steps where an input jumps between them."""
+        """Advance the whole block in one call; in several where an input jumps between them."""
         # Row 0 is the last row of the block before: its inputs are there.
         self.member.gather(signals, slice(1, None))
-        if not self.member.takes_latest:
-            self._advance(block, signals)
-            return
-        for k in range(block.steps):
+        begin = 0
+        for end in self._ends(signals):
             try:
-                self._advance(block.part(k, k + 1), signals[k : k + 2])
+                self._advance(block.part(begin, end), signals[begin : end + 1])
             except Cut as cut:
-                raise Cut(k + cut.steps, cut.error, cut.component) from cut
+                raise Cut(begin + cut.steps, cut.error, cut.component) from cut
+            begin = end
+
+    def _ends(self, signals: Matrix) -> list[int]:
+        """Return the rows up to which each call advances."""
+        steps = len(signals) - 1
+        if self.member.takes_latest:
+            return list(range(1, steps + 1))
+        ends = []
+        if self.member.jumps is not None:
+            ends = (np.flatnonzero(self.member.jumps.jumps(signals)) + 1).tolist()
+        return ends if ends and ends[-1] == steps else [*ends, steps]
 
     def _advance(self, block: Block, signals: Matrix) -> None:
+        """Advance in one call; where what it reads jumps at its end, by the left limits there."""
+        member = self.member
+        last = signals[-2:]
+        jumps = member.reads_jumps(last)
+        if jumps:
+            member.gather_left(last)
+        steps, stop = self._call(block, signals)
+        if jumps and steps == block.steps:
+            member.gather(last, END)
+            try:
+                u = read_only(last)[:, member.inputs]
+                last[1, member.outputs] = call("right", member, block.time[-2:], block.h, u)
+            except Stopped as error:
+                stop = error
+                steps -= 1
+        check_finite(self.members, block.part(0, steps), signals)
+        if stop is not None:
+            raise Cut(steps, stop, member.name) from stop
+
+    def _call(self, block: Block, signals: Matrix) -> tuple[int, Stopped | None]:
+        """Advance in one call; return how many steps are completed, and what stopped it."""
         member = self.member
         u = member.inputs_over(read_only(signals))
+        steps = block.steps
+        stopped: Stopped | None = None
         try:
             signals[1:, member.outputs] = member.component.advance(block.time, block.h, u)
         except RunError as error:
-            stop = _stop_of(error, member, block.time)
-            if stop.steps:
-                signals[1 : stop.steps + 1, member.outputs] = stop.outputs
-            check_finite(self.members, block.part(0, stop.steps), signals)
-            raise Cut(stop.steps, stop, member.name) from error
-        check_finite(self.members, block, signals)
+            stopped = _stop_of(error, member, block.time)
+            steps = stopped.steps
+            if steps:
+                signals[1 : steps + 1, member.outputs] = stopped.outputs
+        time = block.time[: steps + 1]
+        lost = keep_limits("advance", member, time, signals[: steps + 1])
+        return (steps, stopped) if lost is None else (0, lost)
 
 
 @dataclass(frozen=True, slots=True)
@@ -285,7 +323,7 @@ class Loop:
         for member in self.members:
             if member.name in read_early:
                 program.append(("keep", (member,)))
-        for kind, member in self.operations:
+        for kind, member in self._operations_with_limits:
             program.append((kind, (member,)))
         for member in self.members:
             last = gathered[member.name]
@@ -298,10 +336,18 @@ class Loop:
         """What :meth:`_sweep` does where components advance together."""
         program: list[ProgramOperation] = [("keep", (member,)) for member in self.members]
         program.append(("gather together", self.members))
-        for kind, member in self.operations:
-            program.append((kind if kind == "refresh" else "advance together", (member,)))
+        for kind, member in self._operations_with_limits:
+            program.append(("advance together" if kind == "advance" else kind, (member,)))
         program.append(("record", self.members))
         return tuple(program)
+
+    @property
+    def _operations_with_limits(self) -> list[tuple[OperationName, Member]]:
+        """The operations of a sweep, and behind them those for right limits."""
+        operations = []
+        for kind, member in self.operations:
+            operations += [(name, member) for name in with_limits(kind, member)]
+        return operations
 
     def _sources(self) -> dict[str, set[str]]:
         """Return the components of the loop that drive each of them."""
@@ -385,9 +431,11 @@ class Loop:
         self._keep(rows)
         if self.kept is not None:
             self.kept.gather(rows)
-        for kind, member in self.operations:
-            if self.kept is None or kind == "refresh":
-                self._gather(member, rows)
+        for kind, member in self._operations_with_limits:
+            if kind == "right" and not member.reads_jumps(rows):
+                continue
+            if self.kept is None or kind != "advance":
+                self._gather(kind, member, rows)
             try:
                 y = call(kind, member, time, h, member.inputs_over(known))
             except Stopped as stop:
@@ -397,6 +445,9 @@ class Loop:
                 y = stopped.outputs[0]
             rows[1, member.outputs] = y
             results.append((member, y))
+            lost = keep_limits(kind, member, time, rows)
+            if lost is not None:
+                return lost
         # What is recorded as applied at the end of the step is what the sources gave there at last.
         for member in self.members:
             member.gather(rows, END)
@@ -408,14 +459,43 @@ class Loop:
         """Extrapolated inputs read row 1 before their source has written it: first, it is row 0."""
         for member in self.members:
             rows[1, member.outputs] = rows[0, member.outputs]
+            if member.jumps is not None:
+                member.jumps.keep(rows)
 
-    def _gather(self, member: Member, rows: Matrix) -> None:
+    def _gather(self, kind: OperationName, member: Member, rows: Matrix) -> None:
         """Bring the inputs of a component at the end of the step up to date."""
-        member.gather(rows, END)
+        if kind == "right":
+            member.gather(rows, END)
+        else:
+            member.gather_left(rows)
         if self.torn is not None:
             self.torn.put(rows, member)
         if self.kept is not None:
             self.kept.put(rows, member)
+
+
+def with_limits(kind: OperationName, member: Member) -> tuple[OperationName, ...]:
+    """Return an operation that takes inputs, and behind it the one for their right limits."""
+    has_sources = member.jumps is not None and member.jumps.has_sources
+    return (kind, "right") if has_sources else (kind,)
+
+
+def keep_limits(kind: OperationName, member: Member, time: Vector, rows: Matrix) -> Stopped | None:
+    """Keep the left limits of what a component has advanced to, from row 1 on.
+
+    Returns
+    -------
+    Stopped or None
+        With component and time, and without rows, where the component does not tell them.
+    """
+    if member.jumps is None or kind == "right":
+        return None
+    try:
+        told = member.component.left_limits(time[1:])
+    except RunError as error:
+        return _stop_of(error, member, time)
+    member.jumps.keep(rows, told)
+    return None
 
 
 def call(kind: OperationName, member: Member, time: Vector, h: float, u: Matrix) -> Vector:
@@ -423,7 +503,7 @@ def call(kind: OperationName, member: Member, time: Vector, h: float, u: Matrix)
 
     Parameters
     ----------
-    kind : {"advance", "advance together", "refresh"}
+    kind : {"advance", "advance together", "refresh", "right"}
     member : Member
     time : Vector, shape (2,)
     h : float
@@ -436,7 +516,7 @@ def call(kind: OperationName, member: Member, time: Vector, h: float, u: Matrix)
         With component and time, and with a row of outputs where the step is complete.
     """
     try:
-        if kind == "refresh":
+        if kind in ("refresh", "right"):
             return member.component.outputs(float(time[1]), u[1])
         y: Vector = member.component.advance(time, h, u)[0]
         return y

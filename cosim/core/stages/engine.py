@@ -72,7 +72,7 @@ class Engine:
         divide: bool,
         conditions: RunConditions | None = None,
     ) -> None:
-        width = graph.layout.width
+        width = graph.layout.row_width
         self.first_row = np.zeros(width)
         graph.initialize(clock.start_time, self.first_row)
         self.limit = max(1, BLOCK_BYTES // (8 * width + 8))
@@ -84,7 +84,8 @@ class Engine:
         self._fixed = clock.block
         self.compile()
         self._end: Stopped | None = None
-        self._recorder = recorder
+        # left limits have no place in the memory of a recorder
+        self._keeper = None if graph.layout.jumping else recorder
         self._steps = clock.steps
         self._rows = np.empty((min(self.limit, clock.steps) + 1, width))  # used again
 
@@ -124,7 +125,9 @@ class Engine:
         Their memory is that of the recorder, in which the first row is the last that was written,
         or is used again.
         """
-        rows = memory_of(self._recorder, block, self._steps - block.index)
+        rows: Matrix | None = None
+        if self._keeper is not None:
+            rows = memory_of(self._keeper, block, self._steps - block.index)
         if rows is None:
             rows = self._rows[: block.steps + 1]
         rows[0] = first

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +13,12 @@ from cosim.arrays import Matrix, Vector, read_only
 from cosim.core.contracts import Component
 from cosim.core.signals import Channel, element_names
 from cosim.core.stages.calls import GuardedComponent
+from cosim.core.stages.left_limits import JumpColumns
 from cosim.core.stages.overrides import Overrides
 from cosim.core.stages.wires import Wire
 from cosim.errors import NonFiniteError
+
+END: Final = slice(1, 2)  # of the two rows of a step
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +63,8 @@ class Member:
         Which elements may have no value (NaN).
     takes_latest : bool
         Over a step its inputs have the values that they have at its end.
+    jumps : JumpColumns or None
+        What of it jumps, and is followed.
     overrides : Overrides
         Of its inputs.
     note : str
@@ -72,6 +78,7 @@ class Member:
         wires: tuple[Wire, ...],
         *,
         takes_latest: bool = False,
+        jumps: JumpColumns | None = None,
     ) -> None:
         self.channel = channel
         self.name = channel.name
@@ -81,6 +88,7 @@ class Member:
         self.columns = channel.columns
         self.wires = wires
         self.takes_latest = takes_latest
+        self.jumps = jumps
         self.n_u = channel.interface.n_u
         self.overrides = Overrides(self.n_u)
         self.note = ""
@@ -114,6 +122,25 @@ class Member:
             wire.copy(signals, rows)
         if self.overrides:
             self.overrides.copy(signals, rows)
+
+    def gather_left(self, rows: Matrix) -> None:
+        """Bring the inputs at the end of a step up to date, by left limits where these jump.
+
+        Parameters
+        ----------
+        rows : Matrix, shape (2, width)
+            The signals at both ends.
+        """
+        if self.jumps is None:
+            self.gather(rows, END)
+            return
+        right = self.jumps.put(rows)
+        self.gather(rows, END)
+        self.jumps.put_back(rows, right)
+
+    def reads_jumps(self, rows: Matrix) -> bool:
+        """Return whether what it reads jumps at the end of a step."""
+        return self.jumps is not None and bool(self.jumps.jumps(rows)[0])
 
     def inputs_over(self, rows: Matrix) -> Matrix:
         """Return its inputs at the ends of steps, shape (K+1, n_u), as it is to take them.

@@ -21,7 +21,14 @@ from cosim.core.contracts import Block, Stopped
 from cosim.core.graph import Graph
 from cosim.core.signals import Layout
 from cosim.core.stages.branches import Exclusion, with_branches
-from cosim.core.stages.coupling import Advancing, Cut, OperationName, Stage, call
+from cosim.core.stages.coupling import (
+    Advancing,
+    Cut,
+    OperationName,
+    Stage,
+    call,
+    keep_limits,
+)
 from cosim.core.stages.member import Member, NonFinite, first_non_finite
 from cosim.core.stages.stage_structs import NativeSteps, StageStructs
 from cosim.errors import NonFiniteError
@@ -185,6 +192,9 @@ class NativeStage:
                         signals[k + 1, member.outputs] = self._call(
                             kind, member, block.time[rows], block.h, member.inputs_over(known[rows])
                         )
+                        lost = keep_limits(kind, member, block.time[rows], signals[rows])
+                        if lost is not None:
+                            raise lost
                 left = library.cosim_stage_run(self._address, end, DONE)
             except (NonFiniteError, Stopped) as error:
                 cut = self._cut(error, k, member, block=block, signals=signals)
@@ -250,6 +260,10 @@ class NativeStage:
         if error.steps:
             if not self._is_iterated(member):  # there the row is that of the solution
                 signals[k + 1, member.outputs] = error.outputs[0]
+                rows = slice(k, k + 2)
+                lost = keep_limits("advance", member, block.time[rows], signals[rows])
+                if lost is not None:
+                    return Cut(k, lost, member.name)
             return Cut(k + 1, error, member.name)
         origin = self._origin(signals[k + 1])
         if origin is None:

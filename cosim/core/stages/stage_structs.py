@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from cosim.core.signals import Layout
 from cosim.core.stages.coupling import Stage, StageProgram
+from cosim.core.stages.left_limits import JumpColumns
 from cosim.core.stages.member import Member
 from cosim.core.stages.torn_inputs import KeptInputs, TornInputs
 from cosim.core.stages.wires import Wire
@@ -18,6 +19,7 @@ from cosim.native.library import int32, pointer
 from cosim.native.stages.stage import (
     KINDS,
     CopyStruct,
+    JumpStruct,
     MemberStruct,
     OperationStruct,
     SegmentStruct,
@@ -74,6 +76,8 @@ class StageStructs:
             _fill(struct, member, steps.get(member.name))
             struct.optional = pointer(optional) + member.columns.start
             wires.append(_add_wires(struct, member))
+            if member.jumps is not None:
+                wires.append(_add_jumps(struct, member.jumps))
             addresses[member.name] = addressof(struct)
             by_name[member.name] = struct
         operations = _operations(programs, addresses)
@@ -90,8 +94,8 @@ class StageStructs:
             self.unknowns[stage.members[0].name] = unknowns
             put.append(_put(by_name, stage.members, stage.torn))
             put.append(_let_go_back(by_name, stage.members, steps))
-        tile = max(1, min(TILE_STEPS, TILE_BYTES // (8 * layout.width + 8)))
-        self.stage = StageStruct(addressof(segments), len(segments), layout.width, tile)
+        tile = max(1, min(TILE_STEPS, TILE_BYTES // (8 * layout.row_width + 8)))
+        self.stage = StageStruct(addressof(segments), len(segments), layout.row_width, tile)
         self._keep = (structs, optional, wires, operations, segments, steps, put)
 
 
@@ -118,6 +122,24 @@ def _fill(struct: MemberStruct, member: Member, step: NativeStep | None) -> None
     struct.overridden = member.overrides.columns_address
     struct.gains = member.overrides.gains_address
     struct.overrides = member.overrides.values_address
+
+
+def _add_jumps(struct: MemberStruct, jumps: JumpColumns) -> object:
+    """Write what of a member jumps to its struct; return the memory of that."""
+    sources = [JumpStruct(column, -1) for column in jumps.held.tolist()]
+    followed = zip(jumps.followed.tolist(), jumps.limits.tolist(), strict=True)
+    sources += [JumpStruct(column, limit) for column, limit in followed]
+    own = zip(jumps.own_limits.tolist(), jumps.own.tolist(), strict=True)
+    limits = [CopyStruct(to, column, 1) for to, column in own]
+    source_array = (JumpStruct * len(sources))(*sources)
+    limit_array = (CopyStruct * len(limits))(*limits)
+    right = np.zeros(len(sources))
+    struct.jumps = addressof(source_array)
+    struct.right = pointer(right)
+    struct.limits = addressof(limit_array)
+    struct.n_jumps = len(sources)
+    struct.n_limits = len(limits)
+    return source_array, right, limit_array
 
 
 def _operations(

@@ -11,7 +11,7 @@ evaluated first.
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from typing import Final, final
+from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +24,6 @@ from cosim.core.structure.feedthrough import Edge
 from cosim.core.structure.ports import Ports
 from cosim.errors import listing
 from cosim.native.stages.loop_solver import INVALID, UNDECIDED, LoopSolver
-
-END: Final = slice(1, 2)  # of the two rows of a step
 
 
 @final
@@ -181,7 +179,7 @@ class KeptInputs:
     def gather(self, rows: Matrix) -> None:
         """Gather all inputs, before the first component advances."""
         for member in self._members:
-            member.gather(rows, END)
+            member.gather_left(rows)
         self._values[:] = rows[1, list(self.columns)]
 
     def put(self, rows: Matrix, member: Member) -> None:

@@ -123,7 +123,7 @@ class Jumps:
         self._graph = graph
         self._inputs: dict[str | Port, OverridableInput] = {}
         self._right_limits = RightLimits(graph)
-        self.stand_at(np.zeros(graph.layout.width))
+        self.stand_at(np.zeros(graph.layout.row_width))
 
     def stand_at(self, row: Vector) -> None:
         """Take a row as that of the point that is reached, without jumps so far."""

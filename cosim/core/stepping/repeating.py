@@ -172,7 +172,7 @@ def _change_input(simulation: Simulation, jump: SignalEvent) -> None:
             simulation[jump.signal] = jump.values
         case "release":
             simulation.release(jump.signal)
-        case "set" | "swap" | "follow":
+        case "set" | "swap" | "follow" | "jump":
             pass
         case kind:
             simulation.inject(jump.signal, kind, jump.parameters)

@@ -11,6 +11,8 @@ from typing import Any, Final, final
 from cosim.arrays import Matrix
 from cosim.core.clock import Clock
 from cosim.core.contracts import Block, Recorder
+from cosim.core.recorders import record
+from cosim.core.signals import Layout
 from cosim.core.stages.coupling import Cut
 from cosim.core.stages.engine import Engine
 from cosim.core.stages.native_stage import NativeStage
@@ -65,6 +67,7 @@ class RowFiller:
     Parameters
     ----------
     engine : Engine
+    layout : Layout
     recorder : Recorder
     varying : VaryingFaults
         Determined anew at every communication point, where there are any.
@@ -82,6 +85,7 @@ class RowFiller:
     def __init__(
         self,
         engine: Engine,
+        layout: Layout,
         recorder: Recorder,
         varying: VaryingFaults,
         times: StepTimes,
@@ -91,6 +95,7 @@ class RowFiller:
     ) -> None:
         self.reached = 0
         self._engine = engine
+        self._layout = layout
         self._recorder = recorder
         self._varying = varying
         self._times = times
@@ -130,7 +135,7 @@ class RowFiller:
         self.reached = 0
         for part, rows in self._pieces(block, signals):
             if part.steps:
-                self._recorder.write(part, rows)
+                record(self._recorder, self._layout, part, rows)
                 self.reached += part.steps
         return self._engine.error
 

@@ -3,7 +3,8 @@
 A continuous signal is interpolated linearly through a step, a discrete one holds its value from the
 start of the step. An output that inherits its variability is discrete where everything behind it
 is. An input is held by itself, or where everything that drives it is discrete. What drives an input
-may jump and be interpolated all the same: the jump becomes a ramp over one step, which is warned
+may jump and be interpolated all the same: by its left limits, where these are known
+(:mod:`cosim.core.structure.jumping`); else the jump becomes a ramp over one step, which is warned
 of.
 """
 
@@ -12,6 +13,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain
+from typing import Final
 
 import numpy as np
 
@@ -22,6 +24,10 @@ from cosim.core.signals import Channel, Signal, Variability
 from cosim.core.structure.cycles import strongly_connected
 from cosim.core.structure.feedthrough import Sources
 from cosim.core.structure.ports import Ports
+
+BECOMES_A_RAMP: Final = (
+    "the jump becomes a ramp over the step before it: an error of first order in the step"
+)
 
 
 class Variabilities:
@@ -69,7 +75,7 @@ class Variabilities:
             if self.of(port) == "discrete":
                 discrete.append(port)
                 continue
-            fed = dict.fromkeys(self._fed_to(port))
+            fed = dict.fromkeys(self.fed_to(port))
             reached += [source for source in fed if source not in reached]
         return discrete
 
@@ -175,38 +181,36 @@ class Variabilities:
             )
 
     def _jumps_of_continuous(self) -> Iterator[tuple[str, str]]:
-        """Yield (component, text) of continuous outputs that jump and are interpolated."""
-        becomes = "the jump becomes a ramp over the step before it: an error of first order"
-        for output in self._interpolated():
-            name = output.component
+        """Yield (component, text) of outputs that jump to what arrives, and are interpolated."""
+        for output in self.interpolated():
             if self._starts_apart(output):
                 yield (
-                    name,
+                    output.component,
                     f"{output} begins with a value of its own and jumps where the first of its "
-                    f"input arrives, unless both are equal; {becomes} in the step",
-                )
-            jumping = self._jumps_fed_to(output)
-            if jumping:
-                yield (
-                    name,
-                    f"{output} jumps with {', '.join(map(str, jumping))}, which feeds through, "
-                    f"and is interpolated linearly: {becomes} in the step",
+                    f"input arrives, unless both are equal; {BECOMES_A_RAMP}",
                 )
 
-    def _interpolated(self) -> list[Port]:
+    def interpolated(self) -> list[Port]:
         """Return the continuous outputs that drive inputs which are followed through a step."""
         outputs: dict[Port, None] = {}
-        for name, inputs in self._sources.items():
-            interface = self._channels[name].interface
-            for signal in interface.inputs:
-                is_followed = (
-                    signal.variability != "discrete" and signal.name not in interface.delayed
-                )
-                if is_followed and signal.name in inputs:
-                    outputs |= dict.fromkeys(inputs[signal.name])
-        return [output for output in outputs if self.of(output) == "continuous"]
+        for name in self._sources:
+            outputs |= dict.fromkeys(self.followed_by(name))
+        return list(outputs)
 
-    def _jumps_fed_to(self, output: Port) -> list[Port]:
+    def followed_by(self, name: str) -> Iterator[Port]:
+        """Yield the continuous outputs that a component follows through a step."""
+        if self._zero_order:
+            return
+        interface = self._channels[name].interface
+        inputs = self._sources[name]
+        for signal in interface.inputs:
+            is_followed = signal.variability != "discrete" and signal.name not in interface.delayed
+            if is_followed and signal.name in inputs:
+                for output in inputs[signal.name]:
+                    if self.of(output) == "continuous":
+                        yield output
+
+    def jumps_fed_to(self, output: Port) -> list[Port]:
         """Return the discrete signals that are known to feed through to an output.
 
         What inherits its variability is left out: there they meet continuous ones, which is said.
@@ -214,10 +218,10 @@ class Variabilities:
         declared = self._channels[output.component].interface.by_name[output.signal]
         if declared.variability == "inherited":
             return []
-        ports = dict.fromkeys(self._fed_to(output))
+        ports = dict.fromkeys(self.fed_to(output))
         return [port for port in ports if self.of(port) == "discrete"]
 
-    def _fed_to(self, output: Port) -> Iterator[Port]:
+    def fed_to(self, output: Port) -> Iterator[Port]:
         """Yield the outputs that are known to feed through to an output."""
         interface = self._channels[output.component].interface
         if not interface.knows(output.signal):

@@ -97,6 +97,54 @@ static inline void gather(cosim_stage *s, const cosim_member *m, double *row)
         gather_others(s, m, row);
 }
 
+static inline double left_limit(const cosim_jump *jump, const double *before, const double *row)
+{
+    return jump->limit < 0 ? before[jump->column] : row[jump->limit];
+}
+
+/* Put left limits of sources in the places of right ones. */
+static inline void put_left(const cosim_member *m, const double *before, double *row)
+{
+    for (int32_t i = 0; i < m->n_jumps; ++i) {
+        m->right[i] = row[m->jumps[i].column];
+        row[m->jumps[i].column] = left_limit(m->jumps + i, before, row);
+    }
+}
+
+static inline void put_right(const cosim_member *m, double *row)
+{
+    for (int32_t i = 0; i < m->n_jumps; ++i)
+        row[m->jumps[i].column] = m->right[i];
+}
+
+/* Fill the inputs from the left limits of their sources. */
+static inline void gather_left(cosim_stage *s, const cosim_member *m, const double *before,
+                               double *row)
+{
+    if (m->n_jumps)
+        put_left(m, before, row);
+    gather(s, m, row);
+    if (m->n_jumps)
+        put_right(m, row);
+}
+
+/* Whether the left limit of a source is not its right one, by their bits. */
+static bool jumps(const cosim_member *m, const double *before, const double *row)
+{
+    for (int32_t i = 0; i < m->n_jumps; ++i) {
+        const double left = left_limit(m->jumps + i, before, row);
+        if (memcmp(&left, row + m->jumps[i].column, sizeof left))
+            return true;
+    }
+    return false;
+}
+
+static inline void keep_limits(const cosim_member *m, double *row)
+{
+    for (int32_t i = 0; i < m->n_limits; ++i)
+        copy(row + m->limits[i].to, row + m->limits[i].from, m->limits[i].count);
+}
+
 /* The same for many rows, each input on its own. */
 static void gather_rows(cosim_stage *s, const cosim_member *m, double *rows, int64_t n_rows)
 {
@@ -204,6 +252,21 @@ static inline int32_t evaluate(cosim_stage *s, const cosim_member *m, int32_t ki
                                const Step *step)
 {
     const int32_t status = m->seconds ? timed_call(s, m, kind, step) : call(s, m, kind, step);
+    if (status == COSIM_OK) {
+        trace(s, m, step->row);
+        keep_limits(m, step->row);
+    }
+    return status;
+}
+
+/* Refresh a member for right limits, where it has taken left ones. */
+RARE static int32_t refresh_right(cosim_stage *s, const cosim_member *m, const Step *step)
+{
+    if (!jumps(m, step->before, step->row))
+        return COSIM_OK;
+    gather(s, m, step->row);
+    const int32_t kind = COSIM_REFRESH;
+    const int32_t status = m->seconds ? timed_call(s, m, kind, step) : call(s, m, kind, step);
     if (status == COSIM_OK)
         trace(s, m, step->row);
     return status;
@@ -211,17 +274,20 @@ static inline int32_t evaluate(cosim_stage *s, const cosim_member *m, int32_t ki
 
 RARE static int32_t refresh(cosim_stage *s, const cosim_member *m, const Step *step)
 {
-    gather(s, m, step->row);
+    gather_left(s, m, step->before, step->row);
     return evaluate(s, m, COSIM_REFRESH, step);
 }
 
 /* Gather the inputs of members that advance together; keep what is not gathered again. */
-static int32_t gather_together(cosim_stage *s, const cosim_operation *operation, double *row)
+static int32_t gather_together(cosim_stage *s, const cosim_operation *operation, const Step *step)
 {
+    double *row = step->row;
     for (int32_t i = 0; i < operation->count; ++i) {
         const cosim_member *m = operation->members + i;
+        put_left(m, step->before, row);
         gather_copies(m, row);
         gather_driven(s, m, row);
+        put_right(m, row);
         for (int32_t j = 0; j < m->n_torn; ++j)
             m->tried[j] = row[m->torn[j]];
     }
@@ -355,20 +421,23 @@ static inline int32_t perform(cosim_stage *s, const cosim_operation *operation, 
     const cosim_member *m = operation->members;
     switch (operation->kind) {
     case COSIM_ADVANCE:
-        gather(s, m, step->row);
+        gather_left(s, m, step->before, step->row);
         return evaluate(s, m, COSIM_ADVANCE, step);
     case COSIM_KEEP:
         copy(step->row + m->y, step->before + m->y, m->n_y);
+        keep_limits(m, step->row);
         return COSIM_OK;
     case COSIM_GATHER:
         gather(s, m, step->row);
         return COSIM_OK;
     case COSIM_REFRESH:
         return refresh(s, m, step);
+    case COSIM_RIGHT:
+        return refresh_right(s, m, step);
     case COSIM_CHECK: /* inputs are sums, or copies of outputs with the same need of a value */
         return s->suspicious ? check(operation, step->row) : COSIM_OK;
     case COSIM_GATHER_TOGETHER:
-        return gather_together(s, operation, step->row);
+        return gather_together(s, operation, step);
     case COSIM_ADVANCE_TOGETHER:
         return evaluate(s, m, COSIM_ADVANCE, step);
     case COSIM_RECORD:
@@ -409,7 +478,7 @@ static int64_t run_cascade(cosim_stage *s, int64_t end)
     const cosim_segment *segment = s->segments + s->segment;
     const cosim_member *m = segment->operations->members;
     double *row = s->rows + s->step * s->width;
-    if (s->operation || m->seconds || !m->advance)
+    if (s->operation || m->seconds || !m->advance || m->n_jumps || m->n_limits)
         return run_segment(s, end);
     begin_step(s);
     gather_rows(s, m, row + s->width, end - s->step);
@@ -446,7 +515,7 @@ static void pass(cosim_stage *s)
     const cosim_segment *segment = s->segments + s->segment;
     const cosim_operation *operation = segment->operations + s->operation;
     if (operation->kind == COSIM_ADVANCE || operation->kind == COSIM_ADVANCE_TOGETHER
-        || operation->kind == COSIM_REFRESH)
+        || operation->kind == COSIM_REFRESH || operation->kind == COSIM_RIGHT)
         trace(s, operation->members, s->rows + (s->step + 1) * s->width);
     ++s->operation;
 }

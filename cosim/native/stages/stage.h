@@ -49,6 +49,12 @@ typedef struct {
     int32_t is_saved; /* here; else by the caller */
 } cosim_rollback;
 
+/* An output that jumps: its column, and that of its left limit; -1: that is its value in the row
+ * before, as it is discrete. */
+typedef struct {
+    int32_t column, limit;
+} cosim_jump;
+
 /* A component in its place. */
 typedef struct {
     cosim_step advance;    /* NULL: left to the caller */
@@ -70,6 +76,13 @@ typedef struct {
     const int32_t *torn;
     double *tried;
     cosim_rollback *rollback; /* NULL: left to the caller */
+    /* what jumps: outputs, of whatever member, whose left limits it takes at the end of a step, and
+     * memory for so many right ones; and where the left limits of its own outputs are kept, by the
+     * caller for what is left to him */
+    const cosim_jump *jumps; /* (n_jumps) */
+    double *right;
+    const cosim_copy *limits;
+    int32_t n_jumps, n_limits;
 } cosim_member;
 
 /* What an operation does to a member, or to `count` of them: */
@@ -87,6 +100,8 @@ typedef struct {
 #define COSIM_GATHER_TOGETHER 9   /* gather; keep what is to be kept of it */
 #define COSIM_ADVANCE_TOGETHER 10 /* outputs <- advance, with the inputs that are there */
 #define COSIM_RECORD 11           /* gather, also what was kept */
+/* and of members with jumps, whose inputs are gathered from left limits to advance or refresh: */
+#define COSIM_RIGHT 12 /* where one of these is no right limit, refresh for the right ones */
 
 typedef struct {
     const cosim_member *members;

@@ -21,6 +21,7 @@ KINDS: Final = {
     "gather together": 9,
     "advance together": 10,
     "record": 11,
+    "right": 12,
 }
 """COSIM_KEEP and so on."""
 HERE: Final = 0  # COSIM_HERE and so on
@@ -51,6 +52,12 @@ class SumStruct(Structure):
     )
 
 
+class JumpStruct(Structure):
+    """cosim_jump."""
+
+    _fields_ = (("column", c_int32), ("limit", c_int32))
+
+
 class MemberStruct(Structure):
     """cosim_member."""
 
@@ -60,7 +67,8 @@ class MemberStruct(Structure):
         ("takes_latest", c_int32),
         *((name, c_void_p) for name in ("copies", "sums")),
         *((name, c_void_p) for name in ("optional", "seconds", "overridden", "gains", "overrides")),
-        *((name, c_void_p) for name in ("torn", "tried", "rollback")),
+        *((name, c_void_p) for name in ("torn", "tried", "rollback", "jumps", "right", "limits")),
+        *((name, c_int32) for name in ("n_jumps", "n_limits")),
     )
 
 

@@ -54,9 +54,9 @@ def print_difference(difference: LogDifference, *, as_json: bool) -> None:
 
 
 def _events_text(difference: EventsDifference) -> str:
-    """Return how the jumps by overrides compare, in words."""
+    """Return how the jumps compare, in words."""
     count_a, count_b = difference.events
-    text = f"events by overrides: {count_a} in a, {count_b} in b: "
+    text = f"events: {count_a} in a, {count_b} in b: "
     first = difference.first
     if difference.equal:
         return f"{text}equal"

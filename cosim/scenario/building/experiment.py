@@ -116,5 +116,6 @@ class Experiment:
 
     @property
     def has_events(self) -> bool:
-        """Whether signals may jump by actions, or by the events of a recording."""
-        return bool(self.events or self.actions or self.reactions)
+        """Whether there may be events: actions, those of a recording, outputs that jump."""
+        acts = self.events or self.actions or self.reactions
+        return bool(acts or self.graph.layout.jumping)

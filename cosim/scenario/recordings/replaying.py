@@ -203,8 +203,11 @@ def rebuilt(
 def _with_events(
     experiment: Experiment, builder: Builder, source: CompleteRecording, resources: ExitStack
 ) -> Experiment:
-    """Return an experiment with the events of its recording, and what sets parameters in them."""
-    events = tuple(source.events())
+    """Return an experiment with the events of its recording, and what sets parameters in them.
+
+    What jumps by itself does so again.
+    """
+    events = tuple(event for event in source.events() if event.cause != "jump")
     settings: dict[tuple[int, str], Action] = {}
     if any(event.cause == "set" for event in events):
         from cosim.scenario.actions.settings import (  # rarely needed

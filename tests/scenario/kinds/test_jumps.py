@@ -6,11 +6,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.linalg import expm
 
 import cosim
 from cosim.blocks.source import Table
 from cosim.core.clock import Clock
 from cosim.errors import CosimError, ScenarioError, UsageError
+from cosim.report.inspection import describe_log
+from cosim.report.verification import verify
 from cosim.scenario.building.build import parse
 from cosim.scenario.document.document import Document
 from cosim.scenario.kinds.jumps import held_from_points
@@ -270,3 +273,66 @@ def test_rows_of_a_table_that_fall_between_communication_points_are_said(tmp_pat
     assert len(notes) == bool(text)
     if text:
         assert re.search(text, notes[0])
+
+
+JUMPING = {
+    "components.u": {"kind": "step", "time": 0.5},
+    "scenario.stop": 0.6,
+    "components.identifier.start": 0.55,
+    "components.regressor.delays": [0.01, 0.02, 0.03],
+}
+
+
+@pytest.fixture(scope="module")
+def jumping_log(tmp_path_factory):
+    """Return the log of the academic scenario with a step of u at 0.5 s; y = x1 - u."""
+    out = tmp_path_factory.mktemp("jumping") / "jumping.mcap"
+    return cosim.run("academic", set=JUMPING, out=out)
+
+
+def test_a_jump_of_u_does_not_throw_the_reconstruction(jumping_log):
+    """What the step adds to delta_hat is F x1' - x1'; x1' = -x1 + x2 - 1, x2' = -x1 - 2 x2 + 1.
+
+    It jumps by 1, as -x1' does. A ramp of y over the step before would throw it by
+    1000 (1 - (1 - e^-1)) = 368. Linear interpolation of x1 errs by h^2/8 x1'' in it, and by
+    1000 times that in delta_hat: 1e-3 / 8 of x1'' = 3 at the jump.
+    """
+    without = cosim.run("academic", set={**JUMPING, "components.u.after": 0.0})
+    added = jumping_log["observer.delta"] - without["observer.delta"]
+    assert np.abs(added[:500]).max() == 0.0
+    A = np.array([[-1.0, 1.0, 0.0, -1.0], [-1.0, -2.0, 0.0, 1.0], [1e3, 0.0, -1e3, 0.0], [0.0] * 4])
+    propagate = expm(1e-3 * A)
+    x = np.array([0.0, 0.0, 0.0, 1.0])  # x1, x2, q, u
+    for k in range(500, 601):
+        exact = 1e3 * (x[0] - x[2]) - A[0] @ x
+        assert abs(added[k] - exact) < 4e-4
+        x = propagate @ x
+    limits = {event.signal: event.values for event in jumping_log.events()}
+    assert {event.time_ns for event in jumping_log.events()} == {500_000_000}
+    # rounding of a q: 2^-52 of 1000
+    jump = jumping_log["observer.delta"][500] - limits["observer.delta"][0]
+    assert jump == pytest.approx(1.0, abs=1e-11)
+    y = jumping_log["plant.y"][500]
+    assert limits["plant.y"][0] - y == pytest.approx(1.0, abs=16 * 2.0**-52)
+
+
+def test_a_run_with_jumps_has_one_hash_and_is_replayed(jumping_log, tmp_path):
+    """In blocks of any length; also where the plant is taken from the log."""
+    for block in (1, 7):
+        log = cosim.run("academic", set=JUMPING, block=block, out=tmp_path / f"{block}.mcap")
+        assert log.content_hash() == jumping_log.content_hash()
+        assert log.events() == jumping_log.events()
+    verification = verify(jumping_log, cosim.replay(jumping_log))
+    assert verification.passed
+    loaded = cosim.load("academic").set(JUMPING).swap(plant=str(jumping_log.path))
+    swapped = cosim.run(loaded)
+    for signal in ("observer.delta", "regressor.mu", "plant.y"):
+        assert swapped[signal].tobytes() == jumping_log[signal].tobytes()
+    assert swapped.events() == jumping_log.events()
+
+
+def test_a_log_shows_its_jumps(jumping_log):
+    """How many there are; they are no overrides."""
+    content = describe_log(str(jumping_log.path))
+    assert content["run"]["events"] == f"{len(jumping_log.events())} jumps of continuous outputs"
+    assert "overrides" not in content

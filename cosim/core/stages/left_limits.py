@@ -1,0 +1,110 @@
+"""Left limits at the ends of steps, where what a component reads jumps.
+
+The row at a communication point has the right limits. Behind the channels it has the left limits of
+those continuous outputs that jump and are followed; that of a discrete output is what it had in the
+row before. A component takes left limits at the end of a step. Where one of them is no right limit,
+its outputs are evaluated again for the right ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.arrays import Mask, Matrix, Vector
+from cosim.core.signals import Layout
+
+ColumnNumbers = NDArray[np.intp]
+NOTHING_TOLD: Final[Mapping[int, Vector]] = {}
+
+
+class JumpColumns:
+    """What of a component jumps, by columns of the row.
+
+    Parameters
+    ----------
+    layout : Layout
+    sources : iterable of slice
+        Outputs, of whatever component, whose left limits it takes.
+    outputs : slice
+        Its own.
+
+    Attributes
+    ----------
+    held : array of int
+        Those of its sources that are discrete.
+    followed, limits : array of int
+        Those that are continuous, and where their left limits stand.
+    own, own_limits : array of int
+        Those of its own outputs that jump, and where their left limits stand.
+    own_places : array of int
+        Where they are among all of its outputs.
+    """
+
+    def __init__(self, layout: Layout, sources: Iterable[slice], outputs: slice) -> None:
+        limits = layout.left_limits
+        columns: list[int] = []
+        for source in sources:
+            columns += range(source.start, source.stop)
+        followed = [column for column in columns if column in limits]
+        own = [column for column in limits if outputs.start <= column < outputs.stop]
+        self.held = _numbers(column for column in columns if column not in limits)
+        self.followed = _numbers(followed)
+        self.limits = _numbers(limits[column] for column in followed)
+        self.own = _numbers(own)
+        self.own_limits = _numbers(limits[column] for column in own)
+        self.own_places = self.own - outputs.start
+
+    @property
+    def has_sources(self) -> bool:
+        """Whether it takes left limits."""
+        return bool(len(self.held) or len(self.followed))
+
+    def put(self, rows: Matrix) -> Vector:
+        """Put left limits into row 1 of two, in the place of right ones; return those."""
+        row = rows[1]
+        right = np.concatenate([row[self.held], row[self.followed]])
+        row[self.held] = rows[0, self.held]
+        row[self.followed] = row[self.limits]
+        return right
+
+    def put_back(self, rows: Matrix, right: Vector) -> None:
+        """Put right limits back."""
+        n = len(self.held)
+        rows[1, self.held] = right[:n]
+        rows[1, self.followed] = right[n:]
+
+    def jumps(self, signals: Matrix) -> Mask:
+        """Return at which rows, from row 1 on, a left limit is no right limit; shape (K,)."""
+        before = _bits(signals[:-1], self.held)
+        after = _bits(signals[1:], self.held)
+        left = _bits(signals[1:], self.limits)
+        right = _bits(signals[1:], self.followed)
+        jumps: Mask = (before != after).any(axis=1) | (left != right).any(axis=1)
+        return jumps
+
+    def keep(self, signals: Matrix, told: Mapping[int, Vector] = NOTHING_TOLD) -> None:
+        """Take outputs as left limits, from row 1 on.
+
+        Parameters
+        ----------
+        signals : Matrix
+        told : mapping of int to Vector
+            Outputs that a component has told to take in the place of those of a row, by its number
+            counted from row 1.
+        """
+        signals[1:, self.own_limits] = signals[1:, self.own]
+        for place, y in told.items():
+            signals[1 + place, self.own_limits] = y[self.own_places]
+
+
+def _numbers(columns: Iterable[int]) -> ColumnNumbers:
+    return np.array(list(columns), np.intp)
+
+
+def _bits(rows: Matrix, columns: ColumnNumbers) -> NDArray[np.int64]:
+    """Return values by their bits, by which NaN is NaN."""
+    return np.ascontiguousarray(rows[:, columns]).view(np.int64)
