@@ -61,6 +61,8 @@ class LoopGain:
         The components that cannot be linearized.
     reason : str
         Why else the gain is not known.
+    action : str
+        Behind which action it is so; empty: as the run begins.
     """
 
     components: tuple[str, ...]
@@ -71,6 +73,7 @@ class LoopGain:
     rate: float | None = None
     unknown: tuple[str, ...] = ()
     reason: str = ""
+    action: str = ""
 
     @property
     def exponent(self) -> float:

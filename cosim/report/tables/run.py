@@ -141,7 +141,10 @@ def _add_loops(table: Table, summary: Summary) -> None:
         text = "step by step, so with an error of first order in the step; compare with --step"
         table.add_row("loop", "", "", f"{loop}: {text}")
     for gain in summary.gains:
-        table.add_row("loop gain", "", "", f"{', '.join(gain.components)}: {gain_text(gain)}")
+        where = ", ".join(gain.components)
+        if gain.action:
+            where += f" {gain.action}"
+        table.add_row("loop gain", "", "", f"{where}: {gain_text(gain)}")
 
 
 def _lateness_text(lateness: Lateness) -> str:

@@ -14,7 +14,10 @@ from cosim.core.graph import Graph
 from cosim.errors import AssumptionError, RunError
 from cosim.scenario.assumptions.attempts import Evidence
 from cosim.scenario.building.build import Builder
+from cosim.scenario.building.changed_loops import changed_loops
 from cosim.scenario.building.context import DependsOnInvalid
+from cosim.scenario.building.coupling_check import CouplingReport, report_behind, report_on
+from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.building.initial_states import change_text, changed_states
 from cosim.scenario.document.problems import Problem
 
@@ -48,8 +51,8 @@ class Beginning:
         return [*self._builder.problems, *self._builder.graph_problems()]
 
     @cached_property
-    def graph(self) -> Graph:
-        """The graph.
+    def _experiment(self) -> Experiment:
+        """What would run.
 
         Raises
         ------
@@ -58,7 +61,18 @@ class Beginning:
         """
         if self.problems:
             raise DependsOnInvalid
-        return self._builder.experiment().graph
+        return self._builder.experiment()
+
+    @property
+    def graph(self) -> Graph:
+        """The graph.
+
+        Raises
+        ------
+        DependsOnInvalid
+            If there is a problem.
+        """
+        return self._experiment.graph
 
     @property
     def warnings(self) -> tuple[tuple[str, str], ...]:
@@ -96,8 +110,13 @@ class Beginning:
             evidence += f"; {name}: {change_text(changed)}"
         return evidence, {"components": count}
 
-    def loops(self) -> LinearizedLoops | None:
-        """Return the loops as they begin, after the check; None: the run would not begin."""
+    def loops(self) -> list[CouplingReport]:
+        """Return what is known of the loops, after the check; nothing where no run would begin.
+
+        As they begin, then behind actions.
+        """
         if self._row is None:
-            return None
-        return LinearizedLoops.of(self.graph, self._builder.clock, self._row)
+            return []
+        loops = LinearizedLoops.of(self.graph, self._builder.clock, self._row)
+        changes = changed_loops(self._experiment, loops, self._row)
+        return [report_on(loops), *map(report_behind, changes)]

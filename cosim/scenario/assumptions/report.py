@@ -24,7 +24,7 @@ from cosim.scenario.assumptions.identification import IdentifierCheck, communica
 from cosim.scenario.assumptions.regression import RegressorCheck
 from cosim.scenario.building.build import Builder
 from cosim.scenario.building.context import DependsOnInvalid
-from cosim.scenario.building.coupling_check import COUPLING, gain_text, gain_values, report_on
+from cosim.scenario.building.coupling_check import COUPLING, CouplingReport, gain_text, gain_values
 from cosim.scenario.building.known_truth import disturbance_among, parameters_by_term
 from cosim.scenario.kinds.base import Kind
 from cosim.scenario.kinds.compensators import CompensatorKind
@@ -251,19 +251,23 @@ class _Check:
 
     def _of_loops(self) -> list[AssumptionVerdict]:
         """Return whether the coupling of each loop leaves its results what they are."""
-        loops = self._beginning.loops()
-        if loops is None:
-            return []
-        report = report_on(loops)
+        verdicts = []
+        for report in self._beginning.loops():
+            verdicts += self._of_coupled(report)
+        return verdicts
+
+    def _of_coupled(self, report: CouplingReport) -> list[AssumptionVerdict]:
         self._of_coupling += [(COUPLING, text) for text in report.warnings]
         may_refuse = self._scenario.file.scenario.coupling_check == "refuse"
         verdicts = []
         refusals = iter(report.refusals)
         for gain in report.gains:
             name = f"coupling of {listing(gain.components)}"
+            if gain.action:
+                name += f" {gain.action}"
             numbers = gain_values(gain)
-            if gain.verdict == "refused":
-                text = next(refusals)
+            text = next(refusals, None) if gain.verdict == "refused" else None
+            if text is not None:
                 if may_refuse:
                     verdicts.append(refused(name, AssumptionError(text), numbers))
                     continue

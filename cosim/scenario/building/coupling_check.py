@@ -8,7 +8,7 @@ same.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -21,8 +21,9 @@ from cosim.core.contracts import Plan
 from cosim.core.gain.loop_gain import NOTED, REFUSED, LinearizedLoops, LoopGain
 from cosim.core.graph import Graph
 from cosim.errors import CosimError, listing
+from cosim.scenario.building.changed_loops import ChangedLoops, changed_loops
 from cosim.scenario.building.experiment import Experiment
-from cosim.scenario.document.problems import Problem
+from cosim.scenario.document.problems import Key, Problem
 
 COUPLING: Final = "coupling"  # whose warnings these are
 LARGEST: Final = 1e4  # that is written without an exponent of ten
@@ -62,28 +63,34 @@ def with_loop_gains(experiment: Experiment, rebuild: Callable[[], Experiment]) -
         messages[name] += fmu.drain()
     beginning = _Beginning(graph, experiment.clock, experiment.plan)
     loops = beginning.loops()
+    changes = beginning.changed(experiment, loops)
     if experiment.fmus and not beginning.repeats():
         experiment = rebuild()
     else:
         experiment = replace(experiment, plan=beginning.plan, messages=messages)
         for fmu in experiment.fmus.values():
             fmu.discard()  # the run says the same again
-    report = report_on(loops)
-    document = experiment.scenario.document
+    reports: list[tuple[Key, CouplingReport]] = [(("scenario", "step"), report_on(loops))]
+    for changed in changes:
+        reports.append((changed.key, report_behind(changed)))
     settings = experiment.scenario.file.scenario
-    warnings = report.warnings
-    if settings.coupling_check == "warn":
-        warnings += report.refusals
-    elif report.refusals:
-        problems: list[Problem] = []
+    gains: list[LoopGain] = []
+    warnings: list[str] = []
+    problems: list[Problem] = []
+    for key, report in reports:
+        gains += report.gains
+        warnings += report.warnings
+        if settings.coupling_check == "warn":
+            warnings += report.refusals
+            continue
         for text in report.refusals:
-            way_out = '; coupling_check = "warn" runs it all the same'
-            problems.append((("scenario", "step"), text + way_out))
-        raise document.report(problems)
-    _note(experiment.graph, report.gains)
+            problems.append((key, f'{text}; coupling_check = "warn" runs it all the same'))
+    if problems:
+        raise experiment.scenario.document.report(problems)
+    _note(experiment.graph, reports[0][1].gains)
     coupling_warnings = tuple((COUPLING, text) for text in warnings)
     all_warnings = (*experiment.warnings, *coupling_warnings)
-    return replace(experiment, gains=report.gains, warnings=all_warnings)
+    return replace(experiment, gains=tuple(gains), warnings=all_warnings)
 
 
 class _Beginning:
@@ -117,6 +124,10 @@ class _Beginning:
             return LinearizedLoops(self._graph, self._clock)
         return LinearizedLoops.of(self._graph, self._clock, self._row)
 
+    def changed(self, experiment: Experiment, loops: LinearizedLoops) -> list[ChangedLoops]:
+        """Return the loops behind actions; none where it is not known how they begin."""
+        return [] if self._row is None else list(changed_loops(experiment, loops, self._row))
+
     def repeats(self) -> bool:
         """Return whether it can be begun again, to the same bits, or was not begun."""
         if self._row is None:
@@ -137,17 +148,36 @@ def _note(graph: Graph, gains: tuple[LoopGain, ...]) -> None:
 
 def report_on(loops: LinearizedLoops) -> CouplingReport:
     """Return what is known of loops, and what stands against their coupling."""
-    gains = loops.gains()
+    return _report(loops, dict(enumerate(loops.gains())))
+
+
+def report_behind(changed: ChangedLoops) -> CouplingReport:
+    """Return the same of loops behind an action, of those that it changes.
+
+    One that comes with a condition may never be performed, so it is warned of.
+    """
+    gains = {}
+    for number, gain in enumerate(changed.loops.gains()):
+        if not changed.components.isdisjoint(gain.components):
+            gains[number] = replace(gain, action=changed.action)
+    report = _report(changed.loops, gains)
+    if changed.is_certain:
+        return report
+    return CouplingReport(report.gains, warnings=report.warnings + report.refusals)
+
+
+def _report(loops: LinearizedLoops, gains: Mapping[int, LoopGain]) -> CouplingReport:
+    """Return what is known of some loops by their numbers."""
     refusals = []
     warnings = []
-    for number, gain in enumerate(gains):
+    for number, gain in gains.items():
         if gain.verdict == "refused":
             refusals.append(_refusal(gain, loops, number))
         elif gain.verdict == "noted":
             warnings.append(_excess(gain))
         if gain.is_unstable:
             warnings.append(_unstable(gain))
-    return CouplingReport(gains, tuple(refusals), tuple(warnings))
+    return CouplingReport(tuple(gains.values()), tuple(refusals), tuple(warnings))
 
 
 def _refusal(gain: LoopGain, loops: LinearizedLoops, number: int) -> str:
@@ -167,17 +197,26 @@ def _excess(gain: LoopGain) -> str:
     assert gain.rho is not None
     own = _own(gain)
     return (
-        f"the loop of {listing(gain.components)}: coupling '{gain.coupling}' has a gain of "
+        f"{_loop(gain)}: coupling '{gain.coupling}' has a gain of "
         f"{_number(gain.rho)} a step of {gain.h:g} s, the loop itself one of {own}, and so "
-        f"multiplies an error by {_growth(gain.exponent)} over the run"
+        f"multiplies an error by {_growth(gain.exponent)} over {_span(gain)}"
     )
+
+
+def _loop(gain: LoopGain) -> str:
+    text = f"the loop of {listing(gain.components)}"
+    return f"{gain.action}, {text}" if gain.action else text
+
+
+def _span(gain: LoopGain) -> str:
+    return "the rest of the run" if gain.action else "the run"
 
 
 def _unstable(gain: LoopGain) -> str:
     return (
-        f"the loop of {listing(gain.components)} is unstable itself, whatever couples it: it has a "
+        f"{_loop(gain)} is unstable itself, whatever couples it: it has a "
         f"pole at {gain.rate:+.4g} /s, and multiplies an error by {_growth(gain.own_exponent)} "
-        "over the run"
+        f"over {_span(gain)}"
     )
 
 
@@ -226,7 +265,7 @@ def gain_text(gain: LoopGain) -> str:
     own = _own(gain)
     text = f"{_number(gain.rho)} a step, the loop itself {own}"
     if gain.exponent > math.log(NOTED):
-        text += f"; an error grows by {_growth(gain.exponent)} over the run beyond it"
+        text += f"; an error grows by {_growth(gain.exponent)} over {_span(gain)} beyond it"
     return text
 
 
@@ -234,6 +273,7 @@ def gain_values(gain: LoopGain) -> dict[str, Any]:
     """Return what is known of a loop as plain values."""
     return {
         "loop": ", ".join(gain.components),
+        "action": gain.action,
         "coupling": gain.coupling,
         "gain": gain.rho,
         "largest pole": gain.rate,

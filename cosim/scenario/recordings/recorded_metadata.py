@@ -139,6 +139,7 @@ class LoopGainRecord(_Record):
     rate: Number | None = None
     unknown: tuple[Text, ...] = ()
     reason: Text = ""
+    action: Text = ""
 
     @property
     def gain(self) -> LoopGain:
@@ -152,6 +153,7 @@ class LoopGainRecord(_Record):
             self.rate,
             self.unknown,
             self.reason,
+            self.action,
         )
 
 

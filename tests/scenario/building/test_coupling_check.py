@@ -5,6 +5,7 @@ import json
 import pytest
 
 import cosim
+from cosim.cli import main
 from cosim.errors import LogError, NonFiniteError, ScenarioError
 from cosim.report.summary import summarize
 from cosim.scenario.exporting import export_component
@@ -223,3 +224,129 @@ def test_the_gain_of_a_loop_through_an_fmu_is_that_of_its_model(plant, interface
     assert expected.rho == pytest.approx(0.99836, abs=1e-5)
     assert found.rho == pytest.approx(expected.rho, rel=1e-6)
     assert found.rate == pytest.approx(expected.rate, rel=1e-6)
+
+
+# --- behind actions ---
+
+SET = """
+scenario = { name = "set", stop = 10.0, step = 0.1 }
+actions = [{ %s, set = { "pid.gain" = %s } }]
+
+[components]
+setpoint = { kind = "constant", value = 1.0 }
+pid = { kind = "pid", gain = 2.0, integral_time = 1.0 }
+plant = { kind = "lag", time_constant = 2.0, initial = 0.0 }
+alone = { kind = "gain", K = 1.0 }
+
+[connections]
+"pid.setpoint" = "setpoint.y"
+"pid.measurement" = "plant.y"
+"plant.u" = "pid.y"
+"alone.u" = "plant.y"
+"""
+
+
+@pytest.fixture
+def setting(tmp_path):
+    """Return a function that writes a loop whose controller gets another gain in the run."""
+
+    def written(when, gain):
+        path = tmp_path / "set.toml"
+        path.write_text(SET % (when, gain))
+        return path
+
+    return written
+
+
+def test_a_parameter_that_makes_the_coupling_unstable_is_refused_before_the_run(setting):
+    """With the action's line and time; what is offered runs, and without it nothing is left.
+
+    The loop itself settles with either gain: dy/dt = (60 (1 - y) + I - y) / 2 s.
+    """
+    path = setting("at = 4.0", 60.0)
+    with pytest.raises(ScenarioError) as caught:
+        cosim.run(path)
+    text = str(caught.value)
+    begin = f"{path}:3: actions.0: behind the action at 4.0 s, the loop of pid, plant: coupling"
+    assert text.startswith(begin)
+    assert "multiplies an error by 1e18 over the rest of the run, more than 10; needed step" in text
+    assert 'needed step = 0.05 or coupling = "newton"; coupling_check = "warn" runs it' in text
+    for way_out in ({"scenario.step": 0.05}, {"scenario.coupling": "newton"}):
+        assert abs(cosim.run(path, set=way_out)["plant.y"][-1] - 1.0) < 0.05
+    memory = cosim.run(path, set=WARN)
+    assert abs(memory["plant.y"][-1]) > 1e10
+    ((_, warning),) = recorded_warnings(memory)
+    assert warning.startswith("behind the action at 4.0 s, the loop of pid, plant: coupling")
+
+
+def test_a_gain_behind_an_action_is_that_of_a_run_with_its_value(setting, tmp_path, capsys):
+    """It is in the log, the summary and a replay; of components outside loops there is none."""
+    path = setting("at = 4.0", 5.0)
+    log = cosim.run(path, out=tmp_path / "a.mcap")
+    first, behind = recorded_loop_gains(log)
+    (own,) = recorded_loop_gains(cosim.run(path, set={"pid.gain": 5.0, "actions": []}))
+    assert (first.action, first.steps) == ("", 100)
+    assert (behind.action, behind.steps) == ("behind the action at 4.0 s", 60)
+    assert (behind.rho, behind.rate) == (own.rho, own.rate)
+    assert recorded_loop_gains(cosim.replay(log)) == (first, behind)
+    outside = [{"at": 1.0, "set": {"alone.K": 3.0, "setpoint.value": 2.0}}]
+    assert len(recorded_loop_gains(cosim.run(path, set={"actions": outside}))) == 1
+
+
+def test_actions_add_up_in_the_order_of_time(setting):
+    """The one at 6 s, which the file has first, knows of that at 2 s; two at once are one."""
+    path = setting("at = 6.0", 30.0)
+    actions = [
+        {"at": 6.0, "set": {"pid.gain": 30.0}},
+        {"at": 2.0, "set": {"plant.time_constant": 20.0}},
+        {"at": 2.0, "set": {"pid.gain": 20.0}},
+    ]
+    gains = recorded_loop_gains(cosim.run(path, set={"actions": actions}))
+    assert [gain.action[-5:] for gain in gains] == ["", "2.0 s", "6.0 s"]
+    values = [{"pid.gain": K, "plant.time_constant": 20.0, "actions": []} for K in (20.0, 30.0)]
+    expected = [recorded_loop_gains(cosim.run(path, set=value))[0].rho for value in values]
+    assert [gain.rho for gain in gains[1:]] == expected
+
+
+def test_a_parameter_at_a_condition_is_warned_of(setting, capsys):
+    """It may never be set, as here; then the run is as good as without it."""
+    path = setting('when = "plant.y > 5"', 60.0)
+    memory = cosim.run(path)
+    assert abs(memory["plant.y"][-1] - 1.0) < 0.05
+    ((_, warning),) = recorded_warnings(memory)
+    assert warning.startswith(
+        "behind the action when 'plant.y > 5', taken as at the start, the loop of pid, plant: "
+    )
+    with pytest.raises(SystemExit) as left:
+        main(["check", str(path)])
+    assert not left.value.code
+    output = capsys.readouterr().out
+    assert (
+        "pid, plant behind the action when 'plant.y > 5', taken as at the start\tnot dec" in output
+    )
+
+
+def test_cosim_check_says_what_a_run_would(setting, capsys):
+    with pytest.raises(SystemExit) as left:
+        main(["check", str(setting("at = 4.0", 60.0))])
+    assert left.value.code == 1
+    output = capsys.readouterr().out
+    assert "coupling of pid, plant behind the action at 4.0 s\tNOT FULFILLED" in output
+
+
+def test_a_gain_behind_what_is_done_to_an_fmu_is_not_known(setting, tmp_path):
+    """It is named, and the run goes on."""
+    export_component("closed-loop", "controller", tmp_path / "a.fmu")
+    path = tmp_path / "swap.toml"
+    path.write_text(
+        'scenario = { name = "swap", stop = 1.0, step = 0.01 }\n'
+        'actions = [{ at = 0.5, swap = { a = "a.fmu" } }]\n'
+        "[components]\n"
+        'a = { kind = "fmu", path = "a.fmu", interface_type = "me" }\n'
+        'b = { kind = "lag", time_constant = 1.0, initial = 0.0 }\n'
+        '[connections]\n"a.u" = { from = "b.y", gain = -1.0, offset = 1.0 }\n"b.u" = "a.y"\n'
+    )
+    first, behind = recorded_loop_gains(cosim.run(path))
+    assert first.rho is not None
+    assert (behind.rho, behind.unknown) == (None, ("a",))
+    assert behind.action == "behind the action at 0.5 s"
