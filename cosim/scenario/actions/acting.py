@@ -112,8 +112,12 @@ class ActionChecker:
             self.reactions.append(ConditionalAction(actions[number].when or "", tuple(own)))
 
     def _instants(self, actions: Mapping[int, ActionTable]) -> dict[int, int]:
-        """Return the communication points of actions by their numbers; at a condition: negative."""
+        """Return the communication points of actions by their numbers.
+
+        At a condition: a negative number, the same one for equal conditions.
+        """
         instants = {}
+        conditions: dict[str, int] = {}
         for number, action in actions.items():
             if action.at is None:
                 assert action.when is not None, "validated before"
@@ -122,7 +126,7 @@ class ActionChecker:
                 if text is not None:
                     self._add(number, [(("when",), text)])
                 else:
-                    instants[number] = -1 - number
+                    instants[number] = conditions.setdefault(action.when, -1 - number)
                 continue
             try:
                 instants[number] = _point(action.at, self._clock)
@@ -156,7 +160,7 @@ class ActionChecker:
             try:
                 self._check_component(name)
                 other = together.another(index, name)
-                if other is not None and not builder.is_fmu(name):
+                if other is not None and other < number and not builder.is_fmu(name):
                     raise GraphError(
                         f"{name!r} is set by actions.{other} too, before or behind a condition; "
                         "needed one action that sets it, or times"
@@ -274,6 +278,8 @@ class _Overridden:
         columns = range(end.columns.start, end.columns.stop)
         for column in columns:
             other = self._changed.get(column)
+            if other == (number, index):
+                raise GraphError(f"'{end.port}' is there twice; needed it once")
             if other is not None and other[1] == index:
                 raise GraphError(
                     f"'{end.port}' is changed by actions.{other[0]} at the same instant; needed "

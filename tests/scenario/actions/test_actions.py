@@ -279,6 +279,15 @@ CASES = {
         "offset = 1.0",
         r":38: actions\.1\.signal: 'g\.u' is changed by actions\.0 at the same instant; needed one",
     ),
+    "two at one condition": (
+        'when = "t > 1"\nsignal = "g.u"\noverride = 1.0\n[[actions]]\nwhen = "t > 1"\n'
+        'signal = "g.u[1]"\noffset = 1.0',
+        r":38: actions\.1\.signal: 'g\.u' is changed by actions\.0 at the same instant; needed one",
+    ),
+    "one signal twice": (
+        'at = 1.0\nsignal = ["g.u", "g.u[1]"]\noverride = 1.0',
+        r"actions\.0\.signal: 'g\.u' is there twice; needed it once$",
+    ),
     "wrong type": (
         'at = 1.0\nsignal = "x.u"\noffset = "much"',
         r"actions\.0\.offset: found 'much'; needed a number or a list of numbers",
@@ -422,7 +431,7 @@ def test_a_session_meets_the_conditions_too(write, tmp_path):
 def test_a_component_is_set_at_a_condition_or_at_times(write):
     """What it would be else depends on which comes first."""
     actions = CONDITIONAL + '[[actions]]\nat = 1.0\nset = { "log.time_constant" = 0.2 }\n'
-    with pytest.raises(ScenarioError, match=r"actions\.3\..*'log' is set by actions\.4 too"):
+    with pytest.raises(ScenarioError, match=r"actions\.4\..*'log' is set by actions\.3 too"):
         cosim.run(write(actions))
 
 

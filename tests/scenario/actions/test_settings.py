@@ -237,6 +237,20 @@ CASES = {
         'set = { "g.K" = 1.0 }\n[[actions]]\nat = 1.0\nset = { "g.K" = 2.0 }',
         r"actions\.1\.set\.g\.K: is set by actions\.0 at the same instant; needed one of them",
     ),
+    "before or behind a condition": (
+        'set = { "g.K" = 1.0 }\n[[actions]]\nwhen = "x.y > 1"\nset = { "g.K" = 2.0 }',
+        r"actions\.1\.set\.g\.K: 'g' is set by actions\.0 too, before or behind a condition",
+    ),
+    "at two conditions": (
+        'set = { "x.time_constant" = 1.0 }\n[[actions]]\nwhen = "x.y > 1"\nset = { "g.K" = 2.0 }\n'
+        '[[actions]]\nwhen = "x.y > 2"\nset = { "g.K" = 3.0 }',
+        r"actions\.2\.set\.g\.K: 'g' is set by actions\.1 too, before or behind a condition",
+    ),
+    "twice at one condition": (
+        'set = { "x.time_constant" = 1.0 }\n[[actions]]\nwhen = "x.y > 1"\nset = { "g.K" = 2.0 }\n'
+        '[[actions]]\nwhen = "x.y > 1"\nset = { "g.K" = 3.0 }',
+        r"actions\.2\.set\.g\.K: is set by actions\.1 at the same instant; needed one of them",
+    ),
     "no parameter": (
         'set = { "g" = 1.0 }',
         r"actions\.0\.set\.g: found no parameter of 'g'; needed one that is tunable: K$",
