@@ -374,7 +374,7 @@ class Builder:
         try:
             graph = self._graph()
         except CosimError as error:
-            return [(("connections",), str(error))]
+            return [_problem_of(error)]
         return jump_problems(self.scenario, graph)
 
     def experiment(self) -> Experiment:
@@ -449,8 +449,7 @@ class Builder:
         try:
             return self._graph()
         except CosimError as error:
-            problem = (("connections",), str(error))
-            raise self.scenario.document.report([problem]) from error
+            raise self.scenario.document.report([_problem_of(error)]) from error
 
     def _graph(self) -> Graph:
         settings = self.scenario.file.scenario
@@ -463,6 +462,14 @@ class Builder:
             periods=self._periods,
             threads=settings.threads,
         )
+
+
+def _problem_of(error: CosimError) -> Problem:
+    """Return what is wrong with a graph as a problem of the key that it is about."""
+    name, _, text = str(error).partition(": ")
+    if name in ("coupling", "iterations"):
+        return ("scenario", name), text
+    return ("connections",), str(error)
 
 
 def out_of_range(error: Exception) -> str:

@@ -3,7 +3,10 @@
 import pytest
 
 import cosim
+from cosim.errors import ScenarioError
 from cosim.report.verification import verify
+from tests.scenario import certified
+from tests.scenario.certified import write
 
 NEWTON = {"scenario.coupling": "newton", "scenario.stop": 0.5}
 
@@ -35,3 +38,19 @@ def test_the_coupling_error_is_a_hundredth_of_that_of_gauss_seidel(log):
     finest = cosim.run("closed-loop", set={**NEWTON, "scenario.step": 1e-4})["plant.x_a"][::10]
     ordinary = cosim.run("closed-loop", set={"scenario.stop": 0.5})["plant.x_a"]
     assert abs(log["plant.x_a"] - finest).max() < 0.01 * abs(ordinary - finest).max()
+
+
+def test_what_cannot_be_solved_for_is_told_at_the_key_that_wants_it(tmp_path):
+    """Not at the connections, which are as good as any."""
+    write(tmp_path, certified.RELAY)
+    path = tmp_path / "small.toml"
+    path.write_text(path.read_text().replace("step = 0.01", 'step = 0.01\ncoupling = "newton"'))
+    with pytest.raises(ScenarioError) as caught:
+        cosim.run(path)
+    begin = (
+        f"{path}:5: scenario.coupling: found 'newton', or several iterations, which takes a step"
+    )
+    assert str(caught.value).startswith(begin)
+    assert "relay in this loop cannot go back to its start (rollback is not" in str(caught.value)
+    with pytest.raises(ScenarioError, match=r"scenario\.iterations: found 3 with coupling = 'newt"):
+        cosim.run("closed-loop", set={**NEWTON, "scenario.iterations": 3})
