@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -58,6 +59,18 @@ def identifier(scenario: str, settings: dict[str, Any]) -> Component:
     with ExitStack() as resources:
         graph = Builder(load(scenario).set(settings), resources).experiment().graph
     return graph.components["identifier"]
+
+
+def identifiers(scenario: str, settings: dict[str, Any]) -> Callable[[], Component]:
+    """Return what makes the identifier of a scenario, not prepared, beside the rest of it.
+
+    A check of the contract takes some 60 of them.
+    """
+    builder = Builder(load(scenario).set(settings), ExitStack())
+    spec = builder.scenario.specs["identifier"]
+    context = builder.context
+    period = spec.period_steps("identifier", context.step_ns)
+    return lambda: spec.with_period(spec.build("identifier", context), period)
 
 
 def inputs(log: Any) -> Matrix:

@@ -11,7 +11,17 @@ from cosim.errors import ScenarioError, UsageError
 from cosim.report.summary import summarize
 from cosim.scenario.recordings.recorded_metadata import recorded_identification
 from cosim.testing import check_component
-from tests.scenario.online import COARSE, ONLINE, THETA, H, identifier, inputs, noisy, run
+from tests.scenario.online import (
+    COARSE,
+    ONLINE,
+    THETA,
+    H,
+    identifier,
+    identifiers,
+    inputs,
+    noisy,
+    run,
+)
 
 SHORT = {**COARSE, "scenario.stop": 12.0}
 EVERY_STEP = {**SHORT, "identifier.period": H}  # what saves its state is not decimated
@@ -69,7 +79,8 @@ def test_the_contract_is_kept(options, recorded):
     """On data that give estimates; around the first one, so that searches are repeated."""
     settings = {**SHORT, **options, "scenario.stop": 1.5}
     count = round(settings["scenario.stop"] / H)
-    check_component(lambda: identifier("academic", settings), inputs=recorded[: count + 1], h=H)
+    make = identifiers("academic", settings)
+    check_component(make, inputs=recorded[: count + 1], h=H)
 
 
 def test_a_bound_of_a_file_may_be_infinite(tmp_path):

@@ -10,7 +10,7 @@ from cosim.errors import CosimError
 from cosim.scenario.exporting import export_component
 from cosim.scenario.recordings.recorded_metadata import recorded_identification
 from cosim.testing import check_component
-from tests.scenario.online import identifier
+from tests.scenario.online import identifiers
 
 SCENARIO = """
 [scenario]
@@ -154,9 +154,8 @@ def test_the_contract_is_kept(options, two, log):
     settings = {**options, "scenario.stop": 3.0, "identifier.period": 0.5}
     columns = [log[name] for name in ("regressor.mu", "observer.delta", "sensor.y", "u.y")]
     inputs = np.hstack([np.reshape(rows, (len(rows), -1)) for rows in columns])
-    check_component(
-        lambda: identifier(str(two), settings), inputs=np.ascontiguousarray(inputs[:301]), h=1e-2
-    )
+    make = identifiers(str(two), settings)
+    check_component(make, inputs=np.ascontiguousarray(inputs[:301]), h=1e-2)
 
 
 def test_a_replay_has_the_same_bits(two, tmp_path):
