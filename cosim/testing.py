@@ -629,10 +629,10 @@ def _check_linearized(bench: _Bench, held: Mask, expected: Matrix) -> None:
     """Require that a linearization fits the interface, and that to make one changes nothing."""
     component = bench.prepared(held)
     first = bench.start_outputs(component)
-    found = linearized(component, bench.start, read_only(bench.u[0].copy()))
-    if found is not None and found.D.shape != (bench.n_y, bench.n_u):
+    matrices = linearized(component, bench.start, read_only(bench.u[0].copy()))
+    if matrices is not None and matrices.D.shape != (bench.n_y, bench.n_u):
         raise AssertionError(
-            f"linearized fits the interface: D has shape {found.D.shape}, "
+            f"linearized fits the interface: D has shape {matrices.D.shape}, "
             f"needed ({bench.n_y}, {bench.n_u})"
         )
     rows = np.vstack([first, bench.advance(component, 0, bench.steps)])

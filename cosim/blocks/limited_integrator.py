@@ -87,9 +87,10 @@ class LimitedIntegrator:
     def linearized(self, t: float, u: Vector) -> Linearized:
         """Return the integrator; at a limit that u points out of, nothing integrates."""
         y = self._step.memory
-        stays = ((y >= self.upper) & (u > 0.0)) | ((y <= self.lower) & (u < 0.0))
+        stays_above = (y >= self.upper) & (u > 0.0)
+        stays_below = (y <= self.lower) & (u < 0.0)
         n = len(y)
-        B = np.diag(np.where(stays, 0.0, 1.0))
+        B = np.diag(np.where(stays_above | stays_below, 0.0, 1.0))
         return Linearized(np.zeros((n, n)), B, np.eye(n), np.zeros((n, n)))
 
     def save(self) -> Vector:

@@ -65,9 +65,9 @@ def _show_graph(source: str, out: Path | None, *, as_json: bool) -> None:
     from cosim.report.schedule import schedule_of
     from cosim.report.tables.schedule import print_schedule
 
-    found = file_type(source)
-    if found in ("log", "FMU", "table"):
-        raise UsageError(f"--graph {source}: found a {found}; needed a scenario")
+    type_name = file_type(source)
+    if type_name in ("log", "FMU", "table"):
+        raise UsageError(f"--graph {source}: found a {type_name}; needed a scenario")
     if out is not None:
         from cosim.report.plots import need_plot
 

@@ -167,11 +167,11 @@ class RunConditions:
         int
             How many rows were passed.
         """
-        found = [condition.comes_true(time, rows) for condition in self._conditions]
-        first = min((row for row in found if row is not None), default=None)
+        rows_true = [condition.comes_true(time, rows) for condition in self._conditions]
+        first = min((row for row in rows_true if row is not None), default=None)
         count = len(rows) if first is None else first + 1
         self.came_true = ()
-        for condition, row in zip(self._conditions, found, strict=True):
+        for condition, row in zip(self._conditions, rows_true, strict=True):
             condition.pass_over(time[:count], rows[:count])
             if row is not None and row == first:
                 self.came_true += (condition,)
@@ -228,15 +228,15 @@ def signal_columns(signals: Sequence[str], layout: Layout, start: str) -> list[i
     columns = []
     for name in signals:
         try:
-            found = find_signal(channels, name, source="the graph")
+            signal = find_signal(channels, name, source="the graph")
         except UnknownSignalError as error:
             raise UsageError(f"{start}: {error}") from error
-        if found.size != 1:
+        if signal.size != 1:
             raise UsageError(
-                f"{start}: '{name}' has {found.size} elements; needed one of them, such as "
-                f"{found.channel.name}.{found.signal.elements[0]}"
+                f"{start}: '{name}' has {signal.size} elements; needed one of them, such as "
+                f"{signal.channel.name}.{signal.signal.elements[0]}"
             )
-        columns.append(found.channel.start + found.columns.start)
+        columns.append(signal.channel.start + signal.columns.start)
     return columns
 
 

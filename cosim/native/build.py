@@ -102,16 +102,18 @@ def source(name: str) -> Path:
 
 def headers(names: Iterable[str]) -> list[Path]:
     """Return the headers that sources of these names include, and those that they include."""
-    by_name = {path.name: path for folder in FOLDERS for path in (HERE / folder).glob("*.h")}
-    found: dict[str, Path] = {}
+    by_name: dict[str, Path] = {}
+    for folder in FOLDERS:
+        by_name.update({path.name: path for path in (HERE / folder).glob("*.h")})
+    included: dict[str, Path] = {}
     waiting = [source(name) for name in names]
     while waiting:
         text = waiting.pop().read_text(encoding="utf-8")
         for name in re.findall(r'^#include "(.+)"$', text, re.MULTILINE):
-            if name not in found:
-                found[name] = by_name[name]
+            if name not in included:
+                included[name] = by_name[name]
                 waiting.append(by_name[name])
-    return [found[name] for name in sorted(found)]
+    return [included[name] for name in sorted(included)]
 
 
 def compile_library(

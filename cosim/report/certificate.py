@@ -139,12 +139,12 @@ def certificate(recording: Recording) -> StepCertificate:
     LogError
         If the run has none.
     """
-    found = certificate_of(recording, summarize(recording))
-    if found is None:
+    content = certificate_of(recording, summarize(recording))
+    if content is None:
         raise LogError(
             f"{recording.label} has no certificate; needed {command('run')} with {flag('certify')}"
         )
-    return found
+    return content
 
 
 def certificate_of(recording: Recording, summary: Summary) -> StepCertificate | None:

@@ -194,8 +194,8 @@ class _Statements:
         recorded = self._source.metadata[RESULT]
         for key in _END_KEYS:
             value = results.get(key)
-            found = value if value is None else str(value)
-            yield f"{key} in {RESULT_FILE}", found, recorded.get(key)
+            text = value if value is None else str(value)
+            yield f"{key} in {RESULT_FILE}", text, recorded.get(key)
         expected = self._again.results["last"]
         last = results.get("last")
         if last is None and self._source.status == "failed":
@@ -212,10 +212,10 @@ class _Statements:
             return
         expected = recorded_identification(self._again)
         for name in {**expected, **recorded}:
-            found = _parameters(recorded.get(name))
+            computed = _parameters(recorded.get(name))
             needed = _parameters(expected.get(name))
-            if not _agree(found, needed):
-                yield f"verdicts on {name!r}", found, needed
+            if not _agree(computed, needed):
+                yield f"verdicts on {name!r}", computed, needed
             if name in recorded and name in expected:
                 yield from _beside_verdicts(name, recorded[name], expected[name])
 
@@ -241,15 +241,15 @@ def _beside_verdicts(
 ) -> Iterator[_Statement]:
     """Yield amplitudes and guaranteed intervals that differ, where the log has some."""
     if recorded.amplitudes:
-        found = _amplitudes(recorded)
+        computed = _amplitudes(recorded)
         needed = _amplitudes(expected)
-        if not _agree(found, needed):
-            yield f"amplitudes of {name!r}", found, needed
+        if not _agree(computed, needed):
+            yield f"amplitudes of {name!r}", computed, needed
     if recorded.irregular is not None:
-        found = _guaranteed(recorded)
+        computed = _guaranteed(recorded)
         needed = _guaranteed(expected)
-        if not _agree(found, needed, rtol=_GUARANTEED_RTOL):
-            yield f"guaranteed intervals of {name!r}", found, needed
+        if not _agree(computed, needed, rtol=_GUARANTEED_RTOL):
+            yield f"guaranteed intervals of {name!r}", computed, needed
 
 
 def _guaranteed(record: IdentificationRecord) -> list[dict[str, Any]]:
@@ -272,15 +272,15 @@ def _plain(parameters: Iterable[ParameterRecord]) -> list[dict[str, Any]]:
 
 
 def _agree(
-    found: Sequence[dict[str, Any]],
+    computed: Sequence[dict[str, Any]],
     needed: Sequence[dict[str, Any]],
     *,
     rtol: float = _ESTIMATE_RTOL,
 ) -> bool:
     """Return whether verdicts are equal and their numbers equal but for rounding."""
-    if len(found) != len(needed):
+    if len(computed) != len(needed):
         return False
-    for verdict, needed_verdict in zip(found, needed, strict=True):
+    for verdict, needed_verdict in zip(computed, needed, strict=True):
         if verdict.keys() != needed_verdict.keys():
             return False
         for key, value in verdict.items():

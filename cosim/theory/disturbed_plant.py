@@ -312,9 +312,9 @@ def usual_distances(measured: NDArray[np.bool_]) -> NDArray[np.integer]:
     """Return how many samples usually are from one value of an output to its next, shape (n_y,)."""
     distances = np.ones(measured.shape[1], np.int32)
     for o, own in enumerate(measured.T):
-        found = np.diff(np.flatnonzero(own))
-        if len(found):
-            distances[o] = np.bincount(found).argmax()
+        gaps = np.diff(np.flatnonzero(own))
+        if len(gaps):
+            distances[o] = np.bincount(gaps).argmax()
     return distances
 
 

@@ -62,9 +62,12 @@ def stationary_predictor(A: Matrix, C: Matrix, h: float, covariance: Matrix) -> 
     modes = unstable_modes(A, C, h, covariance)
     seen = C @ modes.V
     S = seen @ modes.P @ seen.T + covariance
-    gain = modes.V @ modes.transition @ modes.P @ seen.T @ np.linalg.inv(S)
-    L = np.linalg.cholesky(covariance) @ np.linalg.inv(np.linalg.cholesky(S))
-    return Predictor(gain[np.newaxis], np.tril(L)[np.newaxis])
+    inverse = np.linalg.inv(S)
+    gain = modes.V @ modes.transition @ modes.P @ seen.T @ inverse
+    root = np.linalg.cholesky(covariance)
+    root_of_S = np.linalg.cholesky(S)
+    L = np.tril(root @ np.linalg.inv(root_of_S))
+    return Predictor(gain[np.newaxis], L[np.newaxis])
 
 
 def time_varying_predictor(
@@ -94,10 +97,12 @@ def time_varying_predictor(
         If an unstable mode is not seen by the outputs.
     """
     transitions = _transitions(A, steps)
-    usual = int(np.argsort(steps[index[1:]])[(len(index) - 1) // 2]) + 1
+    by_distance = np.argsort(steps[index[1:]])
+    usual = int(by_distance[(len(index) - 1) // 2]) + 1
     modes = _unstable_modes(transitions[index[usual]], C, covariance)
     of_modes = modes.V.T @ transitions @ modes.V
-    gains, L = predictor_gains(of_modes, C @ modes.V, covariance, index, measured, modes.P)
+    seen = C @ modes.V
+    gains, L = predictor_gains(of_modes, seen, covariance, index, measured, modes.P)
     K = np.zeros((len(index), *C.T.shape))
     K[1:] = modes.V @ gains[:-1]
     return Predictor(K, L)

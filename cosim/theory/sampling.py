@@ -44,5 +44,7 @@ def distinct_steps(t: Vector) -> tuple[Vector, NDArray[np.integer]]:
     """
     if len(t) < 2:
         return np.ones(1), np.zeros(len(t), np.int32)
-    steps, index = np.unique(np.round(np.diff(t), DIGITS), return_inverse=True)
-    return steps, np.concatenate([[0], index.ravel()]).astype(np.int32)
+    distances = np.round(np.diff(t), DIGITS)
+    steps, index = np.unique(distances, return_inverse=True)
+    with_first = np.concatenate([[0], index.ravel()])
+    return steps, with_first.astype(np.int32)

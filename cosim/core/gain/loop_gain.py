@@ -139,9 +139,9 @@ class LinearizedLoops:
             if not stage.is_loop:
                 continue
             for member in stage.members:
-                found = member.component.linearized(clock.start_time, row[member.inputs])
-                if found is not None:
-                    linearized[member.name] = found
+                matrices = member.component.linearized(clock.start_time, row[member.inputs])
+                if matrices is not None:
+                    linearized[member.name] = matrices
         return LinearizedLoops(graph, clock, linearized)
 
     def gains(self) -> tuple[LoopGain, ...]:

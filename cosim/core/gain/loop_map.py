@@ -175,10 +175,10 @@ def one_step_maps(model: LoopModel) -> list[Matrix] | None:
     for number in range(model.period):
         phases = model.phases(number)
         if phases not in by_phases:
-            found = _one_step_map(model, model.steps(number))
-            if found is None:
+            step_map = _one_step_map(model, model.steps(number))
+            if step_map is None:
                 return None
-            by_phases[phases] = found
+            by_phases[phases] = step_map
         maps.append(by_phases[phases])
     return maps
 

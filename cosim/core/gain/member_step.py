@@ -170,7 +170,9 @@ def _sampled(dynamics: _Dynamics, phase: Phase) -> MemberStep:
     linearized = dynamics.linearized
     discrete = dynamics.discrete
     shape = _State(len(linearized.A), linearized.D.shape)
-    x, u_start, y_held = shape.x, shape.u_start, shape.y
+    x = shape.x
+    u_start = shape.u_start
+    y_held = shape.y
     first = shape.kept()
     if phase == "first":
         first.S[u_start] = 0.0
@@ -199,7 +201,8 @@ def _decimated(dynamics: _Dynamics, phase: Phase) -> MemberStep:
     linearized = dynamics.linearized
     discrete = dynamics.discrete
     shape = _State(len(linearized.A), linearized.D.shape)
-    x, y_held = shape.x, shape.y
+    x = shape.x
+    y_held = shape.y
     step = shape.kept()
     step.S[shape.u_start] = 0.0
     step.S[x, x] = discrete.Ad

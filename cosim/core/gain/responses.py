@@ -86,8 +86,8 @@ def linearized_by_responses(
         return None
     A, B, C, D = realized
     follows = trial.follows(D)
-    found = Linearized(A, B, C, D, input_use=use, corrected=follows)
-    return found if trial.confirms(found, held) else None
+    linearized = Linearized(A, B, C, D, input_use=use, corrected=follows)
+    return linearized if trial.confirms(linearized, held) else None
 
 
 class _Trial(Generic[State]):
@@ -140,12 +140,12 @@ class _Trial(Generic[State]):
             seen |= above != below
         return seen | ~D.any(axis=1)
 
-    def confirms(self, found: Linearized, held: Mask) -> bool:
+    def confirms(self, linearized: Linearized, held: Mask) -> bool:
         """Return whether a linearization predicts the outputs for inputs without any pattern."""
         rng = np.random.default_rng(0)
         change = self.sizes * rng.uniform(-1.0, 1.0, (STEPS, 2, len(self._u)))
         expected = self.response(change)
-        step = member_step(found, self._h, held, "only")
+        step = member_step(linearized, self._h, held, "only")
         state = np.zeros((step.n_s, 1))
         predicted = np.empty_like(expected)
         for k, (u0, u1) in enumerate(change):
@@ -211,10 +211,10 @@ def matrix_logarithm(M: Matrix) -> Matrix | None:
                 term = -term @ E
                 total = total + term / k
             return np.asarray(2.0**count * total, np.float64)
-        found = _square_root(root)
-        if found is None:
+        square_root = _square_root(root)
+        if square_root is None:
             return None
-        root = found
+        root = square_root
     return None
 
 

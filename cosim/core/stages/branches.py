@@ -128,9 +128,9 @@ class Branches:
         cuts = [before.advance(block, signals, block.steps)]
         cuts += self._advance_branches(block, signals, before.reached)
         cuts.append(behind.advance(block, signals, min(first.reached, second.reached)))
-        found = [cut for cut in cuts if cut is not None]
-        if found:
-            raise self._first_of(min(found, key=lambda cut: cut.steps), block, signals)
+        first_cuts = [cut for cut in cuts if cut is not None]
+        if first_cuts:
+            raise self._first_of(min(first_cuts, key=lambda cut: cut.steps), block, signals)
 
     def _advance_branches(self, block: Block, signals: Matrix, end: int) -> list[Cut | None]:
         in_two = self._chooses_two()
@@ -196,11 +196,11 @@ class Branches:
 def _with_same(binaries: Sequence[frozenset[str]]) -> list[set[int]]:
     """Return for each stage the number of one before it with the same foreign code."""
     latest: dict[str, int] = {}
-    found: list[set[int]] = []
+    earlier: list[set[int]] = []
     for number, own in enumerate(binaries):
-        found.append({latest[binary] for binary in own if binary in latest})
+        earlier.append({latest[binary] for binary in own if binary in latest})
         latest.update(dict.fromkeys(own, number))
-    return found
+    return earlier
 
 
 def _divided(
@@ -216,9 +216,8 @@ def _divided(
     second: list[int] = []
     for group in groups:
         leaves = all(may_leave[stage] for stage in group)
-        (second if leaves and len(second) <= len(first) else first).extend(group)
-    if not first and len(groups) > 1:
-        first, second = second, first
+        branch = second if leaves and len(second) <= len(first) else first
+        branch.extend(group)
     return sorted(first), sorted(second) if first else []
 
 

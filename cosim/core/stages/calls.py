@@ -298,14 +298,16 @@ class GuardedComponent:
         None: it cannot be linearized, or raises what says so. The run does not need it.
         """
         try:
-            found = linearized(self._component, t, read_only(u))
+            matrices = linearized(self._component, t, read_only(u))
         except RAISED:
             return None
-        if type(found) is not Linearized:
+        if type(matrices) is not Linearized:
             return None
-        is_finite = all(np.isfinite(M).all() for M in (found.A, found.B, found.C, found.D))
-        fits = found.D.shape == (self._n_y, len(u))
-        return found if fits and is_finite else None
+        is_finite = all(
+            np.isfinite(M).all() for M in (matrices.A, matrices.B, matrices.C, matrices.D)
+        )
+        fits = matrices.D.shape == (self._n_y, len(u))
+        return matrices if fits and is_finite else None
 
     def _check_stop(self, stop: Stopped, steps: int) -> None:
         """Check the rows that a component completed before it stopped; none are of any width."""

@@ -50,9 +50,9 @@ class SignalColumns:
         try:
             return self._known[signal]
         except (KeyError, TypeError):  # elements of a signal, or nothing that there is
-            found = find_signal(self._channels, signal, source="the simulation")
-        start = found.channel.start
-        columns = slice(start + found.columns.start, start + found.columns.stop)
+            matched = find_signal(self._channels, signal, source="the simulation")
+        start = matched.channel.start
+        columns = slice(start + matched.columns.start, start + matched.columns.stop)
         self._known[signal] = columns
         return columns
 

@@ -125,8 +125,8 @@ def order_loop(
     by_name = {name: interfaces[name] for name in sorted(interfaces)}
     if iterates is None:
         iterates = coupling == "newton"
-    found = find_feedthrough(by_name, sources, iterates=iterates)
-    network = _Network(by_name, found, sources, held, iterates=iterates)
+    feedthrough = find_feedthrough(by_name, sources, iterates=iterates)
+    network = _Network(by_name, feedthrough, sources, held, iterates=iterates)
     if coupling == "jacobi":
         progress = _Progress(network)
         progress.advance_together()
@@ -139,8 +139,8 @@ def order_loop(
         0 if iterates else progress.cost.broken,
         torn if iterates else (),
         torn if coupling == "jacobi" and not iterates else (),
-        found.path,
-        found.unknown,
+        feedthrough.path,
+        feedthrough.unknown,
     )
 
 
@@ -173,7 +173,7 @@ class _Network:
     def __init__(
         self,
         interfaces: Mapping[str, Interface],
-        found: LoopFeedthrough,
+        feedthrough: LoopFeedthrough,
         sources: Sources,
         held: Collection[Edge],
         *,
@@ -185,7 +185,7 @@ class _Network:
         self.inside: dict[Port, tuple[Port, ...]] = {}
         self.driven: dict[Port, list[Port]] = {}
         self.fed: dict[Port, list[Port]] = {}
-        self.reactive: set[Edge] = set(found.algebraic)
+        self.reactive: set[Edge] = set(feedthrough.algebraic)
         self.iterates = iterates
         for name, interface in interfaces.items():
             self.outputs[name] = [Port(name, signal.name) for signal in interface.outputs]
@@ -193,8 +193,8 @@ class _Network:
                 self.driven[output] = []
         for name, interface in interfaces.items():
             self._connect(name, interface, sources[name], held)
-            self._feed(name, found.by_component[name])
-        self.tearable = self.reactive if iterates else set(found.algebraic)
+            self._feed(name, feedthrough.by_component[name])
+        self.tearable = self.reactive if iterates else set(feedthrough.algebraic)
         self.size = len(self.names) + sum(map(len, self.inside.values()))
 
     def _connect(

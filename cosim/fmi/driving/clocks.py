@@ -133,7 +133,10 @@ class EventClocks:
     def _find_clocks(self) -> None:
         description = self._instance.description
         outputs = self._outputs.variables
-        needed = {name for variable in outputs for name in (variable.name, *variable.clocks)}
+        needed: set[str] = set()
+        for variable in outputs:
+            needed.add(variable.name)
+            needed.update(variable.clocks)
         for name in description.clocks:
             clock = description[name]
             assert clock.timing is not None  # reading the file refuses a clock without

@@ -267,9 +267,9 @@ class CoSimulation:
             uncorrected = self._uncorrected_outputs()
             for output in self.interface.outputs:
                 corrected += [output.name not in uncorrected] * output.size
-            found = derived(self._instance, use=use, corrected=np.array(corrected, np.bool_))
-            if found is not None:
-                return found
+            matrices = derived(self._instance, use=use, corrected=np.array(corrected, np.bool_))
+            if matrices is not None:
+                return matrices
         if not self._capabilities.saves_state:
             return None
         self._tries = True

@@ -473,10 +473,10 @@ class Integrator:
         state = self.state
         if state.ended or state.due or state.next_event < math.inf or self._form is not None:
             return None
-        found = differentiated(self._instance, state.x, u, np.maximum(state.nominals, TINY))
+        matrices = differentiated(self._instance, state.x, u, np.maximum(state.nominals, TINY))
         self.set_continuous_inputs(state.inputs)
         self.inputs_time = math.nan
-        return found
+        return matrices
 
     def handle_events(self, u: Vector, *, at_point: bool = True) -> None:
         """Handle what is due at the time reached, with ``u``, the inputs from here on.

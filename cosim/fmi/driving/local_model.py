@@ -138,14 +138,14 @@ def _chosen(references: ReferenceMap, mask: Mask) -> list[Variable]:
 
 def _derivatives(description: Description, states: list[Variable]) -> list[Variable] | None:
     """Return the derivatives of states; None: some are no variables."""
-    found = []
+    derivatives = []
     for state in states:
         of_state = [v for v in description.variables if v.derivative_of == state.name]
         declared = [v for v in of_state if v.name in description.dependencies]
         if not of_state:
             return None
-        found.append((declared or of_state)[0])
-    return found
+        derivatives.append((declared or of_state)[0])
+    return derivatives
 
 
 def _states_behind(outputs: ReferenceMap, states: list[Variable]) -> list[int]:

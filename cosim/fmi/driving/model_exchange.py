@@ -213,9 +213,9 @@ class ModelExchange:
             return Linearized(model.A, model.B, model.C, model.D)
         self._finish(self._take_over())
         self._leave_initialization()
-        found = self._integrator.linearized(np.array(u, np.float64))
+        matrices = self._integrator.linearized(np.array(u, np.float64))
         self._hand_over()
-        return found
+        return matrices
 
     def discard(self) -> None:
         """Forget all events and warnings, so that each may come again."""

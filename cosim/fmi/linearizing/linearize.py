@@ -308,8 +308,10 @@ def _notes_on_errors(
     matrices: Mapping[str, Matrix], errors: Mapping[str, float | None], method: Method
 ) -> Iterator[str]:
     """Yield a note on each matrix whose error is large beside the derivatives or outputs."""
-    derivatives = float(np.linalg.norm(np.hstack([matrices["A"], matrices["B"]])))
-    outputs = float(np.linalg.norm(np.hstack([matrices["C"], matrices["D"]])))
+    of_derivatives = np.hstack([matrices["A"], matrices["B"]])
+    of_outputs = np.hstack([matrices["C"], matrices["D"]])
+    derivatives = float(np.linalg.norm(of_derivatives))
+    outputs = float(np.linalg.norm(of_outputs))
     sizes = {"A": derivatives, "B": derivatives, "C": outputs, "D": outputs}
     for letter, error in errors.items():
         if error is not None and error > GOOD * sizes[letter] > 0.0:

@@ -115,15 +115,15 @@ class RayleighModel:
         R = np.ascontiguousarray(R, np.float64)
         N = np.ascontiguousarray(N, np.float64)
         value = c_double()
-        found = np.zeros(self.struct.parameters)
+        minimum = np.zeros(self.struct.parameters)
         function = library.cosim_rayleigh_search
         if theta is not None:
-            found[:] = theta
+            minimum[:] = theta
             function = library.cosim_rayleigh_minimize
         status = int(
-            function(byref(self.struct), pointer(R), pointer(N), pointer(found), byref(value))
+            function(byref(self.struct), pointer(R), pointer(N), pointer(minimum), byref(value))
         )
-        return status, found, value.value
+        return status, minimum, value.value
 
 
 declare(

@@ -229,7 +229,8 @@ def compile_condition(text: str) -> ConditionProgram:
     """
     condition = text
     duration_ns = 0
-    *_, last = (None, *_FOR.finditer(text))
+    words = list(_FOR.finditer(text))
+    last = words[-1] if words else None
     if last is not None and _NOT_IN_DURATION.isdisjoint(text[last.end() :]):
         condition = text[: last.start()]
         duration_ns = _duration_ns(text, text[last.end() :])

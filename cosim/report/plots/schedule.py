@@ -224,10 +224,17 @@ def _forward_points(arrow: _Arrow, layout: SchedulePlaces) -> list[tuple[float, 
 def _points_inside(arrow: _Arrow, layout: SchedulePlaces) -> list[tuple[float, float]]:
     """Return the way of an arrow inside a loop: down on the right side, back up on the left."""
     side = arrow.sides[0]
-    x = layout.places[arrow.source][0] + side * 0.5 * BOX[0]
-    distance = abs(layout.places[arrow.target][1] - layout.places[arrow.source][1])
+    middle, source_height = layout.places[arrow.source]
+    _, target_height = layout.places[arrow.target]
+    x = middle + side * 0.5 * BOX[0]
+    distance = abs(target_height - source_height)
     bulge = x + side * min(0.06 + 0.035 * distance, 0.22)
-    return [(x, arrow.begin), (bulge, arrow.begin), (bulge, arrow.end), (x, arrow.end)]
+    return [
+        (x, arrow.begin),
+        (bulge, arrow.begin),
+        (bulge, arrow.end),
+        (x, arrow.end),
+    ]
 
 
 def _draw(panel: Any, arrow: _Arrow, vertices: Sequence[tuple[float, float]]) -> None:

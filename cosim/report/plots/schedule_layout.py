@@ -62,7 +62,9 @@ class _Block:
 
 def layout_of(schedule: GraphSchedule) -> SchedulePlaces:
     """Place the components of a schedule."""
-    stage_of = {name: stage.number for stage in schedule.stages for name in stage.members}
+    stage_of: dict[str, int] = {}
+    for stage in schedule.stages:
+        stage_of.update(dict.fromkeys(stage.members, stage.number))
     pairs: dict[tuple[str, str], None] = {}
     for connection in schedule.connections:
         source, target = connection.components

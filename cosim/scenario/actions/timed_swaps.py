@@ -125,7 +125,7 @@ def _check_states(name: str, path: str, source: ModelExchange, target: ModelExch
         )
 
 
-def _check_interface(name: str, path: str, place: Interface, found: Interface) -> None:
+def _check_interface(name: str, path: str, place: Interface, other: Interface) -> None:
     """Check that a component fits into the place of another one, as it is wired and ordered.
 
     Raises
@@ -134,8 +134,8 @@ def _check_interface(name: str, path: str, place: Interface, found: Interface) -
         If it does not.
     """
     for kind, needed_signals, found_signals in (
-        ("inputs", place.inputs, found.inputs),
-        ("outputs", place.outputs, found.outputs),
+        ("inputs", place.inputs, other.inputs),
+        ("outputs", place.outputs, other.outputs),
     ):
         needed = [(signal.name, signal.size, signal.type) for signal in needed_signals]
         if needed != [(signal.name, signal.size, signal.type) for signal in found_signals]:
@@ -145,13 +145,13 @@ def _check_interface(name: str, path: str, place: Interface, found: Interface) -
                 "the same sizes and types, in this order"
             )
     for output in place.outputs:
-        more = set(found.feeds(output.name)) - set(place.feeds(output.name))
+        more = set(other.feeds(output.name)) - set(place.feeds(output.name))
         if more:
             raise UsageError(
                 f"{path} does not fit into the place of {name!r}: {output.name} depends on "
                 f"{listing(sorted(more))} at the same instant, which the order does not know of"
             )
-    if place.rollback and not found.rollback:
+    if place.rollback and not other.rollback:
         raise UsageError(
             f"{path} cannot save its state, as {name!r} can; needed an FMU that can "
             "(canGetAndSetFMUstate)"

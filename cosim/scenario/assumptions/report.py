@@ -134,9 +134,9 @@ class _Check:
 
     def verdicts(self) -> list[tuple[str, AssumptionVerdict]]:
         """Return all verdicts, with what each is of."""
-        found: list[tuple[str, AssumptionVerdict]] = []
+        verdicts: list[tuple[str, AssumptionVerdict]] = []
         for name in self._scenario.file.models:
-            found += [(f"models.{name}", verdict) for verdict in self._of_model(name)]
+            verdicts += [(f"models.{name}", verdict) for verdict in self._of_model(name)]
         checks = (
             self._of_observer,
             self._of_regressor,
@@ -147,12 +147,12 @@ class _Check:
             for name, kind in self._scenario.specs.items():
                 self._context.begin(name)
                 for verdict in check(name, kind):
-                    found.append((name, _resting_on(found, verdict)))
-        others = self._others(found)
+                    verdicts.append((name, _resting_on(verdicts, verdict)))
+        others = self._others(verdicts)
         if not others:
-            others = [_resting_on(found, attempted(BEGINNING, self._beginning.check))]
+            others = [_resting_on(verdicts, attempted(BEGINNING, self._beginning.check))]
             others += self._of_loops()
-        return found + [(FILE, verdict) for verdict in others]
+        return verdicts + [(FILE, verdict) for verdict in others]
 
     def _of_model(self, name: str) -> list[AssumptionVerdict]:
         try:
@@ -278,9 +278,9 @@ class _Check:
             verdicts.append(verdict)
         return verdicts
 
-    def _others(self, found: list[tuple[str, AssumptionVerdict]]) -> list[AssumptionVerdict]:
+    def _others(self, verdicts: list[tuple[str, AssumptionVerdict]]) -> list[AssumptionVerdict]:
         """Return what else stands against a run, beside the assumptions."""
-        refusals = [verdict.evidence for _, verdict in found if verdict.fulfilled is False]
+        refusals = [verdict.evidence for _, verdict in verdicts if verdict.fulfilled is False]
         others = []
         for key, text in self._beginning.problems:
             if not any(evidence in text for evidence in refusals):
@@ -300,12 +300,12 @@ def _at_operating_point(verdict: AssumptionVerdict) -> AssumptionVerdict:
 
 
 def _resting_on(
-    found: Sequence[tuple[str, AssumptionVerdict]], verdict: AssumptionVerdict
+    verdicts: Sequence[tuple[str, AssumptionVerdict]], verdict: AssumptionVerdict
 ) -> AssumptionVerdict:
     """Return a verdict that repeats another as one that rests on it."""
     if verdict.fulfilled:
         return verdict
-    for name, other in found:
+    for name, other in verdicts:
         if other.fulfilled is False and other.evidence in verdict.evidence:
             return undecided(verdict.name, f"{name}: {other.name} is not fulfilled")
     return verdict

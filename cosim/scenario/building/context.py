@@ -495,8 +495,8 @@ class ScenarioBuildContext:
             user_class = load_class(class_name, folder, distribution=package, needed=needed)
         except OtherSource as other:
             sources = {other.file: other.found}
-            found = CodeRecord.model_validate({"class": class_name, "sources": sources})
-            raise self._other_code(name, recorded, found) from other
+            own = CodeRecord.model_validate({"class": class_name, "sources": sources})
+            raise self._other_code(name, recorded, own) from other
         except UsageError as error:
             key = "class" if package is None else "kind"
             raise TableProblems([((key,), str(error))]) from error.__cause__
@@ -505,17 +505,17 @@ class ScenarioBuildContext:
             "sources": dict(user_class.sources),
             "distribution": user_class.distribution,
         }
-        found = CodeRecord.model_validate(code)
-        if is_replayed and found != recorded:
-            raise self._other_code(name, recorded, found)
+        own = CodeRecord.model_validate(code)
+        if is_replayed and own != recorded:
+            raise self._other_code(name, recorded, own)
         self.add_metadata(name, {"code": code})
         return user_class
 
-    def _other_code(self, name: str, recorded: CodeRecord | None, found: CodeRecord) -> UsageError:
+    def _other_code(self, name: str, recorded: CodeRecord | None, own: CodeRecord) -> UsageError:
         """Return the error about code in a replay that is not that of the recorded run."""
-        entry = option("set", f"{name}.class", found.class_name)
+        entry = option("set", f"{name}.class", own.class_name)
         return UsageError(
-            f"found {found.difference(recorded)}; needed the same code: {entry} takes it as it is "
+            f"found {own.difference(recorded)}; needed the same code: {entry} takes it as it is "
             "now, for another replay than that of the log"
         )
 

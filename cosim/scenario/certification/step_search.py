@@ -152,17 +152,17 @@ def find_step(
     wanted = _tolerances(scenario, tolerances)
     search = _StepSearch(scenario, wanted, progress)
     try:
-        found = search.first_fine()
-        found = search.largest_above(found)
+        best = search.first_fine()
+        best = search.largest_above(best)
     except Interrupted as error:
         error.add_note("no step is found yet, so that nothing is recorded")
         raise
-    step = found.step_ns / NANOSECONDS
+    step = best.step_ns / NANOSECONDS
     record = {
         "tolerances": dict(tolerances),
         "trials": [trial.to_dict() for trial in search.trials],
     }
-    return FoundStep(step, found.certifier.with_search(record))
+    return FoundStep(step, best.certifier.with_search(record))
 
 
 def _tolerances(scenario: Scenario, tolerances: Mapping[str, float]) -> dict[str, float]:
@@ -241,22 +241,22 @@ class _StepSearch:
                     break
         raise RunError(self._none_found())
 
-    def largest_above(self, found: TriedStep) -> TriedStep:
+    def largest_above(self, best: TriedStep) -> TriedStep:
         """Return the largest fine step between the one before, which was not, and a fine one."""
         failed = [trial.step_ns for trial in self.trials if not trial.is_fine]
         upper = failed[-1] if failed else math.inf
-        between = [step for step in self._steps if found.step_ns < step < upper]
+        between = [step for step in self._steps if best.step_ns < step < upper]
         between = [step for step in between if self._is_possible(step)]
         while between:
-            expected = found.expected_step_ns
+            expected = best.expected_step_ns
             step_ns = next((step for step in between if step <= expected), between[-1])
             trial = self._try(step_ns)
             if trial.is_fine:
-                found = trial
+                best = trial
                 between = [step for step in between if step > step_ns]
             else:
                 between = [step for step in between if step < step_ns]
-        return found
+        return best
 
     def _none_found(self) -> str:
         wanted = ", ".join(f"{label} {value:g}" for label, value in self._tolerances.items())
@@ -329,7 +329,10 @@ def _dividing_steps(step_ns: int, steps: int) -> list[int]:
     duration = step_ns * steps
     divisors = {1}
     for prime, power in [*_primes(step_ns), *_primes(steps)]:
-        divisors = {d * prime**k for d in divisors for k in range(power + 1)}
+        with_prime: set[int] = set()
+        for k in range(power + 1):
+            with_prime.update(divisor * prime**k for divisor in divisors)
+        divisors = with_prime
     largest = duration / FEWEST
     smallest = min(step_ns / MOST_FINER, QUARTERS * duration / MOST_STEPS)
     dividing = [d for d in divisors if d % QUARTERS == 0 and smallest <= d <= largest]

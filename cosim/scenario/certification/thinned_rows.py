@@ -175,7 +175,7 @@ def _keep(
         return
     rows = jumps.argmax(axis=0)
     columns = np.arange(jumps.shape[1])
-    found = jumps[rows, columns]
-    larger = found > largest
-    largest[larger] = found[larger]
+    candidates = jumps[rows, columns]
+    larger = candidates > largest
+    largest[larger] = candidates[larger]
     instants[larger] = times[rows][larger]

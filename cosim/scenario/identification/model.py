@@ -206,8 +206,10 @@ class SampleRows:
 
     def flat(self, outputs: int) -> tuple[Vector, Matrix]:
         """Return the times and values of the samples, shapes (N,) and (N, n_y)."""
-        values = self.values.reshape(len(self.t), outputs, -1).transpose(0, 2, 1)
-        times = np.where(np.isnan(self.times), self.t[:, np.newaxis], self.times)
+        by_output = self.values.reshape(len(self.t), outputs, -1)
+        values = by_output.transpose(0, 2, 1)
+        points = self.t[:, np.newaxis]
+        times = np.where(np.isnan(self.times), points, self.times)
         is_there = np.isfinite(values).any(axis=2)
         return times[is_there], values[is_there]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal
 
@@ -198,7 +199,8 @@ class ExpressionKind(Kind):
     def jumps_at_points(self) -> bool:
         if self._signals:
             return not any(jumps_with_signals(text) for text in self._texts)
-        return all(jump.instant is not None for text in self._texts for jump in jumps(text))
+        all_jumps = chain.from_iterable(map(jumps, self._texts))
+        return all(jump.instant is not None for jump in all_jumps)
 
     @property
     def hands_on_lag(self) -> bool:

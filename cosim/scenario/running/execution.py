@@ -240,8 +240,8 @@ def _with_found_step(
     # Most runs need none of it.
     from cosim.scenario.certification.step_search import find_step
 
-    found = find_step(scenario, tolerances, progress)
-    return scenario.edit(set={"scenario.step": found.step}), found.certifier.certification()
+    search = find_step(scenario, tolerances, progress)
+    return scenario.edit(set={"scenario.step": search.step}), search.certifier.certification()
 
 
 def _pace_of(factor: float) -> float:

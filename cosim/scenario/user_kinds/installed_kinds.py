@@ -43,8 +43,8 @@ def installed_classes() -> Mapping[str, list[InstalledClass]]:
         if point.dist is not None:
             about = f"{point.dist.name} {point.dist.version}"
         class_name = f"{point.module}:{point.attr}" if point.attr else point.value
-        found = InstalledClass(point.name, class_name, about)
-        classes.setdefault(point.name, []).append(found)
+        installed = InstalledClass(point.name, class_name, about)
+        classes.setdefault(point.name, []).append(installed)
     return dict(sorted(classes.items()))
 
 

@@ -169,9 +169,9 @@ def load_class(
         if inside is None or not inside.has(module_name):
             if needed is not None and module_name not in sys.modules:
                 _check_ordinary(module_name, needed)
-            found = _ordinary_class(name, module_name, class_name, folder)
+            user_class = _ordinary_class(name, module_name, class_name, folder)
             package = distribution or _distribution_of(module_name)
-            return replace(found, distribution=package)
+            return replace(user_class, distribution=package)
         key = (inside.folder, module_name)
         imported = _of_folders.get(key)
         if imported is None or not imported.is_current():
@@ -246,7 +246,7 @@ class _FolderFinder(MetaPathFinder):
             spec.loader = _HashingLoader(fullname, spec.origin, self)
         return spec
 
-    def take(self, path: Path, found: str) -> None:
+    def take(self, path: Path, digest: str) -> None:
         """Note the hash of a file that is about to be run.
 
         Raises
@@ -255,9 +255,9 @@ class _FolderFinder(MetaPathFinder):
             If it is not the one that is needed.
         """
         file = path.relative_to(self.folder).as_posix()
-        if self.needed is not None and self.needed.get(file) != found:
-            raise OtherSource(file, found)
-        self.hashes[path] = found
+        if self.needed is not None and self.needed.get(file) != digest:
+            raise OtherSource(file, digest)
+        self.hashes[path] = digest
 
     def owns(self, top: str) -> bool:
         """Return whether a module without a package is one of the folder's."""
@@ -338,14 +338,14 @@ def _check_ordinary(name: str, needed: Mapping[str, str]) -> None:
     try:
         spec = importlib.util.find_spec(name)
         path = Path(str(None if spec is None else spec.origin))
-        found = _hash(path.read_bytes())
+        digest = _hash(path.read_bytes())
     except (ImportError, OSError):  # its import says what is wrong
         return
     source = Path(*name.split(".")).with_suffix(path.suffix).as_posix()
     if path.stem == "__init__":
         source = Path(*name.split("."), path.name).as_posix()
-    if needed.get(source, found) != found:
-        raise OtherSource(source, found)
+    if needed.get(source, digest) != digest:
+        raise OtherSource(source, digest)
 
 
 def _ordinary_class(name: str, module_name: str, class_name: str, folder: Path | None) -> UserClass:
@@ -360,14 +360,14 @@ def _ordinary_class(name: str, module_name: str, class_name: str, folder: Path |
         )
     path = Path(file)
     try:
-        found = _hash(path.read_bytes())
+        digest = _hash(path.read_bytes())
     except OSError as error:
         raise UsageError(
             f"{path}, the source of {quoted(name)}, cannot be read ({error.strerror}); needed a "
             "file, whose hash the log of a run can keep"
         ) from error
-    known = _of_ordinary.setdefault(loaded, found)
-    if found != known:
+    known = _of_ordinary.setdefault(loaded, digest)
+    if digest != known:
         raise UsageError(
             f"{path} has changed since {quoted(name)} was imported; needed a new process, or "
             "importlib.reload"
@@ -375,7 +375,7 @@ def _ordinary_class(name: str, module_name: str, class_name: str, folder: Path |
     source = Path(*loaded.__module__.split(".")).with_suffix(path.suffix).as_posix()
     if path.stem == "__init__":
         source = Path(*loaded.__module__.split("."), path.name).as_posix()
-    return UserClass(name, loaded, {source: found})
+    return UserClass(name, loaded, {source: digest})
 
 
 def _distribution_of(module: str) -> str | None:
@@ -424,7 +424,7 @@ def _no_module(name: str, folder: Path | None) -> str:
 
 def _class_in(module: ModuleType, name: str) -> type:
     try:
-        found = getattr(module, name)
+        candidate = getattr(module, name)
     except AttributeError as error:
         classes = []
         for key, value in vars(module).items():
@@ -432,11 +432,11 @@ def _class_in(module: ModuleType, name: str) -> type:
                 classes.append(key)
         text = f"{module.__name__!r} has no class {name!r}; {nearest(name, classes)}"
         raise UsageError(text) from error
-    if not isinstance(found, type):
+    if not isinstance(candidate, type):
         raise UsageError(
-            f"{f'{module.__name__}:{name}'!r} is of type {type(found).__name__}; needed a class"
+            f"{f'{module.__name__}:{name}'!r} is of type {type(candidate).__name__}; needed a class"
         )
-    return found
+    return candidate
 
 
 def in_words(error: BaseException) -> str:

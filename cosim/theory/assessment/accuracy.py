@@ -217,15 +217,20 @@ def _line_error(t: Vector, values: Matrix, knots: NDArray[np.intp]) -> tuple[Mat
         return np.zeros_like(values), np.zeros_like(values)
     lengths = np.diff(t[knots])[:, np.newaxis]
     slopes = np.diff(values[knots], axis=0) / lengths
-    at_knots = 2.0 * np.diff(slopes, axis=0) / (lengths[1:] + lengths[:-1])
-    at_knots = np.vstack([at_knots[:1], at_knots, at_knots[-1:]])
-    curvature = 0.5 * (at_knots[1:] + at_knots[:-1])
-    line = np.clip(np.searchsorted(knots, np.arange(len(t)), side="right") - 1, 0, len(lengths) - 1)
+    distances = lengths[1:] + lengths[:-1]
+    inner = 2.0 * np.diff(slopes, axis=0) / distances
+    at_knots = np.vstack([inner[:1], inner, inner[-1:]])
+    of_lines = 0.5 * (at_knots[1:] + at_knots[:-1])
+    next_knot = np.searchsorted(knots, np.arange(len(t)), side="right")
+    line = np.clip(next_knot - 1, 0, len(lengths) - 1)
+    curvature = of_lines[line]
     H = lengths[line]
+    steps = np.append(np.diff(t), 0.0)
     begin = (t - t[knots[line]])[:, np.newaxis]
-    end = begin + np.append(np.diff(t), 0.0)[:, np.newaxis]
+    end = begin + steps[:, np.newaxis]
     # of (H - s) s f'' / 2, which a parabola has below its chord
-    squares = 0.5 * H * (end + begin) - (end**2 + end * begin + begin**2) / 3.0
-    in_the_mean = -0.5 * curvature[line] * squares
-    at_samples = -0.5 * curvature[line] * (H - begin) * begin
+    first = 0.5 * H * (end + begin)
+    second = (end**2 + end * begin + begin**2) / 3.0
+    in_the_mean = -0.5 * curvature * (first - second)
+    at_samples = -0.5 * curvature * (H - begin) * begin
     return in_the_mean, at_samples

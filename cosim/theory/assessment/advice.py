@@ -193,8 +193,8 @@ class _Advisor:
         error = float(np.sqrt(variance))
         curvature = self._curvature(records, j, covariance, deviation)
         without_noise = self._curvature(self._same, j, fit.covariance, fit.deviation)
-        found = self._curvature(fit.records, j, fit.covariance, fit.deviation)
-        by_noise = max(found - without_noise, 0.0) * error / float(fit.standard_error[j])
+        own_curvature = self._curvature(fit.records, j, fit.covariance, fit.deviation)
+        by_noise = max(own_curvature - without_noise, 0.0) * error / float(fit.standard_error[j])
         return Outlook(error, (curvature + by_noise) / float(np.log(LARGEST_PROFILE)))
 
     def _curvature(

@@ -233,20 +233,20 @@ def _searched(problem: OutputErrorProblem) -> _Examined:
     that it leads to two close together, with amplitudes that cancel, from which no fit comes back.
     """
     noise = first_noise(problem)
-    found = _white(problem, problem.in_order(problem.search_start(noise)))
-    is_explained = found.fitted.fit.converged and not found.consistency.is_structured
+    white = _white(problem, problem.in_order(problem.search_start(noise)))
+    is_explained = white.fitted.fit.converged and not white.consistency.is_structured
     if is_explained or not problem.has_several:
-        return found
+        return white
     thinned = problem.thinned
     optima = thinned.spread_optima(noise)
     if not optima:
-        return found
-    near = thinned.fit(found.fitted.fit.theta, noise)
+        return white
+    near = thinned.fit(white.fitted.fit.theta, noise)
     excess = excess_squares(optima[0].deviation, near.deviation, near.freedom)
     if excess <= largest_chance(len(near.theta)):
-        return found
+        return white
     wider = _white(problem, problem.in_order(optima[0].theta))
-    return min(found, wider, key=_residual_size)
+    return min(white, wider, key=_residual_size)
 
 
 def _white(problem: OutputErrorProblem, start: Vector) -> _Examined:

@@ -244,22 +244,22 @@ class _TestedFit:
         residual = self._plain[self.fit.counted[:, output], output]
         unknowns = self._unknowns.shape[1] / self.fit.counted.shape[1]
         degrees = max(int(len(residual) - unknowns), 1)
-        found = float(np.sqrt(residual @ residual / degrees))
+        deviation = float(np.sqrt(residual @ residual / degrees))
         expected = float(np.hypot(stated, self.accuracy.deviations[output]))
         name = f"deviation of y[{output}] over the stated one"
-        statistic = found / expected
-        if found < stated:
+        statistic = deviation / expected
+        if deviation < stated:
             name = f"stated deviation over that of y[{output}]"
-            statistic = stated / max(found, np.finfo(np.float64).tiny)
+            statistic = stated / max(deviation, np.finfo(np.float64).tiny)
         threshold = MARGIN * float(np.sqrt(_threshold(degrees) / degrees))
-        sizes = f"found {found:.3g}, stated {stated:.3g}"
+        sizes = f"found {deviation:.3g}, stated {stated:.3g}"
         return ResidualTest(name, statistic, threshold, degrees, sizes)
 
     def _excess(self, directions: Matrix, deviation: float) -> Vector:
         """Return how much of the residual along directions is more than errors allow."""
-        found = np.abs(directions.T @ self._thinned(self.fit.residual))
+        projections = np.abs(directions.T @ self._thinned(self.fit.residual))
         allowed = MARGIN * np.abs(directions.T @ self._thinned(self.fit.errors)).sum(axis=1)
-        excess: Vector = np.maximum(found - allowed, 0.0) / deviation
+        excess: Vector = np.maximum(projections - allowed, 0.0) / deviation
         return excess
 
     def _single_directions(self, deviation: float) -> ResidualTest:
@@ -308,9 +308,9 @@ def _correlation(residual: Vector, errors: Matrix, deviation: float, order: int)
     lags = max(min(LAGS + order, N // 4), order + 1)
     excess = np.zeros(lags)
     for k in range(1, lags + 1):
-        found = abs(float(residual[k:] @ residual[: N - k]))
+        product = abs(float(residual[k:] @ residual[: N - k]))
         products = np.abs(np.sum(errors[k:] * errors[: N - k], axis=0))
-        excess[k - 1] = max(found - MARGIN * float(products.sum()), 0.0)
+        excess[k - 1] = max(product - MARGIN * float(products.sum()), 0.0)
     correlation: Vector = excess / (np.sqrt(N) * deviation**2)
     return correlation
 

@@ -240,8 +240,8 @@ def _most_likely(records: Sequence[ColoredRecord], start: Vector) -> Vector:
         return here.deviance, scale.T @ here.slope(a)
 
     options = {"gtol": SMALL_SLOPE, "maxiter": MOST_STEPS}
-    found = minimize(at, np.zeros(len(start)), jac=True, method="BFGS", options=options)
-    return np.asarray(start + scale @ found.x, np.float64)
+    result = minimize(at, np.zeros(len(start)), jac=True, method="BFGS", options=options)
+    return np.asarray(start + scale @ result.x, np.float64)
 
 
 def _freedom(records: Sequence[ColoredRecord], a: Vector) -> float:
@@ -391,9 +391,11 @@ def _lagged_products(rows: Matrix, windows: NDArray[np.intp], order: int) -> Mat
 def _correlations(ahead: Matrix, behind: Matrix, order: int) -> Vector:
     """Return the sums of ``ahead(k) behind(k - lag)`` over k and columns, shape (order + 1,)."""
     length = 1 << int(len(ahead) + order).bit_length()
-    spectra = np.fft.rfft(ahead, length, axis=0) * np.fft.rfft(behind, length, axis=0).conj()
-    correlations: Vector = np.fft.irfft(spectra.sum(axis=1), length)[: order + 1]
-    return correlations
+    spectrum_ahead = np.fft.rfft(ahead, length, axis=0)
+    spectrum_behind = np.fft.rfft(behind, length, axis=0)
+    spectra = spectrum_ahead * spectrum_behind.conj()
+    correlations: Vector = np.fft.irfft(spectra.sum(axis=1), length)
+    return correlations[: order + 1]
 
 
 def _edge_products(rows: Matrix, places: NDArray[np.intp], order: int) -> Matrix:

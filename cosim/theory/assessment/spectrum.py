@@ -79,8 +79,10 @@ def whiteness_spectrum(residual: Matrix, h: float) -> WhitenessSpectrum:
 
 def _bands(count: int) -> NDArray[np.int64]:
     """Return the first ordinate of each band; no band has fewer than one of lower frequency."""
-    ends = np.unique(np.floor(np.geomspace(1.0, count + 1.0, BANDS + 1)).astype(np.int64))
+    edges = np.floor(np.geomspace(1.0, count + 1.0, BANDS + 1))
+    ends = np.unique(edges.astype(np.int64))
     members = np.maximum.accumulate(np.diff(ends))
     first = np.concatenate([[0], np.cumsum(members)])
-    whole: NDArray[np.int64] = first[:-1][first[1:] <= count]  # the last one takes the rest
+    is_whole = first[1:] <= count  # the last one takes the rest
+    whole: NDArray[np.int64] = first[:-1][is_whole]
     return whole

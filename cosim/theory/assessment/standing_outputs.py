@@ -47,14 +47,14 @@ class StandingOutput:
 
 def standing_outputs(data: Sequence[DataSet]) -> list[StandingOutput]:
     """Return the outputs that stand still, each with the longest time of every data set."""
-    found = []
+    outputs = []
     for one in data:
         for output, column in enumerate(one.y.T):
             measured = np.isfinite(column)
             standing = _longest(output, one.t[measured], column[measured])
             if standing is not None:
-                found.append(standing)
-    return found
+                outputs.append(standing)
+    return outputs
 
 
 def _longest(output: int, t: Vector, y: Vector) -> StandingOutput | None:

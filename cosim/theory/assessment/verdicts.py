@@ -477,8 +477,8 @@ class VerdictMaker:
         constant = [str(output) for output in self._standing if output.whole]
         if constant:
             return "; ".join(constant)
-        found = [str(output) for output in self._standing]
-        return "; ".join([*found, self._contradiction()])
+        reasons = [str(output) for output in self._standing]
+        return "; ".join([*reasons, self._contradiction()])
 
     def _contradiction(self) -> str:
         """Return what of the fit is not as the model has it."""

@@ -239,7 +239,7 @@ class FeasibleProgram:
         unit[2:] = 1.0 / _or_one(np.abs(columns).max(axis=0))
         n_inner = self._dynamics.shape[1] - 2
         unbounded = np.tile([-np.inf, np.inf], (n_inner, 1))
-        found = self._solve_scaled(
+        minimum = self._solve_scaled(
             np.concatenate([np.zeros(n_inner), costs * unit]),
             np.concatenate([unbounded, limits / unit[:, None]]),
             columns * unit[2:],
@@ -248,9 +248,9 @@ class FeasibleProgram:
         self._solved += 1
         if self._watch is not None:
             self._watch(self._solved)
-        if found is None:
+        if minimum is None:
             return None
-        outer = found[n_inner:] * unit
+        outer = minimum[n_inner:] * unit
         return ProgramSolution(outer[2:], multiple=float(outer[0]), violation=float(outer[1]))
 
     def _columns(self, prediction: Prediction) -> Matrix:
@@ -288,8 +288,8 @@ class FeasibleProgram:
             options = {"maxiter": PIVOTS * len(cost), "presolve": presolve}
             result = linprog(cost, *constraints, method=method, options=options)
             if result.status == SOLVED:
-                found: Vector = result.x
-                return found
+                minimum: Vector = result.x
+                return minimum
             if result.status == INFEASIBLE:
                 return None
         return None

@@ -338,16 +338,16 @@ def worst_error(
     delta_0 = start
     if delta_0 is None:
         delta_0 = direction * first_order(problem, p).worst(parameter, problem.bound)
-    found = _error_under(problem, p, parameter, delta_0)
+    worst = _error_under(problem, p, parameter, delta_0)
     for _ in range(MOST_STEPS):
-        y = exact + problem.response.respond(found.delta_0)
-        sensitivity = _curved_sensitivity(problem, y, found.estimate, parameter)
+        y = exact + problem.response.respond(worst.delta_0)
+        sensitivity = _curved_sensitivity(problem, y, worst.estimate, parameter)
         delta_0 = direction * problem.bound * np.sign(sensitivity)
         candidate = _error_under(problem, p, parameter, delta_0)
-        if direction * candidate.error <= direction * found.error:
-            return found
-        found = candidate
-    return found
+        if direction * candidate.error <= direction * worst.error:
+            return worst
+        worst = candidate
+    return worst
 
 
 def departure(problem: BoundedDisturbance, p: Vector) -> Vector:
@@ -416,13 +416,13 @@ def _end_around(
         sensitivity = problem.response.adjoint(rows[parameter])
         delta_0 = -direction * share * problem.bound * np.sign(sensitivity)
         y = prediction.output - problem.response.respond(delta_0)
-        found = _matched(problem, normal, y, p)
-        if found is None or not _keeps_orientation(normal, problem.model(found).jacobian):
+        matched = _matched(problem, normal, y, p)
+        if matched is None or not _keeps_orientation(normal, problem.model(matched).jacobian):
             return no_end
-        gain = direction * (found[parameter] - p[parameter])
-        if gain < -ended or abs(found[parameter] - estimate[parameter]) > reach:
+        gain = direction * (matched[parameter] - p[parameter])
+        if gain < -ended or abs(matched[parameter] - estimate[parameter]) > reach:
             return no_end
-        p = found
+        p = matched
         if share == 1.0 and gain <= ended:
             return float(p[parameter]) + direction * ended
     return no_end

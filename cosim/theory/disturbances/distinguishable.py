@@ -205,9 +205,11 @@ def _eigenvalues(
     theta = np.zeros(len(places))
     for k, j in enumerate(places):
         lower, upper = bounds.get(j, (-math.inf, math.inf))
-        # irrational multiples, so that no two of them agree
-        theta[k] = lower if lower == upper else 0.3 + math.sqrt(2.0 + 3.0 * j + 0.7 * trial)
-    return np.linalg.eigvals(family.G(theta)).astype(np.complex128)
+        theta[k] = lower
+        if lower != upper:  # irrational, so that no two of them agree
+            theta[k] = 0.3 + math.sqrt(2.0 + 3.0 * j + 0.7 * trial)
+    eigenvalues = np.linalg.eigvals(family.G(theta))
+    return eigenvalues.astype(np.complex128)
 
 
 def _common(values: NDArray[np.complex128], other: NDArray[np.complex128]) -> complex | None:

@@ -294,10 +294,13 @@ class _Limits:
     def __init__(
         self, span: float, shortest: float, known: np.ndarray[tuple[int], np.dtype[np.complex128]]
     ) -> None:
+        least_known = float(known.real.min())
+        largest_known = float(known.real.max())
+        fastest_known = float(np.abs(known.imag).max())
         self.fastest = math.pi / shortest
-        self._least = min(-3.0 / shortest, float(known.real.min()))
-        self._largest = max(math.log(10.0) / span, float(known.real.max()))
-        self._fastest = max(self.fastest, float(np.abs(known.imag).max()))
+        self._least = min(-3.0 / shortest, least_known)
+        self._largest = max(math.log(10.0) / span, largest_known)
+        self._fastest = max(self.fastest, fastest_known)
 
     def hold(self, values: np.ndarray[tuple[int], np.dtype[np.complex128]]) -> bool:
         """Return whether all eigenvalues are within, up to rounding."""

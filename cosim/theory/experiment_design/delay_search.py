@@ -126,10 +126,10 @@ def _grid_spacing(count: int, longest: int) -> int:
 
 def _neighbors(steps: tuple[int, ...], stride: int, longest: int) -> list[tuple[int, ...]]:
     """Return the sets in which one delay other than the first is moved by ``stride``."""
-    found = []
+    neighbors = []
     for place in range(1, len(steps)):
         for moved in (steps[place] - stride, steps[place] + stride):
             others = set(steps[:place] + steps[place + 1 :])
             if 0 < moved <= longest and moved not in others:
-                found.append(tuple(sorted(others | {moved})))
-    return found
+                neighbors.append(tuple(sorted(others | {moved})))
+    return neighbors

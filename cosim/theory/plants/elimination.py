@@ -134,9 +134,14 @@ def _amplification(left: Matrix, of_equations: Matrix, gain: _AlgebraicGain, row
     it is no larger, but its errors are.
     """
     own_and_algebraic = rows + np.abs(of_equations) @ gain.equations
-    errors = np.outer(own_and_algebraic / rows, gain.per_column / gain.columns)
-    largest = float((np.abs(left) / np.outer(rows, gain.columns)).max(initial=1.0))
-    return float(errors.max(initial=0.0)) / (DATA * largest)
+    by_row = own_and_algebraic / rows
+    by_column = gain.per_column / gain.columns
+    errors = np.outer(by_row, by_column)
+    sizes = np.outer(rows, gain.columns)
+    relative = np.abs(left) / sizes
+    largest_error = float(errors.max(initial=0.0))
+    largest = float(relative.max(initial=1.0))
+    return largest_error / (DATA * largest)
 
 
 def _algebraic_gain(matrices: PartitionedMatrices, scales: Scales, growth: float) -> _AlgebraicGain:
