@@ -17,7 +17,7 @@ errs by terms of the order of its smooth part, of which an estimate may be a thi
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Final, final
@@ -72,6 +72,8 @@ class Subject:
         Components that actions on conditions are about.
     known_ns : frozenset of int
         The instants of all other actions [ns].
+    uneven : mapping of component name to float
+        A time [s] of its table that leaves another part of a step over in each of the runs.
     """
 
     step_ns: int
@@ -84,6 +86,7 @@ class Subject:
     changes: Mapping[str, Any]
     conditional: Mapping[str, ActionTable]
     known_ns: frozenset[int]
+    uneven: Mapping[str, float]
 
     @property
     def every(self) -> int:
@@ -166,6 +169,7 @@ def _subject(experiment: Experiment) -> Subject:
         changes,
         _conditional(scenario),
         frozenset(nanoseconds(a.at) for a in scenario.actions.values() if a.at is not None),
+        _uneven(scenario, step_ns),
     )
 
 
@@ -212,6 +216,24 @@ def _conditional(scenario: Scenario) -> dict[str, ActionTable]:
         for name in names:
             conditional.setdefault(name, action)
     return conditional
+
+
+def _uneven(scenario: Scenario, step_ns: int) -> dict[str, float]:
+    """Return a time [s] of each component that leaves another part of a step over in each run.
+
+    Straight lines err by r (1 - r) h^2 y''/2 there, with r the part of a step h: a power of h where
+    r (1 - r) is the same in all runs, as 0 is where h divides the time.
+    """
+    times: dict[str, float] = {}
+    for name, spec in scenario.specs.items():
+        for time in spec.divided_times:
+            factors = set()
+            for finer in (1, *FINER):
+                part_ns = nanoseconds(time) * finer % step_ns  # of a step of step_ns
+                factors.add(part_ns * (step_ns - part_ns))
+            if len(factors) > 1:
+                times[name] = time
+    return times
 
 
 def _may_jump(scenario: Scenario, graph: Graph) -> Mask:
@@ -373,19 +395,38 @@ class Certifier:
         return [own, self._half.rows, self._quarter.rows]
 
     def _reasons(self) -> dict[str, str]:
-        """Return why components have no estimate, by their names: what they follow jumps."""
+        """Return why components have no estimate, by their names: what they follow has none."""
+        reasons: dict[str, str] = {}
+        for origin, text in (*self._of_actions(), *self._of_parts(), *self._of_jumps()):
+            for name in self._subject.followers.get(origin, ()):
+                reasons.setdefault(name, text)
+        return reasons
+
+    def _of_actions(self) -> Iterator[tuple[str, str]]:
+        """Yield components that actions on conditions are about, and why they have no estimate."""
+        subject = self._subject
+        are_performed = not self._quarter.jumps.expected_ns <= subject.known_ns
+        for component, action in subject.conditional.items():
+            if are_performed or action.set:
+                text = f"the action {_when(action)} comes at a point that depends on the step"
+                yield component, text
+
+    def _of_parts(self) -> Iterator[tuple[str, str]]:
+        """Yield components with times that leave parts of a step over, and what they are."""
+        for component, time in self._subject.uneven.items():
+            yield (
+                component,
+                f"{time:g} s of {component} is no whole number of steps, and leaves another part "
+                "of a step over in each of the runs",
+            )
+
+    def _of_jumps(self) -> Iterator[tuple[str, str]]:
+        """Yield components with outputs that jump elsewhere than they may, and where they do."""
         subject = self._subject
         jumps = self._quarter.jumps
         needed = SIGNIFICANT_JUMP * jumps.ranges
         within = jumps.within > needed
         at_ends = (jumps.at_ends > needed) & ~(subject.may_jump | jumps.are_regular)
-        reasons: dict[str, str] = {}
-        are_performed = not jumps.expected_ns <= subject.known_ns
-        for component, action in subject.conditional.items():
-            if are_performed or action.set:
-                text = f"the action {_when(action)} comes at a point that depends on the step"
-                for name in subject.followers.get(component, ()):
-                    reasons.setdefault(name, text)
         for channel in subject.layout.channels:
             for column in range(channel.outputs.start, channel.outputs.stop):
                 if not (within[column] or at_ends[column]):
@@ -394,13 +435,11 @@ class Certifier:
                 where = "between communication points"
                 if not within[column]:
                     where = "at an instant that is not known"
-                text = (
+                yield (
+                    channel.name,
                     f"{subject.labels[column]} jumps {where}, or a quarter of the step does not "
-                    f"resolve it, at t = {instant[column] / NANOSECONDS:g} s"
+                    f"resolve it, at t = {instant[column] / NANOSECONDS:g} s",
                 )
-                for name in subject.followers[channel.name]:
-                    reasons.setdefault(name, text)
-        return reasons
 
 
 def certifier_of(scenario: Scenario, progress: Progress | None) -> Certifier:

@@ -17,7 +17,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
-from cosim.core.clock import NANOSECONDS
+from cosim.core.clock import NANOSECONDS, nanoseconds
 from cosim.core.recorded import find_signal
 from cosim.core.recorders import Nothing, Watched
 from cosim.errors import CosimError, Interrupted, RunError, UnknownSignalError, UsageError, option
@@ -221,6 +221,9 @@ class _StepSearch:
             clock = build_experiment(scenario, resources, None).clock
         self._steps = _dividing_steps(clock.step_ns, clock.steps)
         self._possible: dict[int, bool] = {clock.step_ns: True}
+        self._times_ns: list[int] = []
+        for spec in scenario.specs.values():
+            self._times_ns += map(nanoseconds, spec.divided_times)
 
     def first_fine(self) -> TriedStep:
         """Halve the step until one is fine.
@@ -282,7 +285,9 @@ class _StepSearch:
         return self._scenario.edit(set={"scenario.step": step_ns / NANOSECONDS})
 
     def _is_possible(self, step_ns: int) -> bool:
-        """Return whether the scenario can be built with a step."""
+        """Return whether a step divides all times, and the scenario can be built with it."""
+        if any(time_ns % step_ns for time_ns in self._times_ns):
+            return False
         if step_ns not in self._possible:
             with ExitStack() as resources:
                 try:

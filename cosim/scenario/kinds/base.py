@@ -367,6 +367,14 @@ class Kind(TomlTable):
         """
         return True
 
+    @property
+    def divided_times(self) -> tuple[float, ...]:
+        """Times [s] of its table that need not be whole communication steps.
+
+        Its error depends on the part of a step that they leave over.
+        """
+        return ()
+
     def decided(
         self, table: Mapping[str, Any], metadata: Mapping[str, Any], step_ns: int
     ) -> Mapping[str, Any]:

@@ -80,6 +80,10 @@ class SensorKind(PeriodicKind):
     def with_period(self, component: Component, n: int) -> Component:
         return component
 
+    @property
+    def divided_times(self) -> tuple[float, ...]:
+        return (self.delay,)
+
     def sampling(self, n: int) -> Sampling | None:
         return None if self.period is None else Sampling(n, 0, True)
 

@@ -278,6 +278,49 @@ def test_what_follows_a_discrete_jump_at_an_unknown_instant_has_no_estimate(offs
     assert "jump.y jumps" in certificate["lag.y"].reason
 
 
+DELAYED = """
+    [components]
+    sine = {{ kind = "sine", rate = 2.0 }}
+    meter = {{ kind = "sensor", delay = {} }}
+    lag = {{ kind = "lag", time_constant = 0.5, initial = 0.0 }}
+
+    [connections]
+    "meter.u" = "sine.y"
+    "lag.u" = "meter.y"
+    """
+
+
+def test_a_delay_that_leaves_another_part_of_a_step_over_in_each_run_has_no_estimate():
+    """Of 2.75 ms at 10 ms these are 0.275, 0.55 and 0.1: r (1 - r) = 0.2, 0.25 and 0.09.
+
+    The differences, 0.137 and 0.057 of h^2 y''/2, look like order 1, and a sum that is 38 % high.
+    """
+    scenario = certified.parsed(DELAYED.format(0.00275))
+    certificate = cosim.certificate(cosim.run(scenario, certify=True))
+    reason = (
+        "0.00275 s of meter is no whole number of steps, and leaves another part of a step over"
+    )
+    for name in ("meter.y", "lag.y"):
+        assert certificate[name].largest is None
+        assert certificate[name].reason.startswith(reason)
+    assert certificate["sine.y"].largest == 0.0
+
+
+def test_a_delay_that_leaves_the_same_part_over_has_its_order():
+    """Nothing of it, or a third and two thirds: r (1 - r) h^2 4/2 of sin 2t.
+
+    Of the largest, which is at a communication point near the top of the sine, 2 (0.03)^2 / 2.
+    """
+    whole = certified.parsed(DELAYED.format(0.02))
+    found = cosim.certificate(cosim.run(whole, certify=True))["meter.y"]
+    assert found.largest == 0.0 or found.is_rounding
+    grid = {"scenario.step": 0.03, "scenario.stop": 3.9}
+    third = certified.parsed(DELAYED.format(0.01))
+    found = cosim.certificate(cosim.run(third, set=grid, certify=True))["meter.y"]
+    assert found.order == pytest.approx(2.0, abs=0.02)
+    assert found.largest == pytest.approx(2.0 / 9.0 * 0.03**2 * 2.0, rel=0.01)
+
+
 def test_jumps_at_known_instants_do_no_harm():
     """A step in a table of the scenario, and samples of a period: exact behind a lag."""
     scenario = certified.parsed("""
