@@ -19,7 +19,16 @@ import numpy as np
 from cosim.arrays import NAN, Mask, Matrix, Vector, read_only
 from cosim.blocks.regressor import Regressor
 from cosim.core.clock import nanoseconds, seconds
-from cosim.core.contracts import Component, Design, Native, Rollback, State, linearized, prepare
+from cosim.core.contracts import (
+    Component,
+    Design,
+    Native,
+    Rollback,
+    State,
+    linearized,
+    prepare,
+    prepare_substeps,
+)
 from cosim.core.stages.calls import result_problem
 from cosim.native.numerics.expression import compile_expression
 from cosim.native.numerics.linear import first_order_hold
@@ -94,6 +103,8 @@ def check_component(
             _check_native(bench, held, expected)
         if bench.interface.linearizable:
             _check_linearized(bench, held, expected)
+        if bench.interface.substeps:
+            _check_substeps(bench, held, expected)
     if bench.interface.rollback:
         _check_rollback(bench, bench.masks()[0])
 
@@ -497,8 +508,14 @@ def _check_declared(bench: _Bench) -> None:
         "restore": bench.interface.rollback,
         "native": bench.interface.native,
         "linearized": bench.interface.linearizable,
+        "prepare_substeps": bench.interface.prepares and bench.interface.substeps,
     }
-    flags = {"prepare": "prepares", "native": "native", "linearized": "linearizable"}
+    flags = {
+        "prepare": "prepares",
+        "native": "native",
+        "linearized": "linearizable",
+        "prepare_substeps": "substeps",
+    }
     for method, needed in declared.items():
         flag = flags.get(method, "rollback")
         if needed and not callable(getattr(component, method, None)):
@@ -637,6 +654,19 @@ def _check_linearized(bench: _Bench, held: Mask, expected: Matrix) -> None:
         )
     rows = np.vstack([first, bench.advance(component, 0, bench.steps)])
     bench.compare("linearized changes nothing", rows, expected)
+
+
+def _check_substeps(bench: _Bench, held: Mask, expected: Matrix) -> None:
+    """Require that substeps are steps of their length, whatever the communication step is."""
+    component = bench.make()
+    step = 2.0 * bench.h
+    prepare(component, step, held, {})
+    design = prepare_substeps(component, (bench.h,), {})
+    bench.compare("substeps are steps of their length", bench.run(component), expected)
+    replayed = bench.make()
+    prepare(replayed, step, held, {})
+    prepare_substeps(replayed, (bench.h,), {name: np.array(a) for name, a in design.items()})
+    bench.compare("substeps take their recorded design", bench.run(replayed), expected)
 
 
 def _check_native(bench: _Bench, held: Mask, expected: Matrix) -> None:

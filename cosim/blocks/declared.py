@@ -7,7 +7,15 @@ from dataclasses import replace
 from typing import cast, final
 
 from cosim.arrays import Mask, Matrix, Vector
-from cosim.core.contracts import Component, Design, Native, Rollback, linearized, prepare
+from cosim.core.contracts import (
+    Component,
+    Design,
+    Native,
+    Rollback,
+    linearized,
+    prepare,
+    prepare_substeps,
+)
 from cosim.core.linearization import Linearized
 from cosim.core.signals import Interface, Signal
 from cosim.errors import GraphError, nearest
@@ -76,6 +84,10 @@ class Declared:
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Prepare the component."""
         return prepare(self._component, h, held, recorded)
+
+    def prepare_substeps(self, lengths: tuple[float, ...], recorded: Design) -> Design:
+        """Prepare the component."""
+        return prepare_substeps(self._component, lengths, recorded)
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Initialize the component."""

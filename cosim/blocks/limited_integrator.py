@@ -59,12 +59,22 @@ class LimitedIntegrator:
         u = Signal("u", size)
         y = Signal("y", size, unit, role="state")
         self.interface = Interface(
-            (u,), (y,), prepares=True, rollback=True, native=True, linearizable=True
+            (u,),
+            (y,),
+            prepares=True,
+            rollback=True,
+            native=True,
+            linearizable=True,
+            substeps=True,
         )
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Take which inputs are held; there is nothing to record."""
         self._step = integrator_step(self.lower, self.upper, held)
+        return recorded
+
+    def prepare_substeps(self, lengths: tuple[float, ...], recorded: Design) -> Design:
+        """Return what is recorded: nothing depends on the length of a step."""
         return recorded
 
     def initialize(self, t: float, u: Vector) -> Vector:

@@ -185,11 +185,16 @@ class Pid:
             rollback=True,
             native=True,
             linearizable=True,
+            substeps=period is None,
         )
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Take which inputs are held; there is nothing to record."""
         self._kernel = PidStep(self.constants, held, sampled=self._period is not None)
+        return recorded
+
+    def prepare_substeps(self, lengths: tuple[float, ...], recorded: Design) -> Design:
+        """Return what is recorded: nothing depends on the length of a step."""
         return recorded
 
     def initialize(self, t: float, u: Vector) -> Vector:

@@ -15,6 +15,7 @@ from cosim.core.contracts import (
     Stopped,
     linearized,
     prepare,
+    prepare_substeps,
 )
 from cosim.core.linearization import Linearized
 from cosim.native.blocks.wrapping import ports_step
@@ -41,6 +42,10 @@ class Renamed:
         """Prepare the component; the arrays of its design have no ports."""
         own_held = self._ports.component_mask(held)
         return prepare(self._component, h, own_held, recorded)
+
+    def prepare_substeps(self, lengths: tuple[float, ...], recorded: Design) -> Design:
+        """Prepare the component; the arrays of its design have no ports."""
+        return prepare_substeps(self._component, lengths, recorded)
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Initialize the component; return the shown outputs at ``t``."""

@@ -62,6 +62,7 @@ class Replay:
             native=not self._limits,
             linearizable=False,
             left_limits=_jumping(recorded, self._limits),
+            substeps=True,  # in a loop the recorded ones are taken
         )
         blocks = [rows[:, recorded.n_u :] for _, rows in recording.blocks(component)]
         self._rows = blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
@@ -70,6 +71,10 @@ class Replay:
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Pass the recorded design on, so that a replay's log is as complete as the run's."""
+        return recorded
+
+    def prepare_substeps(self, lengths: tuple[float, ...], recorded: Design) -> Design:
+        """Pass the recorded design on."""
         return recorded
 
     def initialize(self, t: float, u: Vector) -> Vector:

@@ -41,7 +41,9 @@ class CompiledStatic:
         *,
         gain: Matrix | None = None,
     ) -> None:
-        self.interface = replace(interface, rollback=True, native=True, linearizable=True)
+        self.interface = replace(
+            interface, rollback=True, native=True, linearizable=True, substeps=True
+        )
         self._step = step
         self._reason = reason
         self._gain = gain
@@ -113,7 +115,7 @@ class Static:
         function: Callable[[Matrix], Matrix],
         first_refused: Callable[[Matrix], tuple[int, str] | None] = lambda u: None,
     ) -> None:
-        self.interface = replace(interface, rollback=True, linearizable=True)
+        self.interface = replace(interface, rollback=True, linearizable=True, substeps=True)
         self._function = function
         self._first_refused = first_refused
 

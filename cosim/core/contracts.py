@@ -1,7 +1,8 @@
 """The contracts: what a model, a component, a recorder and a recording are.
 
-A component has an interface and three methods; ``h`` is the same in all calls. Order of the calls:
-``prepare`` once, where its interface declares it; ``initialize`` one or more times; then
+A component has an interface and three methods; ``h`` is the same in all calls, unless its interface
+declares ``substeps``. Order of the calls: ``prepare`` once, where its interface declares it, and
+``prepare_substeps`` behind it; ``initialize`` one or more times; then
 ``outputs`` and ``advance`` in any order, and ``save``, ``restore`` and ``linearized`` where its
 interface declares them. An output that depends on an input at the same instant is declared as
 feedthrough: ``outputs`` computes it for the inputs given, ``advance`` uses ``u[k + 1]`` for it.
@@ -82,7 +83,7 @@ class Component(Protocol):
         t : Vector, shape (K+1,)
             Times [s].
         h : float
-            Communication step [s].
+            Communication step [s]; a part of it where the interface declares ``substeps``.
         u : Matrix, shape (K+1, n_u)
             Inputs at those times; rows may be strided.
 
@@ -125,6 +126,27 @@ class Preparable(Protocol):
         Design
             Arrays of float64 by name; ``recorded`` itself where it is not empty, empty where there
             is nothing to record.
+        """
+        ...
+
+
+class PreparableSubsteps(Preparable, Protocol):
+    """For components that compute before the run and whose interface declares ``substeps``."""
+
+    def prepare_substeps(self, lengths: tuple[float, ...], recorded: Design) -> Design:
+        """Compute what steps of other lengths need; called behind ``prepare``, where there are any.
+
+        Parameters
+        ----------
+        lengths : tuple of float
+            Parts of the communication step [s], which ``advance`` may get as ``h`` from now on.
+        recorded : Design
+            As for ``prepare``.
+
+        Returns
+        -------
+        Design
+            As of ``prepare``.
         """
         ...
 
@@ -205,6 +227,13 @@ def prepare(component: Component, h: float, held: Mask, recorded: Design) -> Des
     if not component.interface.prepares:
         return {}
     return cast(Preparable, component).prepare(h, held, recorded)
+
+
+def prepare_substeps(component: Component, lengths: tuple[float, ...], recorded: Design) -> Design:
+    """Prepare a component for parts of a step, where it prepares at all; return that design."""
+    if not component.interface.prepares:
+        return {}
+    return cast(PreparableSubsteps, component).prepare_substeps(lengths, recorded)
 
 
 def linearized(component: Component, t: float, u: Vector) -> Linearized | None:
@@ -363,6 +392,33 @@ class SignalEvent(NamedTuple):
     parameters: tuple[float, ...] = ()
 
 
+class Substep(NamedTuple):
+    """A part of a communication step that a loop took, or refused.
+
+    Parameters
+    ----------
+    begin_ns : int
+        Where it begins.
+    length_ns : int
+    loop : str
+        The first component of the loop.
+    error : float
+        The estimated error, in units of what is tolerated.
+    accepted : bool
+    values : tuple of float
+        Where it was accepted: the applied inputs and outputs of all components of the loop at its
+        end, one component's behind the other's, in the order of the loop; behind them the left
+        limits of those that jump.
+    """
+
+    begin_ns: int
+    length_ns: int
+    loop: str
+    error: float
+    accepted: bool
+    values: tuple[float, ...] = ()
+
+
 @runtime_checkable
 class Recorder(Protocol):
     """A context manager that takes blocks of rows and leaves a complete record behind.
@@ -412,6 +468,10 @@ class Recorder(Protocol):
 
     def event(self, event: SignalEvent) -> None:
         """Record a jump of a signal; called after the row at its instant was written."""
+        ...
+
+    def substep(self, substep: Substep) -> None:
+        """Record a substep; called after the row behind it was written."""
         ...
 
     def result(self, values: Mapping[str, Any]) -> None:
@@ -512,6 +572,10 @@ class Recording(Protocol):
 
     def events(self) -> list[SignalEvent]:
         """Return the jumps of signals, in the order of time."""
+        ...
+
+    def substeps(self) -> list[Substep]:
+        """Return the substeps of loops, in the order of where they begin."""
         ...
 
 

@@ -7,6 +7,7 @@ whole block in one call. Feedthrough orders only the inside of loops and the ini
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from itertools import chain
 from typing import Literal
@@ -24,6 +25,7 @@ from cosim.core.stages.calls import GuardedComponent
 from cosim.core.stages.coupling import Cascade, Loop, Stage
 from cosim.core.stages.left_limits import JumpColumns
 from cosim.core.stages.member import Member, first_non_finite
+from cosim.core.stages.substep_control import OutsideColumns, SubstepControl, SubstepTolerance
 from cosim.core.stages.torn_inputs import KeptInputs, TornInputs
 from cosim.core.stages.wires import Wire, constant_wires, wires_of
 from cosim.core.structure.checked_connections import CheckedConnections
@@ -70,6 +72,8 @@ class Graph:
     periods : mapping of component name to int
         Communication steps between the rows that a component's log channel keeps; 1 where not
         named.
+    substeps : SubstepTolerance, optional
+        What the error of a loop in a step may be: it divides its steps where it is larger.
     threads : {1, 2}, optional
         How many may advance branches that do not depend on each other; two do where that is faster.
         2: also FMUs, but not two with one binary at once; left out: only cosim's own components.
@@ -110,6 +114,7 @@ class Graph:
         input_interpolation: InputInterpolation = "linear",
         iterations: int = 1,
         periods: Mapping[str, int] | None = None,
+        substeps: SubstepTolerance | None = None,
         threads: int | None = None,
         native: bool = True,
     ) -> None:
@@ -123,6 +128,7 @@ class Graph:
         self.periods = _checked_periods({} if periods is None else periods, self.components)
         _check_iterations(iterations, coupling, input_interpolation)
         self.iterations = iterations
+        self.substeps = substeps
         self.coupling = coupling
         self.input_interpolation = input_interpolation
         self.layout = layout_of(self.components, self.periods)
@@ -192,7 +198,9 @@ class Graph:
         h = step_ns / 1e9
         designs: dict[str, Design] = {}
         for name, member in self._members.items():
-            designs[name] = member.component.prepare(h, self.held[name], taken.get(name, {}))
+            recorded_design = taken.get(name, {})
+            lengths = self._lengths(name, step_ns)
+            designs[name] = member.component.prepare(h, self.held[name], recorded_design, lengths)
         schedule = tuple(stage.description for stage in self.stages)
         return Plan(self.layout, step_ns, designs, self.held, schedule)
 
@@ -223,7 +231,8 @@ class Graph:
             self.components[name] = component
             guarded = self._members[name].component
             guarded.exchange(component)
-            guarded.prepare(step_ns / 1e9, self.held[name], {})
+            lengths = self._lengths(name, step_ns)
+            guarded.prepare(step_ns / 1e9, self.held[name], {}, lengths)
 
     def prepare_variant(
         self,
@@ -261,7 +270,15 @@ class Graph:
                 "needed a component that can save it and restore it"
             )
         guarded = GuardedComponent(channel, component)
-        return guarded.prepare(step_ns / 1e9, self.held[name], recorded)
+        lengths = self._lengths(name, step_ns)
+        return guarded.prepare(step_ns / 1e9, self.held[name], recorded, lengths)
+
+    def _lengths(self, name: str, step_ns: int) -> tuple[float, ...]:
+        """Return the lengths of the substeps that a component may have to take [s]."""
+        for stage in self.stages:
+            if stage.control is not None and any(m.name == name for m in stage.members):
+                return stage.control.tolerance.lengths(step_ns)
+        return ()
 
     def put(self, name: str, component: Component) -> None:
         """Put a component that is prepared in the place of a variant of it."""
@@ -315,8 +332,8 @@ class Graph:
             If an initial value is not finite.
         """
         self.initializations += 1
-        for solver in self.solvers:
-            solver.reset()
+        for kept in self.kept_by_loops:
+            kept.reset()
         for member in self._members.values():
             member.overrides.clear()
         origins = self._initial_values.find(t, row)
@@ -330,7 +347,8 @@ class Graph:
     def take_solutions(self, recording: Recording, recorded: Collection[str]) -> None:
         """Take from a recording what was solved for in the loops that have recorded components.
 
-        A recorded component does not answer, so that nothing can be solved for again.
+        A recorded component does not answer, so that nothing can be solved for again, and no
+        substep be chosen.
 
         Parameters
         ----------
@@ -339,8 +357,12 @@ class Graph:
         """
         for stage in self.stages:
             names = {member.name for member in stage.members}
-            if stage.torn is not None and not names.isdisjoint(recorded):
+            if names.isdisjoint(recorded):
+                continue
+            if stage.torn is not None:
                 stage.torn.take(recording)
+            if stage.control is not None:
+                stage.control.take(recording, stage.members, recorded)
 
     def with_coupling(self, coupling: Coupling) -> Graph:
         """Return a graph of the same components and connections with another coupling.
@@ -358,6 +380,7 @@ class Graph:
             coupling=coupling,
             input_interpolation=self.input_interpolation,
             periods=self.periods,
+            substeps=self.substeps,
             threads=self.threads,
             native=self.native,
         )
@@ -382,9 +405,20 @@ class Graph:
         return members
 
     @property
-    def solvers(self) -> list[LoopSolver]:
-        """What solves for the inputs of loops that iterate, in the order of the stages."""
-        return [stage.torn.solver for stage in self.stages if stage.torn is not None]
+    def kept_by_loops(self) -> list[LoopSolver | SubstepControl]:
+        """What loops keep from step to step beside their components, in the order of the stages."""
+        kept: list[LoopSolver | SubstepControl] = []
+        for stage in self.stages:
+            if stage.torn is not None:
+                kept.append(stage.torn.solver)
+            if stage.control is not None:
+                kept.append(stage.control)
+        return kept
+
+    @property
+    def substep_controls(self) -> list[SubstepControl]:
+        """What chooses the substeps of loops, in the order of the stages."""
+        return [stage.control for stage in self.stages if stage.control is not None]
 
     @property
     def warnings(self) -> list[tuple[str, str]]:
@@ -538,7 +572,7 @@ class Graph:
         warnings = [(unknown.component, str(unknown)) for unknown in order.unknown]
         if order.algebraic and not order.torn:
             warnings.append((order.algebraic[0].component, extrapolation_text(order.algebraic)))
-        torn = None
+        torn: TornInputs | None = None
         self._torn += order.torn
         if order.torn:
             _check_rollback(members)
@@ -549,7 +583,7 @@ class Graph:
             kept = KeptInputs(order.kept, members, self.ports)
         for member in members:
             member.note = self._loop_note(member.name, names)
-        return Loop(
+        loop = Loop(
             self.coupling,
             tuple(members),
             tuple(operations),
@@ -559,6 +593,51 @@ class Graph:
             torn,
             kept,
             self._lags(members),
+        )
+        if self.substeps is None:
+            return loop
+        _check_substeps(members)
+        return replace(loop, control=self._substep_control(self.substeps, loop))
+
+    def _substep_control(self, tolerance: SubstepTolerance, loop: Loop) -> SubstepControl:
+        order = 1 if loop.is_first_order else 2
+        names = {member.name for member in loop.members}
+        driving: set[Port] = set()
+        compared: list[int] = []
+        nominal: list[float] = []
+        for member in loop.members:
+            for sources in self._sources[member.name].values():
+                driving.update(port for port in sources if port.component not in names)
+            for signal in member.channel.interface.outputs:
+                if self.variability(Port(member.name, signal.name)) != "discrete":
+                    compared += _numbers(member.channel.signal_columns[signal.name])
+                    nominal += signal.nominal_values
+        outside = self._outside_columns(sorted(driving, key=str))
+        components = tuple(member.name for member in loop.members)
+        return SubstepControl(
+            components,
+            tolerance,
+            order,
+            outside=outside,
+            compared=np.array(compared, np.intp),
+            nominal=np.array(nominal),
+        )
+
+    def _outside_columns(self, driving: Sequence[Port]) -> OutsideColumns:
+        columns: dict[str, list[int]] = {"linear": [], "start": [], "end": []}
+        for port in driving:
+            how = "linear"
+            if self.input_interpolation == "zero-order":
+                how = "start"
+            elif self.variability(port) == "discrete":
+                how = "end" if self.input_interpolation == "latest" else "start"
+            columns[how] += _numbers(self.ports.output(port).columns)
+        linear, start, end = (np.array(numbers, np.intp) for numbers in columns.values())
+        limits = self.layout.left_limits
+        jumping = [column for column in chain(*columns.values()) if column in limits]
+        places = [limits[column] for column in jumping]
+        return OutsideColumns(
+            linear, start, end, np.array(jumping, np.intp), np.array(places, np.intp)
         )
 
     def _lags(self, members: Sequence[Member]) -> bool:
@@ -616,6 +695,32 @@ def _check_rollback(members: Sequence[Member]) -> None:
             f"{listing(names)} in this loop cannot go back to its start (rollback is not declared; "
             "of an FMU: canGetAndSetFMUstate); needed 'gauss-seidel' or 'jacobi', with 1 iteration"
         )
+
+
+def _check_substeps(members: Sequence[Member]) -> None:
+    """Check that the components of a loop can take substeps, and go back.
+
+    Raises
+    ------
+    GraphError
+        If some cannot.
+    """
+    names = []
+    for member in members:
+        interface = member.channel.interface
+        if not (interface.rollback and interface.substeps):
+            names.append(member.name)
+    if names:
+        raise GraphError(
+            f"substeps: {listing(names)} in this loop cannot take parts of a step and go back "
+            "(rollback or substeps is not declared; of an FMU: canGetAndSetFMUstate, "
+            "canHandleVariableCommunicationStepSize; a delay or a sampled component has steps of "
+            "its own); needed a loop without, or a smaller step without substeps"
+        )
+
+
+def _numbers(columns: slice) -> list[int]:
+    return list(range(columns.start, columns.stop))
 
 
 def _check_choice(key: str, value: str, choices: tuple[str, ...]) -> None:

@@ -6,8 +6,11 @@ points, by the matrix exponential: there is no error but rounding.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Design, check_design
@@ -127,17 +130,50 @@ class Linear:
     def __init__(self, model: LinearModel) -> None:
         self.model = model
         self.interface = replace(
-            model.interface, prepares=True, rollback=True, native=True, linearizable=True
+            model.interface,
+            prepares=True,
+            rollback=True,
+            native=True,
+            linearizable=True,
+            substeps=True,
         )
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Discretize, or take the recorded matrices."""
         arrays = dict(recorded) or self._discretized(h, held)
         check_design(arrays, self._shapes())
-        discrete = DiscretizedDynamics(arrays["Ad"], arrays["B0"], arrays["B1"])
         self._arrays = arrays
-        self._step: NativeStep = linear_step(discrete, arrays["C"], arrays["D"])
+        self._held = held
+        self._build_step({})
         return arrays
+
+    def prepare_substeps(self, lengths: Sequence[float], recorded: Design) -> Design:
+        """Discretize for parts of a step, or take the recorded matrices, stacked."""
+        arrays = dict(recorded) or self._discretized_substeps(lengths)
+        n_x, n_u = self.model.B.shape
+        by_u = (len(lengths), n_x, n_u)
+        check_design(arrays, {"Ad": (len(lengths), n_x, n_x), "B0": by_u, "B1": by_u})
+        parts = {}
+        matrices = (arrays["Ad"], arrays["B0"], arrays["B1"])
+        for h, Ad, B0, B1 in zip(lengths, *matrices, strict=True):
+            parts[h] = DiscretizedDynamics(Ad, B0, B1)
+        self._build_step(parts)
+        return arrays
+
+    def _build_step(self, parts: Mapping[float, DiscretizedDynamics]) -> None:
+        arrays = self._arrays
+        discrete = DiscretizedDynamics(arrays["Ad"], arrays["B0"], arrays["B1"])
+        self._step: NativeStep = linear_step(discrete, arrays["C"], arrays["D"], parts)
+
+    def _discretized_substeps(self, lengths: Sequence[float]) -> dict[str, NDArray[np.float64]]:
+        A = self._arrays["A"]
+        B = self._arrays["B"]
+        parts = [first_order_hold(A, B, h, self._held) for h in lengths]
+        return {
+            "Ad": np.stack([part.Ad for part in parts]),
+            "B0": np.stack([part.B0 for part in parts]),
+            "B1": np.stack([part.B1 for part in parts]),
+        }
 
     def _shapes(self) -> dict[str, tuple[int, ...]]:
         by_u = self.model.B.shape

@@ -24,6 +24,7 @@ from cosim.core.contracts import (
     RowMemory,
     SignalEvent,
     Stopped,
+    Substep,
 )
 from cosim.core.growing_rows import GrowingRows
 from cosim.core.recorded import RecordedSignals, RunMessage, find_channel
@@ -92,6 +93,7 @@ class Memory(RecordedSignals):
         self._channels: dict[str, Channel] = {}
         self._messages: list[RunMessage] = []
         self._events: list[SignalEvent] = []
+        self._substeps: list[Substep] = []
         self._results: dict[str, Any] = {}
         self._rows = GrowingRows()
         self._times: list[Nanoseconds] = []
@@ -139,6 +141,10 @@ class Memory(RecordedSignals):
         """Keep a jump."""
         self._events.append(event)
 
+    def substep(self, substep: Substep) -> None:
+        """Keep a substep."""
+        self._substeps.append(substep)
+
     def result(self, values: Mapping[str, Any]) -> None:
         """Keep values of the end of the run."""
         self._results.update(values)
@@ -150,6 +156,10 @@ class Memory(RecordedSignals):
     def events(self) -> list[SignalEvent]:
         """Return the jumps of signals, in the order of time."""
         return list(self._events)
+
+    def substeps(self) -> list[Substep]:
+        """Return the substeps of loops, in the order of where they begin."""
+        return list(self._substeps)
 
     @property
     def results(self) -> Mapping[str, Any]:
@@ -344,6 +354,9 @@ class Nothing:
     def event(self, event: SignalEvent) -> None:
         """Do nothing."""
 
+    def substep(self, substep: Substep) -> None:
+        """Do nothing."""
+
     def result(self, values: Mapping[str, Any]) -> None:
         """Do nothing."""
 
@@ -412,6 +425,10 @@ class Watched:
         self._recorder.event(event)
         if self._jumped is not None:
             self._jumped(event)
+
+    def substep(self, substep: Substep) -> None:
+        """Pass on."""
+        self._recorder.substep(substep)
 
     def result(self, values: Mapping[str, Any]) -> None:
         """Pass on."""

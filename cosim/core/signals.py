@@ -61,6 +61,9 @@ class Signal:
     connection : {"required", "optional", "forbidden"}
         Of an input: whether something must drive it. Without a connection it keeps ``start``;
         "forbidden": that was set for it, so that a connection would overwrite it.
+    nominal : tuple of float
+        What size its elements usually have, which absolute tolerances are multiplied by (FMI:
+        nominal); empty: 1.
     first : int
         Number of its first element where it comes from, such as 1 for the vector that the variables
         ``x[1]``, ``x[2]`` of an FMU are. Here elements are numbered from 0.
@@ -81,6 +84,7 @@ class Signal:
     base: BaseUnit | None = None
     start: tuple[float, ...] = ()
     connection: Need = "required"
+    nominal: tuple[float, ...] = ()
     first: int = 0
 
     def __post_init__(self) -> None:
@@ -108,6 +112,9 @@ class Signal:
         self._need("optional", "True or False", isinstance(self.optional, bool))
         self._need("base", "a BaseUnit or None", isinstance(self.base, BaseUnit | None))
         self._need("start", "a tuple of numbers, none of them NaN", _are_numbers(self.start))
+        is_nominal = _are_numbers(self.nominal) and all(value > 0.0 for value in self.nominal)
+        fits = len(self.nominal) in (0, self.size)
+        self._need("nominal", "a positive number for each element, or none", is_nominal and fits)
         is_whole = type(self.first) is int and self.first >= 0
         self._need("first", "a whole number from 0 on", is_whole)
 
@@ -120,6 +127,11 @@ class Signal:
     def initial_values(self) -> tuple[float, ...]:
         """``start``, in full."""
         return self.start or (0.0,) * self.size
+
+    @property
+    def nominal_values(self) -> tuple[float, ...]:
+        """``nominal``, in full."""
+        return self.nominal or (1.0,) * self.size
 
     @property
     def measure(self) -> Unit:
@@ -208,6 +220,9 @@ class Interface:
     left_limits : tuple of output names
         Outputs that may jump at communication points by themselves, whatever the inputs are: the
         component has ``left_limits`` (:class:`cosim.core.contracts.Jumping`).
+    substeps : bool
+        Whether it may be advanced over parts of a communication step
+        (:class:`cosim.core.contracts.Preparable`).
 
     Raises
     ------
@@ -228,6 +243,7 @@ class Interface:
     lagging: tuple[str, ...] = ()
     jumping: tuple[str, ...] = ()
     left_limits: tuple[str, ...] = ()
+    substeps: bool = False
 
     def __post_init__(self) -> None:
         # What is declared must not change later: copies, and nothing that can be written to.
@@ -252,7 +268,8 @@ class Interface:
         values = (self.inputs, self.outputs, feedthrough, initial, self.delayed)
         methods = (self.prepares, self.rollback, self.native, self.linearizable)
         jumps = (self.jumping, self.left_limits)
-        return Interface, (*values, *methods, self.restarts, self.lagging, *jumps)
+        others = (self.restarts, self.lagging, *jumps, self.substeps)
+        return Interface, (*values, *methods, *others)
 
     def _dependencies(self, key: str, declared: Dependencies) -> dict[str, tuple[str, ...] | None]:
         """Return a copy of declared dependencies, after a check of the names."""

@@ -487,6 +487,7 @@ class Description:
             first=int(element["number"]) if element is not None and is_vector else 0,
             start=start,
             connection=connection,
+            nominal=_nominal(group),
         )
 
     def _need(self, group: Sequence[Variable]) -> Need:
@@ -495,6 +496,18 @@ class Description:
             return "required"
         is_set = any(variable.name in self.set_inputs for variable in group)
         return "forbidden" if is_set else "optional"
+
+
+def _nominal(group: Sequence[Variable]) -> tuple[float, ...]:
+    """Return the nominal values of the elements of a group; empty: none declares one."""
+    if all(variable.nominal is None for variable in group):
+        return ()
+    values: list[float] = []
+    for variable in group:
+        # One of 0 says nothing, and a negative one is meant by its size (FMI 3.0 section 2.4.7.4).
+        nominal = abs(variable.nominal or 1.0)
+        values += [nominal] * variable.size
+    return tuple(values)
 
 
 def _is_unclocked(variable: Variable) -> bool:

@@ -183,7 +183,8 @@ def signals_json(interface: Interface) -> str:
     one added later changes no hash of signals that do without it. What outputs depend on at
     initialization, and which inputs are delayed, only orders calls, which outputs lag
     only says what the order of the error is: that stands apart, in ``cosim.initial``,
-    ``cosim.delayed`` and ``cosim.lagging``, and changes no hash.
+    ``cosim.delayed`` and ``cosim.lagging``, and changes no hash; so do nominal values, which are
+    not written at all.
     """
     # The hash covers this text byte by byte: neither the order of the signals nor that of the keys
     # in an entry may change, nor _ALWAYS_WRITTEN.
@@ -199,6 +200,8 @@ def _signal_entry(signal: Signal, causality: str) -> dict[str, Any]:
     entry: dict[str, Any] = {"causality": causality}
     values = asdict(signal)
     for field in fields(Signal):
+        if field.name == "nominal":  # it only scales tolerances
+            continue
         if field.name in _ALWAYS_WRITTEN or getattr(signal, field.name) != field.default:
             entry[field.name] = values[field.name]
     return entry

@@ -12,16 +12,19 @@ from cosim.log.metadata import add_checksum, compact, encode_design
 from cosim.log.schema import (
     EVENT_SCHEMA,
     LOG_SCHEMA,
+    STEP_SCHEMA,
     component_schema,
     event_schema,
     identifiers,
     log_schema,
+    step_schema,
 )
 from cosim.log.sink import Sink
 
 FORMAT = "2"
 LOG_TOPIC = "/cosim/log"
 EVENT_TOPIC = "/cosim/event"
+STEP_TOPIC = "/cosim/step"
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +51,11 @@ def write_parts(sink: Sink, parts: Sequence[Part]) -> list[int]:
 def write_event_channel(sink: Sink) -> int:
     """Write the channel of the jumps of signals; return its id."""
     return sink.channel(EVENT_TOPIC, schema=(EVENT_SCHEMA, event_schema()), metadata={})
+
+
+def write_step_channel(sink: Sink) -> int:
+    """Write the channel of the substeps of loops; return its id."""
+    return sink.channel(STEP_TOPIC, schema=(STEP_SCHEMA, step_schema()), metadata={})
 
 
 def write_preamble(

@@ -17,7 +17,7 @@ from mcap.opcode import Opcode
 
 from cosim.arguments import log_argument
 from cosim.arrays import Mask, Matrix, Nanoseconds
-from cosim.core.contracts import Design, SignalEvent
+from cosim.core.contracts import Design, SignalEvent, Substep
 from cosim.core.recorded import RecordedSignals, RunMessage, find_channel
 from cosim.core.recorders import Memory
 from cosim.core.signals import Channel
@@ -35,10 +35,10 @@ from cosim.log.metadata import (
 )
 from cosim.log.own_file import OwnFile
 from cosim.log.paths import log_path
-from cosim.log.preamble import EVENT_TOPIC, FORMAT, LOG_TOPIC
+from cosim.log.preamble import EVENT_TOPIC, FORMAT, LOG_TOPIC, STEP_TOPIC
 from cosim.log.result import RESULT, RESULT_FILE
 from cosim.log.scan import OtherRecord, scan
-from cosim.log.schema import decode_event, decode_log
+from cosim.log.schema import decode_event, decode_log, decode_substep
 from cosim.log.stream import RowStream, TimedRows
 
 _LOG_TIME = slice(6, 14)  # of a message record's content
@@ -343,6 +343,20 @@ class Log(RecordedSignals):
         except MALFORMED as error:
             raise LogError(f"{self.path} is damaged: {error}") from error
         return sorted(events, key=lambda event: event.time_ns)
+
+    def substeps(self) -> list[Substep]:
+        """Return the substeps of loops, in the order of where they begin.
+
+        Raises
+        ------
+        LogError
+            If the file is damaged.
+        """
+        try:
+            substeps = [decode_substep(*message) for message in self._messages_of(STEP_TOPIC)]
+        except MALFORMED as error:
+            raise LogError(f"{self.path} is damaged: {error}") from error
+        return sorted(substeps, key=lambda substep: substep.begin_ns)
 
     def _messages_of(self, topic: str) -> Iterator[tuple[int, bytes]]:
         """Yield time [ns] and data of the messages of a topic, in the order of the file."""

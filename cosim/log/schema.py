@@ -9,13 +9,13 @@ the original names stand in the channel's metadata.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any, get_args
 
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
 
-from cosim.core.contracts import EventCause, MessageLevel, SignalEvent
+from cosim.core.contracts import EventCause, MessageLevel, SignalEvent, Substep
 from cosim.core.signals import FaultKind
 from cosim.errors import quoted
 
@@ -23,6 +23,7 @@ from cosim.errors import quoted
 LEVELS: tuple[MessageLevel, ...] = ("debug", "info", "warning", "error", "fatal")
 LOG_SCHEMA = "foxglove.Log"
 EVENT_SCHEMA = "cosim_event.SignalEvent"
+STEP_SCHEMA = "cosim_step.Substep"
 CAUSES: tuple[EventCause, ...] = (
     "override",
     *get_args(FaultKind),
@@ -173,7 +174,7 @@ def event_schema() -> bytes:
 
 def encode_event(event: SignalEvent) -> bytes:
     """Serialize the jump of a signal, but for its time, which is that of its record."""
-    message = _event_message()(
+    message = _message_class(EVENT_SCHEMA, _event_descriptors)(
         cause=event.cause, signal=event.signal, values=event.values, parameters=event.parameters
     )
     return bytes(message.SerializeToString(deterministic=True))
@@ -188,7 +189,7 @@ def decode_event(time_ns: int, data: bytes) -> SignalEvent:
         If ``data`` is no such message.
     """
     try:
-        message = _event_message().FromString(data)
+        message = _message_class(EVENT_SCHEMA, _event_descriptors).FromString(data)
     # The error's type depends on which of its three implementations protobuf runs on.
     except Exception as error:
         raise ValueError(f"no {EVENT_SCHEMA} message: {error}") from error
@@ -200,11 +201,48 @@ def decode_event(time_ns: int, data: bytes) -> SignalEvent:
 
 
 @cache
-def _event_message() -> Any:
+def step_schema() -> bytes:
+    """Return the FileDescriptorSet of a substep, serialized."""
+    return bytes(_step_descriptors().SerializeToString())
+
+
+def encode_substep(substep: Substep) -> bytes:
+    """Serialize a substep, but for where it begins, which is the time of its record."""
+    message = _message_class(STEP_SCHEMA, _step_descriptors)(
+        length_ns=substep.length_ns,
+        loop=substep.loop,
+        error=substep.error,
+        accepted=substep.accepted,
+        values=substep.values,
+    )
+    return bytes(message.SerializeToString(deterministic=True))
+
+
+def decode_substep(time_ns: int, data: bytes) -> Substep:
+    """Return a serialized substep.
+
+    Raises
+    ------
+    ValueError
+        If ``data`` is no such message.
+    """
+    try:
+        message = _message_class(STEP_SCHEMA, _step_descriptors).FromString(data)
+    # The error's type depends on which of its three implementations protobuf runs on.
+    except Exception as error:
+        raise ValueError(f"no {STEP_SCHEMA} message: {error}") from error
+    values = tuple(message.values)
+    return Substep(
+        time_ns, message.length_ns, message.loop, message.error, message.accepted, values
+    )
+
+
+@cache
+def _message_class(schema: str, descriptors: Callable[[], descriptor_pb2.FileDescriptorSet]) -> Any:
     pool = descriptor_pool.DescriptorPool()
-    for file in _event_descriptors().file:
+    for file in descriptors().file:
         pool.Add(file)
-    return message_factory.GetMessageClass(pool.FindMessageTypeByName(EVENT_SCHEMA))
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(schema))
 
 
 def _event_descriptors() -> descriptor_pb2.FileDescriptorSet:
@@ -220,4 +258,21 @@ def _event_descriptors() -> descriptor_pb2.FileDescriptorSet:
         event.field.add(
             name=name, number=number, type=_FIELD.TYPE_DOUBLE, label=_FIELD.LABEL_REPEATED
         )
+    return descriptor_pb2.FileDescriptorSet(file=[file])
+
+
+def _step_descriptors() -> descriptor_pb2.FileDescriptorSet:
+    file = descriptor_pb2.FileDescriptorProto(
+        name="cosim/step.proto", package="cosim_step", syntax="proto3"
+    )
+    substep = file.message_type.add(name="Substep")
+    types = {
+        "length_ns": _FIELD.TYPE_INT64,
+        "loop": _FIELD.TYPE_STRING,
+        "error": _FIELD.TYPE_DOUBLE,
+        "accepted": _FIELD.TYPE_BOOL,
+    }
+    for number, (name, of) in enumerate(types.items(), start=1):
+        substep.field.add(name=name, number=number, type=of, label=_FIELD.LABEL_OPTIONAL)
+    substep.field.add(name="values", number=5, type=_FIELD.TYPE_DOUBLE, label=_FIELD.LABEL_REPEATED)
     return descriptor_pb2.FileDescriptorSet(file=[file])

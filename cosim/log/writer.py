@@ -14,7 +14,7 @@ from types import TracebackType
 from typing import Any, Self, final
 
 from cosim.arrays import Matrix
-from cosim.core.contracts import Block, MessageLevel, Plan, SignalEvent
+from cosim.core.contracts import Block, MessageLevel, Plan, SignalEvent, Substep
 from cosim.core.recorders import EndOfRun, end_of_run
 from cosim.core.signals import Interface
 from cosim.errors import LogError, LogWriteError, RunError
@@ -25,15 +25,25 @@ from cosim.log.content import combine_hashes
 from cosim.log.environment import library_name
 from cosim.log.layout import Part, signals_json, split_channel
 from cosim.log.paths import check_new_log, log_path
-from cosim.log.preamble import Attachment, write_event_channel, write_parts, write_preamble
+from cosim.log.preamble import (
+    EVENT_TOPIC,
+    LOG_TOPIC,
+    STEP_TOPIC,
+    Attachment,
+    write_event_channel,
+    write_parts,
+    write_preamble,
+    write_step_channel,
+)
 from cosim.log.reader import Log
 from cosim.log.result import LastRow, write_result
-from cosim.log.schema import encode_event, encode_log
+from cosim.log.schema import encode_event, encode_log, encode_substep
 from cosim.log.sink import Mark, Sink
 from cosim.log.size import size_bound
 from cosim.log.unfinished import UnfinishedLog
 
 _FLUSH_AFTER = 1.0  # s of wall time
+_MOST_WAITING = 10_000  # substeps, before they are written
 _CHECKPOINTS = 16  # chunks that may be given up to make room for the file's end on a full disk
 
 
@@ -73,6 +83,8 @@ class McapRecorder:
     attachments : sequence of Attachment
     events : bool
         Signals may jump at communication points: there is a channel ``/cosim/event`` for that.
+    substeps : bool
+        Loops take substeps: there is a channel ``/cosim/step`` for them.
     """
 
     def __init__(
@@ -86,6 +98,7 @@ class McapRecorder:
         metadata: Mapping[str, Mapping[str, str]] | None = None,
         attachments: Sequence[Attachment] = (),
         events: bool = False,
+        substeps: bool = False,
     ) -> None:
         self._force = force
         self._numbered = numbered
@@ -94,10 +107,11 @@ class McapRecorder:
         self._metadata = metadata or {}
         self._attachments = attachments
         self._result: dict[str, Any] = {}
-        self._messages: list[tuple[int, bytes]] = []
         self._has_events = events
-        self._event_channel_id: int | None = None
-        self._events: list[tuple[int, bytes]] = []
+        self._has_substeps = substeps
+        self._channel_ids: dict[str, int] = {}  # of what is no signal, by topic
+        # what is to be written there: time [ns] and data
+        self._waiting: dict[str, list[tuple[int, bytes]]] = {LOG_TOPIC: []}
         self._last_row = LastRow()
         self._file = UnfinishedLog(log_path(path), force=force, numbered=numbered)
         self._sink: Sink | None = None
@@ -176,11 +190,13 @@ class McapRecorder:
         try:
             sink = Sink(stream, library=library_name())
             channel_ids = write_parts(sink, parts)
-            self._log_channel_id = write_preamble(
+            self._channel_ids[LOG_TOPIC] = write_preamble(
                 sink, plan, metadata=self._metadata, attachments=self._attachments
             )
             if self._has_events:
-                self._event_channel_id = write_event_channel(sink)
+                self._channel_ids[EVENT_TOPIC] = write_event_channel(sink)
+            if self._has_substeps:
+                self._channel_ids[STEP_TOPIC] = write_step_channel(sink)
         except OSError as error:
             reason = error.strerror or error
             raise LogError(f"{self.path} cannot be written: {reason}") from error
@@ -246,12 +262,20 @@ class McapRecorder:
         It goes to ``/cosim/log`` with the next chunk.
         """
         data = encode_log(time_ns, level, source, text)
-        self._messages.append((time_ns, data))
+        self._waiting[LOG_TOPIC].append((time_ns, data))
 
     def event(self, event: SignalEvent) -> None:
         """Record a jump of a signal; it goes to ``/cosim/event`` with the next chunk."""
-        assert self._event_channel_id is not None, "declared with events"
-        self._events.append((event.time_ns, encode_event(event)))
+        assert self._has_events
+        self._waiting.setdefault(EVENT_TOPIC, []).append((event.time_ns, encode_event(event)))
+
+    def substep(self, substep: Substep) -> None:
+        """Record a substep of a loop; it goes to ``/cosim/step`` with the next chunk."""
+        assert self._has_substeps
+        waiting = self._waiting.setdefault(STEP_TOPIC, [])
+        waiting.append((substep.begin_ns, encode_substep(substep)))
+        if len(waiting) >= _MOST_WAITING:
+            self._write_chunk()
 
     def result(self, values: Mapping[str, Any]) -> None:
         """Add values to ``result.json``, which is written at the end.
@@ -275,19 +299,12 @@ class McapRecorder:
         """Write what is buffered as one chunk."""
         assert self._sink is not None
         batches = self._buffer.message_batches()
-        if self._messages:
+        for topic, messages in self._waiting.items():
+            if not messages:
+                continue
             batch = message_batch(
-                self._messages,
-                channel_id=self._log_channel_id,
-                start_ns=self._start_ns,
-                step_ns=self._step_ns,
-            )
-            batches.append(batch)
-        if self._events:
-            assert self._event_channel_id is not None
-            batch = message_batch(
-                self._events,
-                channel_id=self._event_channel_id,
+                messages,
+                channel_id=self._channel_ids[topic],
                 start_ns=self._start_ns,
                 step_ns=self._step_ns,
             )
@@ -300,8 +317,8 @@ class McapRecorder:
         self._add_checkpoint()
         # After the checkpoint: until then the rows are needed, to be written again.
         self._buffer.clear()
-        self._messages.clear()
-        self._events.clear()
+        for messages in self._waiting.values():
+            messages.clear()
 
     def _add_checkpoint(self) -> None:
         """Store what the file holds now, and when."""

@@ -109,6 +109,8 @@ class ScheduledStage:
         The inputs that are solved for in every step.
     is_first_order : bool
         Whether its error is one of first order in the step.
+    shortest_substep : float or None
+        How short the parts may be into which it divides its steps [s]; None: it does not.
     """
 
     number: int
@@ -117,6 +119,7 @@ class ScheduledStage:
     operations: tuple[str, ...]
     solved: tuple[str, ...]
     is_first_order: bool
+    shortest_substep: float | None = None
 
 
 @dataclass(frozen=True)
@@ -192,6 +195,7 @@ def _stage(number: int, stage: Stage) -> ScheduledStage:
         tuple(operations),
         solved,
         stage.is_first_order,
+        None if stage.control is None else stage.control.tolerance.min_ns / 1e9,
     )
 
 

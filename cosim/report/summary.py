@@ -14,6 +14,7 @@ import numpy as np
 from cosim.arrays import Matrix, Vector, as_columns
 from cosim.core.contracts import Recording
 from cosim.core.gain.loop_gain import LoopGain
+from cosim.core.stages.substep_control import SubstepCounts
 from cosim.errors import LogError
 from cosim.report.recorded_rows import (
     beside_truth,
@@ -38,6 +39,7 @@ from cosim.scenario.recordings.recorded_metadata import (
     recorded_loop_gains,
     recorded_start,
     recorded_state_changes,
+    recorded_substep_counts,
     replay_origin,
     run_metadata,
     truth_of,
@@ -181,6 +183,8 @@ class Summary:
         Stages that advance step by step, with an error of first order in the step.
     gains : tuple of LoopGain
         Of all loops, as they were before the run.
+    substeps : tuple of SubstepCounts
+        Of the loops that took any.
     changed_states : tuple of StateChange
         Initial states that are others than the scenario gives.
     copied_code : mapping of component name to str
@@ -209,6 +213,7 @@ class Summary:
     last: Mapping[str, float | list[float]] = field(default_factory=dict)
     loops: tuple[str, ...] = ()
     gains: tuple[LoopGain, ...] = ()
+    substeps: tuple[SubstepCounts, ...] = ()
     changed_states: tuple[StateChange, ...] = ()
     copied_code: Mapping[str, str] = field(default_factory=dict)
     until: str | None = None
@@ -271,6 +276,7 @@ def summarize(recording: Recording) -> Summary:
         last=last,
         loops=tuple(first_order_loops(recording)),
         gains=recorded_loop_gains(recording),
+        substeps=recorded_substep_counts(recording),
         changed_states=tuple(_changed_states(recording)),
         copied_code=_copied_code(recording),
         until=run.get("until") if came_true is not None else None,

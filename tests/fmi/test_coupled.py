@@ -15,6 +15,8 @@ from cosim.core.graph import Graph
 from cosim.core.master import run
 from cosim.core.recorders import Memory
 from cosim.core.simulation import Simulation
+from cosim.core.stages.substep_control import SubstepTolerance
+from cosim.errors import GraphError
 from cosim.fmi.component import load
 from cosim.fmi.options import FmuOptions
 from tests.fmi import small
@@ -168,3 +170,28 @@ def test_the_order_that_a_loop_is_said_to_have_is_that_of_its_error(pair, can, o
     (stage,) = pair(*can).stages
     assert stage.is_first_order is (order == 1)
     assert ("(second order)" in stage.description) is (order == 2)
+
+
+# --- substeps ---
+
+
+@pytest.mark.parametrize("can", ["slopes", "D"])
+def test_substeps_keep_the_tolerance(pair, can):
+    """In FMUs that take steps of any length; with compiled code and without the same bits."""
+    tolerance = SubstepTolerance(rtol=1e-6, atol=1e-6)
+    memory = record(pair(can, substeps=tolerance), 0.1)
+    assert error(memory) < 1e-5
+    plain = record(pair(can, substeps=tolerance, native=False), 0.1)
+    assert memory["one.x"].tobytes() == plain["one.x"].tobytes()
+    assert memory.substeps() == plain.substeps()
+
+
+def test_substeps_need_steps_of_any_length(opened):
+    """FMI: canHandleVariableCommunicationStepSize."""
+    components = {
+        "one": opened("state", "steps", "slopes", **ONE),
+        "two": opened("state", "slopes", **TWO),
+    }
+    connections = {"one.u": "two.y", "two.u": "one.y"}
+    with pytest.raises(GraphError, match=r"two in this loop .* canHandleVariableCommunication"):
+        Graph(components, connections, substeps=SubstepTolerance())

@@ -155,7 +155,10 @@ class LinearizedLoops:
         largest is looked for by bisection at which the loop would be fine; the gain is computed at
         the one that is returned. Where that is less than a tenth of the largest that would not be
         refused, as of undamped loops, whose error grows slowly at any step, it is the latter.
+        None is needed where the shortest substep would be refused, too.
         """
+        if self._loops()[number].control is not None:
+            return None
         model = self._model(self._loops()[number])
         fine = self._largest_step(model, ("fine",))
         allowed = self._largest_step(model, ("fine", "noted"))
@@ -197,7 +200,15 @@ class LinearizedLoops:
     def _model(self, loop: Stage) -> LoopModel:
         width = self.graph.layout.width
         h = self.clock.step_ns / NANOSECONDS
-        return loop_model(loop, self.linearized, self.graph.held, h=h, width=width)
+        model = loop_model(loop, self.linearized, self.graph.held, h=h, width=width)
+        parts = self._substeps(loop)
+        return model.refined(parts) if parts > 1 else model
+
+    def _substeps(self, loop: Stage) -> int:
+        """Return into how many parts a loop may divide its steps."""
+        if loop.control is None:
+            return 1
+        return 1 << loop.control.tolerance.finest_level(self.clock.step_ns)
 
     def _gain(self, loop: Stage) -> LoopGain:
         names = tuple(member.name for member in loop.members)
@@ -209,7 +220,7 @@ class LinearizedLoops:
         if unknown:
             return LoopGain(names, coupling, h, self.clock.steps, unknown=unknown)
         model = self._model(loop)
-        return _gain_of(model, names, coupling, self.clock.steps)
+        return _gain_of(model, names, coupling, self.clock.steps * self._substeps(loop))
 
     def _verdict(self, model: LoopModel, parts: int) -> GainVerdict:
         return _gain_of(model.refined(parts), (), "", self.clock.steps * parts).verdict

@@ -21,18 +21,20 @@ from cosim.core.contracts import (
     Design,
     Jumping,
     Native,
-    Preparable,
+    PreparableSubsteps,
     Rollback,
     Stopped,
     Transfer,
     linearized,
     prepare,
+    prepare_substeps,
 )
 from cosim.core.linearization import Linearized
 from cosim.core.signals import Channel
 from cosim.errors import AssumptionError, CosimError, GraphError, LogError, RunError
 from cosim.native.step import NativeStep
 
+SUBSTEPS: Final = "substeps."  # of a design: what is computed for substeps
 FLOAT: Final = np.dtype(np.float64)
 RAISED: Final = (Exception, SystemExit)  # SystemExit would end the program without a word
 
@@ -129,8 +131,19 @@ class GuardedComponent:
             self._seconds[self.name] += float(self._native_seconds[0])
             self._native_seconds[0] = 0.0
 
-    def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
+    def prepare(
+        self, h: float, held: Mask, recorded: Design, lengths: tuple[float, ...] = ()
+    ) -> Design:
         """Prepare the component, if its interface declares it; return a copy of its design.
+
+        Parameters
+        ----------
+        h : float
+            Communication step [s].
+        held : Mask, shape (n_u,)
+        recorded : Design
+        lengths : tuple of float
+            Of substeps [s]; their arrays are named ``substeps.NAME`` in the design.
 
         Raises
         ------
@@ -143,10 +156,17 @@ class GuardedComponent:
         """
         if not self._interface.prepares:
             return {}
-        taken = {key: read_only(array) for key, array in recorded.items()}
+        whole: dict[str, NDArray[np.float64]] = {}
+        parts: dict[str, NDArray[np.float64]] = {}
+        for key, array in recorded.items():
+            name = key.removeprefix(SUBSTEPS)
+            (whole if name == key else parts)[name] = read_only(array)
         try:
-            design = cast(Preparable, self._component).prepare(h, held, taken)
-            arrays = dict(design)
+            component = cast(PreparableSubsteps, self._component)
+            arrays = dict(component.prepare(h, held, whole))
+            if lengths:
+                for name, array in component.prepare_substeps(lengths, parts).items():
+                    arrays[SUBSTEPS + name] = array
         except LogError as error:  # of the recorded design, which has no name there
             raise LogError(f"{self.name!r}: {error}") from error
         except AssumptionError as error:  # of the method, which has no name there either
@@ -349,6 +369,11 @@ class Timed:
         """Pass on."""
         with self._measured():
             return prepare(self._component, h, held, recorded)
+
+    def prepare_substeps(self, lengths: tuple[float, ...], recorded: Design) -> Design:
+        """Pass on."""
+        with self._measured():
+            return prepare_substeps(self._component, lengths, recorded)
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Pass on."""

@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 from cosim.arrays import Matrix, Vector, read_only
 from cosim.core.contracts import Block, Stopped
 from cosim.core.stages.member import END, Member, NonFinite, driving_groups, first_non_finite
+from cosim.core.stages.substep_control import SubstepControl
 from cosim.core.stages.torn_inputs import KeptInputs, TornInputs
 from cosim.core.structure.order import OperationKind
 from cosim.errors import RunError
@@ -148,6 +149,11 @@ class Stage(Advancing, Protocol):
         """The inputs of components that advance together; None: they do not."""
         ...
 
+    @property
+    def control(self) -> SubstepControl | None:
+        """What chooses its substeps; None: it takes communication steps."""
+        ...
+
 
 @dataclass(frozen=True, slots=True)
 class Cascade:
@@ -160,6 +166,7 @@ class Cascade:
     is_loop: bool = False
     torn: None = None
     kept: None = None
+    control: None = None
     coupling: str = ""
 
     @property
@@ -260,6 +267,7 @@ class Loop:
     torn: TornInputs | None
     kept: KeptInputs | None
     lags: bool
+    control: SubstepControl | None = None
     is_loop: bool = True
 
     @property
@@ -284,6 +292,8 @@ class Loop:
                 words.append(f"({iterations} iterations)")
         if not self.is_first_order:
             words.append("(second order)")
+        if self.control is not None:
+            words.append("(substeps)")
         return " ".join(words)
 
     @property

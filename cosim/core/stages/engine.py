@@ -13,6 +13,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from operator import attrgetter
 from time import perf_counter
 from typing import Final, final
 
@@ -21,7 +22,7 @@ import numpy as np
 from cosim.arrays import Matrix, Vector
 from cosim.core.clock import Clock
 from cosim.core.conditions import RunConditions
-from cosim.core.contracts import Block, Recorder, Stopped
+from cosim.core.contracts import Block, Recorder, Stopped, Substep
 from cosim.core.graph import Graph
 from cosim.core.recorders import memory_of
 from cosim.core.stages.looking_ahead import LookingAhead
@@ -77,6 +78,7 @@ class Engine:
         graph.initialize(clock.start_time, self.first_row)
         self.limit = max(1, BLOCK_BYTES // (8 * width + 8))
         self._graph = graph
+        self._controls = graph.substep_controls
         self._initialization = graph.initializations
         self.conditions = RunConditions() if conditions is None else conditions
         self.conditions.begin(clock.start_time, self.first_row)
@@ -84,6 +86,7 @@ class Engine:
         self._fixed = clock.block
         self.compile()
         self._end: Stopped | None = None
+        self._recorder = recorder
         # left limits have no place in the memory of a recorder
         self._keeper = None if graph.layout.jumping else recorder
         self._steps = clock.steps
@@ -148,7 +151,9 @@ class Engine:
             If the components are those of another simulation since the last piece.
         """
         if self.conditions:
-            yield from self._advance_watched(block, signals)
+            for piece in self._advance_watched(block, signals):
+                yield piece
+                self.record_substeps()
             return
         pacer = self._pacer
         pacer.begin(block)
@@ -158,6 +163,15 @@ class Engine:
             begin = max(reached, 0)
             reached = pacer.advance(block, signals)
             yield block.part(begin, reached), signals[begin : reached + 1]
+            self.record_substeps()
+
+    def record_substeps(self) -> None:
+        """Record the substeps of the rows that were written."""
+        substeps: list[Substep] = []
+        for control in self._controls:
+            substeps += control.drain()
+        for substep in sorted(substeps, key=attrgetter("begin_ns")):
+            self._recorder.substep(substep)
 
     def _advance_watched(self, block: Block, signals: Matrix) -> Iterator[tuple[Block, Matrix]]:
         """Advance up to where a condition comes true; yield the initial values by themselves."""

@@ -58,7 +58,8 @@ class LookingAhead:
         self, graph: Graph, pacer: Pacer, conditions: RunConditions, steps: int | None
     ) -> None:
         self._members = tuple(graph.members.values())
-        self._solvers = graph.solvers
+        self._kept_by_loops = graph.kept_by_loops
+        self._controls = graph.substep_controls
         self._pacer = pacer
         self._conditions = conditions
         is_bound = bool(bound_to_steps(graph))
@@ -102,17 +103,17 @@ class LookingAhead:
             pass
 
     def _save(self) -> list[Any]:
-        """Save every component, and what loops keep that iterate."""
+        """Save every component, and what loops keep beside them."""
         self._has_saved = True
         states = [member.component.save() for member in self._members]
-        return states + [solver.memory.copy() for solver in self._solvers]
+        return states + [kept.memory.copy() for kept in self._kept_by_loops]
 
     def _restore(self, states: list[Any]) -> None:
         n = len(self._members)
         for member, state in zip(self._members, states[:n], strict=True):
             member.component.restore(state)
-        for solver, memory in zip(self._solvers, states[n:], strict=True):
-            solver.memory[:] = memory
+        for kept, memory in zip(self._kept_by_loops, states[n:], strict=True):
+            kept.memory[:] = memory
 
     def _go_back(self, states: list[Any], part: Block, rows: Matrix) -> None:
         """Bring every component to the last row of a part, behind which some of them are.
@@ -123,6 +124,8 @@ class LookingAhead:
             If one cannot go back, or does other steps then.
         """
         self._restore(states)
+        for control in self._controls:
+            control.forget_from(int(part.time_ns[0]))
         again = rows.copy()
         again[1:] = 0.0
         self._fill(part, again)

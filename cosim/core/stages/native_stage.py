@@ -31,6 +31,7 @@ from cosim.core.stages.coupling import (
 )
 from cosim.core.stages.member import Member, NonFinite, first_non_finite
 from cosim.core.stages.stage_structs import NativeSteps, StageStructs
+from cosim.core.stages.substeps import SubsteppedLoop
 from cosim.errors import NonFiniteError
 from cosim.native.library import library
 from cosim.native.stages.loop_solver import SOLVED
@@ -46,12 +47,18 @@ def advancing_stages(graph: Graph) -> Sequence[Advancing]:
     it is: it advances a whole block in one call.
     """
     if not graph.native:
-        return graph.stages
+        return tuple(_controlled(stage, stage) for stage in graph.stages)
     advancing: list[Advancing] = []
     together: list[Stage] = []
     steps: dict[str, NativeStep] = {}
     for stage in graph.stages:
         steps_of_stage = _native_steps(stage.members)
+        if stage.control is not None:
+            advancing += _compiled(together, steps, graph)
+            together = []
+            alone = NativeStage([stage], steps_of_stage, graph.layout, nullcontext())
+            advancing.append(_controlled(stage, alone))
+            continue
         if steps_of_stage or stage.is_loop:
             together.append(stage)
             steps.update(steps_of_stage)
@@ -60,6 +67,13 @@ def advancing_stages(graph: Graph) -> Sequence[Advancing]:
         together = []
         advancing.append(stage)
     return advancing + _compiled(together, steps, graph)
+
+
+def _controlled(stage: Stage, advancing: Advancing) -> Advancing:
+    """Return what advances a stage in substeps, where it takes any."""
+    if stage.control is None:
+        return advancing
+    return SubsteppedLoop(stage.members, stage.control, advancing)
 
 
 def _compiled(stages: Sequence[Stage], steps: NativeSteps, graph: Graph) -> list[Advancing]:

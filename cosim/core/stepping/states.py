@@ -33,8 +33,8 @@ class SimulationState:
         Of their inputs, where there are any.
     components : mapping of component name to its state
         What delays and filters hold, the states of random generators, and so on.
-    solvers : tuple of Vector
-        What the loops that iterate keep from step to step.
+    kept_by_loops : tuple of Vector
+        What loops keep from step to step beside their components.
     conditions : mapping of condition to int
         For how many rows each has held, where the run looks for any.
     performed : tuple of int
@@ -48,7 +48,7 @@ class SimulationState:
     row: Vector
     overrides: Mapping[str, SavedOverrides]
     components: Mapping[str, Any]
-    solvers: tuple[Vector, ...]
+    kept_by_loops: tuple[Vector, ...]
     conditions: Mapping[str, int]
     performed: tuple[int, ...]
     origin: object = field(default=None, repr=False)
@@ -56,7 +56,7 @@ class SimulationState:
     def __reduce__(self) -> tuple[Any, ...]:
         self.check_portable()
         values = (self.graph, self.index, self.row, self.overrides, self.components)
-        return SimulationState, (*values, self.solvers, self.conditions, self.performed)
+        return SimulationState, (*values, self.kept_by_loops, self.conditions, self.performed)
 
     def check_portable(self) -> None:
         """Check that every component's state can leave the simulation that it was taken of.
@@ -141,8 +141,8 @@ class States:
             components[name] = member.component.save()
         row = row.copy()
         row.flags.writeable = False
-        solvers = tuple(solver.memory.copy() for solver in self._graph.solvers)
-        values = (index, row, overrides, components, solvers, conditions, performed)
+        kept_by_loops = tuple(kept.memory.copy() for kept in self._graph.kept_by_loops)
+        values = (index, row, overrides, components, kept_by_loops, conditions, performed)
         return SimulationState(self.graph_hash, *values, origin)
 
     def check(self, state: SimulationState, simulation: object) -> None:
@@ -176,8 +176,8 @@ class States:
         RunError
             If a component raises what is no error of cosim.
         """
-        for solver, memory in zip(self._graph.solvers, state.solvers, strict=True):
-            solver.memory[:] = memory
+        for kept, memory in zip(self._graph.kept_by_loops, state.kept_by_loops, strict=True):
+            kept.memory[:] = memory
         for name, member in self._graph.members.items():
             member.component.restore(state.components[name])
             member.overrides.clear()

@@ -69,6 +69,7 @@ class CoSimulation:
             rollback=self._capabilities.saves_state,
             native=not description.drives_clocks,
             linearizable=self._is_linearizable(description),
+            substeps=self._capabilities.variable_step,
         )
         self._in_events: frozenset[str] = frozenset()
         if self._capabilities.event_mode:
@@ -105,6 +106,10 @@ class CoSimulation:
         self._stepper.hold(held)
         self._h = h
         self._held = held
+        return {}
+
+    def prepare_substeps(self, lengths: tuple[float, ...], recorded: Design) -> Design:
+        """Return an empty design: the FMU takes steps of any length."""
         return {}
 
     def _is_linearizable(self, description: Description) -> bool:

@@ -47,6 +47,10 @@ class ExactSolver:
         self._native = None
         return self._linear.prepare(h, held, recorded)
 
+    def prepare_substeps(self, lengths: tuple[float, ...], recorded: Design) -> Design:
+        """Discretize for parts of a step, or take the recorded matrices."""
+        return self._linear.prepare_substeps(lengths, recorded)
+
     def begin(self) -> None:
         """Begin with the states of the integrator."""
         self._linear.state[:] = self._integrator.state.x

@@ -7,7 +7,14 @@ from contextlib import contextmanager
 from typing import Any, Protocol, TypeVar, final
 
 from cosim.arrays import Mask, Matrix, Vector
-from cosim.core.contracts import Component, Design, Linearizable, Preparable, Rollback, Stopped
+from cosim.core.contracts import (
+    Component,
+    Design,
+    Linearizable,
+    PreparableSubsteps,
+    Rollback,
+    Stopped,
+)
 from cosim.core.linearization import Linearized
 from cosim.core.signals import Interface
 from cosim.errors import RunError
@@ -21,7 +28,7 @@ from cosim.native.step import Guard, NativeStep
 Result = TypeVar("Result")
 
 
-class FmuComponent(Component, Preparable, Rollback[Any], Linearizable, Protocol):
+class FmuComponent(Component, PreparableSubsteps, Rollback[Any], Linearizable, Protocol):
     """What ``ModelExchange`` and ``CoSimulation`` have in common."""
 
     @property
@@ -145,6 +152,10 @@ class Guarded:
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Pass on."""
         return self._component.prepare(h, held, recorded)
+
+    def prepare_substeps(self, lengths: tuple[float, ...], recorded: Design) -> Design:
+        """Prepare the component."""
+        return self._call(None, lambda: self._component.prepare_substeps(lengths, recorded))
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Pass on."""

@@ -117,6 +117,7 @@ class ModelExchange:
             native=self.solver == "exact" or self._addresses is not None,
             restarts=self.solver == "CVode",
             linearizable=self.solver != RADAU and has_continuous_ports(instance.description),
+            substeps=True,
         )
         self._exact: ExactSolver | None = None
         self._compiled: CompiledIntegrator | None = None
@@ -153,6 +154,12 @@ class ModelExchange:
             check_design(design, shapes_of(model.arrays))
         self._instance.linear = _with_numbers(model, design)
         return design
+
+    def prepare_substeps(self, lengths: tuple[float, ...], recorded: Design) -> Design:
+        """Discretize for the exact solver; the others take steps of any length."""
+        if self._exact is None:
+            return {}
+        return self._exact.prepare_substeps(lengths, recorded)
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Initialize at ``t``; stays in initialization mode until the first advance."""

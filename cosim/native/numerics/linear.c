@@ -340,15 +340,25 @@ void cosim_first_order_holds(int64_t count, int32_t n, int32_t m, const double *
                                B1 + i * n * m, work);
 }
 
+/* That of steps of length h. */
+static inline cosim_linear_substep discretization(const cosim_linear *s, double h)
+{
+    for (int32_t i = 0; i < s->n_substeps; ++i)
+        if (s->substeps[i].h == h)
+            return s->substeps[i];
+    return (cosim_linear_substep){h, s->Ad, s->B0, s->B1};
+}
+
 int32_t cosim_linear_step(void *self, double t0, double t1, double h, const double *u0,
                           const double *u1, double *y)
 {
-    (void)t0, (void)t1, (void)h;
+    (void)t0, (void)t1;
     const cosim_linear *s = self;
     double *x = s->memory, *next = s->memory + s->n;
-    cosim_multiply(s->n, s->n, s->Ad, x, next);
-    cosim_multiply_add(s->n, s->m, s->B0, u0, next);
-    cosim_multiply_add(s->n, s->m, s->B1, u1, next);
+    const cosim_linear_substep by = discretization(s, h);
+    cosim_multiply(s->n, s->n, by.Ad, x, next);
+    cosim_multiply_add(s->n, s->m, by.B0, u0, next);
+    cosim_multiply_add(s->n, s->m, by.B1, u1, next);
     for (int32_t i = 0; i < s->n; ++i)
         x[i] = next[i];
     return cosim_linear_outputs(self, t1, u1, y);

@@ -51,10 +51,18 @@ void cosim_first_order_holds(int64_t count, int32_t n, int32_t m, const double *
                              const double *h, const uint8_t *held, double *Ad, double *B0,
                              double *B1, double *work);
 
+/* The discretization for steps of another length than the others. */
+typedef struct {
+    double h; /* [s] */
+    const double *Ad, *B0, *B1;
+} cosim_linear_substep;
+
 typedef struct {
     int32_t n, m, p;                    /* states, inputs, outputs */
     const double *Ad, *B0, *B1, *C, *D; /* (n, n), (n, m), (n, m), (p, n), (p, m) */
     double *memory;                     /* x, then n doubles of scratch */
+    const cosim_linear_substep *substeps; /* (n_substeps), parts of a communication step */
+    int32_t n_substeps;
 } cosim_linear;
 int32_t cosim_linear_step(void *self, double t0, double t1, double h, const double *u0,
                           const double *u1, double *y);

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
-from ctypes import POINTER, c_int32, c_int64, c_uint8, c_void_p
+from collections.abc import Mapping, Sequence
+from ctypes import POINTER, c_double, c_int32, c_int64, c_uint8, c_void_p
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,12 +16,19 @@ from cosim.native.library import address, declare, library, pointer
 from cosim.native.step import NativeStep
 
 
+class SubstepStruct(ctypes.Structure):
+    """cosim_linear_substep."""
+
+    _fields_ = (("h", c_double), *((name, c_void_p) for name in ("Ad", "B0", "B1")))
+
+
 class LinearStruct(ctypes.Structure):
     """cosim_linear."""
 
     _fields_ = (
         *((name, c_int32) for name in ("n", "m", "p")),
-        *((name, c_void_p) for name in ("Ad", "B0", "B1", "C", "D", "memory")),
+        *((name, c_void_p) for name in ("Ad", "B0", "B1", "C", "D", "memory", "substeps")),
+        ("n_substeps", c_int32),
     )
 
 
@@ -148,10 +155,22 @@ def affine(pairs: Sequence[tuple[Matrix, Vector]]) -> Vector:
     return y
 
 
-def linear_step(discrete: DiscretizedDynamics, C: Matrix, D: Matrix) -> NativeStep:
+def linear_step(
+    discrete: DiscretizedDynamics,
+    C: Matrix,
+    D: Matrix,
+    substeps: Mapping[float, DiscretizedDynamics] | None = None,
+) -> NativeStep:
     """Build the step of a discretized linear system with the outputs `y = C x + D u`.
 
     Its memory is x, shape ``(n,)``, and as much scratch.
+
+    Parameters
+    ----------
+    discrete : DiscretizedDynamics
+    C, D : Matrix, shapes (n_y, n), (n_y, m)
+    substeps : mapping of step [s] to DiscretizedDynamics, optional
+        For steps of other lengths.
     """
     n, m = discrete.B0.shape
     n_y = len(C)
@@ -160,6 +179,12 @@ def linear_step(discrete: DiscretizedDynamics, C: Matrix, D: Matrix) -> NativeSt
     arrays = _together(*matrices, np.zeros(2 * n + 1))
     memory = arrays[-1]
     state = LinearStruct(n, m, n_y, *map(pointer, arrays))
+    keep: list[object] = [*arrays]
+    if substeps:
+        structs = _substep_structs(substeps, keep)
+        state.substeps = ctypes.addressof(structs)
+        state.n_substeps = len(structs)
+        keep.append(structs)
     function = address("cosim_linear_step")
     outputs = address("cosim_linear_outputs")
     return NativeStep(
@@ -167,10 +192,23 @@ def linear_step(discrete: DiscretizedDynamics, C: Matrix, D: Matrix) -> NativeSt
         state,
         n_y=n_y,
         memory=memory,
-        keep=arrays,
+        keep=keep,
         outputs=outputs,
         memory_is_state=True,
     )
+
+
+def _substep_structs(
+    substeps: Mapping[float, DiscretizedDynamics], keep: list[object]
+) -> ctypes.Array[SubstepStruct]:
+    """Return the structs of discretizations by their steps; ``keep`` gets their memory."""
+    structs = (SubstepStruct * len(substeps))()
+    for struct, (h, substep) in zip(structs, substeps.items(), strict=True):
+        arrays = _together(substep.Ad, substep.B0, substep.B1)
+        keep += arrays
+        struct.h = h
+        struct.Ad, struct.B0, struct.B1 = map(pointer, arrays)
+    return structs
 
 
 def delay_step(steps: int, width: int) -> NativeStep:

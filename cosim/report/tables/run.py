@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from rich.table import Table
 
 from cosim.core.contracts import Recording
+from cosim.core.stages.substep_control import SubstepCounts
 from cosim.errors import flag, quoted
 from cosim.log import Log
 from cosim.report.certificate import certificate_of
@@ -139,12 +140,27 @@ def _summary_table(summary: Summary, recording: Recording) -> Table:
 def _add_loops(table: Table, summary: Summary) -> None:
     for loop in summary.loops:
         text = "step by step, so with an error of first order in the step; compare with --step"
+        if summary.substeps:
+            text = "step by step, first order, in substeps"
         table.add_row("loop", "", "", f"{loop}: {text}")
+    for counts in summary.substeps:
+        table.add_row("substeps", "", "", _substeps_text(counts))
     for gain in summary.gains:
         where = ", ".join(gain.components)
         if gain.action:
             where += f" {gain.action}"
         table.add_row("loop gain", "", "", f"{where}: {gain_text(gain)}")
+
+
+def _substeps_text(counts: SubstepCounts) -> str:
+    """Return how many substeps a loop took."""
+    text = (
+        f"{', '.join(counts.components)}: {counts.accepted}, the shortest "
+        f"{counts.shortest_ns / 1e9:g} s; {counts.rejected} parts of a step were refused"
+    )
+    if counts.missed:
+        text += f"; {counts.missed} miss the tolerance, at worst by {counts.worst_error:.3g} times"
+    return text
 
 
 def _lateness_text(lateness: Lateness) -> str:

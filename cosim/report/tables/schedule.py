@@ -52,6 +52,8 @@ def stage_text(stage: ScheduledStage) -> str:
         text += f"; solved for in every step: {', '.join(stage.solved)}"
     if stage.is_first_order:
         text += "; error of first order in the step"
+    if stage.shortest_substep is not None:
+        text += f"; in substeps of {stage.shortest_substep:g} s or more"
     return text
 
 

@@ -30,6 +30,7 @@ from cosim.scenario.building.graph_checks import held_disturbances, jump_problem
 from cosim.scenario.building.initial_states import GivenStates
 from cosim.scenario.building.models import form_problems
 from cosim.scenario.building.stopping import check_until, until_warnings
+from cosim.scenario.building.substeps import check_substeps, substep_tolerance
 from cosim.scenario.building.truth import check_truth
 from cosim.scenario.document.document import Document
 from cosim.scenario.document.problems import Key, Problem, TableProblems
@@ -141,13 +142,15 @@ class Builder:
             "step": lambda: Clock(settings.step, settings.step),
             "start_time": lambda: start_nanoseconds(settings.start_time),
             "stop": lambda: clock_of(self.scenario),
+            "substeps": lambda: check_substeps(settings),
         }
         unknown: set[Key] = set()
         for name, check in checks.items():
             key = ("scenario", name)
             if not self.scenario.invalid.isdisjoint({("scenario",), key}):
                 unknown.add(key)
-            elif name != "stop" or not unknown:  # a stop is checked on the grid of the steps
+            # what is checked on the grid of the steps needs it
+            elif name not in ("stop", "substeps") or not unknown:
                 try:
                     check()
                 except CosimError as error:
@@ -460,6 +463,7 @@ class Builder:
             iterations=settings.iterations,
             input_interpolation=settings.input_interpolation,
             periods=self._periods,
+            substeps=substep_tolerance(settings),
             threads=settings.threads,
         )
 

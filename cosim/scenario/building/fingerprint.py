@@ -13,13 +13,15 @@ from cosim.scenario.parsing import Scenario
 def fingerprint(scenario: Scenario, name: str, reads: frozenset[str]) -> str:
     """Hash everything that the design of a component rests on.
 
-    This is its table, the tables that it read, communication step, input interpolation and
-    coupling.
+    This is its table, the tables that it read, communication step and substeps, input interpolation
+    and coupling.
     """
     settings = scenario.file.scenario
     names = sorted({f"components.{name}", *reads})
     tables = {dotted: _table(scenario.tree, dotted) for dotted in names}
-    method = [settings.coupling, settings.iterations]
+    method: list[Any] = [settings.coupling, settings.iterations]
+    if settings.substeps is not None:
+        method.append(settings.substeps.model_dump())
     values = [tables, settings.step, settings.input_interpolation, *method]
     text = json.dumps(values, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()

@@ -100,6 +100,20 @@ class TomlTable(BaseModel):
     )
 
 
+class SubstepTable(TomlTable):
+    """The table [scenario.substeps]."""
+
+    rtol: Annotated[Number, Field(ge=0.0)] = Field(
+        1e-6, description="of the size of an output, that its error in a substep may be"
+    )
+    atol: Annotated[Number, Field(ge=0.0)] = Field(
+        1e-9,
+        description="the same in the unit of the output, times the nominal value of an FMU's; "
+        "both are added",
+    )
+    min: Number = Field(1e-6, description="shortest substep [s]")
+
+
 class Settings(TomlTable):
     """The table [scenario]."""
 
@@ -125,6 +139,11 @@ class Settings(TomlTable):
         "linear",
         description='inputs inside a step: "linear" interpolation, "zero-order" hold of their '
         'values at its start, or of the "latest" that there are (classic Gauss-Seidel)',
+    )
+    substeps: SubstepTable | None = Field(
+        None,
+        description="loops divide their steps where the estimated error asks for it; left out: "
+        "they do not",
     )
     threads: Annotated[Whole, Field(ge=1, le=2)] | None = Field(
         None,

@@ -23,6 +23,7 @@ from cosim.core.contracts import Recording
 from cosim.core.gain.loop_gain import LoopGain
 from cosim.core.recorded import find_signal
 from cosim.core.simulation import NEVER_TRUE
+from cosim.core.stages.substep_control import SUBSTEP_COUNTS, SubstepCounts
 from cosim.errors import LogError
 from cosim.log.metadata import read_json
 from cosim.scenario.document.schema import Number, NumberRow, NumberRows, Whole, truth_ports
@@ -368,6 +369,7 @@ _IDENTIFICATION: TypeAdapter[dict[str, IdentificationRecord]] = TypeAdapter(
     dict[str, IdentificationRecord], config=_DEFERRED
 )
 _LATENESS: TypeAdapter[Lateness] = TypeAdapter(Lateness)
+_SUBSTEPS: TypeAdapter[tuple[SubstepCounts, ...]] = TypeAdapter(tuple[SubstepCounts, ...])
 _MODELS: TypeAdapter[dict[str, ModelRecord]] = TypeAdapter(dict[str, ModelRecord], config=_DEFERRED)
 _STATE_CHANGES: TypeAdapter[dict[str, tuple[StateChangeRecord, ...]]] = TypeAdapter(
     dict[str, tuple[StateChangeRecord, ...]], config=_DEFERRED
@@ -554,6 +556,18 @@ def recorded_lateness(recording: Recording) -> Lateness | None:
     """
     values = recording.results.get(REAL_TIME)
     return None if values is None else _checked(_LATENESS, values, "results of real time")
+
+
+def recorded_substep_counts(recording: Recording) -> tuple[SubstepCounts, ...]:
+    """Return how many substeps the loops of a run took; empty: they took none.
+
+    Raises
+    ------
+    LogError
+        If they cannot be understood.
+    """
+    values = recording.results.get(SUBSTEP_COUNTS, [])
+    return _checked(_SUBSTEPS, values, "results of substeps")
 
 
 def never_came_true(recording: Recording) -> tuple[str, ...]:

@@ -209,6 +209,7 @@ def log_recorder(
         metadata=metadata,
         attachments=attachments,
         events=events or experiment.has_events,
+        substeps=bool(experiment.graph.substep_controls),
     )
 
 

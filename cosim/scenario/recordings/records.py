@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any, Self
 from cosim.arrays import Matrix, Vector
 from cosim.core.conditions import until_text
 from cosim.core.connections import Connection
-from cosim.core.contracts import Block, MessageLevel, Plan, Recorder, SignalEvent, Stopped
+from cosim.core.contracts import Block, MessageLevel, Plan, Recorder, SignalEvent, Stopped, Substep
 from cosim.core.recorders import close, end_of_run, error_text
-from cosim.errors import Interrupted, RunError
+from cosim.core.stages.substep_control import SUBSTEP_COUNTS, SubstepCounts
+from cosim.errors import Interrupted, RunError, listing
 from cosim.interrupts import uninterrupted
 from cosim.log import Attachment
 from cosim.scenario.actions.settings import SETTINGS
@@ -87,6 +88,7 @@ class MessageRecorder:
         if error is not None:
             self._recorder.message(self._reached_ns, _level(error), "run", error_text(error))
         self._record_until(error)
+        self._record_substeps()
         if self._last is not None:
             labels = self._experiment.graph.labels()
             last = {}
@@ -112,6 +114,17 @@ class MessageRecorder:
             text = f"{until_text(until)}: never came true"
             self._recorder.message(self._reached_ns, "info", "run", text)
 
+    def _record_substeps(self) -> None:
+        """Record how many substeps loops took, and whether some miss the tolerance."""
+        counts = [control.counts for control in self._experiment.graph.substep_controls]
+        if not counts:
+            return
+        self._recorder.result({SUBSTEP_COUNTS: [asdict(count) for count in counts]})
+        for count in counts:
+            if count.missed:
+                text = missed_text(count)
+                self._recorder.message(self._reached_ns, "warning", count.components[0], text)
+
     def begin(self, plan: Plan) -> None:
         """Pass on, then record what is known before the run.
 
@@ -132,6 +145,10 @@ class MessageRecorder:
     def event(self, event: SignalEvent) -> None:
         """Pass on."""
         self._recorder.event(event)
+
+    def substep(self, substep: Substep) -> None:
+        """Pass on."""
+        self._recorder.substep(substep)
 
     def result(self, values: Mapping[str, Any]) -> None:
         """Pass on."""
@@ -190,6 +207,16 @@ def _start_values(experiment: Experiment) -> Iterator[tuple[str, str]]:
         texts.setdefault(port.component, []).append(f"{port.name} = {value}")
     for name, inputs in texts.items():
         yield name, f"not connected, so at their start values: {'; '.join(inputs)}"
+
+
+def missed_text(counts: SubstepCounts) -> str:
+    """Return how far some substeps of a loop miss the tolerance."""
+    return (
+        f"the loop of {listing(counts.components)}: {counts.missed} of {counts.accepted} substeps "
+        f"miss the tolerance and cannot be shorter, at worst by a factor of "
+        f"{counts.worst_error:.3g} at t = {counts.worst_ns / 1e9} s; needed a smaller "
+        "scenario.substeps.min, larger tolerances, or coupling = 'newton'"
+    )
 
 
 def _level(error: BaseException) -> MessageLevel:

@@ -38,6 +38,7 @@ EVERYWHERE = {  # what matters to all inputs
     "scenario.input_interpolation",
     "scenario.coupling",
     "scenario.iterations",
+    "scenario.substeps",
 }
 NO_CHANGES: Final[Mapping[str, Any]] = MappingProxyType({})
 _TABLES = ("components", "models", "connections")

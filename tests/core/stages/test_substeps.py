@@ -1,0 +1,328 @@
+"""Loops that take substeps: tolerances, the tree of parts, what is recorded, replays."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cosim.blocks.dynamics import Delay
+from cosim.blocks.replay import Replay
+from cosim.blocks.source import ramp, step
+from cosim.core.clock import Clock
+from cosim.core.connections import Connection
+from cosim.core.contracts import Stopped
+from cosim.core.graph import Graph
+from cosim.core.master import run
+from cosim.core.recorders import Memory
+from cosim.core.signals import Interface, Signal
+from cosim.core.simulation import Simulation
+from cosim.core.stages.substep_control import Subinterval, SubstepTolerance
+from cosim.errors import GraphError, LogError, RunError
+from tests.core.stages.test_newton import pair, record, solution, state_space, states
+
+SIGNALS = ("one.u", "one.y", "one.x", "two.u", "two.y", "two.x")
+
+
+def tolerance(value, min_ns=1000):
+    return SubstepTolerance(rtol=value, atol=value, min_ns=min_ns)
+
+
+def counts_of(graph):
+    return graph.substep_controls[0].counts
+
+
+@given(st.integers(2, 10**12), st.integers(1, 10**9), st.data())
+def test_the_parts_of_a_step_follow_each_other_in_whole_nanoseconds(step_ns, min_ns, data):
+    """Halves meet, none is shorter than the shortest substep, and every length is known before."""
+    if 2 * min_ns > step_ns:
+        return
+    limits = SubstepTolerance(min_ns=min_ns)
+    finest = limits.finest_level(step_ns)
+    level = data.draw(st.integers(0, finest - 1))
+    part = Subinterval(level, data.draw(st.integers(0, 2**level - 1)))
+    first, second = part.halves
+    assert first.begin_ns(step_ns) == part.begin_ns(step_ns)
+    assert first.end_ns(step_ns) == second.begin_ns(step_ns)
+    assert second.end_ns(step_ns) == part.end_ns(step_ns)
+    for half in (first, second):
+        length = half.end_ns(step_ns) - half.begin_ns(step_ns)
+        assert length >= min_ns
+        assert length / 1e9 in limits.lengths(step_ns)
+    assert Subinterval(level, 2**level - 1).end_ns(step_ns) == step_ns
+
+
+def test_the_error_follows_the_tolerance():
+    """Errors of single substeps add up: over this run to less than a hundred times one of them."""
+    exact = solution(1.0)
+    used = []
+    for value in (1e-4, 1e-6, 1e-8):
+        graph = pair(substeps=tolerance(value))
+        error = np.abs(states(record(graph, step=0.1)) - exact).max()
+        assert error < 100 * value
+        assert counts_of(graph).missed == 0
+        used.append(counts_of(graph).accepted)
+    # of second order: a local error of third order, so 100 ** (1 / 3) = 4.6 times as many
+    assert used[0] < used[1] < used[2] < 10 * used[1]
+
+
+def test_substeps_are_short_where_the_loop_is_fast_and_long_behind():
+    """The coupled pair has a pole at -3079 /s, which has decayed after a few of its times."""
+    graph = pair(substeps=tolerance(1e-6))
+    memory = record(graph, step=0.1)
+    accepted = [substep for substep in memory.substeps() if substep.accepted]
+    early = [s.length_ns for s in accepted if s.begin_ns < 1_000_000]
+    late = [s.length_ns for s in accepted if s.begin_ns > 900_000_000]
+    assert max(early) < 1_000_000 < min(late)
+
+
+@pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi", "newton"])
+def test_halves_of_a_step_are_steps_of_half_the_length(coupling):
+    """With nothing between a step and its halves to choose from, the rows are those of h / 2."""
+    strict = SubstepTolerance(rtol=0.0, atol=1e-300, min_ns=5_000_000)
+    divided = record(pair(coupling, substeps=strict), stop=0.1, step=0.01)
+    finer = record(pair(coupling), stop=0.1, step=0.005)
+    for signal in SIGNALS:
+        if coupling == "newton":  # what is solved for is known to the tolerance of the solver
+            np.testing.assert_allclose(divided[signal], finer[signal][::2], rtol=1e-9)
+        else:
+            np.testing.assert_array_equal(divided[signal], finer[signal][::2])
+
+
+def driven(source, substeps=None, **options):
+    """x1' = -x1 + u + y2, x2' = -2 x2 + y1, of which ``source`` drives u."""
+    one = state_space(-1.0, 1.0, 1.0, 0.0, 0.0)
+    two = state_space(-2.0, 1.0, 1.0, 0.0, 0.0)
+    sum_of_both = Connection(("drive.y", "two.y"), gain=np.array([[1.0, 1.0]]))
+    wires = {"one.u": sum_of_both, "two.u": "one.y"}
+    return Graph({"drive": source, "one": one, "two": two}, wires, substeps=substeps, **options)
+
+
+def test_what_drives_a_loop_is_interpolated_between_communication_points():
+    """A ramp is a straight line, so that halves of a step are those of a finer run but rounding."""
+    strict = SubstepTolerance(rtol=0.0, atol=1e-300, min_ns=5_000_000)
+    divided = record(driven(ramp(slope=3.0), strict), stop=0.1, step=0.01)
+    finer = record(driven(ramp(slope=3.0)), stop=0.1, step=0.005)
+    for signal in ("one.x", "two.x", "one.u"):
+        np.testing.assert_allclose(divided[signal], finer[signal][::2], rtol=1e-13, atol=1e-15)
+
+
+def test_a_discrete_signal_holds_through_the_substeps():
+    """It steps at 0.05 s, a communication point; the halves of the step before see nothing of it.
+
+    Exactly as in steps of half the length, where the point is one, too.
+    """
+    strict = SubstepTolerance(rtol=0.0, atol=1e-300, min_ns=5_000_000)
+    source = {"time": 0.05, "before": 0.0, "after": 1.0}
+    divided = record(driven(step(**source), strict), stop=0.1, step=0.01)
+    finer = record(driven(step(**source)), stop=0.1, step=0.005)
+    for signal in ("one.x", "two.x", "one.u"):
+        np.testing.assert_array_equal(divided[signal], finer[signal][::2])
+
+
+def same(a, b):
+    for signal in SIGNALS:
+        assert a[signal].tobytes() == b[signal].tobytes()
+    assert a.substeps() == b.substeps()
+
+
+def test_blocks_and_compiled_code_change_no_bit():
+    """Neither of the rows nor of the substeps."""
+    limits = tolerance(1e-5)
+    whole = record(pair(substeps=limits), stop=0.2)
+    same(whole, record(pair(substeps=limits), stop=0.2, block=3))
+    same(whole, record(pair(substeps=limits, native=False), stop=0.2))
+
+
+def test_a_condition_that_ends_a_run_leaves_the_substeps_up_to_there():
+    """Stages that were ahead of the row go back, and take the same substeps again."""
+    limits = tolerance(1e-5)
+    whole = record(pair(substeps=limits), stop=0.2)
+    for block in (None, 4):
+        memory = Memory()
+        run(pair(substeps=limits), Clock(0.2, 0.01, block), memory, until="one.x < 0.9")
+        end_ns = memory.end_ns
+        assert 0 < end_ns < 200_000_000
+        expected = [s for s in whole.substeps() if s.begin_ns < end_ns]
+        assert memory.substeps() == expected
+
+
+def test_a_state_goes_back_with_the_length_of_the_next_substep():
+    """The steps behind it have the same bits again."""
+    simulation = Simulation(pair(substeps=tolerance(1e-6)), Clock(1.0, 0.01))
+    simulation.step(10)
+    saved = simulation.state
+    first = simulation.step(5)["one.u"]
+    simulation.state = saved
+    assert simulation.step(5)["one.u"].tobytes() == first.tobytes()
+
+
+def test_every_substep_is_recorded_with_what_the_loop_had_at_its_end():
+    """Accepted ones fill the run without gaps; a refused one has no values."""
+    memory = record(pair(substeps=tolerance(1e-5)), stop=0.05)
+    substeps = memory.substeps()
+    accepted = [substep for substep in substeps if substep.accepted]
+    refused = [substep for substep in substeps if not substep.accepted]
+    assert refused
+    assert all(substep.error > 1.0 and substep.values == () for substep in refused)
+    assert all(substep.error <= 1.0 for substep in accepted)
+    reached = 0
+    for substep in accepted:
+        assert substep.begin_ns == reached
+        reached += substep.length_ns
+        if reached % 10_000_000 == 0:
+            row = [memory[signal][reached // 10_000_000] for signal in SIGNALS]
+            assert substep.values == tuple(row)
+    assert reached == 50_000_000
+    begins = [substep.begin_ns for substep in substeps]
+    assert begins == sorted(begins)
+
+
+class Limited:
+    """x' = -x - u by Euler, which refuses steps of more than ``longest``; y = x."""
+
+    def __init__(self, longest, nominal=1.0):
+        self.longest = longest
+        y = Signal("y", nominal=(nominal,))
+        self.interface = Interface((Signal("u"),), (y,), rollback=True, substeps=True)
+
+    def initialize(self, t, u):
+        self.x = 1.0
+        return self.outputs(t, u)
+
+    def outputs(self, t, u):
+        return np.array([self.x])
+
+    def advance(self, t, h, u):
+        if h > self.longest:
+            raise Stopped(np.empty((0, 1)), f"a step of {h} s is too long")
+        self.x -= h * (u[0, 0] + self.x)
+        return np.array([[self.x]])
+
+    def save(self):
+        return self.x
+
+    def restore(self, state):
+        self.x = state
+
+
+def limited(longest, substeps, nominal=1.0):
+    components = {"one": Limited(longest, nominal), "two": Limited(1.0, nominal)}
+    return Graph(components, {"one.u": "two.y", "two.u": "one.y"}, substeps=substeps)
+
+
+def test_a_step_that_a_component_cannot_take_is_divided():
+    """FMUs discard steps that are too long."""
+    graph = limited(2e-3, SubstepTolerance(1.0, 1.0, 1000))
+    memory = record(graph, stop=0.1)
+    longest = max(substep.length_ns for substep in memory.substeps() if substep.accepted)
+    assert longest == 625_000  # half of the longest that could be taken at once
+    assert math.inf in [substep.error for substep in memory.substeps()]
+
+
+def test_a_step_that_cannot_be_divided_further_ends_the_run():
+    """The component's own reason is the one that is given."""
+    graph = limited(2e-3, SubstepTolerance(1.0, 1.0, 4_000_000))
+    with pytest.raises(RunError, match=r"'one' stopped at t = 0.0.* too long"):
+        record(graph, stop=0.1)
+
+
+def test_substeps_that_miss_the_tolerance_are_counted():
+    """They cannot be shorter: the run goes on, and says so."""
+    graph = pair("gauss-seidel", substeps=tolerance(1e-9, min_ns=1_000_000))
+    memory = record(graph, stop=0.1)
+    counts = counts_of(graph)
+    missing = [s for s in memory.substeps() if s.accepted and s.error > 1.0]
+    assert counts.missed == len(missing) > 0
+    assert counts.worst_error == max(s.error for s in missing)
+    assert counts.shortest_ns == min(s.length_ns for s in missing) >= 1_000_000
+
+
+# --- recorded components ---
+
+
+def again(original, *, native=True):
+    """Build the pair with its first component as it was recorded."""
+    limits = tolerance(1e-5)
+    components = {
+        "one": Replay(original, "one"),
+        "two": pair().components["two"],
+    }
+    connections = {"one.u": "two.y", "two.u": "one.y"}
+    graph = Graph(components, connections, coupling="newton", substeps=limits, native=native)
+    graph.take_solutions(original, ["one"])
+    return graph
+
+
+@pytest.mark.parametrize("native", [True, False])
+def test_a_loop_with_recorded_components_takes_the_recorded_substeps(native):
+    """The others compute the same bits from what was applied to them then."""
+    original = record(pair(substeps=tolerance(1e-5)), stop=0.2)
+    same(original, record(again(original, native=native), stop=0.2))
+
+
+def test_a_change_of_a_component_shows_beside_recorded_ones():
+    """The comparison of a replay rests on it."""
+    original = record(pair(substeps=tolerance(1e-5)), stop=0.2)
+    graph = again(original)
+    graph.components["two"].model.A[0, 0] = -1.1
+    assert (record(graph, stop=0.2)["two.x"][1:] != original["two.x"][1:]).all()
+
+
+def test_substeps_that_are_missing_are_named():
+    """Rows at communication points do not say what a component was given between them."""
+    original = record(pair(substeps=tolerance(1e-5)), stop=0.2)
+    whole = original.substeps()
+    first = next(substep for substep in whole if substep.accepted)
+    for damaged in ([], [s for s in whole if s is not first], whole[:-1]):
+        original.substeps = lambda damaged=damaged: damaged
+        with pytest.raises(LogError, match=r"substeps of the loop of 'one' .* are not whole"):
+            again(original)
+
+
+# --- what is refused ---
+
+
+def test_components_with_steps_of_their_own_are_refused():
+    """A delay is a number of communication steps."""
+    components = {"one": state_space(-1.0, 1.0, 1.0, 0.0, 0.0), "late": Delay(3)}
+    connections = {"one.u": "late.y", "late.u": "one.y"}
+    with pytest.raises(GraphError, match="late in this loop cannot take parts of a step"):
+        Graph(components, connections, substeps=tolerance(1e-6))
+
+
+@pytest.mark.parametrize(
+    ("values", "text"),
+    [
+        ({"rtol": -1e-6}, "rtol: found -1e-06, needed a number, 0 or more"),
+        ({"atol": math.nan}, "atol: found nan, needed a number, 0 or more"),
+        ({"rtol": "small"}, "rtol: found 'small', needed a number, 0 or more"),
+        ({"rtol": 0.0, "atol": 0.0}, "rtol = atol = 0, needed one of them above 0"),
+        ({"min_ns": 0}, "min_ns: found 0, needed a whole number of nanoseconds, at least 1"),
+        ({"min_ns": 1.5}, "min_ns: found 1.5, needed a whole number of nanoseconds, at least 1"),
+    ],
+)
+def test_a_tolerance_that_is_none_is_refused(values, text):
+    """Each by its name."""
+    with pytest.raises(GraphError, match=text):
+        SubstepTolerance(**values)
+
+
+def test_a_shortest_substep_that_is_no_half_of_a_step_is_refused():
+    """There would be nothing to choose."""
+    graph = pair(substeps=SubstepTolerance(min_ns=6_000_000))
+    text = "min: found 0.006 s, longer than half a step of 0.01 s; needed at most 0.005 s"
+    with pytest.raises(GraphError, match=text):
+        graph.prepare(10_000_000)
+
+
+def test_absolute_tolerances_are_multiplied_by_nominal_values():
+    """Of an output of nominal 1024 errors may be 1024 times as large; by powers of 2, exactly."""
+
+    def substeps(atol, nominal):
+        graph = limited(1.0, SubstepTolerance(rtol=0.0, atol=atol), nominal=nominal)
+        return record(graph, stop=0.1).substeps()
+
+    plain = substeps(2.0**-13, 1.0)
+    assert substeps(2.0**-23, 2.0**10) == plain != substeps(2.0**-23, 1.0)

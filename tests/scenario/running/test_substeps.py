@@ -1,0 +1,134 @@
+"""Substeps in scenarios: what is refused and reported, logs, replays."""
+
+import pytest
+
+import cosim
+from cosim.errors import ScenarioError
+from cosim.log import Log
+from cosim.report.summary import summarize
+from cosim.report.verification import verify
+
+PAIR = """
+[scenario]
+name = "pair"
+stop = 0.1
+step = 1e-2
+coupling = "newton"
+substeps = { rtol = 1e-5, atol = 1e-5, min = 1e-6 }
+
+[components]
+one = { kind = "controller", A = [[-0.9]], B = [[0.5]], C = [[3.0]], D = [[1.0]], x0 = [1.0] }
+two = { kind = "controller", A = [[-1.0]], B = [[10.0]], C = [[-31.0]], D = [[-0.9]], x0 = [1.0] }
+
+[connections]
+"one.u" = "two.y"
+"two.u" = "one.y"
+"""
+
+
+@pytest.fixture
+def pair(tmp_path):
+    """Write the scenario."""
+    path = tmp_path / "pair.toml"
+    path.write_text(PAIR)
+    return path
+
+
+def test_a_run_with_substeps_is_replayed_bit_for_bit(pair, tmp_path):
+    """With the same substeps, all computed again."""
+    log = cosim.run(pair, out=tmp_path / "x.mcap")
+    again = cosim.replay(log, out=tmp_path / "y.mcap")
+    verification = verify(log, again)
+    assert verification.passed, verification.problems
+    assert not verification.copied
+    assert Log(tmp_path / "y.mcap").substeps() == log.substeps() != []
+
+
+def test_a_replay_takes_the_substeps_of_recorded_components(tmp_path):
+    """The plant of the closed loop is taken from the log; the others are computed again."""
+    changes = {
+        "scenario.coupling": "newton",
+        "scenario.stop": 0.05,
+        "scenario.step": 1e-2,
+        "scenario.substeps": {"rtol": 1e-6, "atol": 1e-6, "min": 1e-5},
+    }
+    log = cosim.run("closed-loop", set=changes, out=tmp_path / "x.mcap")
+    again = cosim.replay(log, out=tmp_path / "y.mcap")
+    verification = verify(log, again)
+    assert verification.passed, verification.problems
+    assert "plant.x_a" in verification.copied
+    assert Log(tmp_path / "y.mcap").substeps() == log.substeps() != []
+
+
+def test_a_summary_counts_substeps(pair):
+    """As many as were recorded."""
+    memory = cosim.run(pair)
+    (counts,) = summarize(memory).substeps
+    accepted = [substep for substep in memory.substeps() if substep.accepted]
+    assert counts.components == ("one", "two")
+    assert counts.accepted == len(accepted)
+    assert counts.rejected == len(memory.substeps()) - len(accepted)
+    assert counts.shortest_ns == min(substep.length_ns for substep in accepted)
+    assert counts.missed == 0
+    warnings = [message for message in memory.messages() if message.level == "warning"]
+    assert warnings == []
+
+
+def test_a_run_says_that_substeps_miss_the_tolerance(pair):
+    """They would have to be shorter than they may be."""
+    memory = cosim.run(pair, set={"scenario.substeps.min": 1e-3})
+    (counts,) = summarize(memory).substeps
+    assert counts.missed > 0
+    (warning,) = [message for message in memory.messages() if message.level == "warning"]
+    assert warning.source == "one"
+    assert f"{counts.missed} of {counts.accepted} substeps miss the tolerance" in warning.text
+
+
+def test_a_coupling_is_refused_only_if_the_shortest_substep_is(pair):
+    """Jacobi is stable below 0.61 ms here; see the loop gain."""
+    changes = {"scenario.coupling": "jacobi", "scenario.substeps.rtol": 1e-2}
+    stable = cosim.run(pair, set={**changes, "scenario.substeps.min": 1e-4})
+    assert abs(stable["one.x"]).max() < 2.0
+    with pytest.raises(ScenarioError, match=r"'jacobi' has a gain of .* a step of 0.00\d+ s"):
+        cosim.run(pair, set={**changes, "scenario.substeps.min": 2e-3})
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "text"),
+    [
+        ("min", 0.02, r"min: found 0.02 s, longer than half a step of 0.01 s"),
+        ("min", 1e-10, r"1e-10 s is not a whole number of nanoseconds"),
+        ("min", 0.0, r"min_ns: found 0, needed a whole number of nanoseconds, at least 1"),
+        ("rtol", -1.0, r"scenario.substeps.rtol: found -1.0; needed at least 0"),
+        ("atol", "small", r"scenario.substeps.atol: .*small"),
+        ("max", 1.0, r"scenario.substeps.max"),
+    ],
+)
+def test_substeps_that_are_none_are_refused(pair, key, value, text):
+    """Each by its key."""
+    with pytest.raises(ScenarioError, match=text):
+        cosim.run(pair, set={f"scenario.substeps.{key}": value})
+
+
+def test_what_has_steps_of_its_own_is_refused_in_a_loop(tmp_path):
+    """A delay, in the loop of a lag."""
+    path = tmp_path / "late.toml"
+    path.write_text(
+        """
+[scenario]
+name = "late"
+stop = 0.1
+step = 1e-2
+substeps = {}
+
+[components]
+late = { kind = "delay", delay = 0.02 }
+lag = { kind = "lag", time_constant = 0.1, initial = 1.0 }
+
+[connections]
+"late.u" = "lag.y"
+"lag.u" = "late.y"
+"""
+    )
+    with pytest.raises(ScenarioError, match=r"late in this loop cannot take parts of a step"):
+        cosim.run(path)
