@@ -154,8 +154,11 @@ def _overrides(events: Sequence[SignalEvent]) -> Section:
     for event in overrides[:MOST_OVERRIDES]:
         t = event.time_ns / 1e9
         cause = f"{event.cause} {_numbers(event.parameters)}".rstrip()
+        signal = event.signal
         values = _numbers(event.values)
-        rows.append({"t": t, "signal": event.signal, "cause": cause, "values": values})
+        if event.cause == "swap":  # of a component, by what has a path
+            signal, _, values = signal.partition(".")
+        rows.append({"t": t, "signal": signal, "cause": cause, "values": values})
     content: Section = {}
     if rows:
         content["overrides"] = rows

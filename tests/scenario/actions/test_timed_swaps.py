@@ -6,6 +6,7 @@ import pytest
 
 import cosim
 from cosim.errors import ScenarioError
+from cosim.report.inspection import describe_log
 from cosim.report.verification import verify
 from cosim.scenario.exporting import export_component
 from tests.fmi import lag
@@ -44,6 +45,8 @@ def test_an_fmu_goes_on_from_the_states_of_the_plant(folder, version, block, tmp
     assert (log["plant.x_a"][1001:] != plain["plant.x_a"][1001:]).any(), "another solver computes"
     (event,) = [event for event in log.events() if event.cause != "follow"]
     assert event[:3] == (10**9, "swap", f"plant.{path}")
+    row = {"t": 1.0, "signal": "plant", "cause": "swap", "values": str(path)}
+    assert describe_log(str(tmp_path / "a.mcap"))["overrides"] == [row]
     other = cosim.run("academic", set=swapped(path), out=tmp_path / "b.mcap")
     assert log.recorded_hash == other.recorded_hash
 
