@@ -30,7 +30,11 @@ from cosim.scenario.building.graph_checks import held_disturbances, jump_problem
 from cosim.scenario.building.initial_states import GivenStates
 from cosim.scenario.building.models import form_problems
 from cosim.scenario.building.stopping import check_until, until_warnings
-from cosim.scenario.building.substeps import check_substeps, substep_tolerance
+from cosim.scenario.building.substeps import (
+    check_substeps,
+    substep_tolerance,
+    substep_warnings,
+)
 from cosim.scenario.building.truth import check_truth
 from cosim.scenario.document.document import Document
 from cosim.scenario.document.problems import Key, Problem, TableProblems
@@ -435,7 +439,8 @@ class Builder:
         keys = ["until"] if self.scenario.file.scenario.until is not None else []
         keys += ["when"] if self._reactions else []
         held_inputs = held_disturbances(self.scenario, graph, self.clock.step_ns)
-        for name, text in (*graph.warnings, *held_inputs, *until_warnings(keys, graph)):
+        others = (*held_inputs, *until_warnings(keys, graph), *substep_warnings(graph))
+        for name, text in (*graph.warnings, *others):
             self.context.warn(name, text)
 
     def graph(self) -> Graph:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from cosim.core.clock import nanoseconds
+from cosim.core.graph import Graph
 from cosim.core.stages.substep_control import SubstepTolerance
 from cosim.scenario.document.schema import Settings
 
@@ -32,3 +35,9 @@ def check_substeps(settings: Settings) -> None:
     tolerance = substep_tolerance(settings)
     if tolerance is not None:
         tolerance.finest_level(nanoseconds(settings.step))
+
+
+def substep_warnings(graph: Graph) -> Iterator[tuple[str, str]]:
+    """Yield that substeps change nothing, where there is no loop, as (key, text)."""
+    if graph.substeps is not None and not graph.substep_controls:
+        yield "scenario.substeps", "there is no loop in the scenario, so that they change nothing"

@@ -151,6 +151,7 @@ def _subject(experiment: Experiment) -> Subject:
             "number of nanoseconds; needed a step of which it is"
         )
     _check_noise(scenario, step_ns)
+    _check_substeps(graph)
     changes: dict[str, Any] = {}
     for name, spec in scenario.specs.items():
         table = scenario.tree["components"][name]
@@ -199,6 +200,22 @@ def _check_noise(scenario: Scenario, step_ns: int) -> None:
         "so that a smaller step is a run with other noise; needed a period of its own, such as "
         f"{' '.join(settings)}"
     )
+
+
+def _check_substeps(graph: Graph) -> None:
+    """Check that no loop chooses its steps.
+
+    Raises
+    ------
+    UsageError
+        If one does: the error of its steps is that of the tolerance, whatever their length is.
+    """
+    if graph.substep_controls:
+        raise UsageError(
+            "certificate: loops choose their steps by scenario.substeps, so that a smaller "
+            "communication step does not show their error; needed a scenario without substeps, or "
+            f"another run with a smaller {option('set', 'scenario.substeps.rtol')} to compare with"
+        )
 
 
 def _when(action: ActionTable) -> str:

@@ -3,7 +3,7 @@
 import pytest
 
 import cosim
-from cosim.errors import ScenarioError
+from cosim.errors import ScenarioError, UsageError
 from cosim.log import Log
 from cosim.report.summary import summarize
 from cosim.report.verification import verify
@@ -91,6 +91,21 @@ def test_a_coupling_is_refused_only_if_the_shortest_substep_is(pair):
     assert abs(stable["one.x"]).max() < 2.0
     with pytest.raises(ScenarioError, match=r"'jacobi' has a gain of .* a step of 0.00\d+ s"):
         cosim.run(pair, set={**changes, "scenario.substeps.min": 2e-3})
+
+
+def test_substeps_without_a_loop_change_nothing_and_say_so():
+    """A cascade advances with what its inputs are."""
+    memory = cosim.run("academic", set={"scenario.stop": 0.01, "scenario.substeps.rtol": 1e-3})
+    (warning,) = [message for message in memory.messages() if message.source == "scenario.substeps"]
+    assert warning.text == "there is no loop in the scenario, so that they change nothing"
+    assert memory.substeps() == []
+
+
+@pytest.mark.parametrize("how", [{"certify": True}, {"find_step": {"two.x": 1e-4}}])
+def test_a_certificate_of_chosen_steps_is_refused(pair, how):
+    """Halves of the communication step would show nothing of the error."""
+    with pytest.raises(UsageError, match=r"loops choose their steps by scenario.substeps"):
+        cosim.run(pair, **how)
 
 
 @pytest.mark.parametrize(
