@@ -22,6 +22,7 @@ from cosim.errors import CosimError, LogError, UsageError
 from cosim.log import McapRecorder, open_log
 from cosim.log import container as log_container
 from cosim.log import reader as log_reader
+from cosim.log import rows as log_rows
 from cosim.log.compression import MOST_BYTES
 from cosim.log.content import combine_hashes
 from cosim.log.diff import diff
@@ -165,7 +166,7 @@ def test_small_components_need_one_pass(tmp_path, passes):
 
 def test_many_components_need_few_passes(tmp_path, monkeypatch, passes):
     """The hash needs one; to ask for one component after another needs few."""
-    monkeypatch.setattr(log_reader, "_ALWAYS_AHEAD", 0)
+    monkeypatch.setattr(log_rows, "_ALWAYS_AHEAD", 0)
     lay = many(300)
     rows = record(tmp_path / "a.mcap", steps=5, lay=lay)
     log = open_log(tmp_path / "a.mcap")
@@ -296,7 +297,7 @@ def test_rows_out_of_order_are_sorted_within_limits(path, tmp_path, monkeypatch)
     content.messages.reverse()
     turned = put_together(content, tmp_path / "b.mcap")
     assert open_log(turned).content_hash() == open_log(path).content_hash()
-    monkeypatch.setattr(log_reader, "_MOST_SORTED", 100)
+    monkeypatch.setattr(log_rows, "_MOST_SORTED", 100)
     with pytest.raises(LogError, match=r"not in order of time, and .* bytes are too many"):
         open_log(turned).content_hash()
     assert open_log(path).content_hash() == open_log(path).recorded_hash
@@ -312,7 +313,7 @@ def test_a_diff_in_pieces_is_the_diff_as_a_whole(tmp_path, monkeypatch, rtol):
     a = tmp_path / "a.mcap"
     b = tmp_path / "b.mcap"
     whole = diff(open_log(a), open_log(b), rtol=rtol)
-    monkeypatch.setattr(log_reader, "_MOST_AHEAD", 0)
+    monkeypatch.setattr(log_rows, "_MOST_AHEAD", 0)
     monkeypatch.setattr("cosim.log.stream._ROWS", 37)
     assert diff(open_log(a), open_log(b), rtol=rtol) == whole
     assert json.dumps(whole.to_dict())
@@ -325,7 +326,7 @@ def test_a_component_of_many_channels_is_streamed(tmp_path, monkeypatch):
     record(tmp_path / "a.mcap", steps=30, lay=lay)
     log = open_log(tmp_path / "a.mcap")
     assert log.content_hash() == log.recorded_hash
-    monkeypatch.setattr(log_reader, "_MOST_AHEAD", 0)
+    monkeypatch.setattr(log_rows, "_MOST_AHEAD", 0)
     streamed = [rows for _, rows in open_log(tmp_path / "a.mcap").blocks("wide")]
     assert same_bits(np.concatenate(streamed), log.rows("wide"))
 
@@ -353,7 +354,7 @@ def test_both_limits_of_a_jump_are_streamed(tmp_path, monkeypatch):
     whole = diff(open_log(tmp_path / "a.mcap"), open_log(tmp_path / "a.mcap"))
     for size in (1, 2, 3):
         monkeypatch.setattr("cosim.log.stream._ROWS", size)
-        monkeypatch.setattr(log_reader, "_MOST_AHEAD", 0)
+        monkeypatch.setattr(log_rows, "_MOST_AHEAD", 0)
         log = open_log(tmp_path / "a.mcap")
         assert log.content_hash() == log.recorded_hash
         assert diff(log, open_log(tmp_path / "a.mcap")) == whole

@@ -24,7 +24,7 @@ from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.errors import LogError, UsageError
 from cosim.log import McapRecorder, open_log, preamble
 from cosim.log import buffer as row_buffer
-from cosim.log import reader as log_reader
+from cosim.log import rows as log_rows
 from tests.log.crafting import put_together, take_apart
 
 from .recordings import STEP_NS, blocks, layout, plan, record, same_bits, table
@@ -279,7 +279,7 @@ def test_the_end_of_a_run_is_known_without_reading_rows(path):
     log = open_log(path)
     assert log.steps == 123
     assert log.end_ns == 123 * STEP_NS
-    assert not log._rows
+    assert not log._rows._rows
     assert log.end_ns == log.time_ns("plant")[-1]
 
 
@@ -385,7 +385,7 @@ def test_reading_a_component_takes_little_more_memory_than_it_has(tmp_path, monk
     Other components are read ahead in the first pass only where all are small.
     """
     monkeypatch.setattr(row_buffer, "CHUNK_BYTES", 50_000)
-    monkeypatch.setattr(log_reader, "_ALWAYS_AHEAD", 2**20)
+    monkeypatch.setattr(log_rows, "_ALWAYS_AHEAD", 2**20)
     record(tmp_path / "a.mcap", steps=2000, lay=layout(wide=500))
     log = open_log(tmp_path / "a.mcap")
     tracemalloc.start()
