@@ -115,6 +115,8 @@ class _MemberRun:
             for block in clock.blocks(limit):
                 completed = self._advance(stages, block, rows[: block.steps + 1])
                 rows[0] = rows[completed]
+                for control in graph.substep_controls:
+                    control.drain()  # nothing records them
         except CosimError as error:
             return error
         return None

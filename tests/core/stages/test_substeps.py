@@ -13,6 +13,7 @@ from cosim.blocks.source import ramp, step
 from cosim.core.clock import Clock
 from cosim.core.connections import Connection
 from cosim.core.contracts import Stopped
+from cosim.core.ensemble import run_members
 from cosim.core.graph import Graph
 from cosim.core.master import run
 from cosim.core.recorders import Memory
@@ -326,3 +327,20 @@ def test_absolute_tolerances_are_multiplied_by_nominal_values():
 
     plain = substeps(2.0**-13, 1.0)
     assert substeps(2.0**-23, 2.0**10) == plain != substeps(2.0**-23, 1.0)
+
+
+def test_members_of_an_ensemble_take_their_own_substeps():
+    """The last rows are those of runs of their own; the next member begins with whole steps."""
+    limits = tolerance(1e-5)
+    graph = pair(substeps=limits)
+    others = [{}, {"two": state_space(-2.0, 10.0, -31.0, -0.9, 1.0)}]
+    found = run_members(graph, Clock(0.1, 0.01), others)
+    for number, components in enumerate(others):
+        own = pair(substeps=limits)
+        own = Graph(
+            {**own.components, **components}, own.connections, coupling="newton", substeps=limits
+        )
+        memory = record(own, stop=0.1)
+        last = [memory[signal][-1] for signal in SIGNALS]
+        assert found.last[number].tolist() == last
+    assert graph.substep_controls[0].drain() == []
