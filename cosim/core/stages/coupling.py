@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector, read_only
 from cosim.core.contracts import Block, Stopped
-from cosim.core.stages.member import END, Member, NonFinite, driving_groups, first_non_finite
+from cosim.core.stages.member import END, Member, NonFinite, first_non_finite
 from cosim.core.stages.substep_control import SubstepControl
 from cosim.core.stages.torn_inputs import KeptInputs, TornInputs
 from cosim.core.structure.order import OperationKind
@@ -360,11 +360,22 @@ class Loop:
         return operations
 
     def _sources(self) -> dict[str, set[str]]:
-        """Return the components of the loop that drive each of them."""
-        drivers = driving_groups([(member,) for member in self.members])
+        """Return the components of the loop that drive each of them, other than what is torn.
+
+        What may jump is looked at even so.
+        """
+        torn = set() if self.torn is None else set(self.torn.columns)
+        writers: dict[int, str] = {}
+        for member in self.members:
+            writers.update((int(column), member.name) for column in _numbers(member.outputs))
         sources: dict[str, set[str]] = {}
-        for member, driving in zip(self.members, drivers, strict=True):
-            sources[member.name] = {self.members[number].name for number in driving}
+        for member in self.members:
+            columns: set[int] = set()
+            for wire in member.wires:
+                for to, driving in wire.sources_by_column.items():
+                    if to not in torn or member.jumps is not None:
+                        columns |= driving
+            sources[member.name] = {writers[column] for column in columns & writers.keys()}
         return sources
 
     def advance(self, block: Block, signals: Matrix) -> None:

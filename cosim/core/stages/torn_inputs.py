@@ -114,7 +114,7 @@ class TornInputs:
         """Look at what a sweep gave; return what is next: ``SOLVED``, ``SWEEP``, ..."""
         self._elements.driven(rows[1], self.answer)
         values = np.abs(rows[1, self._of_loop])
-        largest = float(np.fmax.reduce(values))
+        largest = float(np.fmax.reduce(values, initial=0.0))
         return self.solver.next(self.answer, largest)
 
     def stop(self, status: int, t: float) -> Stopped:

@@ -207,12 +207,25 @@ RARE static int32_t step(Component *c, double t0, double h, const double *u0, co
     return status == COSIM_OK ? COSIM_OK : leave(c, COSIM_FAILED);
 }
 
-/* Whether a step needs no more than inputs that are set to their mean, do_step and outputs. */
+/* Whether a step needs no more than inputs that are set, do_step and outputs. */
 static inline bool is_plain(const Component *c)
 {
-    const int32_t other = c->interpolates | c->ended | c->inner_step->watches;
+    const int32_t other = c->ended | c->inner_step->watches;
     return (c->plain & c->initialized & !other) && cosim_fmu_is_open(c->fmu) &&
            !(c->next_event < INFINITY);
+}
+
+/* Read the outputs of a step that is plain. */
+static inline int32_t read_outputs(Component *c, int32_t version, double *y)
+{
+    if (cosim_fmu_get_direct(c->fmu, version, &c->outputs_read, y) != COSIM_OK)
+        return leave(c, COSIM_FAILED);
+    c->stepped = 1;
+    c->inner_steps = 0;
+    const volatile double *read = y; /* volatile: as of inputs */
+    for (int32_t i = 0; i < c->n_y; ++i)
+        c->outputs[i] = read[i];
+    return COSIM_OK;
 }
 
 /* The same step where it is plain. */
@@ -225,14 +238,32 @@ static inline int32_t plain_step(Component *c, int32_t version, double t0, doubl
         return leave(c, COSIM_FAILED);
     if (cosim_fmu_do_step(fmu, version, &c->do_step, t0, h) != COSIM_OK)
         return leave(c, COSIM_STEPPED);
-    if (cosim_fmu_get_direct(fmu, version, &c->outputs_read, y) != COSIM_OK)
+    return read_outputs(c, version, y);
+}
+
+/* The same with the slopes of FMI 2.0, which nothing ends inside a step. */
+static int32_t plain_step_on_ramps(Component *c, double t0, double h, const double *u0,
+                                   const double *u1, double *y)
+{
+    cosim_fmu *fmu = c->fmu;
+    double *end = c->scratch, *change = end + c->n_u, *inputs = change + c->n_u;
+    const volatile uint8_t *held = c->held, *ramped = c->ramped; /* volatile: as of inputs */
+    for (int32_t i = 0; i < c->n_u; ++i) {
+        change[i] = held[i] ? 0.0 : u1[i] - u0[i];
+        const double mean = u0[i] + 0.5 * change[i], last = held[i] ? u0[i] : u1[i];
+        inputs[i] = ramped[i] ? u0[i] : mean;
+        end[i] = ramped[i] ? last : mean;
+    }
+    if (cosim_fmu_set_direct(fmu, 2, &c->step_inputs, inputs) != COSIM_OK)
         return leave(c, COSIM_FAILED);
-    c->stepped = 1;
-    c->inner_steps = 0;
-    const volatile double *read = y; /* volatile: as of inputs */
-    for (int32_t i = 0; i < c->n_y; ++i)
-        c->outputs[i] = read[i];
-    return COSIM_OK;
+    if (cosim_fmu_set_slopes(fmu, &c->slopes, change, h) != COSIM_OK)
+        return leave(c, COSIM_SLOPES_FAILED);
+    if (cosim_fmu_do_step(fmu, 2, &c->do_step, t0, h) != COSIM_OK)
+        return leave(c, COSIM_STEPPED);
+    const volatile double *taken = end;
+    for (int32_t i = 0; i < c->n_u; ++i)
+        c->inputs[i] = taken[i];
+    return read_outputs(c, 2, y);
 }
 
 int32_t cosim_co_simulation_step(void *self, double t0, double t1, double h, const double *u0,
@@ -241,8 +272,10 @@ int32_t cosim_co_simulation_step(void *self, double t0, double t1, double h, con
     (void)t1;
     Component *c = self;
     c->note = COSIM_NOTHING;
-    if (!is_plain(c))
+    if (!is_plain(c) || (c->interpolates && c->fmu->version != 2))
         return step(c, t0, h, u0, u1, y);
+    if (c->interpolates)
+        return plain_step_on_ramps(c, t0, h, u0, u1, y);
     if (c->fmu->version == 3)
         return plain_step(c, 3, t0, h, u0, u1, y);
     return c->fmu->version == 2 ? plain_step(c, 2, t0, h, u0, u1, y)

@@ -41,13 +41,20 @@ static double *order_of(const Solver *s)
     return s->memory + 1 + 2 * s->n + s->n * s->n;
 }
 
-/* Look at the residual; the worst, in units of GOAL. Whether it may be all that rounding leaves. */
-static double measure(Solver *s, const double *w, double largest)
+static inline void copy(double *to, const double *from, int64_t count)
+{
+    if (count == 1)
+        *to = *from;
+    else
+        memcpy(to, from, (size_t)count * sizeof *to);
+}
+
+/* Look at the residual; the worst, in units of GOAL. */
+static double measure(Solver *s, const double *w)
 {
     double worst = 0.0;
     s->worst = 0;
     s->residual = 0.0;
-    s->is_rounding = 1;
     for (int64_t i = 0; i < s->n; ++i) {
         const double residual = fabs(w[i] - s->v[i]);
         const double size = larger(fabs(s->v[i]), fabs(w[i]));
@@ -57,8 +64,6 @@ static double measure(Solver *s, const double *w, double largest)
             s->residual = residual;
             return NAN;
         }
-        if (residual > LIMIT * size + ROUNDING * largest)
-            s->is_rounding = 0;
         if (residual > worst * tolerance) {
             worst = residual / tolerance;
             s->worst = i;
@@ -67,6 +72,17 @@ static double measure(Solver *s, const double *w, double largest)
         }
     }
     return worst;
+}
+
+/* Whether the residual may be all that rounding leaves. */
+static bool is_all_rounding(const Solver *s, const double *w, double largest)
+{
+    for (int64_t i = 0; i < s->n; ++i) {
+        const double size = larger(fabs(s->v[i]), fabs(w[i]));
+        if (fabs(w[i] - s->v[i]) > LIMIT * size + ROUNDING * largest)
+            return false;
+    }
+    return true;
 }
 
 /* The power of two by which an unknown is measured. */
@@ -83,7 +99,7 @@ static double scale_of(const Solver *s, int64_t i)
 static int32_t shift(Solver *s, int64_t column)
 {
     s->column = column;
-    memcpy(s->v, s->point, (size_t)s->n * sizeof *s->v);
+    copy(s->v, s->point, s->n);
     s->v[column] += copysign(ldexp(scales_of(s)[column], DIFFERENCE), s->v[column]);
     return COSIM_SWEEP;
 }
@@ -235,14 +251,16 @@ static int32_t go_back(Solver *s)
 /* What follows the sweep with a candidate. */
 static int32_t judge(Solver *s, const double *w, double largest)
 {
-    const size_t size = (size_t)s->n * sizeof *w;
-    const double excess = measure(s, w, largest);
-    const bool falls = excess <= FALLS * s->before;
+    const double excess = measure(s, w);
+    const bool falls = excess <= FALLS * s->before, keeps = s->memory[0] != 0.0 && falls;
     if (isnan(excess))
         return COSIM_INVALID;
     if (excess <= 1.0 || s->is_last)
         return accept(s);
-    if (s->is_new && !falls && s->is_rounding)
+    if (!keeps && isnan(largest))
+        return COSIM_ASK;
+    const bool is_rounding = !keeps && is_all_rounding(s, w, largest);
+    if (s->is_new && !falls && is_rounding)
         return accept(s); /* as near as differences and rounding let it come */
     if (s->is_new && excess > s->before && s->halvings < HALVINGS)
         return halve(s);
@@ -250,10 +268,10 @@ static int32_t judge(Solver *s, const double *w, double largest)
         return COSIM_UNSOLVED;
     s->before = excess;
     s->halvings = 0;
-    memcpy(s->point, s->v, size);
-    memcpy(s->point + s->n, w, size);
-    s->point_is_rounding = s->is_rounding;
-    if (s->memory[0] != 0.0 && falls) {
+    copy(s->point, s->v, s->n);
+    copy(s->point + s->n, w, s->n);
+    s->point_is_rounding = is_rounding;
+    if (keeps) {
         s->is_new = 0;
         return correct(s);
     }

@@ -20,6 +20,7 @@
 #define COSIM_UNDECIDED 2 /* 1 - dw/dv is singular: no solution, or more than one */
 #define COSIM_UNSOLVED 3  /* no solution was found */
 #define COSIM_INVALID 4   /* w is not finite */
+#define COSIM_ASK 5       /* to be called again with the largest value */
 
 typedef struct {
     int64_t n;
@@ -35,9 +36,9 @@ typedef struct {
     double *point;
     /* of this step: points so far, the column that is differenced, or -1; whether the matrix is one
      * of this step's points; how often the correction was halved; whether the next sweep is the
-     * last; whether rounding may be all that is left at the candidate, and at the point; the
-     * residual there in units of its tolerance */
-    int64_t sweeps, column, is_new, halvings, is_last, is_rounding, point_is_rounding;
+     * last; whether rounding may be all that is left at the point; the residual there in units of
+     * its tolerance */
+    int64_t sweeps, column, is_new, halvings, is_last, point_is_rounding;
     double before;
     /* of the candidate: the worst element, its residual and what is allowed */
     int64_t worst;
@@ -47,7 +48,8 @@ typedef struct {
 /* Begin a step that ends at t1; v is filled: a guess. */
 void cosim_loop_solver_begin(cosim_loop_solver *self, double t1);
 
-/* Take w (n) of the sweep with v; `largest`: of all values involved, for what rounding leaves. */
+/* Take w (n) of the sweep with v; `largest`: of all values involved, for what rounding leaves. That
+ * is rarely needed: it may be NaN, and where it is needed then, nothing is done yet. */
 int32_t cosim_loop_solver_next(cosim_loop_solver *self, const double *w, double largest);
 
 #endif

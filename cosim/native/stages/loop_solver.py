@@ -26,7 +26,7 @@ class LoopSolverStruct(Structure):
         ("iterations", c_int64),
         *((name, c_void_p) for name in ("memory", "v", "point")),
         *((name, c_int64) for name in ("sweeps", "column", "is_new", "halvings")),
-        *((name, c_int64) for name in ("is_last", "is_rounding", "point_is_rounding")),
+        *((name, c_int64) for name in ("is_last", "point_is_rounding")),
         ("before", c_double),
         ("worst", c_int64),
         *((name, c_double) for name in ("residual", "tolerance")),

@@ -62,24 +62,18 @@ static void override(cosim_stage *s, const cosim_member *m, double *row)
 }
 
 /* Give inputs that a loop solves for what is tried for them. */
-static void put_tried(const cosim_member *m, double *row)
+static inline void put_tried(const cosim_member *m, double *row)
 {
     for (int32_t i = 0; i < m->n_torn; ++i)
         row[m->torn[i]] = m->tried[i];
 }
 
 /* Fill inputs that are no copies. */
-static inline void gather_driven(cosim_stage *s, const cosim_member *m, double *row)
+RARE static void gather_driven(cosim_stage *s, const cosim_member *m, double *row)
 {
     for (int32_t i = 0; i < m->n_sums; ++i)
         add_up(s, m->sums + i, row);
     override(s, m, row);
-}
-
-RARE static void gather_others(cosim_stage *s, const cosim_member *m, double *row)
-{
-    gather_driven(s, m, row);
-    put_tried(m, row);
 }
 
 static inline void gather_copies(const cosim_member *m, double *row)
@@ -90,11 +84,18 @@ static inline void gather_copies(const cosim_member *m, double *row)
 }
 
 /* Fill the inputs from their sources. */
-static inline void gather(cosim_stage *s, const cosim_member *m, double *row)
+static inline void gather_sources(cosim_stage *s, const cosim_member *m, double *row)
 {
     gather_copies(m, row);
-    if (m->n_sums | m->n_torn | *m->overridden)
-        gather_others(s, m, row);
+    if (m->n_sums | *m->overridden)
+        gather_driven(s, m, row);
+}
+
+/* The same; those that are tried, or kept, have the values of that. */
+static inline void gather(cosim_stage *s, const cosim_member *m, double *row)
+{
+    gather_sources(s, m, row);
+    put_tried(m, row);
 }
 
 static inline double left_limit(const cosim_jump *jump, const double *before, const double *row)
@@ -156,7 +157,7 @@ static void gather_rows(cosim_stage *s, const cosim_member *m, double *rows, int
     }
     if (m->n_sums | *m->overridden)
         for (int64_t k = 0; k < end; k += width)
-            gather_others(s, m, rows + k);
+            gather_driven(s, m, rows + k);
 }
 
 /* Whether a value is infinite, or NaN that does not mean "no value yet". */
@@ -285,8 +286,7 @@ static int32_t gather_together(cosim_stage *s, const cosim_operation *operation,
     for (int32_t i = 0; i < operation->count; ++i) {
         const cosim_member *m = operation->members + i;
         put_left(m, step->before, row);
-        gather_copies(m, row);
-        gather_driven(s, m, row);
+        gather_sources(s, m, row);
         put_right(m, row);
         for (int32_t j = 0; j < m->n_torn; ++j)
             m->tried[j] = row[m->torn[j]];
@@ -297,10 +297,8 @@ static int32_t gather_together(cosim_stage *s, const cosim_operation *operation,
 /* What their sources gave at last. */
 static int32_t record(cosim_stage *s, const cosim_operation *operation, double *row)
 {
-    for (int32_t i = 0; i < operation->count; ++i) {
-        gather_copies(operation->members + i, row);
-        gather_driven(s, operation->members + i, row);
-    }
+    for (int32_t i = 0; i < operation->count; ++i)
+        gather_sources(s, operation->members + i, row);
     return COSIM_OK;
 }
 
@@ -344,10 +342,9 @@ static int32_t jump(cosim_stage *s, int64_t operation)
 }
 
 /* What the sources give for the torn inputs of a member. */
-static double *answer(cosim_stage *s, const cosim_member *m, double *row, double *w)
+static inline double *answer(cosim_stage *s, const cosim_member *m, double *row, double *w)
 {
-    gather_copies(m, row);
-    gather_driven(s, m, row);
+    gather_sources(s, m, row);
     for (int32_t j = 0; j < m->n_torn; ++j)
         *w++ = row[m->torn[j]];
     return w;
@@ -375,45 +372,39 @@ RARE static int32_t begin(cosim_stage *s, const cosim_operation *operation, cons
     return jump(s, unknowns->sweep);
 }
 
-static double largest_of(const cosim_member *m, const double *row, double largest)
+/* The largest value of a loop in a row. */
+RARE static double largest_of(const cosim_operation *operation, const double *row)
 {
-    for (int32_t j = m->u; j < m->u + m->n_u + m->n_y; ++j)
-        largest = fabs(row[j]) > largest ? fabs(row[j]) : largest; /* not NaN */
+    double largest = 0.0;
+    for (int32_t i = 0; i < operation->count; ++i) {
+        const cosim_member *m = operation->members + i;
+        for (int32_t j = m->u; j < m->u + m->n_u + m->n_y; ++j)
+            largest = fabs(row[j]) > largest ? fabs(row[j]) : largest; /* not NaN */
+    }
     return largest;
 }
 
 RARE static int32_t solve(cosim_stage *s, const cosim_operation *operation, const Step *step)
 {
     cosim_unknowns *unknowns = s->segments[s->segment].unknowns;
-    double *w = unknowns->w, largest = 0.0;
+    double *w = unknowns->w;
     for (int32_t i = 0; i < operation->count; ++i) {
         const cosim_member *m = operation->members + i;
-        if (m->n_torn) {
-            w = answer(s, m, step->row, w);
-            put_tried(m, step->row);
-        }
-        largest = largest_of(m, step->row, largest);
+        if (!m->n_torn)
+            continue;
+        w = answer(s, m, step->row, w);
+        put_tried(m, step->row);
     }
-    unknowns->status = cosim_loop_solver_next(unknowns->solver, unknowns->w, largest);
+    unknowns->status = cosim_loop_solver_next(unknowns->solver, unknowns->w, NAN);
+    if (unknowns->status == COSIM_ASK) {
+        const double largest = largest_of(operation, step->row);
+        unknowns->status = cosim_loop_solver_next(unknowns->solver, unknowns->w, largest);
+    }
     if (unknowns->status != COSIM_SWEEP)
         return unknowns->status == COSIM_SOLVED && !unknowns->stopped ? COSIM_OK : COSIM_NO_VALUE;
     unknowns->stopped = 0;
     begin_step(s);
     return jump(s, unknowns->restore);
-}
-
-RARE static int32_t iterate(cosim_stage *s, const cosim_operation *operation, const Step *step)
-{
-    switch (operation->kind) {
-    case COSIM_SAVE:
-        return save(operation->members);
-    case COSIM_BEGIN:
-        return begin(s, operation, step);
-    case COSIM_RESTORE:
-        return restore(operation->members);
-    default:
-        return solve(s, operation, step);
-    }
 }
 
 static inline int32_t perform(cosim_stage *s, const cosim_operation *operation, const Step *step)
@@ -442,8 +433,14 @@ static inline int32_t perform(cosim_stage *s, const cosim_operation *operation, 
         return evaluate(s, m, COSIM_ADVANCE, step);
     case COSIM_RECORD:
         return record(s, operation, step->row);
+    case COSIM_SAVE:
+        return save(m);
+    case COSIM_BEGIN:
+        return begin(s, operation, step);
+    case COSIM_RESTORE:
+        return restore(m);
     default:
-        return iterate(s, operation, step);
+        return solve(s, operation, step);
     }
 }
 
