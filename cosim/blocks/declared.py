@@ -12,6 +12,7 @@ from cosim.core.contracts import (
     Design,
     Native,
     Rollback,
+    left_limits,
     linearized,
     prepare,
     prepare_substeps,
@@ -100,6 +101,10 @@ class Declared:
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Advance the component."""
         return self._component.advance(t, h, u)
+
+    def left_limits(self, t: Vector) -> Mapping[int, Vector]:
+        """Return the left limits that the component tells."""
+        return left_limits(self._component, t)
 
     def native(self) -> NativeStep | None:
         """Return the compiled step of the component."""

@@ -67,7 +67,12 @@ class LateSamples:
         self._times = columns[SAMPLE_TIMES]
         inputs = tuple(_single_sample(signal) for signal in component.interface.inputs)
         self.interface: Interface = replace(
-            component.interface, inputs=inputs, prepares=True, linearizable=False, substeps=False
+            component.interface,
+            inputs=inputs,
+            prepares=True,
+            linearizable=False,
+            substeps=False,
+            left_limits=(),
         )
         self._own = self.interface.input_columns()
         self._held = HeldRows(steps, component.interface.n_u, component.interface.n_y)

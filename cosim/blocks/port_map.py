@@ -13,7 +13,7 @@ Names are resolved to a map in :mod:`cosim.blocks.renaming`.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -121,8 +121,8 @@ class PortMap:
                 initial[name] = self._shown_inputs_behind(port, at_start)
         inputs = tuple(port.signal for port in self.inputs)
         outputs = tuple(port.signal for port in self.outputs)
-        own_jumping = self.component.jumping
-        jumping = [p.signal.name for p in self.outputs if p.sources.keys() & set(own_jumping)]
+        jumping = self._shown_of(self.component.jumping)
+        left_limits = self._shown_of(self.component.left_limits)
         own_delayed = set(self.component.delayed)
         delayed = [port.signal.name for port in self.inputs if port.sources.keys() <= own_delayed]
         return replace(
@@ -132,8 +132,14 @@ class PortMap:
             feedthrough=feedthrough,
             initial=initial,
             delayed=tuple(delayed),
-            jumping=tuple(jumping),
+            jumping=jumping,
+            left_limits=left_limits,
         )
+
+    def _shown_of(self, outputs: Collection[str]) -> tuple[str, ...]:
+        """Return the shown outputs that have elements of some outputs."""
+        own = frozenset(outputs)
+        return tuple(port.signal.name for port in self.outputs if port.sources.keys() & own)
 
     def _shown_inputs_behind(
         self, output: ShownPort, dependencies: Dependencies

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import cast, final
 
@@ -13,6 +14,7 @@ from cosim.core.contracts import (
     Native,
     Rollback,
     Stopped,
+    left_limits,
     linearized,
     prepare,
     prepare_substeps,
@@ -68,6 +70,11 @@ class Renamed:
             completed = self._ports.shown_outputs(stop.outputs)
             raise Stopped(completed, str(stop), failed=stop.failed) from stop
         return self._ports.shown_outputs(y)
+
+    def left_limits(self, t: Vector) -> Mapping[int, Vector]:
+        """Return the left limits that the component tells, of the shown outputs."""
+        own = left_limits(self._component, t)
+        return {place: self._ports.shown_outputs(y) for place, y in own.items()}
 
     def native(self) -> NativeStep | None:
         """Return the compiled step, if the component has one: its own, if nothing has moved."""

@@ -243,6 +243,13 @@ def linearized(component: Component, t: float, u: Vector) -> Linearized | None:
     return cast(Linearizable, component).linearized(t, u)
 
 
+def left_limits(component: Component, t: Vector) -> Mapping[int, Vector]:
+    """Return the left limits that a component tells; none where its interface names no output."""
+    if not component.interface.left_limits:
+        return {}
+    return cast(Jumping, component).left_limits(t)
+
+
 def check_design(recorded: Design, shapes: Mapping[str, tuple[int, ...]]) -> None:
     """Check names and shapes of the arrays that a component takes: kernels that step trust them.
 

@@ -263,6 +263,14 @@ class Description:
         return self.references("input").where(lambda v: v.variability != "continuous")
 
     @property
+    def has_discrete_parts(self) -> bool:
+        """Whether it shows that it may have events of its own: by indicators, clocks, variables."""
+        if self.event_indicators or self.clocks:
+            return True
+        own = [variable for variable in self.variables if variable.causality != "input"]
+        return any(variable.variability == "discrete" for variable in own)
+
+    @property
     def undoes_discarded_steps(self) -> bool:
         """Whether a step that the FMU discards leaves it as it was (FMI 3).
 

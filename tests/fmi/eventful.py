@@ -106,7 +106,8 @@ def xml3(model: str) -> str:
 @cache
 def build(model: str, version: int = 2, nominal: float = 1.0, *, saves: bool = True) -> Path:
     """Build the FMU; ``saves``: it says that it can save its state."""
-    path = kept_folder() / f"{model}{version}.fmu"
+    ending = "" if saves else "-forgets"
+    path = kept_folder() / f"{model}{version}{ending}.fmu"
     xml = xml2(model) if version == 2 else xml3(model)
     if not saves:
         xml = xml.replace('canGetAndSetFMUstate="true"', "")

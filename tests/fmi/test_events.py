@@ -9,10 +9,19 @@ import numpy as np
 import pytest
 
 import cosim
+from cosim.blocks.source import constant
+from cosim.blocks.state_space import controller
+from cosim.core.clock import Clock
 from cosim.core.contracts import Stopped
+from cosim.core.graph import Graph
+from cosim.core.linear import Linear
+from cosim.core.master import run as run_graph
+from cosim.core.recorders import Memory
 from cosim.errors import FmuError
+from cosim.fmi.component import load
 from cosim.fmi.driving.events import KEPT, EventList, close, locate
 from cosim.fmi.driving.solvers import STEPPING
+from cosim.fmi.options import FmuOptions
 from cosim.log import open_log
 from cosim.testing import check_component, check_rollback
 from tests.fmi.eventful import Run, build
@@ -564,3 +573,63 @@ def test_how_many_events_are_listed_does_not_depend_on_the_blocks(fetched_after)
     counts = [30 * (step % 10) for step in range(50)]
     assert len(listed) == sum(min(count, KEPT) + (count > KEPT) for count in counts)
     assert [message.time for message in listed] == sorted(message.time for message in listed)
+
+
+# --- what others see of an event at a communication point ---
+
+
+def integral():
+    zero = np.zeros((1, 1))
+    return Linear(controller(A=zero, B=np.eye(1), C=np.eye(1), D=zero))
+
+
+def integrated(saw, *, native, block):
+    """Run i' = x behind a sawtooth x, for 1 s in steps of 20 ms; return the recording."""
+    components = {"u": constant([0.0]), "a": saw, "i": integral()}
+    connections = {"a.u": "u.y", "a.d": "u.y", "i.u": "a.x"}
+    graph = Graph(components, connections, native=native)
+    memory = Memory()
+    run_graph(graph, Clock(1.0, 0.02, block=block), memory)
+    return memory
+
+
+@pytest.mark.parametrize("version", [2, 3])
+@pytest.mark.parametrize("saves", [True, False])
+@pytest.mark.parametrize("solver", ["rk4", "RK45", "BDF"])
+def test_what_follows_an_output_that_jumps_takes_its_left_limit(version, saves, solver):
+    """The integral of ten teeth of 0.1 s is 10 (0.1^2 / 2), in blocks of any length.
+
+    With the right limit at the end of the step before it, each tooth would lose 0.1 h/2, a fifth of
+    all.
+    """
+    recordings = []
+    for native, block in ((True, None), (False, None), (True, 1), (False, 7)):
+        path = build("SAW", version, saves=saves)
+        with load(path, FmuOptions(solver=solver, start={"p": 0.1})) as fmu:
+            assert fmu.component.interface.left_limits == ("x", "v")
+            recordings.append(integrated(fmu.component, native=native, block=block))
+    tolerance = 1e-13 if solver == "rk4" else 1e-8  # x' = 1 is exact but for roundings; rtol 1e-9
+    first = recordings[0]
+    assert abs(first["i.y"][-1] - 0.05) < tolerance
+    jumps = [event for event in first.events() if event.signal == "a.x"]
+    assert [event.time_ns for event in jumps] == [k * 100_000_000 for k in range(1, 11)]
+    assert {event.cause for event in jumps} == {"jump"}
+    assert all(abs(event.values[0] - 0.1) < tolerance for event in jumps)
+    for other in recordings[1:]:
+        assert other.rows("i").tobytes() == first.rows("i").tobytes()
+        assert other.events() == first.events()
+
+
+def test_a_loop_that_is_solved_for_what_jumps_says_so():
+    """What closes the loop, u, moves nothing in the FMU: each tooth loses 0.1 h/2, as is said."""
+    components = {"u": constant([0.0]), "i": integral()}
+    connections = {"a.u": "i.y", "a.d": "u.y", "i.u": "a.x"}
+    with load(build("SAW", 2), FmuOptions(solver="rk4", start={"p": 0.1})) as fmu:
+        graph = Graph({**components, "a": fmu.component}, connections, coupling="newton")
+        memory = Memory()
+        run_graph(graph, Clock(1.0, 0.02), memory)
+    (text,) = [text for component, text in graph.warnings if component == "a"]
+    assert text.startswith(
+        "a.x jumps, and drives i.u, which its loop is solved for: there the jump"
+    )
+    assert memory["i.y"][-1] - 0.05 == pytest.approx(-10 * 0.1 * 0.02 / 2)

@@ -19,12 +19,12 @@ from cosim.arrays import Mask, Matrix, Vector, read_only
 from cosim.core.contracts import (
     Component,
     Design,
-    Jumping,
     Native,
     PreparableSubsteps,
     Rollback,
     Stopped,
     Transfer,
+    left_limits,
     linearized,
     prepare,
     prepare_substeps,
@@ -265,7 +265,7 @@ class GuardedComponent:
         if not self._interface.left_limits:
             return {}
         try:
-            limits = dict(cast(Jumping, self._component).left_limits(read_only(t)))
+            limits = dict(left_limits(self._component, read_only(t)))
         except RunError:
             raise
         except RAISED as error:
@@ -397,7 +397,7 @@ class Timed:
     def left_limits(self, t: Vector) -> Mapping[int, Vector]:
         """Pass on."""
         with self._measured():
-            return cast(Jumping, self._component).left_limits(t)
+            return left_limits(self._component, t)
 
     def linearized(self, t: float, u: Vector) -> Linearized | None:
         """Pass on."""

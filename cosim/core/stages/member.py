@@ -138,6 +138,12 @@ class Member:
         self.gather(rows, END)
         self.jumps.put_back(rows, right)
 
+    @property
+    def tells_limits(self) -> bool:
+        """Whether it tells left limits, and these are followed."""
+        is_followed = self.jumps is not None and len(self.jumps.own) > 0
+        return is_followed and bool(self.channel.interface.left_limits)
+
     def reads_jumps(self, rows: Matrix) -> bool:
         """Return whether what it reads jumps at the end of a step."""
         return self.jumps is not None and bool(self.jumps.jumps(rows)[0])

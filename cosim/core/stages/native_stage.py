@@ -102,7 +102,9 @@ def _native_steps(members: Iterable[Member]) -> dict[str, NativeStep]:
     steps = {}
     for member in members:
         step = member.component.native()
-        if step is not None:
+        # what has jumps of its own needs a step that tells them, where they are followed
+        is_silent = step is not None and step.told is None and member.tells_limits
+        if step is not None and not is_silent:
             steps[member.name] = step
     return steps
 

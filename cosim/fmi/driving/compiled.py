@@ -54,6 +54,7 @@ class CompiledIntegrator:
         self._step_inputs = np.zeros((2, n_u))
         self._scratch = np.zeros(2 * n_x + n_u + 4 * n_z)
         self._events = np.zeros(ROOM, EVENT)
+        self._left = np.zeros(description.references("output").size)
         struct = ModelExchangeStruct(addresses.fmu, room=ROOM)
         self._struct = struct
         self._solver, self._x = integrator.compiled_solver(
@@ -75,7 +76,17 @@ class CompiledIntegrator:
             memory=self._scratch,
             keep=(self,),
             outputs=address("cosim_model_exchange_outputs"),
+            told=self._told(),
         )
+
+    def _told(self) -> tuple[int, int] | None:
+        """Return where compiled steps tell left limits; None: nobody asks for them."""
+        struct = self._struct
+        if not self._integrator.keeps_left:
+            return None
+        struct.left = pointer(self._left)
+        offset = ModelExchangeStruct.has_left.offset
+        return ctypes.addressof(struct) + offset, pointer(self._left)
 
     def _point_to_memory(self) -> None:
         struct = self._struct
@@ -168,6 +179,8 @@ class CompiledIntegrator:
         )
         integrator.inputs_time = struct.inputs_time
         self.list_events()
+        if struct.has_left:
+            integrator.left = self._left.copy()
         nominals_changed = bool(struct.nominals_changed)
         struct.nominals_changed = 0
         struct.moved = 0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, Protocol, TypeVar, final
 
@@ -14,6 +14,7 @@ from cosim.core.contracts import (
     PreparableSubsteps,
     Rollback,
     Stopped,
+    left_limits,
 )
 from cosim.core.linearization import Linearized
 from cosim.core.signals import Interface
@@ -168,6 +169,10 @@ class Guarded:
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Pass on."""
         return self._call(float(t[0]), lambda: self._component.advance(t, h, u))
+
+    def left_limits(self, t: Vector) -> Mapping[int, Vector]:
+        """Pass on: the FMU is not called."""
+        return left_limits(self._component, t)
 
     def native(self) -> NativeStep | None:
         """Return the compiled step of the component, with the floating-point unit put back."""

@@ -166,6 +166,10 @@ class Integrator:
     events : EventList
     diagnostics : Diagnostics
         As it was handed over.
+    keeps_left : bool
+        Whether the outputs before an event at the end of a step are read.
+    left : Vector or None
+        Those of the last step; None: it had no such event.
     """
 
     def __init__(
@@ -209,6 +213,8 @@ class Integrator:
         self.event_inputs: NDArray[np.intp] = np.flatnonzero(description.discrete_inputs)
         self.events = EventList()
         self.diagnostics = diagnostics
+        self.keeps_left = False
+        self.left: Vector | None = None
 
     @property
     def is_explicit(self) -> bool:
@@ -266,6 +272,7 @@ class Integrator:
             If the events do not end.
         """
         self._step_inputs = inputs
+        self.left = None
         self.events.begin_step()
         self._clocks.begin_step()
         return self._integrate_on(0)
@@ -434,6 +441,7 @@ class Integrator:
         state = self.state
         if state.ended:
             return self._clocks.outputs()
+        self.read_left(u)
         if not (state.due or self._jumps(u) or self._clocks.is_due(state.t, u)):
             self._correct_inputs(u)
         elif self.rolls_back:
@@ -441,6 +449,12 @@ class Integrator:
         else:
             self.handle_events(u)
         return self._clocks.outputs()
+
+    def read_left(self, u: Vector) -> None:
+        """Read the outputs for inputs ``u`` before the event that is due at the end of a step."""
+        if self.keeps_left and self.state.due and not self.state.ended:
+            self._correct_inputs(u)
+            self.left = self._clocks.outputs()
 
     def _correct_inputs(self, u: Vector) -> None:
         """Set continuous inputs for the outputs alone; the state stays what it is."""

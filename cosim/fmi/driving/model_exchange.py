@@ -118,9 +118,23 @@ class ModelExchange:
             restarts=self.solver == "CVode",
             linearizable=self.solver != RADAU and has_continuous_ports(instance.description),
             substeps=True,
+            left_limits=self._jumping_outputs(),
         )
+        self._integrator.keeps_left = bool(self.interface.left_limits)
+        self._left_limits: dict[float, Vector] = {}
         self._exact: ExactSolver | None = None
         self._compiled: CompiledIntegrator | None = None
+
+    def _jumping_outputs(self) -> tuple[str, ...]:
+        """Return the continuous outputs that may jump in events of the FMU's own.
+
+        An FMU without event indicators, discrete variables and clocks is taken to have none.
+        """
+        description = self._instance.description
+        if self.solver == "exact" or not description.has_discrete_parts:
+            return ()
+        outputs = description.interface.outputs
+        return tuple(signal.name for signal in outputs if signal.variability == "continuous")
 
     @property
     def metadata(self) -> dict[str, str | float]:
@@ -174,12 +188,23 @@ class ModelExchange:
         self._finish(self._take_over())
         self._leave_initialization()
         y = self._integrator.outputs(np.array(u, np.float64, order="C"))
+        self._keep_left(t)
         self._hand_over()
         return y
+
+    def left_limits(self, t: Vector) -> dict[int, Vector]:
+        """Return the outputs before events at the ends of the last steps, by place in ``t``."""
+        limits = self._left_limits
+        return {place: limits[time] for place, time in enumerate(t.tolist()) if time in limits}
+
+    def _keep_left(self, t: float) -> None:
+        if self._integrator.left is not None:
+            self._left_limits[t] = self._integrator.left
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Step K times; see :class:`cosim.core.contracts.Component`."""
         interruption = self._take_over()
+        self._left_limits.clear()
         no_rows = np.empty((0, self.interface.n_y))
         try:
             self._finish(interruption)
@@ -392,9 +417,11 @@ class ModelExchange:
                 # An event at the end of the block is left to the next advance: a loop may still
                 # correct the inputs that it happens with.
                 if completed and k < steps - 1 and not self._integrator.state.ended:
+                    self._integrator.read_left(inputs[k + 1])
                     self._integrator.handle_events(inputs[k + 1])
                 if completed:
                     y[k] = self._integrator.outputs(inputs[k + 1])
+                    self._keep_left(t1)
             except RunError as error:
                 raise Stopped(y[:k].copy(), str(error)) from error
             if self._integrator.state.ended:

@@ -626,11 +626,26 @@ static int32_t outputs_after_event(Model *s, const double *u, double *y)
     return status;
 }
 
+/* Read the outputs before the event that is due. */
+static int32_t read_left(Model *s, const double *u)
+{
+    if (!s->left || !s->due || s->ended)
+        return COSIM_OK;
+    int32_t status = correct_inputs(s, u);
+    if (status == COSIM_OK)
+        status = get_outputs(s, s->left);
+    s->has_left = status == COSIM_OK;
+    return status;
+}
+
 static int32_t outputs(Model *s, const double *u, double *y)
 {
     int32_t status = COSIM_OK;
     if (s->ended)
         return get_outputs(s, y);
+    status = read_left(s, u);
+    if (status != COSIM_OK)
+        return status;
     if (!(s->due || jumps(s, u)))
         status = correct_inputs(s, u);
     else if (s->rolls_back)
@@ -670,6 +685,7 @@ int32_t cosim_model_exchange_step(void *self, double t0, double t1, double h, co
     if (!is_allowed(s))
         return LEFT;
     s->moved = 1;
+    s->has_left = 0;
     s->allowed = 0; /* until the step is done: what is left of it is the caller's */
     int32_t status = handle_events(s, u0);
     if (status == COSIM_OK && s->ended)

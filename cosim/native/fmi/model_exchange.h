@@ -76,6 +76,10 @@ typedef struct {
     const double *u0, *u1; /* (n_u) */
     double *end_inputs;    /* (n_u) u1, where some inputs change in events only */
     double *u, *scratch;   /* (n_u), (2 n_x + n_u + 4 n_z) */
+
+    /* outputs at the end of a step before an event that is due there; NULL: nobody asks for them */
+    double *left;      /* (n_y) */
+    int32_t has_left;  /* of the last step */
 } cosim_model_exchange;
 
 int32_t cosim_model_exchange_step(void *self, double t0, double t1, double h, const double *u0,

@@ -55,4 +55,6 @@ class ModelExchangeStruct(Structure):
         ("latest", c_double),
         *((name, c_double) for name in ("t0", "t1")),
         *((name, c_void_p) for name in ("u0", "u1", "end_inputs", "u", "scratch")),
+        ("left", c_void_p),
+        ("has_left", c_int32),
     )

@@ -140,10 +140,19 @@ static bool jumps(const cosim_member *m, const double *before, const double *row
     return false;
 }
 
-static inline void keep_limits(const cosim_member *m, double *row)
+/* Take the outputs as left limits. */
+static inline void keep_outputs(const cosim_member *m, double *row)
 {
     for (int32_t i = 0; i < m->n_limits; ++i)
-        copy(row + m->limits[i].to, row + m->limits[i].from, m->limits[i].count);
+        row[m->limits[i].to] = row[m->limits[i].from];
+}
+
+/* Take as left limits what the member tells, or its outputs. */
+static inline void keep_limits(const cosim_member *m, double *row)
+{
+    const double *y = m->tells && *m->tells ? m->told : row + m->y;
+    for (int32_t i = 0; i < m->n_limits; ++i)
+        row[m->limits[i].to] = y[m->limits[i].from - m->y];
 }
 
 /* The same for many rows, each input on its own. */
@@ -416,7 +425,7 @@ static inline int32_t perform(cosim_stage *s, const cosim_operation *operation, 
         return evaluate(s, m, COSIM_ADVANCE, step);
     case COSIM_KEEP:
         copy(step->row + m->y, step->before + m->y, m->n_y);
-        keep_limits(m, step->row);
+        keep_outputs(m, step->row);
         return COSIM_OK;
     case COSIM_GATHER:
         gather(s, m, step->row);
