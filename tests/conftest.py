@@ -63,10 +63,16 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def no_cache_of_the_user() -> Iterator[None]:
-    """Trials of FMUs are not kept beyond a test, in this process or in one that it starts."""
+def cache_of_the_suite(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Keep trials of FMUs in a folder of this run, for all its workers, not in that of the user.
+
+    So an FMU is tried once for each content of its file, however many tests load it.
+    """
+    folder = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        folder = folder.parent
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("COSIM_CACHE", "")
+        patch.setenv("COSIM_CACHE", str(folder / "trials-of-fmus"))
         yield
 
 

@@ -1,11 +1,9 @@
 """The FMU of ``c/clocked3.c``, with the clocks that a test needs."""
 
-import zipfile
 from functools import cache
 from pathlib import Path
 
-from cosim.fmi.platforms import SUFFIX, folders
-from tests.fmi.compiled import compile_fmu, kept_folder
+from tests.fmi.compiled import compile_fmu, kept_folder, with_description
 
 CLOCKS = {  # name: value reference, causality, interval
     "sample": (1, "input", 'intervalVariability="constant" intervalDecimal="0.1"'),
@@ -107,8 +105,4 @@ def build(
     changes: dict[str, str] | None = None,
 ) -> Path:
     """Write the FMU with some of its clocks."""
-    member = f"binaries/{folders('3.0')[0]}/model{SUFFIX}"
-    with zipfile.ZipFile(_compiled()) as source, zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("modelDescription.xml", xml(clocks, can, changes or {}))
-        archive.writestr(member, source.read(member))
-    return path
+    return with_description(_compiled(), path, xml(clocks, can, changes or {}))

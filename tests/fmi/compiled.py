@@ -52,9 +52,23 @@ def compile_fmu(
     version = xml.split('fmiVersion="')[1].split('"')[0]
     flags = [f"-I{HEADERS}", *(f"-D{define}" for define in defines)]
     build.compile_library([HERE / source for source in sources], library, flags)
+    binary = f"binaries/{folders(version)[0]}/{name}{SUFFIX}"
+    return write_archive(path, {"modelDescription.xml": xml, **extra, binary: library.read_bytes()})
+
+
+def write_archive(path: Path, members: Mapping[str, str | bytes]) -> Path:
+    """Write an FMU whose bytes are those of its members alone, whenever it is written.
+
+    Trials are kept by the content of the file: the same FMU is tried once.
+    """
     with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("modelDescription.xml", xml)
-        for member, content in extra.items():
-            archive.writestr(member, content)
-        archive.write(library, f"binaries/{folders(version)[0]}/{name}{SUFFIX}")
+        for member, content in members.items():
+            archive.writestr(zipfile.ZipInfo(member), content)
     return path
+
+
+def with_description(fmu: Path, target: Path, xml: str) -> Path:
+    """Copy an FMU with another modelDescription.xml."""
+    with zipfile.ZipFile(fmu) as source:
+        members = {member: source.read(member) for member in source.namelist()}
+    return write_archive(target, {**members, "modelDescription.xml": xml})

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from cosim.fmi.exporting.export import export
-from tests.fmi.compiled import compile_fmu
+from tests.fmi.compiled import compile_fmu, write_archive
 from tests.fmi.plant import model
 from tests.fmi.probes import xml1, xml2, xml3
 
@@ -27,8 +27,8 @@ def edited(exported, tmp_path):
         without: str = "no such member",
         extra: dict[str, bytes] | None = None,
     ) -> Path:
-        path = tmp_path / "edited.fmu"
-        with zipfile.ZipFile(exported) as source, zipfile.ZipFile(path, "w") as target:
+        members: dict[str, bytes] = {}
+        with zipfile.ZipFile(exported) as source:
             for name in source.namelist():
                 content = source.read(name)
                 if name == "modelDescription.xml":
@@ -36,10 +36,8 @@ def edited(exported, tmp_path):
                         assert before.encode() in content
                         content = content.replace(before.encode(), after.encode())
                 if not name.startswith(without):
-                    target.writestr(name, content)
-            for name, content in (extra or {}).items():
-                target.writestr(name, content)
-        return path
+                    members[name] = content
+        return write_archive(tmp_path / "edited.fmu", {**members, **(extra or {})})
 
     return edit
 

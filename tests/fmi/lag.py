@@ -1,12 +1,10 @@
 """The FMUs of ``c/lag*.c``, and their closed form: a lag x' = u + d - x, y = x + u."""
 
-import zipfile
 from pathlib import Path
 
 import numpy as np
 
-from cosim.fmi.platforms import SUFFIX, folders
-from tests.fmi.compiled import compile_fmu
+from tests.fmi.compiled import compile_fmu, with_description
 
 PARAMETERS = (
     "longest",
@@ -168,11 +166,7 @@ def build(folder: Path, version: str) -> Path:
 
 def able(fmu: Path, target: Path, version: str, *can: str) -> Path:
     """Copy a compiled lag with some capabilities."""
-    member = f"binaries/{folders(f'{version}.0')[0]}/model{SUFFIX}"
-    with zipfile.ZipFile(fmu) as source, zipfile.ZipFile(target, "w") as archive:
-        archive.writestr("modelDescription.xml", xml(version, *can))
-        archive.writestr(member, source.read(member))
-    return target
+    return with_description(fmu, target, xml(version, *can))
 
 
 def on_a_line(t, u0, slope, x0=0.0):

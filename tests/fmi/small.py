@@ -1,10 +1,8 @@
 """The FMUs of ``c/small2.c``: linear systems of first order, and the parts of a nonlinear loop."""
 
-import zipfile
 from pathlib import Path
 
-from cosim.fmi.platforms import SUFFIX, folders
-from tests.fmi.compiled import compile_fmu
+from tests.fmi.compiled import compile_fmu, with_description
 
 NAMES = ("u", "v", "x", "y", "z", "A", "B", "C", "D", "KIND", "SAYS")
 CAN = {
@@ -23,11 +21,7 @@ def compiled(folder: Path) -> Path:
 
 def able(fmu: Path, target: Path, *can: str, **values: float) -> Path:
     """Copy it with capabilities of ``CAN`` and start values, such as ``A=-1.0``, ``x=1.0``."""
-    member = f"binaries/{folders('2.0')[0]}/model{SUFFIX}"
-    with zipfile.ZipFile(fmu) as source, zipfile.ZipFile(target, "w") as archive:
-        archive.writestr("modelDescription.xml", xml(*can, **values))
-        archive.writestr(member, source.read(member))
-    return target
+    return with_description(fmu, target, xml(*can, **values))
 
 
 def xml(*can: str, **values: float) -> str:

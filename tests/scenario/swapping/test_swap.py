@@ -14,6 +14,7 @@ from cosim.errors import ScenarioError
 from cosim.scenario.building.build import parse
 from cosim.scenario.document.document import find
 from cosim.scenario.exporting import export_component
+from tests.fmi.compiled import write_archive
 from tests.scenario.signals import signals
 
 ONE = {"components.one": {"kind": "constant", "value": 1.0}}
@@ -22,6 +23,8 @@ FOREIGN2 = {
     "connections.plant.gain": "one.y",
     "connections.plant.sign": "one.y",
 }  # inputs that the scenario does not have
+
+DESCRIPTION = "modelDescription.xml"
 
 
 @pytest.fixture(scope="module")
@@ -278,15 +281,14 @@ def test_states_that_are_no_outputs_are_logged_too(tmp_path):
 
 def rewritten(path, target, *edits, members=lambda name: True):
     """Copy an FMU with its modelDescription.xml edited and some members left out."""
-    with zipfile.ZipFile(path) as source, zipfile.ZipFile(target, "w") as copy:
+    kept: dict[str, bytes] = {}
+    with zipfile.ZipFile(path) as source:
         for name in filter(members, source.namelist()):
-            content = source.read(name)
-            if name == "modelDescription.xml":
-                for before, after in edits:
-                    assert before.encode() in content
-                    content = content.replace(before.encode(), after.encode())
-            copy.writestr(name, content)
-    return target
+            kept[name] = source.read(name)
+    for before, after in edits:
+        assert before.encode() in kept[DESCRIPTION]
+        kept[DESCRIPTION] = kept[DESCRIPTION].replace(before.encode(), after.encode())
+    return write_archive(target, kept)
 
 
 def test_a_binary_for_another_platform_is_refused_before_the_run(plant, tmp_path):
