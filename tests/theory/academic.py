@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cosim.arrays import Matrix, Vector
-from cosim.theory.plants.descriptor import DescriptorSystem
+from cosim.theory.plants.descriptor import DescriptorSystem, ReducedSystem
 
 DELAYS = (1.0, 2.0, 3.0)
 THETA = (-0.1, -0.3)
@@ -44,3 +44,15 @@ def delayed(t: Vector) -> tuple[Matrix, Matrix]:
     """Return `delta(t - D_j)`, shape (N, 3), and `alpha(t - D_j)`, shape (N, 3, 2)."""
     times = np.subtract.outer(np.atleast_1d(t), DELAYS)
     return delta(times), alpha(times)
+
+
+def algebraic_state(reduced: ReducedSystem, x_a: Vector, *, u: Vector, delta: Vector) -> Vector:
+    """Compute the algebraic states `x_b` (8), shape ``(n_b,)``.
+
+    With the initial values of x_a, u and delta this is the consistent initial value of x_b.
+    """
+    from_x_a = reduced.Kx @ x_a
+    from_u = reduced.Ku @ u
+    from_delta = reduced.Kd @ delta
+    x_b: Vector = from_x_a + from_u + from_delta
+    return x_b

@@ -399,11 +399,6 @@ def _what_drives(name: str, drivers: Set[str], affected: Set[str], changed: Set[
     return None
 
 
-def components_of_code(scenario: Scenario) -> list[str]:
-    """Return the components that run code of users."""
-    return [name for name, spec in scenario.specs.items() if spec.code is not None]
-
-
 def recorded_components(scenario: Scenario) -> list[str]:
     """Return the components that a replay copies from the recording."""
     return [name for name, spec in scenario.specs.items() if not spec.computable]

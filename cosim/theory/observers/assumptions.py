@@ -7,13 +7,12 @@ not decided, the others are.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from cosim.errors import AssumptionError
 from cosim.theory.observers import observer
@@ -301,13 +300,6 @@ def _with_zeros(verdict: AssumptionVerdict, zeros: ComplexVector) -> AssumptionV
     )
 
 
-def gain_verdict(
-    reduced: ReducedSystem, *, L: ArrayLike | None, poles: Sequence[complex] | None
-) -> AssumptionVerdict:
-    """Return whether a gain, or poles, make the error of the observer vanish."""
-    return checked(HURWITZ, lambda: gain_evidence(observer.design(reduced, L=L, poles=poles)))
-
-
 def gain_evidence(design: observer.ObserverDesign) -> tuple[str, Mapping[str, Any]]:
     """Return what the eigenvalues of a design say."""
     slowest = design.lambda_obs
@@ -321,38 +313,3 @@ def plain_modes(eigenvalues: ComplexVector) -> list[float | str]:
     for value in eigenvalues:
         plain.append(str(complex(value)) if value.imag else float(value.real))
     return plain
-
-
-def model_verdicts(
-    system: DescriptorSystem,
-    *,
-    L: ArrayLike | None = None,
-    poles: Sequence[complex] | None = None,
-) -> tuple[AssumptionVerdict, ...]:
-    """Return all verdicts of a design model, with those of an observer with a gain or poles.
-
-    Parameters
-    ----------
-    system : DescriptorSystem
-    L : ArrayLike, optional
-        Shape ``(n_a, n_y)``.
-    poles : sequence of complex, optional
-        Without both nothing is said of a gain.
-    """
-    verdicts: list[AssumptionVerdict] = list(plant_verdicts(system))
-    has_gain = L is not None or poles is not None
-    later = [DIRECT_PATH, DECOUPLING, DETECTABILITY, *([HURWITZ] if has_gain else [])]
-    try:
-        reduced = reduce(system)
-    except AssumptionError:
-        without = {name: undecided(name, "there is no reduced system") for name in later}
-        without[DECOUPLING] = outputs_verdict(*system.Dd.shape)
-        return (*verdicts, *without.values())
-    verdicts += observer_verdicts(reduced)
-    if has_gain:
-        failing = [verdict.name for verdict in verdicts if verdict.fulfilled is False]
-        if failing:
-            verdicts.append(undecided(HURWITZ, f"{failing[0]} is not fulfilled"))
-        else:
-            verdicts.append(gain_verdict(reduced, L=L, poles=poles))
-    return tuple(verdicts)

@@ -340,18 +340,6 @@ def _eliminated(system: DescriptorSystem) -> ReducedSystem:
     return reduced
 
 
-def algebraic_state(reduced: ReducedSystem, x_a: Vector, *, u: Vector, delta: Vector) -> Vector:
-    """Compute the algebraic states `x_b` (8), shape ``(n_b,)``.
-
-    With the initial values of x_a, u and delta this is the consistent initial value of x_b.
-    """
-    from_x_a = reduced.Kx @ x_a
-    from_u = reduced.Ku @ u
-    from_delta = reduced.Kd @ delta
-    x_b: Vector = from_x_a + from_u + from_delta
-    return x_b
-
-
 def pencil_index(system: DescriptorSystem) -> int:
     """Compute the index of the pencil `s E - A`: 0 with a regular E, 1 where A22 is regular.
 

@@ -1,16 +1,51 @@
 """The assumptions one by one: systems with known verdicts, in any coordinates and units."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
 from cosim.errors import AssumptionError
 from cosim.theory.observers import observer
-from cosim.theory.observers.assumptions import DECOUPLING, DETECTABILITY, HURWITZ, model_verdicts
+from cosim.theory.observers.assumptions import (
+    DECOUPLING,
+    DETECTABILITY,
+    DIRECT_PATH,
+    HURWITZ,
+    checked,
+    gain_evidence,
+    observer_verdicts,
+    outputs_verdict,
+    plant_verdicts,
+    undecided,
+)
 from cosim.theory.plants.descriptor import reduce
 from tests.theory.academic import academic
 from tests.theory.known_systems import GOOD, KnownSystem, matrices, systems
 
 SYSTEMS = systems()
+
+
+def model_verdicts(system, *, L=None, poles=None):
+    """Return all verdicts of a design model, with those of an observer with a gain or poles."""
+    verdicts = list(plant_verdicts(system))
+    has_gain = L is not None or poles is not None
+    later = [DIRECT_PATH, DECOUPLING, DETECTABILITY, *([HURWITZ] if has_gain else [])]
+    try:
+        reduced = reduce(system)
+    except AssumptionError:
+        without = {name: undecided(name, "there is no reduced system") for name in later}
+        without[DECOUPLING] = outputs_verdict(*system.Dd.shape)
+        return (*verdicts, *without.values())
+    verdicts += observer_verdicts(reduced)
+    if has_gain:
+        failing = [verdict.name for verdict in verdicts if verdict.fulfilled is False]
+        if failing:
+            verdicts.append(undecided(HURWITZ, f"{failing[0]} is not fulfilled"))
+        else:
+            gain = partial(observer.design, reduced, L=L, poles=poles)
+            verdicts.append(checked(HURWITZ, lambda: gain_evidence(gain())))
+    return tuple(verdicts)
 
 
 def poles_for(known: KnownSystem):

@@ -17,11 +17,10 @@ from cosim.theory.observers.observer import (
 from cosim.theory.plants.descriptor import (
     DescriptorSystem,
     ReducedSystem,
-    algebraic_state,
     invariant_zeros,
     reduce,
 )
-from tests.theory.academic import academic, ordinary
+from tests.theory.academic import academic, algebraic_state, ordinary
 
 halves = st.integers(-8, 8).map(lambda k: k / 2)
 

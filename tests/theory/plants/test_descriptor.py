@@ -8,13 +8,12 @@ from cosim.errors import AssumptionError
 from cosim.theory.plants.descriptor import (
     DescriptorSystem,
     ReducedSystem,
-    algebraic_state,
     disturbance_transfer,
     invariant_zeros,
     pencil_index,
     reduce,
 )
-from tests.theory.academic import academic, ordinary
+from tests.theory.academic import academic, algebraic_state, ordinary
 
 # Small integers (and halves) are exact in float64 and their solves have condition below 1e4 here,
 # so 1e-12 is 1e4 roundings.
