@@ -294,7 +294,11 @@ class _Progress:
         outputs: list[Port] = []
         for name in self.network.names:
             self._tear(name)
-            self._start(name, [to.signal for to in self.network.inputs[name]])
+            if self.network.iterates:  # what is torn is tried at the end of the step, too
+                extrapolated = self._unknown_inputs(name)
+            else:
+                extrapolated = [to.signal for to in self.network.inputs[name]]
+            self._start(name, extrapolated)
             # Outputs that no extrapolated input reaches are final already.
             outputs += self._computable(name)
         self.cost = Cost(len(self.network.reactive), 0)

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cosim import blocks
 from cosim.blocks.state_space import controller
 from cosim.core.clock import Clock
 from cosim.core.connections import Connection
@@ -150,3 +151,38 @@ def test_names_decide_nothing(seed, names, interpolation, iterations, native):
         tables.append(np.hstack([memory.rows(name) for name in own_names]))
     # initial values of algebraic loops are solved for to 1e-12, and 5 steps multiply that by < 100
     np.testing.assert_allclose(tables[0], tables[1], rtol=1e-10, atol=1e-10)
+
+
+@pytest.mark.parametrize("native", [True, False])
+@pytest.mark.parametrize("interpolation", ["linear", "latest"])
+@pytest.mark.parametrize("iterations", [2, 3])
+def test_an_iteration_sees_what_the_one_before_gave(iterations, interpolation, native):
+    """Beside a plain loop: x' = v, v' = -4 x, exact for straight lines or for constant inputs.
+
+    A line begins where the one of the step before has ended: with what was tried there at last.
+
+    Of 100 steps each of some roundings of values up to 2.
+    """
+    components = {
+        "x": Linear(blocks.integrator(initial=1.0)),
+        "v": Linear(blocks.integrator(initial=0.0)),
+    }
+    connections = {"x.u": "v.y", "v.u": Connection("x.y", gain=-4.0)}
+    options = {"input_interpolation": interpolation, "iterations": iterations}
+    memory = Memory()
+    graph = Graph(components, connections, coupling="jacobi", native=native, **options)
+    run(graph, Clock(1.0, 0.01), memory)
+    h = 0.01
+    weight = 0.5 if interpolation == "linear" else 1.0
+    x, v = 1.0, 0.0
+    begin = (v, x)  # of the inputs
+    for _ in range(100):
+        next_x, next_v = x, v
+        for _ in range(iterations):
+            end = (next_v, next_x)
+            given = tuple(b + weight * (e - b) for b, e in zip(begin, end, strict=True))
+            next_x, next_v = x + h * given[0], v - 4.0 * h * given[1]
+        begin = end
+        x, v = next_x, next_v
+    assert memory["x.y"][-1] == pytest.approx(x, abs=1e-13)
+    assert memory["v.y"][-1] == pytest.approx(v, abs=1e-13)
