@@ -154,6 +154,17 @@ def test_text_shows_stages_components_and_connections(capsys):
     assert [stage["number"] for stage in content["stages"]] == [1, 2, 3, 4, 5]
 
 
+def test_picture_has_period_and_offset(tmp_path, capsys):
+    """Both of them, in place of the kind where there is no room for it."""
+    pytest.importorskip("matplotlib")
+    path = tmp_path / "sampled.toml"
+    path.write_text(SAMPLED.format(keys=", period = 0.6, offset = 0.2", source="sine"))
+    run(capsys, "info", path, "--graph", "--out", tmp_path / "graph.svg")
+    content = (tmp_path / "graph.svg").read_text()
+    assert "every 0.6 s + 0.2 s" in content
+    assert "sensor, every 0.2 s" in content
+
+
 @pytest.mark.parametrize("ending", ["png", "svg"])
 def test_picture_is_written(tmp_path, capsys, ending):
     pytest.importorskip("matplotlib")

@@ -106,10 +106,7 @@ def _draw_component(
         zorder=3,
     )
     panel.add_patch(patch)
-    kind = component.kind
-    if component.period is not None:
-        kind += f", {component.rate}"
-    lines = [(f"{order}{component.name}", 9, "bold"), (kind, 7, "normal")]
+    lines = [(f"{order}{component.name}", 9, "bold"), (_kind_and_rate(component), 7, "normal")]
     lines.append((_feedthrough(component), 7, "normal"))
     for row, (text, size, weight) in enumerate(lines):
         panel.text(
@@ -122,6 +119,17 @@ def _draw_component(
             weight=weight,
             zorder=4,
         )
+
+
+def _kind_and_rate(component: ScheduledComponent) -> str:
+    """Return kind and period in a line; of a period with an offset both, where there is room."""
+    if component.period is None:
+        return component.kind
+    rate = f"every {component.period:g} s"
+    if component.offset:
+        rate += f" + {component.offset:g} s"
+    text = f"{component.kind}, {rate}"
+    return text if len(text) <= MOST_LETTERS or not component.offset else rate
 
 
 def _feedthrough(component: ScheduledComponent) -> str:

@@ -260,7 +260,7 @@ class ActionTable(TomlTable):
     set: dict[str, Any] | None = Field(
         None,
         description='tunable parameters and their values: { "observer.filter_rate" = 500.0 }; '
-        "the state stays",
+        "the state stays; 'cosim list KIND' shows which are tunable",
     )
     swap: dict[str, str] | None = Field(
         None,
