@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from rich.table import Table
 
@@ -42,6 +42,8 @@ if TYPE_CHECKING:
     from cosim.report.verification import Verification
 
 LONGEST_PRIMES = 4  # of a derivative
+
+MOST_GAINS: Final = 5  # behind actions, of a table
 
 
 def print_summary(
@@ -145,11 +147,15 @@ def _add_loops(table: Table, summary: Summary) -> None:
         table.add_row("loop", "", "", f"{loop}: {text}")
     for counts in summary.substeps:
         table.add_row("substeps", "", "", _substeps_text(counts))
-    for gain in summary.gains:
+    behind = [gain for gain in summary.gains if gain.action]
+    for gain in [gain for gain in summary.gains if not gain.action] + behind[:MOST_GAINS]:
         where = ", ".join(gain.components)
         if gain.action:
             where += f" {gain.action}"
         table.add_row("loop gain", "", "", f"{where}: {gain_text(gain)}")
+    if len(behind) > MOST_GAINS:
+        text = f"{len(behind) - MOST_GAINS} more behind actions; --json shows them"
+        table.add_row("loop gain", "", "", text)
 
 
 def _substeps_text(counts: SubstepCounts) -> str:

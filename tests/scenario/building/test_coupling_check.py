@@ -350,3 +350,19 @@ def test_a_gain_behind_what_is_done_to_an_fmu_is_not_known(setting, tmp_path):
     assert first.rho is not None
     assert (behind.rho, behind.unknown) == (None, ("a",))
     assert behind.action == "behind the action at 0.5 s"
+
+
+def test_of_many_actions_a_summary_shows_some(setting, capsys):
+    """All are in the log."""
+    path = setting("at = 1.0", 2.0)
+    one = '{ at = 1.0, set = { "pid.gain" = 2.0 } }'
+    text = path.read_text()
+    assert one in text
+    several = [one.replace("1.0", f"{t}.0").replace("= 2.0", f"= 2.{t}") for t in range(1, 9)]
+    path.write_text(text.replace(one, ", ".join(several)))
+    with pytest.raises(SystemExit):
+        main(["run", str(path), "--out", str(path.with_suffix(".mcap"))])
+    lines = [line for line in capsys.readouterr().out.splitlines() if "loop gain" in line]
+    assert len(lines) == 1 + 5 + 1
+    assert lines[-1].endswith("3 more behind actions; --json shows them")
+    assert len(recorded_loop_gains(cosim.open_log(path.with_suffix(".mcap")))) == 9
