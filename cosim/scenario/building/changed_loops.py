@@ -1,4 +1,4 @@
-"""The loops of a scenario behind actions that change their components: parameters set, swaps.
+"""The loops of a scenario behind actions: parameters set, swaps, inputs with another gain.
 
 A component of cosim's own with other parameters is linearized where the run begins, as the one in
 whose place it comes: its state there is not known before the run. What an FMU is with parameters
@@ -7,16 +7,20 @@ that are set in it, or in the place of another component, is not known either.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+
+import numpy as np
 
 from cosim.arrays import Vector
 from cosim.core.clock import nanoseconds
 from cosim.core.contracts import linearized
 from cosim.core.gain.loop_gain import LinearizedLoops
 from cosim.core.linearization import Linearized
+from cosim.core.port import Port
 from cosim.core.stepping.actions import AT_CONDITION
 from cosim.errors import CosimError
+from cosim.scenario.actions.action_tables import signals_of
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.document.problems import Key
 from cosim.scenario.document.schema import ActionTable
@@ -50,7 +54,7 @@ class ChangedLoops:
 def changed_loops(
     experiment: Experiment, loops: LinearizedLoops, row: Vector
 ) -> Iterator[ChangedLoops]:
-    """Yield the loops behind every action that changes components of loops.
+    """Yield the loops behind every action that changes components of loops, or their inputs.
 
     Parameters
     ----------
@@ -62,18 +66,25 @@ def changed_loops(
     """
     actions = experiment.scenario.actions
     changes = _Changes(experiment, row)
-    now = loops
+    beginning = _Components(loops.linearized, {})
+    now = beginning
     for at, numbers in _by_instant(actions).items():
-        names = changes.in_loops(actions[number] for number in numbers)
-        if names:
-            now = changes.made(now, names, nanoseconds(at))
-            behind = replace(now, clock=replace(now.clock, start_time=at))
-            key = ("actions", numbers[0])
+        changed: dict[str, int] = {}  # by component, the first action
+        for number in numbers:
+            now, names = changes.of(actions[number], now, nanoseconds(at))
+            changed = {**dict.fromkeys(names, number), **changed}
+        if changed:
+            clock = replace(loops.clock, start_time=at)
+            behind = replace(loops, clock=clock, linearized=now.scaled())
+            key = ("actions", min(changed.values()))
+            names = frozenset(changed)
             yield ChangedLoops(key, f"behind the action at {at} s", True, names, behind)
     for number, action in actions.items():
-        names = changes.in_loops([action])
-        if action.when is not None and names:
-            behind = changes.made(loops, names, AT_CONDITION)
+        if action.when is None:
+            continue
+        after, names = changes.of(action, beginning, AT_CONDITION)
+        if names:
+            behind = replace(loops, linearized=after.scaled())
             text = f"behind the action when {action.when!r}, taken as at the start"
             yield ChangedLoops(("actions", number), text, False, names, behind)
 
@@ -85,6 +96,30 @@ def _by_instant(actions: Mapping[int, ActionTable]) -> dict[float, list[int]]:
         if action.at is not None:
             numbers.setdefault(action.at, []).append(number)
     return dict(sorted(numbers.items()))
+
+
+@dataclass(frozen=True, slots=True)
+class _Components:
+    """The components of loops at some time.
+
+    Parameters
+    ----------
+    linearized : mapping of component name to Linearized
+    factors : mapping of component name to Vector, shape (n_u,)
+        That faults multiply inputs by; 1 where not named.
+    """
+
+    linearized: Mapping[str, Linearized]
+    factors: Mapping[str, Vector]
+
+    def scaled(self) -> dict[str, Linearized]:
+        """Return them with their inputs multiplied."""
+        scaled = dict(self.linearized)
+        for name, factors in self.factors.items():
+            own = scaled.get(name)
+            if own is not None:
+                scaled[name] = replace(own, B=own.B * factors, D=own.D * factors)
+        return scaled
 
 
 class _Changes:
@@ -100,28 +135,57 @@ class _Changes:
     def __init__(self, experiment: Experiment, row: Vector) -> None:
         self._experiment = experiment
         self._row = row
-        self._in_loops: set[str] = set()
+        self._loops: dict[str, frozenset[str]] = {}
         for stage in experiment.graph.stages:
             if stage.is_loop:
-                self._in_loops.update(member.name for member in stage.members)
+                names = frozenset(member.name for member in stage.members)
+                self._loops |= dict.fromkeys(names, names)
 
-    def in_loops(self, actions: Iterable[ActionTable]) -> frozenset[str]:
-        """Return the components of loops that actions change."""
-        names: set[str] = set()
-        for action in actions:
-            names.update(key.partition(".")[0] for key in action.set or {})
-            names.update(action.swap or {})
-        return frozenset(names & self._in_loops)
-
-    def made(self, loops: LinearizedLoops, names: Collection[str], time_ns: int) -> LinearizedLoops:
-        """Return loops with other components in the places of some."""
-        linearizations = dict(loops.linearized)
+    def of(
+        self, action: ActionTable, before: _Components, time_ns: int
+    ) -> tuple[_Components, frozenset[str]]:
+        """Return the components behind an action, and the names of those that it changes."""
+        names = {key.partition(".")[0] for key in action.set or {}}
+        names.update(action.swap or {})
+        names &= self._loops.keys()
+        linearizations = dict(before.linearized)
         for name in names:
             linearizations.pop(name, None)
             found = self._linearized(name, time_ns)
             if found is not None:
                 linearizations[name] = found
-        return replace(loops, linearized=linearizations)
+        all_factors = dict(before.factors)
+        for signal in signals_of(action):
+            port = Port.parse(signal)
+            if not self._is_inside(port):
+                continue
+            own = all_factors.get(port.component)
+            factors = self._factors(port, action, own)
+            if own is None or (factors != own).any():
+                all_factors[port.component] = factors
+            if (factors != (1.0 if own is None else own)).any():
+                names.add(port.component)
+        return _Components(linearizations, all_factors), frozenset(names)
+
+    def _is_inside(self, port: Port) -> bool:
+        """Return whether an input is driven from the loop that it is in."""
+        loop = self._loops.get(port.component, frozenset())
+        for to, connection in self._experiment.graph.connections.items():
+            if to.whole == port.whole and any(s.component in loop for s in connection.sources):
+                return True
+        return False
+
+    def _factors(self, port: Port, action: ActionTable, before: Vector | None) -> Vector:
+        """Return the factors of the inputs of a component, of which an action is about some.
+
+        What is added to an input does not change what a loop makes of an error; what takes its
+        place opens the loop, and is left out.
+        """
+        end = self._experiment.graph.ports.input(port)
+        factors = np.ones(end.channel.interface.n_u) if before is None else before.copy()
+        first = end.columns.start - end.channel.inputs.start
+        factors[first : first + end.size] = 1.0 if action.gain is None else action.gain
+        return factors
 
     def _linearized(self, name: str, time_ns: int) -> Linearized | None:
         """Linearize what comes in the place of a component; None: that is not known."""

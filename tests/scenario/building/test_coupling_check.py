@@ -366,3 +366,36 @@ def test_of_many_actions_a_summary_shows_some(setting, capsys):
     assert len(lines) == 1 + 5 + 1
     assert lines[-1].endswith("3 more behind actions; --json shows them")
     assert len(recorded_loop_gains(cosim.open_log(path.with_suffix(".mcap")))) == 9
+
+
+def test_a_fault_that_multiplies_an_input_is_checked_as_another_gain_is(setting):
+    """K (setpoint - 3 y) and I' = K/Ti (setpoint - 3 y) make of an error what 3 K does.
+
+    What is added makes nothing of it, a release takes the gain back, and one at an input from
+    outside the loop is none of its gain.
+    """
+    path = setting("at = 4.0", 2.0)
+    faults = [
+        {"at": 2.0, "signal": "pid.measurement", "offset": 1.0},
+        {"at": 3.0, "signal": "pid.setpoint", "gain": 5.0},
+        {"at": 4.0, "signal": "pid.measurement", "gain": 3.0},
+        {"at": 6.0, "signal": "pid.measurement", "release": True},
+    ]
+    first, behind, released = recorded_loop_gains(cosim.run(path, set={"actions": faults}))
+    (own,) = recorded_loop_gains(cosim.run(path, set={"pid.gain": 6.0, "actions": []}))
+    assert [gain.action[-5:] for gain in (behind, released)] == ["4.0 s", "6.0 s"]
+    assert behind.rho == pytest.approx(own.rho, rel=1e-12)
+    assert released.rho == pytest.approx(first.rho, rel=1e-12)
+    faults[2]["gain"] = 30.0
+    with pytest.raises(ScenarioError, match=r"actions\.2: behind the action at 4\.0 s, the loop"):
+        cosim.run(path, set={"actions": faults})
+
+
+def test_the_action_that_changes_a_loop_is_the_one_that_is_named(setting):
+    """Not another one at that instant."""
+    actions = [
+        {"at": 4.0, "signal": "pid.setpoint", "offset": 1.0},
+        {"at": 4.0, "set": {"pid.gain": 60.0}},
+    ]
+    with pytest.raises(ScenarioError, match=r"actions\.1: behind the action at 4\.0 s, the loop"):
+        cosim.run(setting("at = 4.0", 2.0), set={"actions": actions})
