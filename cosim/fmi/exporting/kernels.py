@@ -260,7 +260,8 @@ def _discretized(
     lines = [f"static {doubles(letter, array)}" for letter, array in arrays.items()]
     lines.append(doubles("kernel_X0", X0))
     lines.append(doubles("kernel_Xu", Xu))
-    lines.append(f"const cosim_linear kernel_constants = {{{n}, {m}, {p}, Ad, B0, B1, C, D, 0}};")
+    numbers = f"{n}, {m}, {p}, Ad, B0, B1, C, D"
+    lines.append(f"const cosim_linear kernel_constants = {{{numbers}, 0, 0, 0}};")
     return Kernel("sampled.c", ("linear.c",), 2 * n, tuple(lines), equations)
 
 
