@@ -61,6 +61,7 @@ class Replay:
             rollback=True,
             native=not self._limits,
             linearizable=False,
+            keeps_events=False,
             left_limits=_jumping(recorded, self._limits),
             substeps=True,  # in a loop the recorded ones are taken
         )

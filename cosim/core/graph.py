@@ -34,7 +34,7 @@ from cosim.core.structure.connection_checks import (
     unit_warnings,
 )
 from cosim.core.structure.cycles import groups_in_order
-from cosim.core.structure.feedthrough import Edge, extrapolation_text
+from cosim.core.structure.feedthrough import Edge, early_event_text, extrapolation_text
 from cosim.core.structure.jumping import JumpingOutputs
 from cosim.core.structure.order import Coupling, order_loop
 from cosim.core.structure.ports import Ports, layout_of
@@ -156,6 +156,7 @@ class Graph:
             wires.update(wires_of_inputs)
             self._members[name] = self._member(name, wires_of_inputs)
         self._torn: list[Edge] = []
+        self._early_events: list[str] = []
         self.stages = self._order()
         self.initializations = 0
         self._initial_values = InitialValues(self.layout, self._members, self._sources, wires)
@@ -427,6 +428,7 @@ class Graph:
         warnings += element_warnings(self.ports, self.connections)
         warnings += self._variabilities.warnings()
         warnings += self._jumping.warnings(self._sources, self._torn)
+        warnings += [(name, early_event_text(name, self.coupling)) for name in self._early_events]
         for stage in self.stages:
             warnings += stage.warnings
         return warnings
@@ -574,6 +576,8 @@ class Graph:
             warnings.append((order.algebraic[0].component, extrapolation_text(order.algebraic)))
         torn: TornInputs | None = None
         self._torn += order.torn
+        refreshed = dict.fromkeys(name for kind, name in order.operations if kind == "refresh")
+        self._early_events += [name for name in refreshed if interfaces[name].keeps_events]
         if order.torn:
             _check_rollback(members)
             iterations = 0 if self.coupling == "newton" else self.iterations

@@ -220,6 +220,10 @@ class Interface:
     left_limits : tuple of output names
         Outputs that may jump at communication points by themselves, whatever the inputs are: the
         component has ``left_limits`` (:class:`cosim.core.contracts.Jumping`).
+    keeps_events : bool
+        Whether an event that is due may happen as soon as outputs are evaluated, for good: of an
+        FMU that cannot go back. Where a loop evaluates them again for inputs that come later, it
+        has happened with the earlier ones.
     substeps : bool
         Whether it may be advanced over parts of a communication step
         (:class:`cosim.core.contracts.Preparable`).
@@ -244,6 +248,7 @@ class Interface:
     jumping: tuple[str, ...] = ()
     left_limits: tuple[str, ...] = ()
     substeps: bool = False
+    keeps_events: bool = False
 
     def __post_init__(self) -> None:
         # What is declared must not change later: copies, and nothing that can be written to.
@@ -268,7 +273,7 @@ class Interface:
         values = (self.inputs, self.outputs, feedthrough, initial, self.delayed)
         methods = (self.prepares, self.rollback, self.native, self.linearizable)
         jumps = (self.jumping, self.left_limits)
-        others = (self.restarts, self.lagging, *jumps, self.substeps)
+        others = (self.restarts, self.lagging, *jumps, self.substeps, self.keeps_events)
         return Interface, (*values, *methods, *others)
 
     def _dependencies(self, key: str, declared: Dependencies) -> dict[str, tuple[str, ...] | None]:

@@ -12,7 +12,9 @@ from tests.fmi.compiled import compile_fmu, kept_folder
 VARIABLES = ("u", "d", "x", "v", "der(x)", "der(v)", "q", "count", "p", "evaluations", "completed")
 STATES = {"BALL": 2, "FRICTION": 2, "COUNTER": 0}  # else 1
 INDICATORS = {
-    **dict.fromkeys(("SAW", "COUNTER", "MEMORY", "STEPS", "TIRED", "SCALED", "REFUSES"), 0),
+    **dict.fromkeys(
+        ("SAW", "COUNTER", "MEMORY", "STEPS", "TIRED", "SCALED", "REFUSES", "SAMPLE"), 0
+    ),
     "FRICTION": 2,
     "TWO": 3,
 }  # else 1

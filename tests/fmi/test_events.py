@@ -633,3 +633,44 @@ def test_a_loop_that_is_solved_for_what_jumps_says_so():
         "a.x jumps, and drives i.u, which its loop is solved for: there the jump"
     )
     assert memory["i.y"][-1] - 0.05 == pytest.approx(-10 * 0.1 * 0.02 / 2)
+
+
+def sampled_loop(*, saves, coupling, native):
+    """Run x' = q from 1, with q = -x as an FMU samples it every 0.1 s; return x there, warnings."""
+    zero = np.zeros((1, 1))
+    plant = controller(A=zero, B=np.eye(1), C=np.eye(1), D=zero, x0=np.ones(1))
+    components = {"c": constant([0.0]), "x": Linear(plant)}
+    connections = {"m.u": "x.y", "m.d": "c.y", "x.u": "m.q"}
+    path = build("SAMPLE", saves=saves)
+    with load(path, FmuOptions(solver="rk4", start={"p": 0.1})) as fmu:
+        components["m"] = fmu.component
+        graph = Graph(components, connections, coupling=coupling, native=native)
+        memory = Memory()
+        run_graph(graph, Clock(1.0, 0.05), memory)
+    return memory["x.y"][::2], graph.warnings
+
+
+@pytest.mark.parametrize("native", [True, False])
+@pytest.mark.parametrize("saves", [True, False])
+@pytest.mark.parametrize("coupling", ["gauss-seidel", "newton", "jacobi"])
+def test_a_loop_sees_an_event_at_a_communication_point_together(coupling, saves, native):
+    """The closed form is 1 up to 0.1 s, and 0.9 times the last value at every tick behind it.
+
+    With Jacobi an FMU that cannot go back has sampled what x was a step before: that is said.
+    """
+    x, warnings = sampled_loop(saves=saves, coupling=coupling, native=native)
+    exact = 0.9 ** np.maximum(np.arange(11) - 1.0, 0.0)
+    if saves or coupling != "jacobi":
+        assert np.abs(x - exact).max() < 1e-14
+        assert warnings == []
+        return
+    assert np.abs(x - exact).max() > 0.01
+    assert warnings == [
+        (
+            "m",
+            "'m' cannot go back (rollback is not declared; of an FMU: canGetAndSetFMUstate), and "
+            "its outputs are evaluated again for inputs that its loop knows later: an event of its "
+            "own at a communication point has happened with the earlier ones, which is an error of "
+            "first order in the step; needed 'gauss-seidel', or an FMU that can save its state",
+        )
+    ]

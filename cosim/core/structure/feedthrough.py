@@ -109,6 +109,19 @@ def find_feedthrough(
     return LoopFeedthrough(possible, algebraic, path, tuple(unknown))
 
 
+def early_event_text(name: str, coupling: str) -> str:
+    """Return what happens to the events of a component whose outputs are evaluated again."""
+    way_out = "an FMU that can save its state"
+    if coupling == "jacobi":
+        way_out = f"'gauss-seidel', or {way_out}"
+    return (
+        f"{name!r} cannot go back (rollback is not declared; of an FMU: canGetAndSetFMUstate), and "
+        "its outputs are evaluated again for inputs that its loop knows later: an event of its own "
+        "at a communication point has happened with the earlier ones, which is an error of first "
+        f"order in the step; needed {way_out}"
+    )
+
+
 def extrapolation_text(path: Sequence[Port]) -> str:
     """Return what becomes of an algebraic loop where nothing iterates."""
     return (

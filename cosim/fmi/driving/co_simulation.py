@@ -70,6 +70,7 @@ class CoSimulation:
             native=not description.drives_clocks,
             linearizable=self._is_linearizable(description),
             substeps=self._capabilities.variable_step,
+            keeps_events=self._capabilities.event_mode and not self._capabilities.saves_state,
         )
         self._in_events: frozenset[str] = frozenset()
         if self._capabilities.event_mode:

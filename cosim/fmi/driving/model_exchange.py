@@ -119,21 +119,23 @@ class ModelExchange:
             linearizable=self.solver != RADAU and has_continuous_ports(instance.description),
             substeps=True,
             left_limits=self._jumping_outputs(),
+            keeps_events=self._may_have_events and not self._capabilities.saves_state,
         )
         self._integrator.keeps_left = bool(self.interface.left_limits)
         self._left_limits: dict[float, Vector] = {}
         self._exact: ExactSolver | None = None
         self._compiled: CompiledIntegrator | None = None
 
-    def _jumping_outputs(self) -> tuple[str, ...]:
-        """Return the continuous outputs that may jump in events of the FMU's own.
+    @property
+    def _may_have_events(self) -> bool:
+        """Whether the FMU has event indicators, discrete variables or clocks."""
+        return self.solver != "exact" and self._instance.description.has_discrete_parts
 
-        An FMU without event indicators, discrete variables and clocks is taken to have none.
-        """
-        description = self._instance.description
-        if self.solver == "exact" or not description.has_discrete_parts:
+    def _jumping_outputs(self) -> tuple[str, ...]:
+        """Return the continuous outputs that may jump in events of the FMU's own."""
+        if not self._may_have_events:
             return ()
-        outputs = description.interface.outputs
+        outputs = self._instance.description.interface.outputs
         return tuple(signal.name for signal in outputs if signal.variability == "continuous")
 
     @property

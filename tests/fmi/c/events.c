@@ -17,7 +17,8 @@
  *          and x <- x + p / 4
  * TIRED    x' = 1; asks for the end after a step above x = p
  * SCALED   x' = u - x; at the times k p the nominal value of x changes; at 2 p it is none
- * REFUSES  x' = u; no derivatives above x = p: they are discarded */
+ * REFUSES  x' = u; no derivatives above x = p: they are discarded
+ * SAMPLE   x' = 1; q <- -u at the times k p, count of them; 0 before */
 #if FMI == 2
 #include "fmi2Functions.h"
 #define F(name) fmi2##name
@@ -35,7 +36,7 @@
 #include <string.h>
 
 enum { BALL, FRICTION, SAW, COUNTER, TWO, SLIDE, ENDLESS, ENDS, MEMORY, SWITCH };
-enum { STEPS = SWITCH + 1, TIRED, SCALED, REFUSES };
+enum { STEPS = SWITCH + 1, TIRED, SCALED, REFUSES, SAMPLE };
 enum { U, D, X, V, DER_X, DER_V, Q, COUNT, P, EVALUATIONS, COMPLETED, VARIABLES };
 
 typedef struct {
@@ -50,9 +51,9 @@ typedef struct {
 static void begin(Instance *instance, double t)
 {
     instance->t = t;
-    const bool ticks = MODEL == SAW || MODEL == COUNTER || MODEL == SCALED;
+    const bool ticks = MODEL == SAW || MODEL == COUNTER || MODEL == SCALED || MODEL == SAMPLE;
     instance->next = ticks ? instance->v[P] : 0.0;
-    instance->v[Q] = MODEL == FRICTION || MODEL == TWO || MODEL == MEMORY ? 0.0 : 1.0;
+    instance->v[Q] = MODEL == FRICTION || MODEL == TWO || MODEL == MEMORY || MODEL == SAMPLE ? 0.0 : 1.0;
     if (MODEL == BALL)
         instance->v[X] = 1.0;
 }
@@ -123,6 +124,8 @@ static Answer update(Instance *instance)
         found.values_changed = true;
     } else if (MODEL == COUNTER) {
         tick(instance);
+    } else if (MODEL == SAMPLE && tick(instance)) {
+        v[Q] = -v[U];
     } else if (MODEL == SCALED && tick(instance)) {
         found.nominals_changed = true;
     } else if (MODEL == STEPS && is_reached(instance)) {
