@@ -411,6 +411,7 @@ def test_components_keep_the_contract_of_the_interface(exported):
             rollback=True,
             native=True,
             linearizable=True,
+            substeps=True,
         )
         assert fmu.component.interface == expected
         assert fmu.interface_type == "me"
