@@ -10,6 +10,7 @@ from cosim.core.master import run
 from cosim.core.recorders import Memory
 from cosim.fmi.component import load
 from cosim.fmi.options import FmuOptions
+from tests.core.stages.test_jacobi import pair_map
 from tests.fmi import small
 from tests.fmi.test_coupled import ONE, TWO
 
@@ -63,6 +64,7 @@ def rows_of(graph):
     [
         ((), "gauss-seidel", "linear"),
         ((), "jacobi", "linear"),
+        (("slopes", "D"), "jacobi", "linear"),
         ((), "newton", "linear"),
         ((), "newton", "zero-order"),
         (("slopes",), "gauss-seidel", "linear"),
@@ -91,6 +93,16 @@ def test_the_gain_of_two_fmus_is_that_of_runs(pair, can, coupling, interpolation
     # 1e-7 is what responses to pulses of 1e-3 know of poles
     assert gain.rho == pytest.approx(radius, rel=1e-6)
     assert gain.rate == pytest.approx(-2.40687, abs=1e-4)
+
+
+@pytest.mark.parametrize("can", [(), ("D",), ("slopes", "D")])
+def test_jacobi_is_refused_where_it_is_unstable_whatever_the_fmus_can(pair, can):
+    """Its gain is that of the map by hand: 1.97 at 10 ms; below 0.61 ms it is stable."""
+    for h, verdict in ((0.01, "refused"), (6e-4, "fine")):
+        gain = gain_of(pair(can, "jacobi"), h)
+        # 1e-7 is what responses to pulses of 1e-3 know of poles
+        assert gain.rho == pytest.approx(np.abs(np.linalg.eigvals(pair_map(h))).max(), rel=1e-6)
+        assert gain.verdict == verdict
 
 
 def test_to_be_tried_leaves_no_trace(pair):

@@ -18,6 +18,7 @@ from cosim.core.graph import Graph
 from cosim.core.linear import Linear
 from cosim.core.master import run
 from cosim.core.recorders import Memory
+from cosim.core.simulation import Simulation
 from tests.core.gain.test_loop_gain import gain_of
 from tests.core.parts import half_through, integrator, through
 from tests.core.stages.test_newton import pair, record
@@ -59,6 +60,21 @@ def test_an_algebraic_loop_takes_the_outputs_from_before_the_step(interpolation,
     memory = record(pair("jacobi"), 0.3, h)
     assert memory["one.u"].tobytes() == memory["two.y"].tobytes()
     assert memory["two.u"].tobytes() == memory["one.y"].tobytes()
+
+
+@pytest.mark.parametrize("native", [True, False])
+def test_an_override_of_what_is_kept_holds_from_where_it_is_set(native):
+    """The output follows it at once, as it is no output from before the step."""
+    simulation = Simulation(pair("jacobi", native=native), Clock(0.6, 6e-4))
+    simulation.step(3)
+    simulation["one.u"] = 2.0
+    rows = simulation.step(4)
+    np.testing.assert_allclose(rows["one.y"], 3.0 * rows["one.x"] + 2.0, rtol=1e-13)
+    simulation.release("one.u")
+    before = [simulation[name][0] for name in ("one.x", "two.x", "one.y", "two.y")]
+    simulation.step(1)
+    after = [simulation[name][0] for name in ("one.x", "two.x", "one.y", "two.y")]
+    np.testing.assert_allclose(after, pair_map(6e-4) @ before, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("h", [0.01, 6.1e-4, 6e-4, 1e-4])
