@@ -77,7 +77,7 @@ def test_zig_compiles_for_another_machine(fmi, tmp_path):
 @needs_zig
 @pytest.mark.campaign
 @pytest.mark.parametrize("fmi", ["2", "3"])
-def test_zig_compiles_for_every_machine(fmi, tmp_path):
+def test_zig_compiles_for_every_machine(fmi, tmp_path, compiled_anew):
     """All platforms in one archive; the first time zig builds their C libraries, for minutes."""
     first = export(model(), tmp_path / "x.fmu", name="plant", fmi=fmi, platforms=list(PLATFORMS))
     check_binaries(first, list(PLATFORMS), fmi)

@@ -101,7 +101,7 @@ def with_dynamics(A):
     return LinearModel(INTERFACE, model().states, A, B, C, D, np.zeros(2), np.zeros((2, 2)))
 
 
-def test_export_is_deterministic(exported, tmp_path):
+def test_export_is_deterministic(exported, tmp_path, compiled_anew):
     """The same model gives the same GUID and the same archive; another model another GUID."""
     again = export(model(), tmp_path / "again.fmu", name="academic").path
     assert again.read_bytes() == exported.read_bytes()
