@@ -23,6 +23,7 @@ from cosim.fmi.driving.events import KEPT, EventList, close, locate
 from cosim.fmi.driving.solvers import STEPPING
 from cosim.fmi.options import FmuOptions
 from cosim.log import open_log
+from cosim.report.verification import verify
 from cosim.testing import check_component, check_rollback
 from tests.fmi.eventful import Run, build
 
@@ -674,3 +675,33 @@ def test_a_loop_sees_an_event_at_a_communication_point_together(coupling, saves,
             "first order in the step; needed 'gauss-seidel', or an FMU that can save its state",
         )
     ]
+
+
+def test_events_that_are_followed_are_replayed_from_the_log(tmp_path):
+    """The FMU is taken from the log then, with its left limits; in blocks of any length."""
+    scenario = tmp_path / "saw.toml"
+    scenario.write_text(f"""
+[scenario]
+name = "saw"
+stop = 0.5
+step = 0.02
+[components]
+zero = {{ kind = "constant", value = 0.0 }}
+saw = {{ kind = "fmu", path = "{build("SAW")}", start = {{ p = 0.1 }} }}
+i = {{ kind = "controller", A = [[0.0]], B = [[1.0]], C = [[1.0]] }}
+[connections]
+"saw.u" = "zero.y"
+"saw.d" = "zero.y"
+"i.u" = "saw.x"
+""")
+    log = cosim.run(str(scenario), out=tmp_path / "saw.mcap")
+    assert log["i.y"][-1] == pytest.approx(5 * 0.1**2 / 2, rel=1e-9)
+    jumps = [event.time_ns for event in log.events() if event.signal == "saw.x"]
+    assert jumps == [100_000_000 * k for k in range(1, 6)]
+    replayed = cosim.replay(log)
+    assert verify(log, replayed).passed
+    assert replayed.events() == log.events()
+    for block in (1, 7):
+        other = cosim.run(str(scenario), block=block, out=tmp_path / f"{block}.mcap")
+        assert other.content_hash() == log.content_hash()
+        assert other.events() == log.events()

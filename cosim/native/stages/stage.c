@@ -150,6 +150,8 @@ static inline void keep_outputs(const cosim_member *m, double *row)
 /* Take as left limits what the member tells, or its outputs. */
 static inline void keep_limits(const cosim_member *m, double *row)
 {
+    if (!m->n_limits)
+        return;
     const double *y = m->tells && *m->tells ? m->told : row + m->y;
     for (int32_t i = 0; i < m->n_limits; ++i)
         row[m->limits[i].to] = y[m->limits[i].from - m->y];
