@@ -8,6 +8,7 @@ import cosim
 from cosim.errors import ScenarioError, UsageError
 from cosim.report.inspection import describe_log, describe_scenario
 from cosim.report.verification import verify
+from tests.scenario.actions.replays import verified_replay
 
 BASE = """
 [scenario]
@@ -70,18 +71,6 @@ release = true
 """
 
 
-@pytest.fixture
-def write(tmp_path):
-    """Return a function that writes a scenario with actions."""
-
-    def written(actions=ACTIONS, base=BASE):
-        path = tmp_path / "acted.toml"
-        path.write_text(base + actions)
-        return path
-
-    return written
-
-
 def test_actions_change_signals_at_their_instants(write):
     """The row of the instant has the value before; the next ones what the action says."""
     run = cosim.run(write())
@@ -122,10 +111,7 @@ def test_the_rows_depend_on_no_block_size(write, tmp_path, block):
     """One content hash; a replay follows the recorded actions, bit for bit."""
     log = cosim.run(write(), out=tmp_path / "a.mcap", block=block)
     assert log.recorded_hash == cosim.run(write(), out=tmp_path / "b.mcap").recorded_hash
-    again = cosim.replay(log)
-    verification = verify(log, again)
-    assert verification.passed, verification.lines()
-    assert again.events() == log.events()
+    verified_replay(log)
 
 
 def test_a_session_performs_the_actions_too(write):

@@ -11,6 +11,7 @@ from cosim.errors import LogError, ScenarioError
 from cosim.report.inspection import describe_log, describe_scenario
 from cosim.report.verification import verify
 from tests.fmi.test_tuning import friction
+from tests.scenario.actions.replays import verified_replay
 
 STEP = 0.1
 BASE = """
@@ -50,18 +51,6 @@ set = { g.K = -1.0, "limit.upper" = 0.5, "c.value" = [3.0, 4.0] }
 at = 2.5
 set = { "pid.gain" = 1.0, "noise.deviation" = 0.2, "s.amplitude" = 2.0 }
 """
-
-
-@pytest.fixture
-def write(tmp_path):
-    """Return a function that writes a scenario with actions."""
-
-    def written(actions=ACTIONS, base=BASE):
-        path = tmp_path / "set.toml"
-        path.write_text(base + actions)
-        return path
-
-    return written
 
 
 def test_parameters_are_set_at_their_instants(write):
@@ -110,10 +99,7 @@ def test_a_replay_sets_what_was_recorded(write, tmp_path, block):
     """One content hash; bit for bit, with the designs of the log."""
     log = cosim.run(write(), out=tmp_path / "a.mcap", block=block)
     assert log.recorded_hash == cosim.run(write(), out=tmp_path / "b.mcap").recorded_hash
-    again = cosim.replay(log)
-    verification = verify(log, again)
-    assert verification.passed, verification.lines()
-    assert again.events() == log.events()
+    verified_replay(log)
     assert set(log.metadata["cosim.settings"]) >= {"1000000000 x", "2500000000 pid"}
     other = cosim.replay(log, set={"x.time_constant": 1.0})
     assert (other["x.y"][1:11] != log["x.y"][1:11]).all()

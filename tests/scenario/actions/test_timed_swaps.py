@@ -7,11 +7,11 @@ import pytest
 import cosim
 from cosim.errors import ScenarioError
 from cosim.report.inspection import describe_log
-from cosim.report.verification import verify
 from cosim.scenario.exporting import export_component
 from tests.fmi import lag
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.test_tuning import friction
+from tests.scenario.actions.replays import verified_replay
 
 STOP = {"scenario.stop": 2.0}
 
@@ -55,10 +55,7 @@ def test_a_replay_takes_the_swapped_plant_from_the_log(folder, tmp_path):
     """Like any plant."""
     path = folder / "plant3.fmu#me"
     log = cosim.run("academic", set=swapped(path), out=tmp_path / "a.mcap")
-    again = cosim.replay(log)
-    verification = verify(log, again)
-    assert verification.passed, verification.lines()
-    assert again.events() == log.events()
+    verified_replay(log)
 
 
 def test_a_session_goes_back_over_a_swap(folder):
