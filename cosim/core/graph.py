@@ -368,7 +368,8 @@ class Graph:
     def with_coupling(self, coupling: Coupling) -> Graph:
         """Return a graph of the same components and connections with another coupling.
 
-        One of the two may run.
+        One of the two may run. It has the same iterations; but one with "newton", which takes as
+        many as it needs.
 
         Raises
         ------
@@ -380,6 +381,7 @@ class Graph:
             self.connections,
             coupling=coupling,
             input_interpolation=self.input_interpolation,
+            iterations=1 if coupling == "newton" else self.iterations,
             periods=self.periods,
             substeps=self.substeps,
             threads=self.threads,

@@ -185,7 +185,11 @@ def _refusal(gain: LoopGain, loops: LinearizedLoops, number: int) -> str:
     step_ns = loops.step_for(number)
     if step_ns is not None:
         ways_out.append(f"step = {step_ns / NANOSECONDS:g}")
-    ways_out += [f'coupling = "{coupling}"' for coupling in loops.couplings_for(number)]
+    for coupling in loops.couplings_for(number):
+        offer = f'coupling = "{coupling}"'
+        if coupling == "newton" and loops.graph.iterations > 1:  # it takes as many as it needs
+            offer += " with iterations = 1"
+        ways_out.append(offer)
     way_out = ""
     if ways_out:
         *others, last = ways_out

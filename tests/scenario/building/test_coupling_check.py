@@ -75,6 +75,19 @@ def test_what_the_refusal_offers_runs(pair):
         assert abs(memory["one.x"][-1]) < 0.2
 
 
+def test_what_is_offered_beside_iterations_runs_with_them(pair):
+    """Newton's method takes as many as it needs; Gauss-Seidel is as unstable with three."""
+    iterations = {"scenario.iterations": 3}
+    with pytest.raises(ScenarioError, match=r"'gauss-seidel' has a gain of 8\.9"):
+        cosim.run(pair, set={**iterations, "scenario.coupling": "gauss-seidel"})
+    with pytest.raises(ScenarioError) as caught:
+        cosim.run(pair, set=iterations)
+    offered = str(caught.value).split("; needed ")[1].split(";")[0]
+    assert offered == 'step = 0.001 or coupling = "newton" with iterations = 1'
+    cosim.run(pair, set={**iterations, "scenario.step": 0.001})
+    cosim.run(pair, set={"scenario.coupling": "newton", "scenario.iterations": 1})
+
+
 def test_warned_of_it_runs_all_the_same_and_the_end_names_loop_and_gain(pair):
     """The connection, the time and the gain, where it becomes infinite."""
     memory = cosim.run(pair, set=WARN)
