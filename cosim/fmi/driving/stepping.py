@@ -38,7 +38,7 @@ from __future__ import annotations
 
 import math
 from ctypes import addressof
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
@@ -51,6 +51,7 @@ from cosim.fmi.driving.clocks import ClockState, EventClocks
 from cosim.fmi.driving.diagnostics import Diagnostics
 from cosim.fmi.driving.direct import DirectFeedthrough
 from cosim.fmi.driving.inner_step import InnerStep, StepHistory
+from cosim.fmi.driving.input_ramp import CLOSE, InputRamp
 from cosim.fmi.driving.tuning import TunedParameters
 from cosim.fmi.instance import Addresses, CoSimulationInstance, StepEnd
 from cosim.native.fmi.co_simulation import (
@@ -69,7 +70,6 @@ from cosim.native.step import NativeStep, RollbackStruct
 
 PARTS: Final = 1000  # of one communication step, by early returns and time events
 HALVINGS: Final = 10  # of a step that is discarded
-CLOSE: Final = 1e-9  # of a communication step: times that are the same
 
 
 class InputDerivativesFailed(RunError):
@@ -90,47 +90,6 @@ class StepperState:
     ended: bool  # the FMU requested the end of the run
     step_history: StepHistory | None
     clocks: ClockState
-
-
-@dataclass(slots=True)
-class _InputRamp:
-    """The inputs over one communication step, by linear interpolation.
-
-    Instants in it are fractions of it, so that its ends and halves are exact.
-    """
-
-    t: float  # [s]
-    h: float  # [s]
-    u0: Vector
-    u1: Vector
-    change: Vector
-    ticks: dict[float, float] = field(default_factory=dict)  # of clocks: their times [s]
-
-    def time(self, s: float) -> float:
-        """Return the time [s]."""
-        if s in self.ticks:
-            return self.ticks[s]
-        return self.t + s * self.h if s else self.t
-
-    def duration(self, s0: float, s1: float) -> float:
-        """Return the time from one instant to another [s]."""
-        if self.ticks:
-            return self.time(s1) - self.time(s0)
-        return (s1 - s0) * self.h
-
-    def at(self, s: float) -> Vector:
-        """Return the inputs."""
-        if s == 1.0:
-            return self.u1
-        return self.u0 + s * self.change if s else self.u0
-
-    def fraction(self, time: float) -> float:
-        """Return the instant; the ends where it is close to them."""
-        s = (time - self.t) / self.h
-        for end in (0.0, 1.0):
-            if abs(s - end) <= CLOSE:
-                return end
-        return s
 
 
 @final
@@ -406,7 +365,7 @@ class Stepper:
             if self._some_held:
                 change[self._held] = 0.0
                 u1 = np.where(self._held, u0, u1)
-            ramp = _InputRamp(t, h, u0, u1, change)
+            ramp = InputRamp(t, h, u0, u1, change)
             end: StepEnd | None = None
             if begun == STEPPED:
                 end = self._instance.end_of_step(t, h, self._struct.do_step.status)
@@ -422,7 +381,7 @@ class Stepper:
 
     def _advance(
         self,
-        ramp: _InputRamp,
+        ramp: InputRamp,
         s0: float,
         s1: float,
         halvings: int,
@@ -468,7 +427,7 @@ class Stepper:
             f"t = {ramp.t} s; the last was at t = {ramp.time(s)} s"
         )
 
-    def _set_inputs(self, ramp: _InputRamp, s0: float, mean: float) -> None:
+    def _set_inputs(self, ramp: InputRamp, s0: float, mean: float) -> None:
         """Set the inputs for a call of do_step, after a copy of the state where one is needed.
 
         Those that are interpolated have their values at ``s0``, the others those at ``mean``.
@@ -490,13 +449,13 @@ class Stepper:
         except RunError as error:
             raise InputDerivativesFailed(str(error)) from error
 
-    def _slopes(self, ramp: _InputRamp) -> Vector:
+    def _slopes(self, ramp: InputRamp) -> Vector:
         """Return du/dt of the inputs that are interpolated."""
         slopes: Vector = self._interpolated_inputs.take(ramp.change) / ramp.h
         return slopes
 
     def _keep_inputs(
-        self, ramp: _InputRamp, s0: float, s1: float, mean: float, end: StepEnd
+        self, ramp: InputRamp, s0: float, s1: float, mean: float, end: StepEnd
     ) -> None:
         """Keep the inputs that the outputs after a call of do_step belong to."""
         if not self.interpolates:
@@ -509,7 +468,7 @@ class Stepper:
             s_end = min(max(s0, ramp.fraction(end.interpolated_until)), s1)
         self.inputs[:] = self._interpolated_at(ramp, s_end, mean)
 
-    def _interpolated_at(self, ramp: _InputRamp, s: float, mean: float) -> Vector:
+    def _interpolated_at(self, ramp: InputRamp, s: float, mean: float) -> Vector:
         """Return the inputs at ``s``; those that cannot be interpolated as they are at ``mean``."""
         if not self._some_not_interpolated:
             return ramp.at(s)
@@ -526,9 +485,7 @@ class Stepper:
             "belongs to that",
         )
 
-    def _reached(
-        self, ramp: _InputRamp, s0: float, s1: float, end: StepEnd, halvings: int
-    ) -> float:
+    def _reached(self, ramp: InputRamp, s0: float, s1: float, end: StepEnd, halvings: int) -> float:
         """Return how far a call of do_step from ``s0`` to ``s1`` came, in the end."""
         if end.completed:
             return s1
@@ -544,7 +501,7 @@ class Stepper:
             )
         return s
 
-    def _repeat_in_halves(self, ramp: _InputRamp, s0: float, s1: float, halvings: int) -> float:
+    def _repeat_in_halves(self, ramp: InputRamp, s0: float, s1: float, halvings: int) -> float:
         """Go back before a step that was discarded, and from there in two halves."""
         problem = self._problem_of_halving(ramp, halvings)
         if problem:
@@ -562,7 +519,7 @@ class Stepper:
             return reached
         return self._advance(ramp, middle, s1, halvings + 1)
 
-    def _problem_of_halving(self, ramp: _InputRamp, halvings: int) -> str:
+    def _problem_of_halving(self, ramp: InputRamp, halvings: int) -> str:
         """Return why a discarded step cannot be repeated in halves; empty: it can."""
         undone = self._instance.description.undoes_discarded_steps
         if not self._capabilities.variable_step:
@@ -580,7 +537,7 @@ class Stepper:
 
     # --- events ---
 
-    def _next_stop(self, ramp: _InputRamp, s0: float, s1: float) -> float:
+    def _next_stop(self, ramp: InputRamp, s0: float, s1: float) -> float:
         """Return the next time event or tick of a clock, if the FMU can stop there, else ``s1``."""
         stop = self._next_time_event(ramp, s0, s1)
         tick = self._clocks.fraction(ramp.t, ramp.h)
@@ -592,7 +549,7 @@ class Stepper:
             return max(tick, stop)  # of a tick and an event that are one, the later
         return tick
 
-    def _check_variable_step(self, ramp: _InputRamp) -> None:
+    def _check_variable_step(self, ramp: InputRamp) -> None:
         """Refuse a tick inside a communication step of an FMU that takes steps of one size."""
         if self._capabilities.variable_step:
             return
@@ -603,7 +560,7 @@ class Stepper:
             "divides the intervals and shifts of its clocks"
         )
 
-    def _next_time_event(self, ramp: _InputRamp, s0: float, s1: float) -> float:
+    def _next_time_event(self, ramp: InputRamp, s0: float, s1: float) -> float:
         """Return the next time event, if the FMU can stop there, else ``s1``."""
         next_event = self._struct.next_event
         if next_event == math.inf:
@@ -621,7 +578,7 @@ class Stepper:
         )
         return s1
 
-    def _is_event_due(self, ramp: _InputRamp, s: float, end: StepEnd) -> bool:
+    def _is_event_due(self, ramp: InputRamp, s: float, end: StepEnd) -> bool:
         """Return whether an event is to be handled at ``s``: a requested one or a time event."""
         if self.ended or not self._capabilities.event_mode:
             return False
