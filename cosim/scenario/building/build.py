@@ -376,7 +376,8 @@ class Builder:
     def graph_problems(self) -> list[Problem]:
         """Return the problems of the graph as a whole, where all that it is made of is right."""
         keys = [key for key, _ in self.problems]
-        if self._invalid or any(key[:1] == ("connections",) for key in keys):
+        is_known = ("scenario", "substeps") in keys  # the graph would say the same of them
+        if self._invalid or is_known or any(key[:1] == ("connections",) for key in keys):
             return []
         try:
             graph = self._graph()

@@ -111,7 +111,7 @@ class SubstepTable(TomlTable):
         description="the same in the unit of the output, times the nominal value of an FMU's; "
         "both are added",
     )
-    min: Number = Field(1e-6, description="shortest substep [s]")
+    min: Annotated[Number, Field(gt=0.0)] = Field(1e-6, description="shortest substep [s]")
 
 
 class Settings(TomlTable):

@@ -113,16 +113,18 @@ def test_a_certificate_of_chosen_steps_is_refused(pair, how):
     [
         ("min", 0.02, r"min: found 0.02 s, longer than half a step of 0.01 s"),
         ("min", 1e-10, r"1e-10 s is not a whole number of nanoseconds"),
-        ("min", 0.0, r"min_ns: found 0, needed a whole number of nanoseconds, at least 1"),
+        ("min", 0.0, r"scenario\.substeps\.min: found 0\.0; needed more than 0"),
+        ("min", -1.0, r"scenario\.substeps\.min: found -1\.0; needed more than 0"),
         ("rtol", -1.0, r"scenario.substeps.rtol: found -1.0; needed at least 0"),
         ("atol", "small", r"scenario.substeps.atol: .*small"),
         ("max", 1.0, r"scenario.substeps.max"),
     ],
 )
 def test_substeps_that_are_none_are_refused(pair, key, value, text):
-    """Each by its key."""
-    with pytest.raises(ScenarioError, match=text):
+    """Each by its key, once."""
+    with pytest.raises(ScenarioError, match=text) as caught:
         cosim.run(pair, set={f"scenario.substeps.{key}": value})
+    assert len(str(caught.value).splitlines()) == 1
 
 
 def test_what_has_steps_of_its_own_is_refused_in_a_loop(tmp_path):
