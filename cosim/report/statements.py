@@ -6,6 +6,8 @@ compared:
 
 * of the run: name, start, step, stop, truth, schedule, connections, and whatever else
   ``cosim.run`` has; the overrides of its inputs, and what followed them;
+* of the substeps of loops: which, with what errors, and what components had at their ends; beside
+  recorded components only the outputs that are computed again;
 * of every component: its table and kind;
 * of those that are computed again, too: the tables that they rest on, their declared signals, held
   inputs, metadata, warnings and messages;
@@ -30,6 +32,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from cosim.core.contracts import Substep
 from cosim.core.recorders import Memory
 from cosim.core.signals import Interface
 from cosim.errors import quoted
@@ -49,7 +52,8 @@ from cosim.scenario.recordings.recorded_metadata import (
 from cosim.scenario.recordings.replaying import recorded_stop
 
 COMPARED = (
-    "truth, connections, schedule, times, component tables, overrides, warnings, last row, verdicts"
+    "truth, connections, schedule, times, component tables, overrides, substeps, warnings, "
+    "last row, verdicts"
 )
 NOT_COMPARED = (
     "designs, certificates, why the run ended, its machine, what FMUs and files say of themselves"
@@ -121,6 +125,7 @@ class _Statements:
         for name in self._again.channels:
             yield from self._of_component(name)
         yield from self._of_messages()
+        yield from self._of_substeps()
         yield from self._of_end()
         yield from self._of_identification()
 
@@ -138,6 +143,16 @@ class _Statements:
         yield "stages", source.schedule, list(self._again.schedule)
         step = source.metadata.get("cosim.schedule", {}).get("step_ns")
         yield "step of the schedule [ns]", step, str(source.step_ns)
+
+    def _of_substeps(self) -> Iterator[_Statement]:
+        recorded = _substeps_before(self._source.end_ns, self._source)
+        expected = _substeps_before(self._source.end_ns, self._again)
+        yield "number of substeps", len(recorded), len(expected)
+        for found, computed in zip(recorded, expected, strict=False):
+            about = f"substep of the loop of {found.loop!r} at t = {found.begin_ns / 1e9} s"
+            yield about, found._replace(values=()), computed._replace(values=())
+            for number, (a, b) in enumerate(zip(found.values, computed.values, strict=False)):
+                yield f"{about}: value {number}", a.hex(), b.hex()
 
     def _of_connections(self) -> Iterator[_Statement]:
         recorded = self._source.metadata.get("cosim.connections", {})
@@ -218,6 +233,12 @@ class _Statements:
                 yield f"verdicts on {name!r}", computed, needed
             if name in recorded and name in expected:
                 yield from _beside_verdicts(name, recorded[name], expected[name])
+
+
+def _substeps_before(time_ns: int, run: Log | Memory) -> list[Substep]:
+    """Return the substeps that begin before an instant [ns], in one order of the loops."""
+    substeps = [substep for substep in run.substeps() if substep.begin_ns < time_ns]
+    return sorted(substeps, key=lambda substep: (substep.begin_ns, substep.loop))
 
 
 def _event_bits(run: Log | Memory) -> list[tuple[Any, ...]]:

@@ -146,18 +146,25 @@ class SubsteppedLoop:
         step.signals[1, self._columns] = row[self._columns]
 
     def _follow(self, step: _Step, recorded: RecordedSubsteps) -> None:
-        """Take recorded substeps, each with the recorded inputs at both of its ends."""
+        """Take recorded substeps, each with the recorded inputs at both of its ends.
+
+        They are kept with the outputs that are computed now.
+        """
         end_ns = step.begin_ns + step.step_ns
         row = step.signals[0]
         for substep in recorded.between(step.begin_ns, end_ns):
-            self._control.add(substep)
             if not substep.accepted:
+                self._control.add(substep)
                 continue
             begin = substep.begin_ns - step.begin_ns
             block, rows = step.rows(begin, begin + substep.length_ns, row, self._control.outside)
             rows[1, self._columns] = substep.values
+            computed = rows[1].copy()
             for member in recorded.live:
-                step.signals[1, member.outputs] = self._advance_alone(member, block, rows)
+                computed[member.outputs] = self._advance_alone(member, block, rows)
+                step.signals[1, member.outputs] = computed[member.outputs]
+            values = tuple(computed[self._columns].tolist())
+            self._control.add(substep._replace(values=values))
             row = rows[1]
         for member in recorded.copied:
             step.signals[1, member.outputs] = self._call(

@@ -1,12 +1,15 @@
 """Substeps in scenarios: what is refused and reported, logs, replays."""
 
+import numpy as np
 import pytest
 
 import cosim
 from cosim.errors import ScenarioError, UsageError
 from cosim.log import Log
+from cosim.log.schema import decode_substep, encode_substep
 from cosim.report.summary import summarize
 from cosim.report.verification import verify
+from tests.log.crafting import put_together, take_apart
 
 PAIR = """
 [scenario]
@@ -58,6 +61,59 @@ def test_a_replay_takes_the_substeps_of_recorded_components(tmp_path):
     assert verification.passed, verification.problems
     assert "plant.x_a" in verification.copied
     assert Log(tmp_path / "y.mcap").substeps() == log.substeps() != []
+
+
+def with_changed_substep(log, path, number):
+    """Add 1/8 to the value ``number`` of the third substep that was taken; return that log."""
+    content = take_apart(log.path)
+    (channel,) = [key for key, item in content.channels.items() if item[0] == "/cosim/step"]
+    taken = 0
+    messages = []
+    for of, time_ns, sequence, data in content.messages:
+        changed = data
+        if of == channel:
+            substep = decode_substep(time_ns, data)
+            taken += substep.accepted
+            if taken == 3 and substep.accepted:
+                values = np.array(substep.values)
+                values[number] += 0.125
+                changed = encode_substep(substep._replace(values=tuple(values.tolist())))
+        messages.append((of, time_ns, sequence, changed))
+    content.messages = messages
+    put_together(content, path)
+    return Log(path)
+
+
+def test_a_changed_value_of_a_substep_is_found(pair, tmp_path):
+    """Also one that nothing follows from: the rows of the replay are those of the log."""
+    log = cosim.run(pair, out=tmp_path / "x.mcap")
+    for number in range(len(log.substeps()[-1].values)):
+        changed = with_changed_substep(log, tmp_path / f"{number}.mcap", number)
+        problems = verify(changed, cosim.replay(changed)).problems
+        assert len(problems) == 1
+        assert "substep of the loop of 'one' at t = 0.0" in problems[0]
+        assert f"value {number}: found" in problems[0]
+
+
+def test_a_changed_output_is_found_beside_recorded_components(tmp_path):
+    """Those of the controller, the sum and the observer: they are computed again."""
+    changes = {
+        "scenario.coupling": "newton",
+        "scenario.stop": 0.02,
+        "scenario.step": 1e-2,
+        "scenario.substeps": {"rtol": 1e-3, "atol": 1e-3, "min": 1e-4},
+    }
+    log = cosim.run("closed-loop", set=changes, out=tmp_path / "x.mcap")
+    # inputs and outputs: controller 1 + 2, error 2 + 1, feedback 2 + 1, observer 2 + 7, plant 2 + 4
+    for number in (2, 8, 17):
+        changed = with_changed_substep(log, tmp_path / f"{number}.mcap", number)
+        (problem,) = verify(changed, cosim.replay(changed)).problems
+        assert "substep of the loop of 'controller' at t = 0.0" in problem
+        assert f"value {number}: found" in problem
+    last = len(log.substeps()[-1].values) - 1
+    assert last == 23
+    changed = with_changed_substep(log, tmp_path / "plant.mcap", last)
+    assert verify(changed, cosim.replay(changed)).passed  # nothing computes what is copied
 
 
 def test_a_summary_counts_substeps(pair):
