@@ -169,7 +169,7 @@ class Graph:
                     # what a delayed input has at the end of a step is known before it is used
                     extrapolated -= frozenset(member.channel.interface.delayed)
                 self.held[member.name] = self._variabilities.held(
-                    member.channel, extrapolated, loop
+                    member.channel, extrapolated, loop, self._torn
                 )
 
     def prepare(self, step_ns: int, recorded: Mapping[str, Design] | None = None) -> Plan:

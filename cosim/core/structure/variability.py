@@ -11,7 +11,7 @@ of.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from itertools import chain
 from typing import Final
 
@@ -22,7 +22,7 @@ from cosim.core.connections import Connection
 from cosim.core.port import Port
 from cosim.core.signals import Channel, Signal, Variability
 from cosim.core.structure.cycles import strongly_connected
-from cosim.core.structure.feedthrough import Sources
+from cosim.core.structure.feedthrough import Edge, Sources
 from cosim.core.structure.ports import Ports
 
 BECOMES_A_RAMP: Final = (
@@ -110,35 +110,60 @@ class Variabilities:
             return True
         return self._combined(sources) == "discrete"
 
-    def held(self, channel: Channel, extrapolated: frozenset[str], loop: frozenset[str]) -> Mask:
-        """Return which input elements of a component have a zero-order hold."""
+    def held(
+        self,
+        channel: Channel,
+        extrapolated: frozenset[str],
+        loop: frozenset[str],
+        torn: Collection[Edge] = (),
+    ) -> Mask:
+        """Return which input elements of a component have a zero-order hold.
+
+        Parameters
+        ----------
+        channel : Channel
+        extrapolated : frozenset of str
+            Its inputs that are known only after it has advanced.
+        loop : frozenset of str
+            The components of its loop.
+        torn : collection of (input Port, source Port)
+            The connections that the loop is solved for.
+        """
         held: list[bool] = []
         for signal in channel.interface.inputs:
             if self._is_held(signal):
                 held += [True] * signal.size
             else:
                 # Of an extrapolated input only what comes from inside the loop is extrapolated.
+                to = Port(channel.name, signal.name)
                 inside = loop if signal.name in extrapolated else frozenset[str]()
-                held += self._held_elements(Port(channel.name, signal.name), signal.size, inside)
+                solved = frozenset(source for port, source in torn if port == to)
+                held += self._held_elements(to, signal.size, inside, solved)
         mask = np.array(held, dtype=np.bool_)
         mask.setflags(write=False)
         return mask
 
-    def _held_elements(self, to: Port, size: int, loop: frozenset[str]) -> list[bool]:
+    def _held_elements(
+        self, to: Port, size: int, loop: frozenset[str], solved: frozenset[Port]
+    ) -> list[bool]:
         """Return which elements of an input are driven by discrete signals, or from a loop."""
         held = [False] * size  # where nothing drives it: constant
         for part in self._parts[to]:
             end = self._ports.input(part)
-            held[end.elements] = self._held_by(self._connections[part], end.size, loop)
+            held[end.elements] = self._held_by(self._connections[part], end.size, loop, solved)
         return held
 
-    def _held_by(self, connection: Connection, size: int, loop: frozenset[str]) -> list[bool]:
+    def _held_by(
+        self, connection: Connection, size: int, loop: frozenset[str], solved: frozenset[Port]
+    ) -> list[bool]:
         """Return which elements of what a connection drives have a zero-order hold."""
         sources = [self._ports.output(port) for port in connection.sources]
-        inside = [source.port.component in loop for source in sources]
+        ports = [source.port for source in sources]
+        inside = [port.component in loop and port not in solved for port in ports]
         if connection.matrix.ndim == 2:  # every element may be a sum of all sources
-            together = self._combined([source.port for source in sources])
-            return [any(inside) or together == "discrete"] * size
+            together = self._combined(ports)
+            is_extrapolated = any(inside) and solved.isdisjoint(ports)
+            return [is_extrapolated or together == "discrete"] * size
         discrete = [self.of(source.port) == "discrete" for source in sources]
         elements: list[bool] = []
         for source, from_loop, is_discrete in zip(sources, inside, discrete, strict=True):

@@ -11,6 +11,7 @@ from cosim.blocks import lag, switch
 from cosim.blocks.derived import derived
 from cosim.blocks.measurement import SensorParameters
 from cosim.blocks.replay import Replay
+from cosim.blocks.sampled import Sampled
 from cosim.blocks.sensor import Sensor
 from cosim.blocks.source import constant, ramp
 from cosim.blocks.state_space import controller
@@ -146,6 +147,26 @@ def test_the_bits_do_not_depend_on_blocks_or_compiled_code():
     for other in (record(pair(), 0.2, block=3), record(pair(native=False), 0.2)):
         for signal in ("one.u", "one.x", "two.u", "two.x"):
             assert whole[signal].tobytes() == other[signal].tobytes()
+
+
+def test_an_input_with_a_held_element_follows_the_others():
+    """One element is driven by a sampled signal, one is solved for: only the first is held."""
+    matrices = {"A": -np.eye(1), "B": np.ones((1, 2)), "C": np.eye(1), "D": np.zeros((1, 2))}
+    components = {
+        "slow": Sampled(state_space(-0.5, 1.0, 1.0, 0.0, 0.1), 4, hold=True),
+        "one": Linear(controller(**matrices, x0=np.ones(1))),
+        "two": state_space(-2.0, 1.0, 1.0, 0.0, -0.5),
+    }
+    connections = {
+        "slow.u": "one.y",
+        "one.u[0]": "slow.y",
+        "one.u[1]": "two.y",
+        "two.u": "one.y",
+    }
+    graph = Graph(components, connections, coupling="newton")
+    assert graph.held["one"].tolist() == [True, False]
+    assert graph.held["two"].tolist() == [False]
+    assert not graph.stages[0].is_first_order
 
 
 def test_a_state_goes_back_with_what_the_solver_keeps():
