@@ -22,9 +22,10 @@ from cosim.core.initialization.initial_values import InitialValues
 from cosim.core.port import Port
 from cosim.core.signals import Channel, Variability
 from cosim.core.stages.calls import GuardedComponent
-from cosim.core.stages.coupling import Cascade, Loop, Stage
+from cosim.core.stages.coupling import Cascade, Loop, NestedStages, Stage
 from cosim.core.stages.left_limits import JumpColumns
 from cosim.core.stages.member import Member, first_non_finite
+from cosim.core.stages.nested_loop import substep_roles
 from cosim.core.stages.substep_control import OutsideColumns, SubstepControl, SubstepTolerance
 from cosim.core.stages.torn_inputs import KeptInputs, TornInputs
 from cosim.core.stages.wires import Wire, constant_wires, wires_of
@@ -276,9 +277,9 @@ class Graph:
 
     def _lengths(self, name: str, step_ns: int) -> tuple[float, ...]:
         """Return the lengths of the substeps that a component may have to take [s]."""
-        for stage in self.stages:
-            if stage.control is not None and any(m.name == name for m in stage.members):
-                return stage.control.tolerance.lengths(step_ns)
+        for control in self.substep_controls:
+            if name in control.components:
+                return control.tolerance.lengths(step_ns)
         return ()
 
     def put(self, name: str, component: Component) -> None:
@@ -356,14 +357,14 @@ class Graph:
         recording : Recording
         recorded : collection of component names
         """
-        for stage in self.stages:
+        for stage in self._innermost_stages:
             names = {member.name for member in stage.members}
             if names.isdisjoint(recorded):
                 continue
             if stage.torn is not None:
                 stage.torn.take(recording)
-            if stage.control is not None:
-                stage.control.take(recording, stage.members, recorded)
+            for control in stage.controls:
+                control.take(recording, stage.members, recorded)
 
     def with_coupling(self, coupling: Coupling) -> Graph:
         """Return a graph of the same components and connections with another coupling.
@@ -411,17 +412,27 @@ class Graph:
     def kept_by_loops(self) -> list[LoopSolver | SubstepControl]:
         """What loops keep from step to step beside their components, in the order of the stages."""
         kept: list[LoopSolver | SubstepControl] = []
-        for stage in self.stages:
+        for stage in self._innermost_stages:
             if stage.torn is not None:
                 kept.append(stage.torn.solver)
-            if stage.control is not None:
-                kept.append(stage.control)
+            kept += stage.controls
         return kept
 
     @property
     def substep_controls(self) -> list[SubstepControl]:
         """What chooses the substeps of loops, in the order of the stages."""
-        return [stage.control for stage in self.stages if stage.control is not None]
+        controls: list[SubstepControl] = []
+        for stage in self.stages:
+            controls += stage.controls
+        return controls
+
+    @property
+    def _innermost_stages(self) -> list[Stage]:
+        """The stages in their order, those inside a step in the place of a loop with such."""
+        stages: list[Stage] = []
+        for stage in self.stages:
+            stages += [stage] if stage.nested is None else stage.nested.stages
+        return stages
 
     @property
     def warnings(self) -> list[tuple[str, str]]:
@@ -536,7 +547,13 @@ class Graph:
 
     def _order(self) -> tuple[Stage, ...]:
         """Return the strongly connected components of the graph, as stages in topological order."""
-        drivers = {name: self._drivers(name) for name in self.components}
+        return self._stages_of(self.components)
+
+    def _stages_of(self, components: Iterable[str]) -> tuple[Stage, ...]:
+        """Return the stages of some components, by what drives them among themselves."""
+        drivers = {name: self._drivers(name) for name in components}
+        for name, own in drivers.items():
+            drivers[name] = own & drivers.keys()
         stages: list[Stage] = []
         for names in groups_in_order(drivers):
             first = names[0]
@@ -577,11 +594,9 @@ class Graph:
         if order.algebraic and not order.torn:
             warnings.append((order.algebraic[0].component, extrapolation_text(order.algebraic)))
         torn: TornInputs | None = None
-        self._torn += order.torn
         refreshed = dict.fromkeys(name for kind, name in order.operations if kind == "refresh")
         self._early_events += [name for name in refreshed if interfaces[name].keeps_events]
         if order.torn:
-            _check_rollback(members)
             iterations = 0 if self.coupling == "newton" else self.iterations
             torn = TornInputs(order.torn, members, self.ports, iterations)
         kept = None
@@ -600,10 +615,36 @@ class Graph:
             kept,
             self._lags(members),
         )
-        if self.substeps is None:
-            return loop
-        _check_substeps(members)
-        return replace(loop, control=self._substep_control(self.substeps, loop))
+        if self.substeps is not None:
+            loop = self._with_substeps(loop, self.substeps)
+        if loop.nested is None and order.torn:
+            _check_rollback(members)
+            self._torn += order.torn
+        return loop
+
+    def _with_substeps(self, loop: Loop, tolerance: SubstepTolerance) -> Loop:
+        """Return a loop that takes substeps, as far as its components can.
+
+        Raises
+        ------
+        GraphError
+            If some neither can nor need not.
+        """
+        interfaces = {member.name: member.channel.interface for member in loop.members}
+        sources = {name: self._sources[name] for name in interfaces}
+        roles = substep_roles(interfaces, sources, self.variability)
+        if roles.unfit:
+            raise _substeps_refused(roles.unfit)
+        if not (roles.early or roles.late):
+            return replace(loop, controls=(self._substep_control(tolerance, loop),))
+        stages = self._stages_of(roles.taking)
+        extrapolated: dict[str, frozenset[str]] = {}
+        controls: list[SubstepControl] = []
+        for stage in stages:
+            extrapolated.update(stage.extrapolated)
+            controls += stage.controls
+        nested = NestedStages(frozenset(roles.early), frozenset(roles.late), stages)
+        return replace(loop, extrapolated=extrapolated, controls=tuple(controls), nested=nested)
 
     def _substep_control(self, tolerance: SubstepTolerance, loop: Loop) -> SubstepControl:
         order = 1 if loop.is_first_order else 2
@@ -703,26 +744,14 @@ def _check_rollback(members: Sequence[Member]) -> None:
         )
 
 
-def _check_substeps(members: Sequence[Member]) -> None:
-    """Check that the components of a loop can take substeps, and go back.
-
-    Raises
-    ------
-    GraphError
-        If some cannot.
-    """
-    names = []
-    for member in members:
-        interface = member.channel.interface
-        if not (interface.rollback and interface.substeps):
-            names.append(member.name)
-    if names:
-        raise GraphError(
-            f"substeps: {listing(names)} in this loop cannot take parts of a step and go back "
-            "(rollback or substeps is not declared; of an FMU: canGetAndSetFMUstate, "
-            "canHandleVariableCommunicationStepSize; a delay or a sampled component has steps of "
-            "its own); needed a loop without, or a smaller step without substeps"
-        )
+def _substeps_refused(names: Sequence[str]) -> GraphError:
+    """Return the error of components that cannot take substeps, and do not hold their outputs."""
+    return GraphError(
+        f"substeps: {listing(names)} in this loop cannot take parts of a step and go back "
+        "(rollback or substeps is not declared; of an FMU: canGetAndSetFMUstate, "
+        "canHandleVariableCommunicationStepSize), and other components follow the outputs through "
+        "the step; needed a loop without, or a smaller step without substeps"
+    )
 
 
 def _numbers(columns: slice) -> list[int]:

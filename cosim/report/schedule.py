@@ -195,7 +195,7 @@ def _stage(number: int, stage: Stage) -> ScheduledStage:
         tuple(operations),
         solved,
         stage.is_first_order,
-        None if stage.control is None else stage.control.tolerance.min_ns / 1e9,
+        stage.controls[0].tolerance.min_ns / 1e9 if stage.controls else None,
     )
 
 

@@ -33,6 +33,7 @@ from cosim.errors import GraphError
 REFUSED: Final = 10.0
 NOTED: Final = 1.01
 FAR: Final = 10  # a fine step that is so much smaller than one that is not refused is not offered
+NESTED: Final = "some of its components take substeps, and some do not"
 TOO_FAST: Final = "it grows beyond all numbers within a step"
 NO_SOLUTION: Final = "its algebraic loop has no one solution at the start"
 
@@ -157,7 +158,7 @@ class LinearizedLoops:
         refused, as of undamped loops, whose error grows slowly at any step, it is the latter.
         None is needed where the shortest substep would be refused, too.
         """
-        if self._loops()[number].control is not None:
+        if self._loops()[number].controls:
             return None
         model = self._model(self._loops()[number])
         fine = self._largest_step(model, ("fine",))
@@ -206,9 +207,9 @@ class LinearizedLoops:
 
     def _substeps(self, loop: Stage) -> int:
         """Return into how many parts a loop may divide its steps."""
-        if loop.control is None:
+        if not loop.controls:
             return 1
-        return 1 << loop.control.tolerance.finest_level(self.clock.step_ns)
+        return 1 << loop.controls[0].tolerance.finest_level(self.clock.step_ns)
 
     def _gain(self, loop: Stage) -> LoopGain:
         names = tuple(member.name for member in loop.members)
@@ -219,6 +220,8 @@ class LinearizedLoops:
         h = self.clock.step_ns / NANOSECONDS
         if unknown:
             return LoopGain(names, coupling, h, self.clock.steps, unknown=unknown)
+        if loop.nested is not None:
+            return LoopGain(names, coupling, h, self.clock.steps, reason=NESTED)
         model = self._model(loop)
         return _gain_of(model, names, coupling, self.clock.steps * self._substeps(loop))
 

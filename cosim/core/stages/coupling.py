@@ -150,8 +150,13 @@ class Stage(Advancing, Protocol):
         ...
 
     @property
-    def control(self) -> SubstepControl | None:
-        """What chooses its substeps; None: it takes communication steps."""
+    def controls(self) -> tuple[SubstepControl, ...]:
+        """What chooses its substeps; empty: it takes communication steps."""
+        ...
+
+    @property
+    def nested(self) -> NestedStages | None:
+        """The stages of those of its components that take substeps; None: all do, or none."""
         ...
 
 
@@ -166,7 +171,8 @@ class Cascade:
     is_loop: bool = False
     torn: None = None
     kept: None = None
-    control: None = None
+    controls: tuple[SubstepControl, ...] = ()
+    nested: None = None
     coupling: str = ""
 
     @property
@@ -251,6 +257,23 @@ class Cascade:
 
 
 @dataclass(frozen=True, slots=True)
+class NestedStages:
+    """What a loop does where some of its components keep to communication steps.
+
+    Parameters
+    ----------
+    early, late : frozenset of str
+        Those, which advance before and behind the others.
+    stages : tuple of Stage
+        Of the others, in their order.
+    """
+
+    early: frozenset[str]
+    late: frozenset[str]
+    stages: tuple[Stage, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Loop:
     """Components of a cycle of the graph, advanced step by step in a fixed order of operations.
 
@@ -267,7 +290,8 @@ class Loop:
     torn: TornInputs | None
     kept: KeptInputs | None
     lags: bool
-    control: SubstepControl | None = None
+    controls: tuple[SubstepControl, ...] = ()
+    nested: NestedStages | None = None
     is_loop: bool = True
 
     @property
@@ -292,7 +316,10 @@ class Loop:
                 words.append(f"({iterations} iterations)")
         if not self.is_first_order:
             words.append("(second order)")
-        if self.control is not None:
+        if self.nested is not None:
+            inner = [stage.description for stage in self.nested.stages]
+            words.append(f"(inside a step: {'; '.join(inner)})")
+        elif self.controls:
             words.append("(substeps)")
         return " ".join(words)
 

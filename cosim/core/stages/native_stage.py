@@ -30,6 +30,7 @@ from cosim.core.stages.coupling import (
     keep_limits,
 )
 from cosim.core.stages.member import Member, NonFinite, first_non_finite
+from cosim.core.stages.nested_loop import NestedLoop
 from cosim.core.stages.stage_structs import NativeSteps, StageStructs
 from cosim.core.stages.substeps import SubsteppedLoop
 from cosim.errors import NonFiniteError
@@ -47,17 +48,16 @@ def advancing_stages(graph: Graph) -> Sequence[Advancing]:
     it is: it advances a whole block in one call.
     """
     if not graph.native:
-        return tuple(_controlled(stage, stage) for stage in graph.stages)
+        return tuple(_in_substeps(stage, graph) for stage in graph.stages)
     advancing: list[Advancing] = []
     together: list[Stage] = []
     steps: dict[str, NativeStep] = {}
     for stage in graph.stages:
         steps_of_stage = _native_steps(stage.members)
-        if stage.control is not None:
+        if stage.controls:
             advancing += _compiled(together, steps, graph)
             together = []
-            alone = NativeStage([stage], steps_of_stage, graph.layout, nullcontext())
-            advancing.append(_controlled(stage, alone))
+            advancing.append(_in_substeps(stage, graph))
             continue
         if steps_of_stage or stage.is_loop:
             together.append(stage)
@@ -69,11 +69,18 @@ def advancing_stages(graph: Graph) -> Sequence[Advancing]:
     return advancing + _compiled(together, steps, graph)
 
 
-def _controlled(stage: Stage, advancing: Advancing) -> Advancing:
-    """Return what advances a stage in substeps, where it takes any."""
-    if stage.control is None:
-        return advancing
-    return SubsteppedLoop(stage.members, stage.control, advancing)
+def _in_substeps(stage: Stage, graph: Graph) -> Advancing:
+    """Return what advances a stage by itself, in substeps where it takes any."""
+    if stage.nested is not None:
+        inner = [_in_substeps(nested, graph) for nested in stage.nested.stages]
+        return NestedLoop(stage.members, stage.order, stage.nested, inner)
+    advancing: Advancing = stage
+    if graph.native:
+        steps = _native_steps(stage.members)
+        advancing = NativeStage([stage], steps, graph.layout, nullcontext())
+    for control in stage.controls:
+        advancing = SubsteppedLoop(stage.members, control, advancing)
+    return advancing
 
 
 def _compiled(stages: Sequence[Stage], steps: NativeSteps, graph: Graph) -> list[Advancing]:

@@ -259,7 +259,7 @@ class SubstepControl:
         compared: NDArray[np.intp],
         nominal: Vector,
     ) -> None:
-        self._components = components
+        self.components = components
         self.tolerance = tolerance
         self.order = order
         self.outside = outside
@@ -267,7 +267,7 @@ class SubstepControl:
         self._atol = tolerance.atol * nominal
         self.memory = np.zeros(1)
         self.recorded: RecordedSubsteps | None = None
-        self.counts = SubstepCounts(self._components)
+        self.counts = SubstepCounts(self.components)
         self._substeps: list[Substep] = []
 
     def take(
@@ -293,7 +293,7 @@ class SubstepControl:
     def reset(self) -> None:
         """Begin with whole communication steps."""
         self.memory[:] = 0.0
-        self.counts = SubstepCounts(self._components)
+        self.counts = SubstepCounts(self.components)
         self._substeps.clear()
 
     def first(self) -> Subinterval:

@@ -9,12 +9,15 @@ from hypothesis import strategies as st
 
 from cosim.blocks.dynamics import Delay
 from cosim.blocks.replay import Replay
+from cosim.blocks.sampled import Sampled
 from cosim.blocks.source import ramp, step
+from cosim.blocks.state_space import controller
 from cosim.core.clock import Clock
 from cosim.core.connections import Connection
 from cosim.core.contracts import Stopped
 from cosim.core.ensemble import run_members
 from cosim.core.graph import Graph
+from cosim.core.linear import Linear
 from cosim.core.master import run
 from cosim.core.recorders import Memory
 from cosim.core.signals import Interface, Signal
@@ -282,14 +285,128 @@ def test_substeps_that_are_missing_are_named():
             again(original)
 
 
+# --- components with steps of their own ---
+
+
+def sampled_loop(samples, substeps=None, native=True, coupling="gauss-seidel"):
+    """Two coupled systems, whose sum a sampled controller with direct feedthrough drives."""
+    controller_gain = state_space(-0.5, 1.0, -0.3, -0.8, 0.1)
+    components = {
+        "control": Sampled(controller_gain, samples, hold=True),
+        "one": Linear(
+            controller(
+                A=-np.eye(1), B=np.ones((1, 2)), C=np.eye(1), D=np.zeros((1, 2)), x0=np.ones(1)
+            )
+        ),
+        "two": state_space(-2.0, 1.0, 1.0, 0.0, -0.5),
+    }
+    wires = {
+        "control.u": "one.y",
+        "one.u[0]": "control.y",
+        "one.u[1]": "two.y",
+        "two.u": "one.y",
+    }
+    return Graph(components, wires, substeps=substeps, native=native, coupling=coupling)
+
+
+SAMPLED_SIGNALS = ("control.u", "control.y", "one.u", "one.x", "two.x")
+
+
+@pytest.mark.parametrize("coupling", ["gauss-seidel", "newton"])
+def test_a_sampled_controller_keeps_to_communication_steps(coupling):
+    """Beside it halves of a step are steps of half the length, in which it holds its output."""
+    strict = SubstepTolerance(rtol=0.0, atol=1e-300, min_ns=5_000_000)
+    divided = record(sampled_loop(2, strict, coupling=coupling), stop=0.2, step=0.01)
+    finer = record(sampled_loop(4, coupling=coupling), stop=0.2, step=0.005)
+    for signal in SAMPLED_SIGNALS:
+        # Newton's method is at an end within its tolerance
+        rtol = 1e-9 if coupling == "newton" else 1e-14
+        np.testing.assert_allclose(divided[signal], finer[signal][::2], rtol=rtol, atol=1e-12)
+
+
+def test_the_description_tells_what_advances_inside_a_step():
+    """The two systems do; the controller advances behind them."""
+    graph = sampled_loop(2, tolerance(1e-6))
+    (loop,) = graph.stages
+    assert loop.nested.late == {"control"}
+    assert [stage.is_loop for stage in loop.nested.stages] == [True]
+    assert loop.description.endswith("(inside a step: gauss-seidel one two (substeps))")
+
+
+@pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi", "newton"])
+def test_nested_loops_have_the_same_bits_in_any_block(coupling):
+    """With compiled code and without."""
+    limits = tolerance(1e-5)
+    whole = record(sampled_loop(3, limits, coupling=coupling), stop=0.2)
+    others = [
+        record(sampled_loop(3, limits, coupling=coupling), stop=0.2, block=3),
+        record(sampled_loop(3, limits, native=False, coupling=coupling), stop=0.2),
+    ]
+    assert whole.substeps()
+    for other in others:
+        for signal in SAMPLED_SIGNALS:
+            assert whole[signal].tobytes() == other[signal].tobytes()
+        assert whole.substeps() == other.substeps()
+
+
+def test_a_delay_advances_before_the_substeps():
+    """Its output at the end of a step is known at its start; exactly, by the method of steps.
+
+    x' = z - x(t - 1) with x = 1 before, z' = -z, z(0) = 0: x = 1 - t up to t = 1; z only follows.
+    """
+    components = {
+        "x": state_space(0.0, 1.0, 1.0, 0.0, 1.0),
+        "z": state_space(-1.0, 0.0, 1.0, 0.0, 0.0),
+        "w": state_space(-1.0, 1.0, 0.0, 0.0, 0.0),
+        "late": Delay(10, initial=1.0),
+    }
+    drive = Connection(("z.y", "late.y", "w.y"), gain=np.array([[1.0, -1.0, 1.0]]))
+    wires = {"x.u": drive, "z.u": "x.y", "w.u": "x.y", "late.u": "x.y"}
+    graph = Graph(components, wires, substeps=tolerance(1e-6))
+    (loop,) = graph.stages
+    assert loop.nested.early == {"late"}
+    memory = record(graph, stop=1.0, step=0.1)
+    np.testing.assert_allclose(memory["x.x"], 1.0 - memory.time("x"), atol=1e-12)
+
+
+def test_recorded_components_beside_sampled_ones_take_the_recorded_substeps():
+    """In a loop of which one that takes substeps is recorded; the controller is computed again."""
+    limits = tolerance(1e-5)
+    original = record(sampled_loop(3, limits), stop=0.2)
+    plain = sampled_loop(3, limits)
+    components = {**plain.components, "two": Replay(original, "two")}
+    graph = Graph(components, plain.connections, substeps=limits)
+    graph.take_solutions(original, ["two"])
+    again = record(graph, stop=0.2)
+    for signal in SAMPLED_SIGNALS:
+        assert again[signal].tobytes() == original[signal].tobytes()
+    assert again.substeps() == original.substeps()
+
+
 # --- what is refused ---
 
 
-def test_components_with_steps_of_their_own_are_refused():
-    """A delay is a number of communication steps."""
-    components = {"one": state_space(-1.0, 1.0, 1.0, 0.0, 0.0), "late": Delay(3)}
-    connections = {"one.u": "late.y", "late.u": "one.y"}
-    with pytest.raises(GraphError, match="late in this loop cannot take parts of a step"):
+class Follows:
+    """y = u, of which its steps cannot be divided."""
+
+    def __init__(self):
+        self.interface = Interface((Signal("u"),), (Signal("y"),), {"y": ("u",)})
+
+    def initialize(self, t, u):
+        return u.copy()
+
+    def outputs(self, t, u):
+        return u.copy()
+
+    def advance(self, t, h, u):
+        return u[1:].copy()
+
+
+def test_a_component_that_others_follow_through_a_step_is_refused():
+    """It would have to be known between communication points."""
+    components = {"one": state_space(-1.0, 1.0, 1.0, 0.0, 0.0), "whole": Follows()}
+    connections = {"one.u": "whole.y", "whole.u": "one.y"}
+    with pytest.raises(GraphError, match="whole in this loop cannot take parts of a step"):
         Graph(components, connections, substeps=tolerance(1e-6))
 
 
