@@ -103,7 +103,7 @@ class Declared:
         return self._component.advance(t, h, u)
 
     def left_limits(self, t: Vector) -> Mapping[int, Vector]:
-        """Return the left limits that the component tells."""
+        """Return the left limits of the component."""
         return left_limits(self._component, t)
 
     def native(self) -> NativeStep | None:

@@ -72,7 +72,7 @@ class Renamed:
         return self._ports.shown_outputs(y)
 
     def left_limits(self, t: Vector) -> Mapping[int, Vector]:
-        """Return the left limits that the component tells, of the shown outputs."""
+        """Return the left limits of the component, of the shown outputs."""
         own = left_limits(self._component, t)
         return {place: self._ports.shown_outputs(y) for place, y in own.items()}
 

@@ -244,7 +244,7 @@ def linearized(component: Component, t: float, u: Vector) -> Linearized | None:
 
 
 def left_limits(component: Component, t: Vector) -> Mapping[int, Vector]:
-    """Return the left limits that a component tells; none where its interface names no output."""
+    """Return the left limits of a component; none where its interface names no output."""
     if not component.interface.left_limits:
         return {}
     return cast(Jumping, component).left_limits(t)
@@ -370,10 +370,10 @@ class Plan:
 
 
 class SignalEvent(NamedTuple):
-    """A jump of a signal at a communication point: the limit that the row there has not.
+    """A jump of a signal at a communication point: the limit that is not in the row there.
 
-    That is the right one, as the row was recorded before something was done at the point; but the
-    left one of what jumps by itself.
+    Of what is done at the point that is the right limit, as the row was recorded before it; of a
+    signal that jumps by itself it is the left one.
 
     Parameters
     ----------

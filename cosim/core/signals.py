@@ -226,7 +226,7 @@ class Interface:
         has happened with the earlier ones.
     substeps : bool
         Whether it may be advanced over parts of a communication step
-        (:class:`cosim.core.contracts.Preparable`).
+        (:class:`cosim.core.contracts.PreparableSubsteps`).
 
     Raises
     ------

@@ -160,7 +160,8 @@ class GuardedComponent:
         parts: dict[str, NDArray[np.float64]] = {}
         for key, array in recorded.items():
             name = key.removeprefix(SUBSTEPS)
-            (whole if name == key else parts)[name] = read_only(array)
+            arrays_of_step = whole if name == key else parts
+            arrays_of_step[name] = read_only(array)
         try:
             component = cast(PreparableSubsteps, self._component)
             arrays = dict(component.prepare(h, held, whole))

@@ -18,7 +18,7 @@ from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.signals import Layout
 
 ColumnNumbers = NDArray[np.intp]
-NOTHING_TOLD: Final[Mapping[int, Vector]] = {}
+NO_LIMITS: Final[Mapping[int, Vector]] = {}
 
 
 class JumpColumns:
@@ -86,18 +86,18 @@ class JumpColumns:
         jumps: Mask = (before != after).any(axis=1) | (left != right).any(axis=1)
         return jumps
 
-    def keep(self, signals: Matrix, told: Mapping[int, Vector] = NOTHING_TOLD) -> None:
+    def keep(self, signals: Matrix, left_outputs: Mapping[int, Vector] = NO_LIMITS) -> None:
         """Take outputs as left limits, from row 1 on.
 
         Parameters
         ----------
         signals : Matrix
-        told : mapping of int to Vector
-            Outputs that a component has told to take in the place of those of a row, by its number
-            counted from row 1.
+        left_outputs : mapping of int to Vector
+            The outputs before jumps of its own, to be taken in the place of those of a row, by the
+            number of the row counted from row 1.
         """
         signals[1:, self.own_limits] = signals[1:, self.own]
-        for place, y in told.items():
+        for place, y in left_outputs.items():
             signals[1 + place, self.own_limits] = y[self.own_places]
 
 

@@ -61,7 +61,8 @@ class SubstepTolerance:
     Raises
     ------
     GraphError
-        If a tolerance is not one.
+        If a tolerance is no finite number, 0 or more; if both are 0; or if the shortest substep is
+        not at least 1 ns.
     """
 
     rtol: float = 1e-6

@@ -16,7 +16,7 @@ def substep_tolerance(settings: Settings) -> SubstepTolerance | None:
     Raises
     ------
     ClockError, GraphError
-        If it is none.
+        If a value of the table is refused.
     """
     table = settings.substeps
     if table is None:
@@ -30,7 +30,7 @@ def check_substeps(settings: Settings) -> None:
     Raises
     ------
     ClockError, GraphError
-        If it is none, or a step cannot.
+        If a value of the table is refused, or a step cannot be divided.
     """
     tolerance = substep_tolerance(settings)
     if tolerance is not None:

@@ -324,7 +324,7 @@ def _dividing_steps(step_ns: int, steps: int) -> list[int]:
     """Return the steps [ns] that divide the run, with whole quarters, the largest first.
 
     Those that leave fewer points than a certificate needs are left out, and those that make more
-    than ``MOST_STEPS`` steps of the finest run.
+    than ``MOST_STEPS`` steps of the finest run and are less than ``step_ns / MOST_FINER``.
 
     Parameters
     ----------
