@@ -252,8 +252,8 @@ class Cascade:
             if steps:
                 signals[1 : steps + 1, member.outputs] = stopped.outputs
         time = block.time[: steps + 1]
-        lost = keep_limits("advance", member, time, signals[: steps + 1])
-        return (steps, stopped) if lost is None else (0, lost)
+        failure = keep_limits("advance", member, time, signals[: steps + 1])
+        return (steps, stopped) if failure is None else (0, failure)
 
 
 @dataclass(frozen=True, slots=True)
@@ -493,9 +493,9 @@ class Loop:
                 y = stopped.outputs[0]
             rows[1, member.outputs] = y
             results.append((member, y))
-            lost = keep_limits(kind, member, time, rows)
-            if lost is not None:
-                return lost
+            failure = keep_limits(kind, member, time, rows)
+            if failure is not None:
+                return failure
         # What is recorded as applied at the end of the step is what the sources gave there at last.
         for member in self.members:
             member.gather(rows, END)

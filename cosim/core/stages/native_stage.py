@@ -215,9 +215,9 @@ class NativeStage:
                         signals[k + 1, member.outputs] = self._call(
                             kind, member, block.time[rows], block.h, member.inputs_over(known[rows])
                         )
-                        lost = keep_limits(kind, member, block.time[rows], signals[rows])
-                        if lost is not None:
-                            raise lost
+                        failure = keep_limits(kind, member, block.time[rows], signals[rows])
+                        if failure is not None:
+                            raise failure
                 left = library.cosim_stage_run(self._address, end, DONE)
             except (NonFiniteError, Stopped) as error:
                 cut = self._cut(error, k, member, block=block, signals=signals)
@@ -284,9 +284,9 @@ class NativeStage:
             if not self._is_iterated(member):  # there the row is that of the solution
                 signals[k + 1, member.outputs] = error.outputs[0]
                 rows = slice(k, k + 2)
-                lost = keep_limits("advance", member, block.time[rows], signals[rows])
-                if lost is not None:
-                    return Cut(k, lost, member.name)
+                failure = keep_limits("advance", member, block.time[rows], signals[rows])
+                if failure is not None:
+                    return Cut(k, failure, member.name)
             return Cut(k + 1, error, member.name)
         origin = self._origin(signals[k + 1])
         if origin is None:
