@@ -586,7 +586,12 @@ class Graph:
             held = self._variabilities.held_connections(names)
         iterates = self.coupling == "newton" or self.iterations > 1
         order = order_loop(
-            interfaces, sources, coupling=self.coupling, iterates=iterates, held=held
+            interfaces,
+            sources,
+            coupling=self.coupling,
+            iterates=iterates,
+            held=held,
+            jumping=self._jumping.ports,
         )
         members = [self._members[name] for name in names]
         operations = [(kind, self._members[name]) for kind, name in order.operations]

@@ -23,6 +23,8 @@ the sets of components that have advanced finds the least. Beyond ``SEARCH`` the
 P. Eades, X. Lin and W. Smyth (Inf. Process. Lett. 47, 1993) takes its place: next is the component
 that breaks the fewest connections less those that it completes. Among equals, fewer outputs are
 evaluated again; then names decide. Nothing depends on the order in which components are given.
+Where what is broken is solved for, an output that jumps is broken last: there the jump would become
+a ramp.
 """
 
 from __future__ import annotations
@@ -85,14 +87,24 @@ class LoopOrder:
 class Cost(NamedTuple):
     """What it costs to let a component advance: broken connections, then outputs that wait.
 
-    ``waiting`` counts the inputs that feed through and are not known yet.
+    ``jumping`` counts those of the broken connections whose sources jump, where they are solved
+    for; ``waiting`` the inputs that feed through and are not known yet.
     """
 
     broken: int
+    jumping: int
     waiting: int
 
+    def plus(self, other: Cost) -> Cost:
+        """Return what both cost."""
+        return Cost(
+            self.broken + other.broken,
+            self.jumping + other.jumping,
+            self.waiting + other.waiting,
+        )
 
-FREE: Final = Cost(0, 0)
+
+FREE: Final = Cost(0, 0, 0)
 
 
 def order_loop(
@@ -102,6 +114,7 @@ def order_loop(
     coupling: Coupling,
     iterates: bool | None = None,
     held: Collection[Edge] = (),
+    jumping: Collection[Port] = (),
 ) -> LoopOrder:
     """Return the order of operations in a loop, and which inputs are extrapolated.
 
@@ -116,6 +129,8 @@ def order_loop(
         Whether a step is taken several times; left out: with "newton".
     held : collection of (input Port, source Port)
         Connections with a zero-order hold: their value at the end of a step reaches no state.
+    jumping : collection of Port
+        Outputs that may jump at communication points.
 
     Raises
     ------
@@ -126,7 +141,7 @@ def order_loop(
     if iterates is None:
         iterates = coupling == "newton"
     feedthrough = find_feedthrough(by_name, sources, iterates=iterates)
-    network = _Network(by_name, feedthrough, sources, held, iterates=iterates)
+    network = _Network(by_name, feedthrough, sources, held, iterates=iterates, jumping=jumping)
     if coupling == "jacobi":
         progress = _Progress(network)
         progress.advance_together()
@@ -166,6 +181,8 @@ class _Network:
         Those of them that would be torn.
     iterates : bool
         Whether what is torn is solved for.
+    jumping : set of (input Port, source Port)
+        Those of the connections that would be torn whose sources jump.
     size : int
         Number of components and connections.
     """
@@ -178,6 +195,7 @@ class _Network:
         held: Collection[Edge],
         *,
         iterates: bool,
+        jumping: Collection[Port],
     ) -> None:
         self.names = tuple(interfaces)
         self.inputs: dict[str, list[Port]] = {}
@@ -195,6 +213,7 @@ class _Network:
             self._connect(name, interface, sources[name], held)
             self._feed(name, feedthrough.by_component[name])
         self.tearable = self.reactive if iterates else set(feedthrough.algebraic)
+        self.jumping = {edge for edge in self.reactive if iterates and edge[1] in jumping}
         self.size = len(self.names) + sum(map(len, self.inside.values()))
 
     def _connect(
@@ -250,6 +269,7 @@ class _Progress:
         self._missing_sources = {to: len(ports) for to, ports in network.inside.items()}
         self._missing_inputs: dict[Port, int] = {port: 0 for port in network.driven}
         self._broken = dict.fromkeys(network.names, 0)
+        self._jumping = dict.fromkeys(network.names, 0)
         self._unknown_feeding = dict.fromkeys(network.names, 0)
         for to, outputs in network.fed.items():
             self._unknown_feeding[to.component] += bool(outputs)
@@ -257,12 +277,14 @@ class _Progress:
                 self._missing_inputs[output] += 1
         for to, _ in network.reactive:
             self._broken[to.component] += 1
+        for to, _ in network.jumping:
+            self._jumping[to.component] += 1
         self._final: set[Port] = set()
         self._free = [name for name in network.names if self.cost_of(name) == FREE]
 
     def cost_of(self, name: str) -> Cost:
         """Return what it costs to let a component advance now."""
-        return Cost(self._broken[name], self._unknown_feeding[name])
+        return Cost(self._broken[name], self._jumping[name], self._unknown_feeding[name])
 
     def gain_of(self, name: str) -> int:
         """Return how many connections would no longer be broken if a component advanced now."""
@@ -281,8 +303,7 @@ class _Progress:
 
     def advance(self, name: str) -> None:
         """Advance a component, then evaluate again what waited for its outputs."""
-        cost = self.cost_of(name)
-        self.cost = Cost(self.cost.broken + cost.broken, self.cost.waiting + cost.waiting)
+        self.cost = self.cost.plus(self.cost_of(name))
         unknown = self._unknown_inputs(name)
         self._tear(name)
         self._start(name, self._unknown_inputs(name) if self.network.iterates else unknown)
@@ -301,7 +322,7 @@ class _Progress:
             self._start(name, extrapolated)
             # Outputs that no extrapolated input reaches are final already.
             outputs += self._computable(name)
-        self.cost = Cost(len(self.network.reactive), 0)
+        self.cost = Cost(len(self.network.reactive), 0, 0)
         self._spread(outputs)
 
     def _unknown_inputs(self, name: str) -> list[str]:
@@ -363,6 +384,7 @@ class _Progress:
         """Make the source of an input known; return whether outputs wait for it no longer."""
         to = edge[0]
         self._broken[to.component] -= edge in self.network.reactive
+        self._jumping[to.component] -= edge in self.network.jumping
         self._missing_sources[to] -= 1
         if self._missing_sources[to]:
             return False
@@ -389,8 +411,7 @@ def _search(network: _Network) -> _Progress | None:
             continue
         visited.add(waiting)
         for name in waiting:
-            cost = progress.cost_of(name)
-            total = Cost(progress.cost.broken + cost.broken, progress.cost.waiting + cost.waiting)
+            total = progress.cost.plus(progress.cost_of(name))
             heappush(candidates, (total, (*choices, name)))
     return None
 
@@ -409,9 +430,9 @@ def _choose_greedily(network: _Network) -> _Progress:
     """Return a good order: next is who breaks the fewest connections less those it completes."""
     progress = _Progress(network)
 
-    def rank(name: str) -> tuple[int, int, str]:
+    def rank(name: str) -> tuple[int, int, int, str]:
         cost = progress.cost_of(name)
-        return cost.broken - progress.gain_of(name), cost.waiting, name
+        return cost.broken - progress.gain_of(name), cost.jumping, cost.waiting, name
 
     progress.advance_free()
     while progress.waiting:

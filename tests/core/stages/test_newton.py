@@ -13,7 +13,7 @@ from cosim.blocks.measurement import SensorParameters
 from cosim.blocks.replay import Replay
 from cosim.blocks.sampled import Sampled
 from cosim.blocks.sensor import Sensor
-from cosim.blocks.source import constant, ramp
+from cosim.blocks.source import constant, ramp, step
 from cosim.blocks.state_space import controller
 from cosim.core.clock import Clock
 from cosim.core.graph import Graph
@@ -116,8 +116,8 @@ def test_newton_is_second_order_through_an_algebraic_loop():
         solution(1.0), [0.08597640367353255, 0.00839266482037434], rtol=1e-12
     )
     errors = []
-    for step in (0.01, 0.005, 0.0025, 0.00125):
-        error = states(record(pair(), step=step)) - solution(1.0)
+    for h in (0.01, 0.005, 0.0025, 0.00125):
+        error = states(record(pair(), step=h)) - solution(1.0)
         errors.append(np.abs(error).max())
     assert errors[0] < 1e-5
     orders = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
@@ -167,6 +167,34 @@ def test_an_input_with_a_held_element_follows_the_others():
     assert graph.held["one"].tolist() == [True, False]
     assert graph.held["two"].tolist() == [False]
     assert not graph.stages[0].is_first_order
+
+
+@pytest.mark.parametrize("names", [("a", "b"), ("b", "a")])
+def test_a_loop_is_torn_where_nothing_jumps(names):
+    """The plant follows a step at once, so that its output jumps; that of the lag does not."""
+    plant, lag = names
+    matrices = {"A": -np.eye(1), "B": np.ones((1, 2)), "C": np.eye(1)}
+    components = {
+        "u": step(time=0.5, before=0.0, after=1.0),
+        plant: Linear(controller(**matrices, D=np.array([[1.0, 0.0]]), x0=np.ones(1))),
+        lag: state_space(-2.0, 1.0, 1.0, 0.0, 0.0),
+    }
+    connections = {
+        f"{plant}.u[0]": "u.y",
+        f"{plant}.u[1]": f"{lag}.y",
+        f"{lag}.u": f"{plant}.y",
+    }
+    graph = Graph(components, connections, coupling="newton")
+    assert graph.stages[1].torn.labels == [f"{plant}.u[1]"]
+    assert graph.warnings == []
+    # x1' = -x1 + u + x2, x2' = -2 x2 + x1 + u, with u = 1 from 0.5 s on
+    A = np.array([[-1.0, 1.0], [1.0, -2.0]])
+    before = scipy.linalg.expm(0.5 * A) @ [1.0, 0.0]
+    rest = -np.linalg.solve(A, np.ones(2))
+    exact = rest + scipy.linalg.expm(0.5 * A) @ (before - rest)
+    memory = record(graph)
+    found = [memory[f"{plant}.x"][-1], memory[f"{lag}.x"][-1]]
+    np.testing.assert_allclose(found, exact, atol=1e-4)  # h^2; a ramp of 0.01 s would err by 5e-3
 
 
 def test_a_state_goes_back_with_what_the_solver_keeps():
