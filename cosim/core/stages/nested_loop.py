@@ -134,9 +134,9 @@ class NestedLoop:
             if not stop.steps:
                 raise ended from stop
             rows[1, member.outputs] = stop.outputs[0]
-        lost = keep_limits(kind, member, step.time, rows)
-        if lost is not None:
-            raise Cut(0, lost, member.name)
+        failure = keep_limits(kind, member, step.time, rows)
+        if failure is not None:
+            raise Cut(0, failure, member.name)
         return ended
 
 

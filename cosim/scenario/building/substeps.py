@@ -38,6 +38,6 @@ def check_substeps(settings: Settings) -> None:
 
 
 def substep_warnings(graph: Graph) -> Iterator[tuple[str, str]]:
-    """Yield that substeps change nothing, where there is no loop, as (key, text)."""
+    """Yield that substeps change nothing, where no loop takes any, as (key, text)."""
     if graph.substeps is not None and not graph.substep_controls:
-        yield "scenario.substeps", "there is no loop in the scenario, so that they change nothing"
+        yield "scenario.substeps", "there is no loop that takes any, so that they change nothing"

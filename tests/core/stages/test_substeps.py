@@ -421,7 +421,7 @@ def test_a_component_that_others_follow_through_a_step_is_refused():
         ({"min_ns": 1.5}, "min_ns: found 1.5, needed a whole number of nanoseconds, at least 1"),
     ],
 )
-def test_a_tolerance_that_is_none_is_refused(values, text):
+def test_a_wrong_tolerance_is_refused(values, text):
     """Each by its name."""
     with pytest.raises(GraphError, match=text):
         SubstepTolerance(**values)

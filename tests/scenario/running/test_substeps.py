@@ -149,11 +149,34 @@ def test_a_coupling_is_refused_only_if_the_shortest_substep_is(pair):
         cosim.run(pair, set={**changes, "scenario.substeps.min": 2e-3})
 
 
-def test_substeps_without_a_loop_change_nothing_and_say_so():
-    """A cascade advances with what its inputs are."""
-    memory = cosim.run("academic", set={"scenario.stop": 0.01, "scenario.substeps.rtol": 1e-3})
+SAMPLED = """
+[scenario]
+name = "sampled"
+stop = 0.1
+step = 1e-2
+substeps = {}
+
+[components]
+setpoint = { kind = "constant", value = 1.0 }
+control = { kind = "pid", gain = 2.0, integral_time = 0.5, period = 0.05 }
+plant = { kind = "lag", time_constant = 0.1, initial = 0.0 }
+
+[connections]
+"control.setpoint" = "setpoint.y"
+"control.measurement" = "plant.y"
+"plant.u" = "control.y"
+"""
+
+
+@pytest.mark.parametrize("scenario", ["academic", "sampled"])
+def test_substeps_that_no_loop_takes_change_nothing_and_say_so(scenario, tmp_path):
+    """There is no loop; or one of a plant and a sampled controller, which holds its output."""
+    if scenario == "sampled":
+        scenario = tmp_path / "sampled.toml"
+        scenario.write_text(SAMPLED)
+    memory = cosim.run(scenario, set={"scenario.stop": 0.05, "scenario.substeps.rtol": 1e-3})
     (warning,) = [message for message in memory.messages() if message.source == "scenario.substeps"]
-    assert warning.text == "there is no loop in the scenario, so that they change nothing"
+    assert warning.text == "there is no loop that takes any, so that they change nothing"
     assert memory.substeps() == []
 
 
@@ -176,7 +199,7 @@ def test_a_certificate_of_chosen_steps_is_refused(pair, how):
         ("max", 1.0, r"scenario.substeps.max"),
     ],
 )
-def test_substeps_that_are_none_are_refused(pair, key, value, text):
+def test_wrong_substeps_are_refused(pair, key, value, text):
     """Each by its key, once."""
     with pytest.raises(ScenarioError, match=text) as caught:
         cosim.run(pair, set={f"scenario.substeps.{key}": value})
