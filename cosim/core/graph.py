@@ -6,11 +6,9 @@ whole block in one call. Feedthrough orders only the inside of loops and the ini
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Collection, Iterable, Mapping
 from functools import cached_property
 from itertools import chain
-from typing import Literal
 
 import numpy as np
 
@@ -22,29 +20,26 @@ from cosim.core.initialization.initial_values import InitialValues
 from cosim.core.port import Port
 from cosim.core.signals import Channel, Variability
 from cosim.core.stages.calls import GuardedComponent
-from cosim.core.stages.coupling import Cascade, Loop, NestedStages, Stage
+from cosim.core.stages.coupling import Stage
 from cosim.core.stages.left_limits import JumpColumns
 from cosim.core.stages.member import Member, first_non_finite
-from cosim.core.stages.nested_loop import substep_roles
-from cosim.core.stages.substep_control import OutsideColumns, SubstepControl, SubstepTolerance
-from cosim.core.stages.torn_inputs import KeptInputs, TornInputs
+from cosim.core.stages.stage_builder import InputInterpolation, LoopMethod, StageBuilder
+from cosim.core.stages.substep_control import SubstepControl, SubstepTolerance
 from cosim.core.stages.wires import Wire, constant_wires, wires_of
 from cosim.core.structure.checked_connections import CheckedConnections
 from cosim.core.structure.connection_checks import (
     element_warnings,
     unit_warnings,
 )
-from cosim.core.structure.cycles import groups_in_order
-from cosim.core.structure.feedthrough import Edge, early_event_text, extrapolation_text
+from cosim.core.structure.feedthrough import early_event_text
 from cosim.core.structure.jumping import JumpingOutputs
-from cosim.core.structure.order import Coupling, order_loop
+from cosim.core.structure.order import Coupling
 from cosim.core.structure.ports import Ports, layout_of
 from cosim.core.structure.variability import Variabilities
-from cosim.errors import GraphError, listing, nearest
+from cosim.errors import GraphError, nearest
 from cosim.native.stages.loop_solver import LoopSolver
 from cosim.units import Conversion
 
-InputInterpolation = Literal["linear", "zero-order", "latest"]
 THREADS = (1, 2)
 COUPLINGS: tuple[Coupling, ...] = ("gauss-seidel", "jacobi", "newton")
 INTERPOLATIONS: tuple[str, ...] = ("linear", "zero-order", "latest")
@@ -156,9 +151,18 @@ class Graph:
             wires_of_inputs = self._wires_of(name)
             wires.update(wires_of_inputs)
             self._members[name] = self._member(name, wires_of_inputs)
-        self._torn: list[Edge] = []
-        self._early_events: list[str] = []
-        self.stages = self._order()
+        method = LoopMethod(coupling, input_interpolation, iterations, substeps)
+        builder = StageBuilder(
+            self._members,
+            self._checked,
+            self._variabilities,
+            method,
+            jumping=self._jumping.ports,
+            left_limits=self.layout.left_limits,
+        )
+        self.stages = builder.stages(self.components)
+        self._torn = builder.torn
+        self._early_events = builder.early_events
         self.initializations = 0
         self._initial_values = InitialValues(self.layout, self._members, self._sources, wires)
         self.held: dict[str, Mask] = {}
@@ -538,172 +542,6 @@ class Graph:
             columns += range(own.start, own.stop)
         return columns
 
-    def _drivers(self, name: str) -> set[str]:
-        """Return the components that drive an input of this one."""
-        drivers: set[str] = set()
-        for ports in self._sources[name].values():
-            drivers.update(port.component for port in ports)
-        return drivers
-
-    def _order(self) -> tuple[Stage, ...]:
-        """Return the strongly connected components of the graph, as stages in topological order."""
-        return self._stages_of(self.components)
-
-    def _stages_of(self, components: Iterable[str]) -> tuple[Stage, ...]:
-        """Return the stages of some components, by what drives them among themselves."""
-        drivers = {name: self._drivers(name) for name in components}
-        for name, own in drivers.items():
-            drivers[name] = own & drivers.keys()
-        stages: list[Stage] = []
-        for names in groups_in_order(drivers):
-            first = names[0]
-            if len(names) == 1 and first not in drivers[first]:
-                stages.append(Cascade(self._members[first]))
-            else:
-                stages.append(self._loop(names))
-        return tuple(stages)
-
-    def _loop_note(self, name: str, loop: Sequence[str]) -> str:
-        """Return which loop a component is in, and by which connections."""
-        names = frozenset(loop)
-        driving = []
-        for signal in self.layout[name].interface.inputs:
-            for part in self._parts[Port(name, signal.name)]:
-                sources = self.connections[part].sources
-                inside = [str(port) for port in sources if port.component in names]
-                if inside:
-                    driving.append(f"{', '.join(inside)} -> {part}")
-        return (
-            f"it is in the loop of {listing(loop)}, by {'; '.join(driving)}, coupled by "
-            f"'{self.coupling}'"
-        )
-
-    def _loop(self, names: list[str]) -> Loop:
-        interfaces = {name: self.layout[name].interface for name in names}
-        sources = {name: self._sources[name] for name in names}
-        held: set[Edge] = set()
-        if self.input_interpolation != "latest":
-            held = self._variabilities.held_connections(names)
-        iterates = self.coupling == "newton" or self.iterations > 1
-        order = order_loop(
-            interfaces,
-            sources,
-            coupling=self.coupling,
-            iterates=iterates,
-            held=held,
-            jumping=self._jumping.ports,
-        )
-        members = [self._members[name] for name in names]
-        operations = [(kind, self._members[name]) for kind, name in order.operations]
-        warnings = [(unknown.component, str(unknown)) for unknown in order.unknown]
-        if order.algebraic and not order.torn:
-            warnings.append((order.algebraic[0].component, extrapolation_text(order.algebraic)))
-        torn: TornInputs | None = None
-        refreshed = dict.fromkeys(name for kind, name in order.operations if kind == "refresh")
-        self._early_events += [name for name in refreshed if interfaces[name].keeps_events]
-        if order.torn:
-            iterations = 0 if self.coupling == "newton" else self.iterations
-            torn = TornInputs(order.torn, members, self.ports, iterations)
-        kept = None
-        if self.coupling == "jacobi" and torn is None:
-            kept = KeptInputs(order.kept, members, self.ports)
-        for member in members:
-            member.note = self._loop_note(member.name, names)
-        loop = Loop(
-            self.coupling,
-            tuple(members),
-            tuple(operations),
-            order.extrapolated,
-            order.broken,
-            tuple(warnings),
-            torn,
-            kept,
-            self._lags(members),
-        )
-        if self.substeps is not None:
-            loop = self._with_substeps(loop, self.substeps)
-        if loop.nested is None and order.torn:
-            _check_rollback(members)
-            self._torn += order.torn
-        return loop
-
-    def _with_substeps(self, loop: Loop, tolerance: SubstepTolerance) -> Loop:
-        """Return a loop that takes substeps, as far as its components can.
-
-        Raises
-        ------
-        GraphError
-            If some neither can nor need not.
-        """
-        interfaces = {member.name: member.channel.interface for member in loop.members}
-        sources = {name: self._sources[name] for name in interfaces}
-        roles = substep_roles(interfaces, sources, self.variability)
-        if roles.unfit:
-            raise _substeps_refused(roles.unfit)
-        if not (roles.early or roles.late):
-            return replace(loop, controls=(self._substep_control(tolerance, loop),))
-        stages = self._stages_of(roles.taking)
-        extrapolated: dict[str, frozenset[str]] = {}
-        controls: list[SubstepControl] = []
-        for stage in stages:
-            extrapolated.update(stage.extrapolated)
-            controls += stage.controls
-        nested = NestedStages(frozenset(roles.early), frozenset(roles.late), stages)
-        return replace(loop, extrapolated=extrapolated, controls=tuple(controls), nested=nested)
-
-    def _substep_control(self, tolerance: SubstepTolerance, loop: Loop) -> SubstepControl:
-        order = 1 if loop.is_first_order else 2
-        names = {member.name for member in loop.members}
-        driving: set[Port] = set()
-        compared: list[int] = []
-        nominal: list[float] = []
-        for member in loop.members:
-            for sources in self._sources[member.name].values():
-                driving.update(port for port in sources if port.component not in names)
-            for signal in member.channel.interface.outputs:
-                if self.variability(Port(member.name, signal.name)) != "discrete":
-                    compared += _numbers(member.channel.signal_columns[signal.name])
-                    nominal += signal.nominal_values
-        outside = self._outside_columns(sorted(driving, key=str))
-        components = tuple(member.name for member in loop.members)
-        return SubstepControl(
-            components,
-            tolerance,
-            order,
-            outside=outside,
-            compared=np.array(compared, np.intp),
-            nominal=np.array(nominal),
-        )
-
-    def _outside_columns(self, driving: Sequence[Port]) -> OutsideColumns:
-        columns: dict[str, list[int]] = {"linear": [], "start": [], "end": []}
-        for port in driving:
-            how = "linear"
-            if self.input_interpolation == "zero-order":
-                how = "start"
-            elif self.variability(port) == "discrete":
-                how = "end" if self.input_interpolation == "latest" else "start"
-            columns[how] += _numbers(self.ports.output(port).columns)
-        linear, start, end = (np.array(numbers, np.intp) for numbers in columns.values())
-        limits = self.layout.left_limits
-        jumping = [column for column in chain(*columns.values()) if column in limits]
-        places = [limits[column] for column in jumping]
-        return OutsideColumns(
-            linear, start, end, np.array(jumping, np.intp), np.array(places, np.intp)
-        )
-
-    def _lags(self, members: Sequence[Member]) -> bool:
-        """Return whether something in a loop belongs to the start of a step, or to inside it."""
-        if self.input_interpolation != "linear":
-            return True
-        lagging: set[Port] = set()
-        driving: set[Port] = set()
-        for member in members:
-            lagging.update(Port(member.name, name) for name in member.channel.interface.lagging)
-            for ports in self._sources[member.name].values():
-                driving.update(ports)
-        return not lagging.isdisjoint(driving)
-
 
 def _check_iterations(
     iterations: int, coupling: Coupling, input_interpolation: InputInterpolation
@@ -730,37 +568,6 @@ def _check_iterations(
             "hold their values from the start of a step, so that nothing changes; needed "
             "'linear' or 'latest'"
         )
-
-
-def _check_rollback(members: Sequence[Member]) -> None:
-    """Check that the components of a loop that iterates can go back to the start of a step.
-
-    Raises
-    ------
-    GraphError
-        If some cannot.
-    """
-    names = [member.name for member in members if not member.channel.interface.rollback]
-    if names:
-        raise GraphError(
-            f"coupling: found 'newton', or several iterations, which takes a step several times; "
-            f"{listing(names)} in this loop cannot go back to its start (rollback is not declared; "
-            "of an FMU: canGetAndSetFMUstate); needed 'gauss-seidel' or 'jacobi', with 1 iteration"
-        )
-
-
-def _substeps_refused(names: Sequence[str]) -> GraphError:
-    """Return the error of components that cannot take substeps, and do not hold their outputs."""
-    return GraphError(
-        f"substeps: {listing(names)} in this loop cannot take parts of a step and go back "
-        "(rollback or substeps is not declared; of an FMU: canGetAndSetFMUstate, "
-        "canHandleVariableCommunicationStepSize), and other components follow the outputs through "
-        "the step; needed a loop without, or a smaller step without substeps"
-    )
-
-
-def _numbers(columns: slice) -> list[int]:
-    return list(range(columns.start, columns.stop))
 
 
 def _check_choice(key: str, value: str, choices: tuple[str, ...]) -> None:

@@ -297,6 +297,8 @@ class Loop:
     @property
     def is_first_order(self) -> bool:
         """Whether an input or an output lags behind by a part of a step, or may."""
+        if self.nested is not None:
+            return any(stage.is_first_order for stage in self.nested.stages)
         is_cut_short = self.torn is not None and self.torn.solver.iterations > 0
         return bool(self.broken or self.warnings or self.lags or is_cut_short)
 

@@ -24,6 +24,7 @@ class CheckedConnections:
 
     Attributes
     ----------
+    ports : Ports
     by_port : dict of Port to Connection
         By input, or elements of it.
     parts : dict of Port to list of Port
@@ -46,7 +47,7 @@ class CheckedConnections:
         ports: Ports,
         connections: Mapping[str, SourceText | Connection] | Mapping[Port, Connection],
     ) -> None:
-        self._ports = ports
+        self.ports = ports
         self.by_port = _checked(ports, connections)
         self.parts = self._parts_by_input()
         self.conversions = self._conversions()
@@ -56,37 +57,37 @@ class CheckedConnections:
     def sources_of(self, port: Port) -> tuple[Port, ...]:
         """Return the outputs, or elements of them, that drive an input, in its order."""
         sources: list[Port] = []
-        for part in self.parts[self._ports.input(port).port]:
+        for part in self.parts[self.ports.input(port).port]:
             sources += self.by_port[part].sources
         return tuple(sources)
 
     def undriven(self, port: Port, signal: Signal) -> list[Port]:
         """Return the parts of an input that nothing drives."""
-        ends = [self._ports.input(to) for to in self.parts[port]]
+        ends = [self.ports.input(to) for to in self.parts[port]]
         return undriven_parts(port, signal, ends)
 
     def _parts_by_input(self) -> dict[Port, list[Port]]:
         parts: dict[Port, list[Port]] = {}
-        for channel in self._ports.channels.values():
+        for channel in self.ports.channels.values():
             for signal in channel.interface.inputs:
                 parts[Port(channel.name, signal.name)] = []
         for to in self.by_port:
-            parts[self._ports.input(to).port].append(to)
+            parts[self.ports.input(to).port].append(to)
         for ports in parts.values():
-            ports.sort(key=lambda to: self._ports.input(to).elements.start)
+            ports.sort(key=lambda to: self.ports.input(to).elements.start)
         return parts
 
     def _conversions(self) -> dict[Port, tuple[Conversion, ...]]:
         conversions = {}
         for to, connection in self.by_port.items():
-            by_source = conversions_of(self._ports, to, connection)
+            by_source = conversions_of(self.ports, to, connection)
             if not all(conversion.copies for conversion in by_source):
                 conversions[to] = by_source
         return conversions
 
     def _find_unconnected(self) -> dict[Port, tuple[float, ...]]:
         unconnected = {}
-        for channel in self._ports.channels.values():
+        for channel in self.ports.channels.values():
             for signal in channel.interface.inputs:
                 port = Port(channel.name, signal.name)
                 for part in self.undriven(port, signal):
@@ -98,7 +99,7 @@ class CheckedConnections:
         sources = {}
         for signal in channel.interface.inputs:
             driving = self.sources_of(Port(channel.name, signal.name))
-            ports = [self._ports.output(port).port for port in driving]
+            ports = [self.ports.output(port).port for port in driving]
             sources[signal.name] = tuple(dict.fromkeys(ports))
         return sources
 

@@ -461,3 +461,11 @@ def test_members_of_an_ensemble_take_their_own_substeps():
         last = [memory[signal][-1] for signal in SIGNALS]
         assert found.last[number].tolist() == last
     assert graph.substep_controls[0].drain() == []
+
+
+def test_the_order_of_a_nested_loop_is_that_of_what_takes_substeps():
+    """The controller holds its output, which costs no order; Gauss-Seidel inside does."""
+    second = sampled_loop(2, tolerance(1e-6), coupling="newton").stages[0]
+    first = sampled_loop(2, tolerance(1e-6)).stages[0]
+    assert not second.is_first_order
+    assert first.is_first_order
