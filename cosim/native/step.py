@@ -94,9 +94,9 @@ class NativeStep:
         Returns how compiled code goes back; left out: by a copy of ``memory``.
     memory_is_state : bool
         Whether ``memory`` is all of the state, so that a copy of it is one.
-    told : (int, int), optional
-        Where a component tells the left limits of the last step: the address of an int32, whether
-        it does, and that of all outputs.
+    left_outputs : (int, int), optional
+        Where a component has its outputs before a jump at the end of the last step: the address of
+        an int32, whether there was one, and that of all these outputs.
 
     Attributes
     ----------
@@ -116,11 +116,11 @@ class NativeStep:
         guard: Guard | None = None,
         rollback: Callable[[], RollbackStruct | None] | None = None,
         memory_is_state: bool = False,
-        told: tuple[int, int] | None = None,
+        left_outputs: tuple[int, int] | None = None,
     ) -> None:
         self._rollback = rollback
         self._memory_is_state = memory_is_state
-        self.told = told
+        self.left_outputs = left_outputs
         self.function = function
         self.guard = guard
         self.outputs = outputs

@@ -541,10 +541,10 @@ def keep_limits(kind: OperationName, member: Member, time: Vector, rows: Matrix)
     if member.jumps is None or kind == "right":
         return None
     try:
-        told = member.component.left_limits(time[1:])
+        left_outputs = member.component.left_limits(time[1:])
     except RunError as error:
         return _stop_of(error, member, time)
-    member.jumps.keep(rows, told)
+    member.jumps.keep(rows, left_outputs)
     return None
 
 

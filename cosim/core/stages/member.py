@@ -139,8 +139,8 @@ class Member:
         self.jumps.put_back(rows, right)
 
     @property
-    def tells_limits(self) -> bool:
-        """Whether it tells left limits, and these are followed."""
+    def returns_left_limits(self) -> bool:
+        """Whether it returns left limits, and these are followed."""
         is_followed = self.jumps is not None and len(self.jumps.own) > 0
         return is_followed and bool(self.channel.interface.left_limits)
 

@@ -109,8 +109,8 @@ def _native_steps(members: Iterable[Member]) -> dict[str, NativeStep]:
     steps = {}
     for member in members:
         step = member.component.native()
-        # what has jumps of its own needs a step that tells them, where they are followed
-        is_silent = step is not None and step.told is None and member.tells_limits
+        # what has jumps of its own needs a step that returns them, where they are followed
+        is_silent = step is not None and step.left_outputs is None and member.returns_left_limits
         if step is not None and not is_silent:
             steps[member.name] = step
     return steps

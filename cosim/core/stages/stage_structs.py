@@ -113,8 +113,8 @@ def _fill(struct: MemberStruct, member: Member, step: NativeStep | None) -> None
         struct.advance = step.function
         struct.outputs = step.outputs
         struct.self = step.address
-        if step.told is not None:
-            struct.tells, struct.told = step.told
+        if step.left_outputs is not None:
+            struct.has_jumped, struct.left_outputs = step.left_outputs
     struct.takes_latest = member.takes_latest
     struct.u = member.inputs.start
     struct.n_u = member.n_u

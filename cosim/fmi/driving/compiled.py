@@ -76,10 +76,10 @@ class CompiledIntegrator:
             memory=self._scratch,
             keep=(self,),
             outputs=address("cosim_model_exchange_outputs"),
-            told=self._told(),
+            left_outputs=self._left_outputs(),
         )
 
-    def _told(self) -> tuple[int, int] | None:
+    def _left_outputs(self) -> tuple[int, int] | None:
         """Return where compiled steps tell left limits; None: nobody asks for them."""
         struct = self._struct
         if not self._integrator.keeps_left:

@@ -61,6 +61,6 @@ def guarded_step(step: NativeStep) -> tuple[NativeStep, GuardedStruct]:
         keep=(step,),
         outputs=address("cosim_guarded_outputs") if step.outputs else 0,
         rollback=rollback,
-        told=step.told,
+        left_outputs=step.left_outputs,
     )
     return guarded, struct

@@ -147,12 +147,12 @@ static inline void keep_outputs(const cosim_member *m, double *row)
         row[m->limits[i].to] = row[m->limits[i].from];
 }
 
-/* Take as left limits what the member tells, or its outputs. */
+/* Take as left limits the outputs before a jump of the member, or its outputs. */
 static inline void keep_limits(const cosim_member *m, double *row)
 {
     if (!m->n_limits)
         return;
-    const double *y = m->tells && *m->tells ? m->told : row + m->y;
+    const double *y = m->has_jumped && *m->has_jumped ? m->left_outputs : row + m->y;
     for (int32_t i = 0; i < m->n_limits; ++i)
         row[m->limits[i].to] = y[m->limits[i].from - m->y];
 }

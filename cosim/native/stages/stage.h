@@ -83,10 +83,10 @@ typedef struct {
     double *right;
     const cosim_copy *limits;
     int32_t n_jumps, n_limits;
-    /* what it tells of its own jumps: whether there are any at the end of the step, and all outputs
-     * before them; NULL: it tells nothing */
-    const int32_t *tells;
-    const double *told; /* (n_y) */
+    /* of its own jumps: whether there are any at the end of the step, and all outputs
+     * before them; NULL: it has none */
+    const int32_t *has_jumped;
+    const double *left_outputs; /* (n_y) */
 } cosim_member;
 
 /* What an operation does to a member, or to `count` of them: */

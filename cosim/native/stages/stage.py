@@ -69,7 +69,7 @@ class MemberStruct(Structure):
         *((name, c_void_p) for name in ("optional", "seconds", "overridden", "gains", "overrides")),
         *((name, c_void_p) for name in ("torn", "tried", "rollback", "jumps", "right", "limits")),
         *((name, c_int32) for name in ("n_jumps", "n_limits")),
-        *((name, c_void_p) for name in ("tells", "told")),
+        *((name, c_void_p) for name in ("has_jumped", "left_outputs")),
     )
 
 
