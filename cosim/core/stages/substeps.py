@@ -97,8 +97,9 @@ class SubsteppedLoop:
         self._members = members
         self._advancing = advancing
         columns = [np.arange(m.columns.start, m.columns.stop) for m in members]
-        columns += [m.jumps.own_limits for m in members if m.jumps is not None]
-        self._columns = np.concatenate(columns)
+        limits = [m.jumps.own_limits for m in members if m.jumps is not None]
+        self._columns = np.concatenate([*columns, *limits])
+        self._limits = np.concatenate([np.empty(0, np.intp), *limits])
         self._cut: Cut | None = None
 
     def advance(self, block: Block, signals: Matrix) -> None:
@@ -172,6 +173,7 @@ class SubsteppedLoop:
             )
         for member in self._members:
             step.signals[1, member.inputs] = row[member.inputs]
+        step.signals[1, self._limits] = row[self._limits]
 
     def _advance_alone(self, member: Member, block: Block, rows: Matrix) -> Vector:
         """Advance a component over a substep of which all signals are known; return its outputs."""

@@ -285,6 +285,39 @@ def test_substeps_that_are_missing_are_named():
             again(original)
 
 
+def jumping(source, components=None, substeps=None):
+    """Return a loop whose first output jumps with its source, and a filter that follows it."""
+    matrices = {"A": -np.eye(1), "B": np.ones((1, 2)), "C": np.eye(1), "D": np.array([[1.0, 0.0]])}
+    parts = {
+        "drive": source,
+        "one": Linear(controller(**matrices, x0=np.ones(1))),
+        "two": state_space(-2.0, -1.0, 1.0, 0.0, 0.0),
+        "filter": state_space(-50.0, 50.0, 1.0, 0.0, 0.0),
+        **(components or {}),
+    }
+    connections = {
+        "one.u[0]": "drive.y",
+        "one.u[1]": "two.y",
+        "two.u": "one.y",
+        "filter.u": "one.y",
+    }
+    return Graph(parts, connections, coupling="newton", substeps=substeps)
+
+
+def test_what_follows_a_jump_behind_recorded_substeps_takes_its_left_limit():
+    """The row has the right one; the left one is that of the last substep before the jump."""
+    limits = tolerance(1e-5)
+    source = {"time": 0.05, "before": 0.0, "after": 1.0}
+    original = record(jumping(step(**source), substeps=limits), stop=0.1)
+    assert [event.signal for event in original.events()] == ["one.y"]
+    graph = jumping(step(**source), {"two": Replay(original, "two")}, limits)
+    graph.take_solutions(original, ["two"])
+    again = record(graph, stop=0.1)
+    for signal in ("one.y", "one.x", "two.y", "filter.u", "filter.y"):
+        assert again[signal].tobytes() == original[signal].tobytes(), signal
+    assert again.events() == original.events()
+
+
 # --- components with steps of their own ---
 
 
