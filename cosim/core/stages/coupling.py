@@ -293,6 +293,14 @@ class Loop:
     controls: tuple[SubstepControl, ...] = ()
     nested: NestedStages | None = None
     is_loop: bool = True
+    # the operations of a sweep, and behind them those for right limits
+    sweep_operations: tuple[tuple[OperationName, Member], ...] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        operations: list[tuple[OperationName, Member]] = []
+        for kind, member in self.operations:
+            operations += [(name, member) for name in with_limits(kind, member)]
+        object.__setattr__(self, "sweep_operations", tuple(operations))
 
     @property
     def is_first_order(self) -> bool:
@@ -362,7 +370,7 @@ class Loop:
         for member in self.members:
             if member.name in read_early:
                 program.append(("keep", (member,)))
-        for kind, member in self._operations_with_limits:
+        for kind, member in self.sweep_operations:
             program.append((kind, (member,)))
         for member in self.members:
             last = gathered[member.name]
@@ -375,18 +383,10 @@ class Loop:
         """What :meth:`_sweep` does where components advance together."""
         program: list[ProgramOperation] = [("keep", (member,)) for member in self.members]
         program.append(("gather together", self.members))
-        for kind, member in self._operations_with_limits:
+        for kind, member in self.sweep_operations:
             program.append(("advance together" if kind == "advance" else kind, (member,)))
         program.append(("record", self.members))
         return tuple(program)
-
-    @property
-    def _operations_with_limits(self) -> list[tuple[OperationName, Member]]:
-        """The operations of a sweep, and behind them those for right limits."""
-        operations = []
-        for kind, member in self.operations:
-            operations += [(name, member) for name in with_limits(kind, member)]
-        return operations
 
     def _sources(self) -> dict[str, set[str]]:
         """Return the components of the loop that drive each of them, other than what is torn.
@@ -481,7 +481,7 @@ class Loop:
         self._keep(rows)
         if self.kept is not None:
             self.kept.gather(rows)
-        for kind, member in self._operations_with_limits:
+        for kind, member in self.sweep_operations:
             if kind == "right" and not member.reads_jumps(rows):
                 continue
             if self.kept is None or kind != "advance":
@@ -508,9 +508,7 @@ class Loop:
     def _keep(self, rows: Matrix) -> None:
         """Extrapolated inputs read row 1 before their source has written it: first, it is row 0."""
         for member in self.members:
-            rows[1, member.outputs] = rows[0, member.outputs]
-            if member.jumps is not None:
-                member.jumps.keep(rows)
+            member.keep_outputs(rows)
 
     def _gather(self, kind: OperationName, member: Member, rows: Matrix) -> None:
         """Bring the inputs of a component at the end of the step up to date."""

@@ -144,6 +144,12 @@ class Member:
         is_followed = self.jumps is not None and len(self.jumps.own) > 0
         return is_followed and bool(self.channel.interface.left_limits)
 
+    def keep_outputs(self, rows: Matrix) -> None:
+        """Fill the outputs at the end of a step with those at its start, left limits included."""
+        rows[1, self.outputs] = rows[0, self.outputs]
+        if self.jumps is not None:
+            self.jumps.keep(rows)
+
     def reads_jumps(self, rows: Matrix) -> bool:
         """Return whether what it reads jumps at the end of a step."""
         return self.jumps is not None and bool(self.jumps.jumps(rows)[0])

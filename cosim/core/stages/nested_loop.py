@@ -88,9 +88,7 @@ class NestedLoop:
 
     def _advance(self, step: Block, rows: Matrix) -> None:
         for member in self._late:  # they hold their outputs until they advance
-            rows[1, member.outputs] = rows[0, member.outputs]
-            if member.jumps is not None:
-                member.jumps.keep(rows)
+            member.keep_outputs(rows)
         ended: Cut | None = None
         for kind, member in self._early:
             ended = self._perform(kind, member, step, rows) or ended
