@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector, as_columns
-from cosim.core.contracts import Design, Recording, Stopped
+from cosim.core.contracts import Design, Stopped
 from cosim.core.port import Port
 from cosim.core.recorded import find_channel
+from cosim.core.recording import Recording
 from cosim.core.signals import Interface, Signal
 from cosim.errors import GraphError, LogError
 from cosim.native.blocks.functions import recorded_step

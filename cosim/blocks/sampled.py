@@ -9,15 +9,7 @@ import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.clock import NANOSECONDS
-from cosim.core.contracts import (
-    Component,
-    Design,
-    Native,
-    Rollback,
-    Stopped,
-    linearized,
-    prepare,
-)
+from cosim.core.contracts import Component, Design, Native, Rollback, Stopped, linearized, prepare
 from cosim.core.linearization import Linearized
 from cosim.core.signals import Interface
 from cosim.errors import ClockError, RunError, steps_text

@@ -2,7 +2,8 @@
 
 In the order in which to read it::
 
-    contracts, signals, port   what a component, a signal, a recorder is
+    contracts, signals, port   what a component, a signal is
+    recording                  what a run records: what a recorder takes, a recording gives back
     clock, connections, graph  a network of components on a grid of communication points
       structure/               what checks and orders it, once
       gain/                    how much the coupling of a loop multiplies an error
@@ -33,15 +34,10 @@ if TYPE_CHECKING:
         Design,
         Jumping,
         Linearizable,
-        MessageLevel,
         Model,
         Native,
-        Plan,
         Preparable,
-        Recorder,
-        Recording,
         Rollback,
-        SignalEvent,
         Stopped,
         check_design,
         prepare,
@@ -54,6 +50,7 @@ if TYPE_CHECKING:
     from cosim.core.port import Port
     from cosim.core.recorded import RunMessage
     from cosim.core.recorders import EndOfRun, Memory, Nothing, Watched, end_of_run
+    from cosim.core.recording import MessageLevel, Plan, Recorder, Recording, SignalEvent
     from cosim.core.signals import Channel, Interface, Layout, Signal
     from cosim.core.simulation import Simulation
     from cosim.core.stepping.states import SimulationState
@@ -79,22 +76,22 @@ _HOMES = {
     "Linearized": "cosim.core.linearization",
     "LinearModel": "cosim.core.linear",
     "Memory": "cosim.core.recorders",
-    "MessageLevel": "cosim.core.contracts",
+    "MessageLevel": "cosim.core.recording",
     "Model": "cosim.core.contracts",
     "Native": "cosim.core.contracts",
     "Nothing": "cosim.core.recorders",
-    "Plan": "cosim.core.contracts",
+    "Plan": "cosim.core.recording",
     "Port": "cosim.core.port",
     "Preparable": "cosim.core.contracts",
     "prepare": "cosim.core.contracts",
-    "Recorder": "cosim.core.contracts",
-    "Recording": "cosim.core.contracts",
+    "Recorder": "cosim.core.recording",
+    "Recording": "cosim.core.recording",
     "Rollback": "cosim.core.contracts",
     "run": "cosim.core.master",
     "run_members": "cosim.core.ensemble",
     "RunMessage": "cosim.core.recorded",
     "Signal": "cosim.core.signals",
-    "SignalEvent": "cosim.core.contracts",
+    "SignalEvent": "cosim.core.recording",
     "simulate": "cosim.core.master",
     "Simulation": "cosim.core.simulation",
     "SimulationState": "cosim.core.stepping.states",

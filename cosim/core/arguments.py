@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from cosim.core.contracts import Component, Recorder
+from cosim.core.contracts import Component
+from cosim.core.recording import Recorder
 from cosim.core.signals import Interface
 from cosim.errors import GraphError, UsageError, quoted
 

@@ -15,9 +15,10 @@ import numpy as np
 from cosim.arrays import Mask, Vector
 from cosim.core.arguments import check_type, checked_components, kind_of
 from cosim.core.connections import Connection, SourceText
-from cosim.core.contracts import Component, Design, Plan, Recording, Transfer
+from cosim.core.contracts import Component, Design, Transfer
 from cosim.core.initialization.initial_values import InitialValues
 from cosim.core.port import Port
+from cosim.core.recording import Plan, Recording
 from cosim.core.signals import Channel, Variability
 from cosim.core.stages.calls import GuardedComponent
 from cosim.core.stages.coupling import Stage
@@ -27,10 +28,7 @@ from cosim.core.stages.stage_builder import InputInterpolation, LoopMethod, Stag
 from cosim.core.stages.substep_control import SubstepControl, SubstepTolerance
 from cosim.core.stages.wires import Wire, constant_wires, wires_of
 from cosim.core.structure.checked_connections import CheckedConnections
-from cosim.core.structure.connection_checks import (
-    element_warnings,
-    unit_warnings,
-)
+from cosim.core.structure.connection_checks import element_warnings, unit_warnings
 from cosim.core.structure.feedthrough import early_event_text
 from cosim.core.structure.jumping import JumpingOutputs
 from cosim.core.structure.order import Coupling

@@ -24,9 +24,10 @@ from cosim.arrays import Matrix
 from cosim.core.arguments import check_recorder, check_type
 from cosim.core.clock import Clock
 from cosim.core.conditions import RunConditions, conditions_until
-from cosim.core.contracts import Block, Design, Plan, Recorder, Stopped
+from cosim.core.contracts import Block, Design, Stopped
 from cosim.core.graph import Graph
 from cosim.core.recorders import Nothing, record
+from cosim.core.recording import Plan, Recorder
 from cosim.core.stages.engine import Engine
 from cosim.errors import UsageError
 

@@ -16,18 +16,10 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Nanoseconds, read_only
 from cosim.core.arguments import check_type
-from cosim.core.contracts import (
-    Block,
-    MessageLevel,
-    Plan,
-    Recorder,
-    RowMemory,
-    SignalEvent,
-    Stopped,
-    Substep,
-)
+from cosim.core.contracts import Block, Stopped
 from cosim.core.growing_rows import GrowingRows
 from cosim.core.recorded import RecordedSignals, RunMessage, find_channel
+from cosim.core.recording import MessageLevel, Plan, Recorder, RowMemory, SignalEvent, Substep
 from cosim.core.signals import Channel, Layout
 from cosim.errors import CosimError, Interrupted, LogError, UsageError, nearest
 

@@ -28,9 +28,10 @@ from cosim.arrays import Matrix, Vector
 from cosim.core.arguments import check_type, kind_of
 from cosim.core.clock import Clock
 from cosim.core.conditions import conditions_until
-from cosim.core.contracts import Component, EventCause, Plan, Recorder, Transfer
+from cosim.core.contracts import Component, Transfer
 from cosim.core.graph import Graph
 from cosim.core.recorders import Nothing, end_of_run, error_text, record
+from cosim.core.recording import EventCause, Plan, Recorder
 from cosim.core.signals import FaultKind
 from cosim.core.stages.engine import Engine
 from cosim.core.stages.overrides import OverrideValue

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Nanoseconds
-from cosim.core.contracts import Recording
 from cosim.core.port import Port
 from cosim.core.recorded import find_signal
+from cosim.core.recording import Recording
 from cosim.errors import LogError, UsageError
 from cosim.log.event_difference import EventsDifference, compare_events
 from cosim.log.pairing import Window, windows

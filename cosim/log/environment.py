@@ -7,7 +7,7 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from cosim.core.contracts import Recording
+from cosim.core.recording import Recording
 from cosim.version import __version__
 
 _PACKAGES = ("numpy", "scipy", "mcap")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from cosim.core.contracts import Plan
+from cosim.core.recording import Plan
 from cosim.log.environment import environment
 from cosim.log.layout import Part
 from cosim.log.metadata import add_checksum, compact, encode_design

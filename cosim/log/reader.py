@@ -16,20 +16,15 @@ from mcap.opcode import Opcode
 
 from cosim.arguments import log_argument
 from cosim.arrays import Mask, Matrix, Nanoseconds
-from cosim.core.contracts import Design, SignalEvent, Substep
+from cosim.core.contracts import Design
 from cosim.core.recorded import RecordedSignals, RunMessage, find_channel
 from cosim.core.recorders import Memory
+from cosim.core.recording import SignalEvent, Substep
 from cosim.core.signals import Channel
 from cosim.errors import GraphError, LogError, UsageError, nearest, quoted
 from cosim.log.container import MALFORMED, Container
 from cosim.log.layout import Part, read_number, read_part
-from cosim.log.metadata import (
-    decode_design,
-    json_table,
-    json_texts,
-    read_json,
-    verify_checksum,
-)
+from cosim.log.metadata import decode_design, json_table, json_texts, read_json, verify_checksum
 from cosim.log.own_file import OwnFile
 from cosim.log.paths import log_path
 from cosim.log.preamble import EVENT_TOPIC, FORMAT, LOG_TOPIC, STEP_TOPIC

@@ -15,7 +15,7 @@ from typing import Any, get_args
 
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
 
-from cosim.core.contracts import EventCause, MessageLevel, SignalEvent, Substep
+from cosim.core.recording import EventCause, MessageLevel, SignalEvent, Substep
 from cosim.core.signals import FaultKind
 from cosim.errors import quoted
 

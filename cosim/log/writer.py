@@ -14,8 +14,9 @@ from types import TracebackType
 from typing import Any, Self, final
 
 from cosim.arrays import Matrix
-from cosim.core.contracts import Block, MessageLevel, Plan, SignalEvent, Substep
+from cosim.core.contracts import Block
 from cosim.core.recorders import EndOfRun, end_of_run
+from cosim.core.recording import MessageLevel, Plan, SignalEvent, Substep
 from cosim.core.signals import Interface
 from cosim.errors import LogError, LogWriteError, RunError
 from cosim.interrupts import uninterrupted

@@ -12,9 +12,9 @@ import numpy as np
 
 from cosim.arguments import mapping_argument, path_argument, truth_argument
 from cosim.arrays import Vector
-from cosim.core.contracts import Recording
 from cosim.core.port import split_element
 from cosim.core.recorders import Memory
+from cosim.core.recording import Recording
 from cosim.core.signals import Interface
 from cosim.errors import CosimError, Interrupted, UsageError, flag, nearest, option, quoted
 from cosim.files import file_type

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cosim.arrays import Matrix, Vector, as_columns
-from cosim.core.contracts import Recording
+from cosim.core.recording import Recording
 from cosim.errors import LogError
 from cosim.scenario.recordings.recorded_metadata import CompensationRecord, recorded_start
 from cosim.theory.compensation.activation import Activation

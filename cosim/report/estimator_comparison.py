@@ -13,8 +13,8 @@ import numpy as np
 
 from cosim.arguments import mapping_argument, path_argument, truth_argument
 from cosim.arrays import Vector
-from cosim.core.contracts import Recording
 from cosim.core.recorders import Memory
+from cosim.core.recording import Recording
 from cosim.errors import CosimError, Interrupted, UsageError, nearest, option, quoted
 from cosim.log import Log
 from cosim.report.recorded_rows import has_signal, rows_of, stacked_rows_of

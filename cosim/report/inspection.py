@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cosim.core.connections import Connection, unit_reached
-from cosim.core.contracts import SignalEvent
 from cosim.core.graph import Graph
 from cosim.core.port import Port
 from cosim.core.recorded import RunMessage
+from cosim.core.recording import SignalEvent
 from cosim.core.signals import Channel, Signal
 from cosim.report.certificate import certificate_of
 from cosim.report.summary import summarize

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from cosim.arrays import Matrix, Nanoseconds, as_columns
-from cosim.core.contracts import Recording
 from cosim.core.port import Port
 from cosim.core.recorded import find_signal
+from cosim.core.recording import Recording
 from cosim.core.signals import Signal
 from cosim.errors import LogError, UnknownSignalError
 from cosim.scenario.recordings.recorded_metadata import component_record

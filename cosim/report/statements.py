@@ -32,8 +32,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.core.contracts import Substep
 from cosim.core.recorders import Memory
+from cosim.core.recording import Substep
 from cosim.core.signals import Interface
 from cosim.errors import quoted
 from cosim.log import Log

@@ -12,17 +12,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cosim.arrays import Matrix, Vector, as_columns
-from cosim.core.contracts import Recording
 from cosim.core.gain.loop_gain import LoopGain
+from cosim.core.recording import Recording
 from cosim.core.stages.substep_control import SubstepCounts
 from cosim.errors import LogError
-from cosim.report.recorded_rows import (
-    beside_truth,
-    element_names,
-    has_signal,
-    lag_of,
-    rows_of,
-)
+from cosim.report.recorded_rows import beside_truth, element_names, has_signal, lag_of, rows_of
 from cosim.scenario.document.schema import truth_ports
 from cosim.scenario.identification.run_verdicts import OUTPUT_ERROR
 from cosim.scenario.recordings.recorded_metadata import (

@@ -17,7 +17,8 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from cosim.core.contracts import Block, Plan
+from cosim.core.contracts import Block
+from cosim.core.recording import Plan
 from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.log import McapRecorder, open_log
 from cosim.log.schema import component_schema

@@ -13,11 +13,11 @@ from cosim.blocks.replay import Replay
 from cosim.blocks.source import sine
 from cosim.core import clock as clock_module
 from cosim.core.clock import Clock
-from cosim.core.contracts import Plan
 from cosim.core.graph import Graph
 from cosim.core.master import run
 from cosim.core.port import Port
 from cosim.core.recorders import Memory
+from cosim.core.recording import Plan
 from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.core.stages import pacing
 from tests.core.parts import integrator

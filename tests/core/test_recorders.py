@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cosim.core.contracts import Block, Plan
+from cosim.core.contracts import Block
 from cosim.core.recorders import Memory
+from cosim.core.recording import Plan
 from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.errors import LogError
 

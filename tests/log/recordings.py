@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from cosim.core.contracts import Block, Plan
+from cosim.core.contracts import Block
+from cosim.core.recording import Plan
 from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.log import McapRecorder
 

@@ -8,8 +8,9 @@ import math
 import numpy as np
 import pytest
 
-from cosim.core.contracts import Block, Plan, SignalEvent
+from cosim.core.contracts import Block
 from cosim.core.recorders import Memory
+from cosim.core.recording import Plan, SignalEvent
 from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.errors import LogError
 from cosim.log import open_log

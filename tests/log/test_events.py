@@ -7,7 +7,8 @@ import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from mcap.reader import make_reader
 
-from cosim.core.contracts import Block, SignalEvent
+from cosim.core.contracts import Block
+from cosim.core.recording import SignalEvent
 from cosim.log import Log, McapRecorder
 from cosim.log.schema import decode_event, encode_event
 from tests.log.recordings import STEP_NS, blocks, layout, plan, record, table

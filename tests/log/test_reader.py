@@ -18,8 +18,8 @@ from mcap.records import Chunk
 from mcap.writer import CompressionType, IndexType, Writer
 
 import cosim
-from cosim.core.contracts import Recording
 from cosim.core.recorders import Memory
+from cosim.core.recording import Recording
 from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.errors import LogError, UsageError
 from cosim.log import McapRecorder, open_log, preamble

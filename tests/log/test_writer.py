@@ -18,7 +18,8 @@ from mcap.reader import NonSeekingReader, make_reader
 from mcap.records import Chunk, MessageIndex
 
 import cosim
-from cosim.core.contracts import Recorder, Stopped
+from cosim.core.contracts import Stopped
+from cosim.core.recording import Recorder
 from cosim.errors import Interrupted, LogError, LogWriteError
 from cosim.log import Attachment, McapRecorder, open_log, unfinished, writer
 from cosim.log import buffer as row_buffer

@@ -22,9 +22,10 @@ import numpy as np
 from cosim.arrays import Matrix, Vector
 from cosim.core.clock import Clock
 from cosim.core.conditions import RunConditions
-from cosim.core.contracts import Block, Recorder, Stopped, Substep
+from cosim.core.contracts import Block, Stopped
 from cosim.core.graph import Graph
 from cosim.core.recorders import memory_of
+from cosim.core.recording import Recorder, Substep
 from cosim.core.stages.looking_ahead import LookingAhead
 from cosim.core.stages.native_stage import advancing_stages
 from cosim.core.stages.pacing import PIECE_WORK, Pacer

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Vector
-from cosim.core.contracts import Recording, Substep
+from cosim.core.recording import Recording, Substep
 from cosim.core.stages.member import Member
 from cosim.errors import GraphError, LogError
 

@@ -27,7 +27,8 @@ from typing import Any, final
 import numpy as np
 
 from cosim.arrays import Matrix, Vector, read_only
-from cosim.core.contracts import Block, Stopped, Substep
+from cosim.core.contracts import Block, Stopped
+from cosim.core.recording import Substep
 from cosim.core.stages.coupling import Advancing, Cut, OperationName, call
 from cosim.core.stages.member import END, Member
 from cosim.core.stages.substep_control import (

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
-from cosim.core.contracts import Recording, Stopped
+from cosim.core.contracts import Stopped
+from cosim.core.recording import Recording
 from cosim.core.stages.input_elements import InputElements
 from cosim.core.stages.member import Member
 from cosim.core.structure.feedthrough import Edge

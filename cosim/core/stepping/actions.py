@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import ClassVar, Final, Protocol, final
 
-from cosim.core.contracts import Component, EventCause, Transfer
+from cosim.core.contracts import Component, Transfer
+from cosim.core.recording import EventCause
 from cosim.core.signals import FaultKind
 from cosim.core.stages.overrides import OverrideValue
 from cosim.core.stepping.jumps import ParameterValues

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from cosim.core.contracts import EventCause, SignalEvent
 from cosim.core.port import Port
+from cosim.core.recording import EventCause, SignalEvent
 from cosim.core.signals import Layout
 from cosim.core.stages.overrides import ActiveFault
 from cosim.core.stepping.jumps import Jumps, OverridableInput, overridden_columns

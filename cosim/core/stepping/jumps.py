@@ -14,9 +14,10 @@ from typing import TypeAlias, final
 import numpy as np
 
 from cosim.arrays import Vector, read_only
-from cosim.core.contracts import EventCause, Stopped
+from cosim.core.contracts import Stopped
 from cosim.core.graph import Graph
 from cosim.core.port import Port
+from cosim.core.recording import EventCause
 from cosim.core.stages.faults import Fault, FaultInstant
 from cosim.core.stages.member import Member
 from cosim.core.stages.overrides import ActiveFault, OverrideValue, checked_values

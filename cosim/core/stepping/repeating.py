@@ -9,9 +9,10 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.core.clock import Clock
-from cosim.core.contracts import Design, Plan, Recorder, SignalEvent, Stopped
+from cosim.core.contracts import Design, Stopped
 from cosim.core.graph import Graph
 from cosim.core.port import Port
+from cosim.core.recording import Plan, Recorder, SignalEvent
 from cosim.core.simulation import Simulation
 from cosim.core.stepping.actions import Action, ConditionalAction, TimedAction
 from cosim.errors import LogError, UsageError

@@ -10,8 +10,9 @@ from typing import Any, Final, final
 
 from cosim.arrays import Matrix
 from cosim.core.clock import Clock
-from cosim.core.contracts import Block, Recorder
+from cosim.core.contracts import Block
 from cosim.core.recorders import record
+from cosim.core.recording import Recorder
 from cosim.core.signals import Layout
 from cosim.core.stages.coupling import Cut
 from cosim.core.stages.engine import Engine

@@ -11,8 +11,8 @@ from typing import Any
 
 from cosim.arrays import Vector
 from cosim.core.clock import Clock
-from cosim.core.contracts import Plan
 from cosim.core.graph import Graph
+from cosim.core.recording import Plan
 from cosim.core.stages.overrides import SavedOverrides
 from cosim.errors import UsageError, listing
 

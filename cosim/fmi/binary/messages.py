@@ -7,7 +7,7 @@ import weakref
 from ctypes import addressof, byref, c_double
 from typing import Final, NamedTuple
 
-from cosim.core.contracts import MessageLevel
+from cosim.core.recording import MessageLevel
 from cosim.native.fmi.callbacks import MessagesStruct, MessageStruct
 from cosim.native.library import library
 from cosim.native.memory import place_struct

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from cosim.core.contracts import Recording
+from cosim.core.recording import Recording
 from cosim.errors import UsageError
 from cosim.report.plots.curves import (
     DASHES,

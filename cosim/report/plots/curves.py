@@ -10,7 +10,7 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 
 from cosim.arrays import Vector
-from cosim.core.contracts import Recording
+from cosim.core.recording import Recording
 from cosim.errors import UsageError
 from cosim.report.plots.picture import PictureOptions
 from cosim.report.printable import printable_line

@@ -9,15 +9,9 @@ from typing import Any, Final
 import numpy as np
 
 from cosim.arrays import Matrix, Nanoseconds, Vector
-from cosim.core.contracts import Recording
+from cosim.core.recording import Recording
 from cosim.errors import UsageError
-from cosim.report.plots.curves import (
-    TRUTH,
-    Curve,
-    color_styles,
-    curves_of,
-    draw_curves,
-)
+from cosim.report.plots.curves import TRUTH, Curve, color_styles, curves_of, draw_curves
 from cosim.report.plots.intervals import band_curves, draw_bands, edges
 from cosim.report.plots.picture import Picture, PictureOptions, need_plot
 from cosim.report.recorded_rows import beside_truth, rows_of, time_ns_of

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, Final
 
-from cosim.core.contracts import Recording
+from cosim.core.recording import Recording
 from cosim.report.plots.curves import LARGEST_DRAWN, Curve, Style, curves_of
 from cosim.report.plots.picture import PictureOptions
 from cosim.report.recorded_rows import has_signal

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.core.contracts import Recording
+from cosim.core.recording import Recording
 from cosim.errors import UsageError
 from cosim.report.plots.curves import DASHES, Curve, Style, color_styles, curves_of, draw_curves
 from cosim.report.plots.picture import Picture, PictureOptions, need_plot

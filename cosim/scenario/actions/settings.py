@@ -16,9 +16,10 @@ import numpy as np
 from pydantic import ValidationError
 
 from cosim.blocks.declared import with_units
-from cosim.core.contracts import Component, Design, Recording, SignalEvent, Stopped
+from cosim.core.contracts import Component, Design, Stopped
 from cosim.core.graph import Graph
 from cosim.core.port import Port
+from cosim.core.recording import Recording, SignalEvent
 from cosim.core.stepping.actions import AT_CONDITION, NO_VARIANTS, ActedOn, Action, Setting
 from cosim.core.stepping.jumps import ParameterValues
 from cosim.errors import LogError, RunError, UsageError, listing, nearest, quoted

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any
 from cosim.blocks.declared import with_units
 from cosim.blocks.replay import Replay
 from cosim.core.clock import Clock, start_nanoseconds
-from cosim.core.contracts import Component, Recording
+from cosim.core.contracts import Component
 from cosim.core.graph import Graph
 from cosim.core.port import Port
+from cosim.core.recording import Recording
 from cosim.core.signals import Interface
 from cosim.core.stepping.actions import AT_CONDITION, Action, ConditionalAction, TimedAction
 from cosim.core.structure.connection_checks import check_connections
@@ -30,11 +31,7 @@ from cosim.scenario.building.graph_checks import held_disturbances, jump_problem
 from cosim.scenario.building.initial_states import GivenStates
 from cosim.scenario.building.models import form_problems
 from cosim.scenario.building.stopping import check_until, until_warnings
-from cosim.scenario.building.substeps import (
-    check_substeps,
-    substep_tolerance,
-    substep_warnings,
-)
+from cosim.scenario.building.substeps import check_substeps, substep_tolerance, substep_warnings
 from cosim.scenario.building.truth import check_truth
 from cosim.scenario.document.document import Document
 from cosim.scenario.document.problems import Key, Problem, TableProblems

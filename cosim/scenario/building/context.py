@@ -14,9 +14,10 @@ from cosim.arguments import check_path
 from cosim.arrays import Matrix, Vector
 from cosim.blocks.replay import Replay
 from cosim.core.clock import Clock, nanoseconds, seconds
-from cosim.core.contracts import Component, Recording
+from cosim.core.contracts import Component
 from cosim.core.port import Port
 from cosim.core.recorded import find_channel
+from cosim.core.recording import Recording
 from cosim.core.signals import Interface
 from cosim.core.structure.ports import unknown_port
 from cosim.errors import CosimError, LogError, UsageError, nearest, option, quoted

@@ -17,9 +17,9 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.core.clock import NANOSECONDS, Clock
-from cosim.core.contracts import Plan
 from cosim.core.gain.loop_gain import NOTED, REFUSED, LinearizedLoops, LoopGain
 from cosim.core.graph import Graph
+from cosim.core.recording import Plan
 from cosim.errors import CosimError, listing
 from cosim.scenario.building.changed_loops import ChangedLoops, changed_loops
 from cosim.scenario.building.experiment import Experiment

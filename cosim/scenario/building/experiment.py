@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from cosim.core.clock import Clock
-from cosim.core.contracts import Design, Plan, SignalEvent
+from cosim.core.contracts import Design
 from cosim.core.gain.loop_gain import LoopGain
 from cosim.core.graph import Graph
+from cosim.core.recording import Plan, SignalEvent
 from cosim.core.stepping.actions import Action, ConditionalAction, TimedAction
 from cosim.scenario.building.initial_states import GivenStates
 from cosim.scenario.identification.model import IdentifiedPlant

@@ -26,10 +26,11 @@ import numpy as np
 
 from cosim.arrays import Mask, Matrix
 from cosim.core.clock import NANOSECONDS, nanoseconds
-from cosim.core.contracts import Block, Recorder
+from cosim.core.contracts import Block
 from cosim.core.graph import Graph
 from cosim.core.port import Port
 from cosim.core.recorders import Nothing, Watched, close, end_of_run, error_text
+from cosim.core.recording import Recorder
 from cosim.core.signals import Layout
 from cosim.errors import CosimError, Interrupted, RunError, UsageError, option
 from cosim.scenario.actions.action_tables import signals_of

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Nanoseconds, Vector
-from cosim.core.contracts import Block, SignalEvent
+from cosim.core.contracts import Block
+from cosim.core.recording import SignalEvent
 
 JUMP: Final = 4.0  # times as much as the steps before and after it: what changes at once
 SEVERAL: Final = 8  # jumps in the last quarter of a step by chance: one in 65536

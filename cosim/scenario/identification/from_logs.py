@@ -18,9 +18,9 @@ import numpy as np
 from cosim.arrays import Matrix, Nanoseconds, Vector, as_columns
 from cosim.core.clock import seconds
 from cosim.core.connections import conversions_of
-from cosim.core.contracts import CompleteRecording
 from cosim.core.port import Port
 from cosim.core.recorded import RecordedSignals
+from cosim.core.recording import CompleteRecording
 from cosim.core.structure.ports import Ports
 from cosim.errors import UsageError, nearest, quoted
 from cosim.log import open_log

@@ -14,9 +14,10 @@ from pydantic import Field
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.clock import Clock, whole_steps
 from cosim.core.connections import Connection
-from cosim.core.contracts import Component, Recording
+from cosim.core.contracts import Component
 from cosim.core.linear import Linear, LinearModel
 from cosim.core.port import Port
+from cosim.core.recording import Recording
 from cosim.core.signals import Interface
 from cosim.scenario.building.initial_states import GivenStates
 from cosim.scenario.document.schema import Number, TomlTable, UnitName

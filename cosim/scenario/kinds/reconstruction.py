@@ -12,7 +12,8 @@ import numpy as np
 
 from cosim.arrays import Matrix, Vector, as_columns
 from cosim.blocks.observer import averaged_observer, consistent_observer
-from cosim.core.contracts import Design, Recording
+from cosim.core.contracts import Design
+from cosim.core.recording import Recording
 from cosim.errors import AssumptionError, UsageError
 from cosim.native.numerics.linear import DiscretizedDynamics, first_order_hold
 from cosim.scenario.kinds.variants import Variant, without_default

@@ -9,19 +9,12 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Final, TypeVar
 
 import numpy as np
-from pydantic import (
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    TypeAdapter,
-    ValidationError,
-)
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError
 
 from cosim.arrays import Matrix
-from cosim.core.contracts import Recording
 from cosim.core.gain.loop_gain import LoopGain
 from cosim.core.recorded import find_signal
+from cosim.core.recording import Recording
 from cosim.core.simulation import NEVER_TRUE
 from cosim.core.stages.substep_control import SUBSTEP_COUNTS, SubstepCounts
 from cosim.errors import LogError

@@ -11,9 +11,10 @@ from pathlib import Path
 from time import perf_counter
 
 from cosim.arrays import Matrix
-from cosim.core.contracts import Block, Recorder
+from cosim.core.contracts import Block
 from cosim.core.master import run as run_graph
 from cosim.core.recorders import Memory, Watched
+from cosim.core.recording import Recorder
 from cosim.errors import LogError, RunError, UsageError, flag, option
 from cosim.files import file_type
 from cosim.log import Log, McapRecorder

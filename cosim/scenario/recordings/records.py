@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any, Self
 from cosim.arrays import Matrix, Vector
 from cosim.core.conditions import until_text
 from cosim.core.connections import Connection
-from cosim.core.contracts import Block, MessageLevel, Plan, Recorder, SignalEvent, Stopped, Substep
+from cosim.core.contracts import Block, Stopped
 from cosim.core.recorders import close, end_of_run, error_text
+from cosim.core.recording import MessageLevel, Plan, Recorder, SignalEvent, Substep
 from cosim.core.stages.substep_control import SUBSTEP_COUNTS, SubstepCounts
 from cosim.errors import Interrupted, RunError, listing
 from cosim.interrupts import uninterrupted

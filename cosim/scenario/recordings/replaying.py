@@ -12,8 +12,9 @@ from typing import Any, Final
 import numpy as np
 
 from cosim.core.clock import Clock
-from cosim.core.contracts import CompleteRecording, Design
+from cosim.core.contracts import Design
 from cosim.core.port import Port
+from cosim.core.recording import CompleteRecording
 from cosim.core.stepping.actions import Action
 from cosim.errors import LogError, UsageError, command, flag, option
 from cosim.log import Log

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 from cosim.arguments import callable_argument, mapping_argument, truth_argument, whole_argument
 from cosim.core.arguments import check_recorder
-from cosim.core.contracts import Recorder
 from cosim.core.recorders import Memory
+from cosim.core.recording import Recorder
 from cosim.errors import UsageError, option, quoted
 from cosim.log import Log, open_log
 from cosim.scenario.building.build import parse

@@ -14,8 +14,9 @@ from typing import Any, Final, final
 
 from cosim.arguments import number_argument
 from cosim.core.clock import Clock
-from cosim.core.contracts import Block, Recorder
+from cosim.core.contracts import Block
 from cosim.core.recorders import Watched, close
+from cosim.core.recording import Recorder
 from cosim.errors import UsageError, option
 
 BLOCK: Final = 0.01  # s of wall time between two waits, about

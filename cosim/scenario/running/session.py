@@ -15,8 +15,9 @@ from weakref import finalize
 import numpy as np
 
 from cosim.arrays import Vector
-from cosim.core.contracts import Recorder, Stopped
+from cosim.core.contracts import Stopped
 from cosim.core.recorders import close, end_of_run
+from cosim.core.recording import Recorder
 from cosim.core.simulation import Simulation
 from cosim.core.stages.overrides import OverrideValue
 from cosim.core.stepping.states import SimulationState

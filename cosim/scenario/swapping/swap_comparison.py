@@ -16,8 +16,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cosim.arrays import Vector
-from cosim.core.contracts import Plan, prepare
+from cosim.core.contracts import prepare
 from cosim.core.port import Port
+from cosim.core.recording import Plan
 from cosim.core.signals import Causality, Interface
 from cosim.errors import CosimError, GraphError, ScenarioError
 from cosim.fmi.description import INTERFACE_TYPE_NAMES, Description, InterfaceType

@@ -11,9 +11,9 @@ from cosim.blocks.dynamics import Delay
 from cosim.blocks.source import Noise, constant, sine
 from cosim.core.clock import Clock
 from cosim.core.connections import Connection
-from cosim.core.contracts import SignalEvent
 from cosim.core.graph import Graph
 from cosim.core.recorders import Memory
+from cosim.core.recording import SignalEvent
 from cosim.core.signals import Interface, Signal
 from cosim.core.simulation import Simulation
 from cosim.core.stepping.repeating import repeat

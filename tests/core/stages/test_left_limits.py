@@ -17,11 +17,11 @@ from cosim.blocks.source import Noise, Table, step
 from cosim.blocks.state_space import controller
 from cosim.core.clock import Clock
 from cosim.core.connections import Connection
-from cosim.core.contracts import SignalEvent
 from cosim.core.graph import Graph
 from cosim.core.linear import Linear, LinearModel
 from cosim.core.master import run
 from cosim.core.recorders import Memory
+from cosim.core.recording import SignalEvent
 from cosim.core.signals import Interface, Signal
 from cosim.core.simulation import Simulation
 from cosim.errors import AlgebraicLoopError, RunError

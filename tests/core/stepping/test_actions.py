@@ -6,9 +6,10 @@ import pytest
 from cosim.blocks.arithmetic import gain
 from cosim.blocks.source import constant, ramp
 from cosim.core.clock import Clock
-from cosim.core.contracts import SignalEvent, Stopped
+from cosim.core.contracts import Stopped
 from cosim.core.graph import Graph
 from cosim.core.recorders import Memory
+from cosim.core.recording import SignalEvent
 from cosim.core.simulation import Simulation
 from cosim.core.stepping.actions import (
     ConditionalAction,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.core.contracts import SignalEvent
+from cosim.core.recording import SignalEvent
 from cosim.errors import LogError, ScenarioError
 from cosim.report.inspection import describe_log, describe_scenario
 from cosim.report.verification import verify

@@ -1,0 +1,284 @@
+"""What a run records: what a recorder takes, and what a recording gives back."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, Literal, NamedTuple, Protocol, Self, TypeAlias, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.arrays import Mask, Matrix, Nanoseconds
+from cosim.core.contracts import Block, Design
+from cosim.core.port import Port
+from cosim.core.signals import Channel, FaultKind, Layout
+
+EventCause: TypeAlias = FaultKind | Literal["override", "release", "set", "swap", "follow", "jump"]
+MessageLevel: TypeAlias = Literal["debug", "info", "warning", "error", "fatal"]
+# a signal or elements of it, or several that are stacked
+SignalNames: TypeAlias = str | Port | Sequence[str | Port]
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What is fixed before the run: it goes to the log, and a replay follows it.
+
+    Parameters
+    ----------
+    layout : Layout
+    step_ns : int
+        Communication step [ns].
+    designs : mapping of component name to Design
+    held : mapping of component name to Mask
+        Which input elements have a zero-order hold.
+    schedule : tuple of str
+        The stages in order, readable: ``"cascade plant"``, ``"gauss-seidel controller plant
+        observer"``.
+    """
+
+    layout: Layout
+    step_ns: int
+    designs: Mapping[str, Design]
+    held: Mapping[str, Mask]
+    schedule: tuple[str, ...]
+
+
+class SignalEvent(NamedTuple):
+    """A jump of a signal at a communication point: the limit that is not in the row there.
+
+    Of what is done at the point that is the right limit, as the row was recorded before it; of a
+    signal that jumps by itself it is the left one.
+
+    Parameters
+    ----------
+    time_ns : int
+    cause : EventCause
+        An input was overridden, has a fault, or was released; a parameter was set, or a component
+        swapped; or the signal followed one of these. "jump": a continuous output jumped with a
+        discrete signal; ``values`` is its left limit. (That of a discrete one is in the row
+        before.)
+    signal : str
+        ``component.signal``; but for one that followed also elements of one; or
+        ``component.parameter``, ``component.file``.
+    values : tuple of float
+        Of its elements.
+    parameters : tuple of float
+        Of a fault, one element's behind the other's; see :mod:`cosim.core.stages.faults`.
+    """
+
+    time_ns: int
+    cause: EventCause
+    signal: str
+    values: tuple[float, ...]
+    parameters: tuple[float, ...] = ()
+
+
+class Substep(NamedTuple):
+    """A part of a communication step that a loop took, or refused.
+
+    Parameters
+    ----------
+    begin_ns : int
+        Where it begins.
+    length_ns : int
+    loop : str
+        The first component of the loop.
+    error : float
+        The estimated error, in units of what is tolerated.
+    accepted : bool
+    values : tuple of float
+        Where it was accepted: the applied inputs and outputs of all components of the loop at its
+        end, one component's behind the other's, in the order of the loop; behind them the left
+        limits of those that jump.
+    """
+
+    begin_ns: int
+    length_ns: int
+    loop: str
+    error: float
+    accepted: bool
+    values: tuple[float, ...] = ()
+
+
+@runtime_checkable
+class Recorder(Protocol):
+    """A context manager that takes blocks of rows and leaves a complete record behind.
+
+    It does so however the run ends. Order of the calls: ``__enter__``; ``begin``, unless a
+    component cannot be prepared; ``write`` after every block; ``__exit__``.
+    :func:`cosim.core.run` calls neither ``message`` nor ``result``; running a scenario does. There
+    are events only where signals jump: inputs that are overridden or faulty, parameters that are
+    set, components that are swapped (:class:`cosim.core.Simulation`), and what follows them.
+    """
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self,
+        error_type: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Complete the record.
+
+        ``error`` is what ended the run, also the :class:`Stopped` of a regular end (``failed``
+        False); :func:`cosim.core.end_of_run` turns it into a status and a reason.
+        """
+        ...
+
+    def begin(self, plan: Plan) -> None:
+        """Receive what is fixed before the run; called before the first write."""
+        ...
+
+    def write(self, block: Block, signals: Matrix) -> None:
+        """Write rows 1 to K of ``signals``, shape (K+1, width); row 0 too in the first block.
+
+        Parameters
+        ----------
+        block : Block
+            ``index`` is 0 for the first block; the step number of row k is ``index + k``.
+        signals : Matrix, shape (K+1, width)
+            All rows; where the plan's layout gives a channel a ``period``, the rows whose step
+            number is a multiple of it are to be kept. The array is used again: copy what is kept.
+        """
+        ...
+
+    def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
+        """Record a message of the run or of a component, ``source``, at a simulation time [ns]."""
+        ...
+
+    def event(self, event: SignalEvent) -> None:
+        """Record a jump of a signal; called after the row at its instant was written."""
+        ...
+
+    def substep(self, substep: Substep) -> None:
+        """Record a substep; called after the row behind it was written."""
+        ...
+
+    def result(self, values: Mapping[str, Any]) -> None:
+        """Record plain values about the end of the run; called before ``__exit__``."""
+        ...
+
+
+@runtime_checkable
+class RowMemory(Protocol):
+    """For recorders that keep the rows of a run in memory: they are computed where they stay."""
+
+    def memory_for(self, block: Block, steps: int) -> Matrix | None:
+        """Return where the rows of a block will stay, shape (K+1, width), to be filled.
+
+        Row 0 is the last row of the block before. None: there is no such memory. What is
+        written of the block then is passed to ``write`` as usual, as a part of this array.
+
+        Parameters
+        ----------
+        block : Block
+        steps : int
+            Steps of the run that are still to come, with those of the block.
+        """
+        ...
+
+
+@runtime_checkable
+class Recording(Protocol):
+    """A finished run to read from: a log file, or memory."""
+
+    @property
+    def label(self) -> str:
+        """What was recorded to: a path, or ``the run``."""
+        ...
+
+    @property
+    def status(self) -> str:
+        """How it ended: ``complete``, ``failed`` or ``interrupted``."""
+        ...
+
+    @property
+    def reason(self) -> str:
+        """The stop reason; empty where the run came to its end."""
+        ...
+
+    @property
+    def channels(self) -> Mapping[str, Channel]:
+        """The recorded components by name."""
+        ...
+
+    def __getitem__(self, signal: SignalNames) -> NDArray[np.float64]:
+        """Return a signal, or elements of it: shape (N,) for one element, else (N, size).
+
+        Several signals of the same instants are stacked: shape (N, sum of their sizes).
+
+        Raises
+        ------
+        LogError
+            If a signal is unknown, or several have not the same instants.
+        """
+        ...
+
+    def blocks(self, component: str) -> Iterator[tuple[Nanoseconds, Matrix]]:
+        """Yield times and rows of a component in order of time, some at a time.
+
+        The rows have its applied inputs, then its outputs.
+        """
+        ...
+
+    def time_ns(self, component: str) -> Nanoseconds:
+        """Return the instants of a component's rows, shape (N,) [ns]."""
+        ...
+
+    @property
+    def held(self) -> Mapping[str, Mask]:
+        """Which input elements of every component had a zero-order hold."""
+        ...
+
+    @property
+    def steps(self) -> int:
+        """Number of communication steps."""
+        ...
+
+    @property
+    def end_ns(self) -> int:
+        """The last recorded instant [ns]."""
+        ...
+
+    @property
+    def metadata(self) -> Mapping[str, Any]:
+        """What was recorded beside the signals."""
+        ...
+
+    @property
+    def results(self) -> Mapping[str, Any]:
+        """What was recorded of the end of the run."""
+        ...
+
+    def events(self) -> list[SignalEvent]:
+        """Return the jumps of signals, in the order of time."""
+        ...
+
+    def substeps(self) -> list[Substep]:
+        """Return the substeps of loops, in the order of where they begin."""
+        ...
+
+
+class CompleteRecording(Recording, Protocol):
+    """A recording with the scenario of its run, which can be built again from it."""
+
+    @property
+    def step_ns(self) -> int:
+        """Communication step [ns]."""
+        ...
+
+    @property
+    def attachments(self) -> tuple[str, ...]:
+        """Names of the attachments."""
+        ...
+
+    def attachment(self, name: str) -> bytes:
+        """Return the content of an attachment."""
+        ...
+
+    def load(self, *components: str) -> None:
+        """Read several components at once, where they are not in memory yet."""
+        ...
