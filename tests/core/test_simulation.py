@@ -421,6 +421,13 @@ def test_a_value_that_is_not_finite_after_an_override_is_named():
         ("v.u", [[1.0], [1.0, 2.0]], r"needed numbers"),
         ("v.u[0]", np.nan, r"override of 'v.u\[0\]': found nan; needed a finite number"),
         ("v.u", [0.0, np.inf], r"found inf; needed a finite number"),
+        (
+            "v.u[0]",
+            True,
+            r"override of 'v.u\[0\]': found true or false; it is not Boolean: needed numbers",
+        ),
+        ("v.u", [1.0, False], r"found true or false; it is not Boolean: needed numbers$"),
+        ("v.u", np.array([True, True]), r"found true or false; it is not Boolean: needed numbers$"),
     ],
 )
 def test_an_override_that_does_not_fit_is_refused(to, value, text):

@@ -199,10 +199,21 @@ def _as_list(to: str, value: OverrideValue, end: ConnectionEnd) -> list[float]:
         values = []
     if not is_number:
         raise GraphError(f"override of '{to}': found {kind_of(value)}; needed numbers")
+    if end.signal.type != "boolean" and _has_truth(value, array):
+        raise GraphError(
+            f"override of '{to}': found true or false; it is not Boolean: needed numbers"
+        )
     if len(values) != end.size or array.ndim > 1:
         found = f"shape {array.shape}" if array.ndim > 1 else f"{len(values)} values"
         raise GraphError(f"override of '{to}': found {found}; needed {end.size}, one an element")
     return values
+
+
+def _has_truth(value: OverrideValue, array: NDArray[Any]) -> bool:
+    """Whether a value is true or false, or has such an element, given as an array too."""
+    if isinstance(value, list | tuple):
+        return any(isinstance(element, bool | np.bool_) for element in value)
+    return array.dtype.kind == "b"
 
 
 def _check_value(to: str, value: float, signal: Signal) -> None:

@@ -380,9 +380,7 @@ def _action_of(table: ActionTable, to: str, end: ConnectionEnd, clock: Clock) ->
 
 def _broadcast(value: Any, size: int) -> list[float]:
     """Return a value for each element, where there is one for all of them."""
-    if isinstance(value, tuple):
-        return list(map(float, value))
-    return [float(value)] * size
+    return list(value) if isinstance(value, tuple) else [value] * size
 
 
 def _parameters(table: ActionTable, effect: str, size: int, clock: Clock) -> tuple[float, ...]:

@@ -112,11 +112,12 @@ class SettingBuilder:
         spec = self._specs[name]
         self._check_names(name, spec, values)
         fmu = spec.tuned_fmu(name, self._context)
-        _check_values(values, are_nested=fmu is not None)
         if fmu is not None:
             from cosim.fmi.driving.tuning import check_tuning  # where there is an FMU
 
+            _check_starts(values)
             return FmuSetting(name, fmu, check_tuning(fmu.description, values))
+        _check_values(spec, values)
         self._check_readers(name)
         spec = _changed(spec, values)
         component = self._component(name, spec)
@@ -184,8 +185,8 @@ class SettingBuilder:
         return spec.with_period(component, spec.period_steps(name, context.step_ns))
 
 
-def _check_values(values: Mapping[str, Any], *, are_nested: bool) -> None:
-    """Check that values are numbers, or lists of them; nested ones, and texts, only of an FMU.
+def _check_values(spec: Kind, values: Mapping[str, Any]) -> None:
+    """Check that values are numbers, or lists of them, or true or false where the table has that.
 
     Raises
     ------
@@ -194,11 +195,30 @@ def _check_values(values: Mapping[str, Any], *, are_nested: bool) -> None:
     """
     problems = []
     for key, value in values.items():
-        if are_nested and not _is_start(value):
+        if isinstance(getattr(spec, key), bool):
+            is_right = isinstance(value, bool)
+            needed = "true or false"
+        else:
+            is_right = all(map(_is_number, _row(value)))
+            needed = "a number or a list of numbers"
+        if not is_right:
+            problems.append(((key,), f"found {quoted(value)}; needed {needed}"))
+    if problems:
+        raise TableProblems(problems)
+
+
+def _check_starts(values: Mapping[str, Any]) -> None:
+    """Check that values for an FMU are numbers or texts, or lists of them, nested or not.
+
+    Raises
+    ------
+    TableProblems
+        If one is something else.
+    """
+    problems = []
+    for key, value in values.items():
+        if not _is_start(value):
             text = f"found {quoted(value)}; needed a number, a text, or a list of these"
-            problems.append(((key,), text))
-        elif not are_nested and not all(map(_is_number, _row(value))):
-            text = f"found {quoted(value)}; needed a number or a list of numbers"
             problems.append(((key,), text))
     if problems:
         raise TableProblems(problems)
@@ -211,7 +231,7 @@ def _is_start(value: Any) -> bool:
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, bool | int | float)
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _row(value: Any) -> Sequence[Any]:

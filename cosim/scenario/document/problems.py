@@ -210,7 +210,7 @@ def _needed(details: Mapping[str, Any], path: Key, table: type[BaseModel]) -> st
             expected = str(context["expected"]).replace(" or ", ", ")
             choices = [choice.strip().strip("'") for choice in expected.split(",")]
             return nearest(str(details["input"]), choices)
-        case "float_type" if isinstance(details["input"], int) and details["input"] is not True:
+        case "float_type" if type(details["input"]) is int:
             return f"needed a number of at most {sys.float_info.max:g}"
         case kind if kind in TYPES:
             return f"needed {described(annotation_at(table, path))}"

@@ -212,6 +212,10 @@ CASES = {
         'at = 1.0\nsignal = "g.u"\noverride = [1.0, 2.0, 3.0]',
         r"actions\.0\.override: override of 'g\.u': found 3 values; needed 2, one an element",
     ),
+    "true in place of a number": (
+        'at = 1.0\nsignal = "x.u"\noverride = true',
+        r":35: actions\.0\.override: override of 'x\.u': found true or false; it is not Boolean",
+    ),
     "size of an offset": (
         'at = 1.0\nsignal = "g.u"\noffset = [1.0, 2.0, 3.0]',
         r"actions\.0\.offset: found 3 values; needed 2, one an element, or one",

@@ -23,6 +23,7 @@ step = 0.1
 [components]
 s = { kind = "sine", rate = 1.0, offset = 1.0 }
 c = { kind = "constant", value = [1.0, 2.0] }
+flag = { kind = "constant", value = true }
 g = { kind = "gain", K = 2.0 }
 limit = { kind = "limit", lower = -1.0, upper = 1.5 }
 x = { kind = "lag", time_constant = 0.5, initial = 0.0 }
@@ -196,7 +197,7 @@ def test_a_setting_is_set_from_outside(write):
 CASES = {
     "unknown component": (
         'set = { "h.K" = 1.0 }',
-        r":26: actions\.0\.set\.h\.K: there is no component 'h'; ",
+        r":27: actions\.0\.set\.h\.K: there is no component 'h'; ",
     ),
     "not tunable": (
         'set = { "x.initial" = 1.0 }',
@@ -218,6 +219,18 @@ CASES = {
     "beside a signal": (
         'signal = "x.u"\nset = { "g.K" = 1.0 }',
         r"actions\.0\.signal: found a signal beside 'set'; needed an action of its own",
+    ),
+    "true for a number": (
+        'set = { "c.value" = true }',
+        r"set\.c\.value: found True; needed a number or a list of numbers$",
+    ),
+    "true among numbers": (
+        'set = { "c.value" = [true, false] }',
+        r"set\.c\.value: found \[True, False\]; needed a number or a list of numbers$",
+    ),
+    "a number for true": (
+        'set = { "flag.value" = 0.0 }',
+        r"set\.flag\.value: found 0\.0; needed true or false$",
     ),
     "twice": (
         'set = { "g.K" = 1.0 }\n[[actions]]\nat = 1.0\nset = { "g.K" = 2.0 }',

@@ -338,6 +338,7 @@ def test_paths_that_no_file_can_have_are_refused(path):
             {"components.q": {"kind": "noise", "deviation": 1.0, "seed": 2**64}},
             "at most 64 bits",
         ),
+        ({"u.amplitude": False}, "found False; needed a number$"),
         ({"u.amplitude": 10**400}, "needed a number of at most 1.79769e\\+308"),
         ({"components.q": {"kind": "expression", "y": "0x" + "f" * 5000}}, "found a value of type"),
         ({"components.q": {"kind": "expression", "y": "a" * 5000}}, "unknown name 'aaa"),
