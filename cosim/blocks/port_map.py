@@ -121,8 +121,6 @@ class PortMap:
                 initial[name] = self._shown_inputs_behind(port, at_start)
         inputs = tuple(port.signal for port in self.inputs)
         outputs = tuple(port.signal for port in self.outputs)
-        jumping = self._shown_of(self.component.jumping)
-        left_limits = self._shown_of(self.component.left_limits)
         own_delayed = set(self.component.delayed)
         delayed = [port.signal.name for port in self.inputs if port.sources.keys() <= own_delayed]
         return replace(
@@ -132,8 +130,9 @@ class PortMap:
             feedthrough=feedthrough,
             initial=initial,
             delayed=tuple(delayed),
-            jumping=jumping,
-            left_limits=left_limits,
+            lagging=self._shown_of(self.component.lagging),
+            jumping=self._shown_of(self.component.jumping),
+            left_limits=self._shown_of(self.component.left_limits),
         )
 
     def _shown_of(self, outputs: Collection[str]) -> tuple[str, ...]:

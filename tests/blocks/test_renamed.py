@@ -1,5 +1,8 @@
 """A component under other port names keeps the contract; errors for wrong names list the ports."""
 
+from collections.abc import Mapping
+from dataclasses import fields
+
 import numpy as np
 import pytest
 
@@ -95,6 +98,36 @@ def test_what_depends_on_what_is_shown_in_the_shown_names():
     unknown = Interface((Signal("a"),), (Signal("b"), Signal("c")), {"b": None, "c": ("a",)})
     names = renamings({"y": ["c", "b"]})
     assert map_ports(unknown, names).interface.feedthrough == {"y": None}
+
+
+def test_whatever_an_interface_names_is_shown_under_its_new_name():
+    """Every field of it: of two ports, one has another name, and both are in what has names."""
+    own = Interface(
+        (Signal("a"), Signal("b")),
+        (Signal("p"), Signal("q")),
+        {"p": ("a", "b")},
+        {"p": ("a", "b")},
+        delayed=("a", "b"),
+        lagging=("p", "q"),
+        jumping=("p", "q"),
+        left_limits=("p", "q"),
+    )
+    shown = map_ports(own, renamings({"u": ["a"], "y": ["p"]})).interface
+    names = {"a": "u", "b": "b", "p": "y", "q": "q"}
+    for field in fields(Interface):
+        expected = in_names(getattr(own, field.name), names)
+        assert in_names(getattr(shown, field.name), {}) == expected, field.name
+        assert isinstance(expected, bool) or expected, f"{field.name} is empty here"
+
+
+def in_names(value, names):
+    """Return what a field of an interface has, under other names; those of signals as a set."""
+    if isinstance(value, Mapping):
+        return {names.get(key, key): in_names(own, names) for key, own in value.items()}
+    if isinstance(value, tuple):
+        own = [entry.name if isinstance(entry, Signal) else entry for entry in value]
+        return {names.get(name, name) for name in own}
+    return value
 
 
 def test_inputs_keep_their_initial_values_and_roles():
