@@ -16,18 +16,47 @@ Nothing is signed: the log of another run, put in the place of this one as a who
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import asdict, dataclass
 from typing import Any
 
 from cosim.core.recorders import Memory
-from cosim.errors import command, flag
+from cosim.errors import command, flag, listing
 from cosim.log import Log
 from cosim.log.diff import LogDifference, SignalDifference, diff
 from cosim.report.statements import COMPARED, NOT_COMPARED, Contradiction, contradictions
-from cosim.scenario.recordings.recorded_metadata import component_record, replay_origin
+from cosim.scenario.recordings.recorded_metadata import (
+    component_record,
+    recorded_substep_counts,
+    replay_origin,
+)
 from cosim.scenario.recordings.replaying import recorded_document
 
 _MOST_SHOWN = 8  # contradictions
+
+
+@dataclass(frozen=True, slots=True)
+class CopiedSubsteps:
+    """The substeps of a loop that a replay took from the log, as it copied components of the loop.
+
+    Parameters
+    ----------
+    loop : tuple of str
+        All components.
+    copied : tuple of str
+        Those of them that were copied.
+    """
+
+    loop: tuple[str, ...]
+    copied: tuple[str, ...]
+
+    def __str__(self) -> str:
+        return (
+            f"not computed, but copied from the log: the substeps of the loop of "
+            f"{listing(self.loop)} in /cosim/step: which were taken or refused, their estimated "
+            f"errors, the inputs at their ends and there the outputs of {listing(self.copied)}; "
+            "the other outputs there were compared"
+        )
 
 
 @dataclass(frozen=True)
@@ -48,6 +77,7 @@ class Verification:
         Signals that the replay took from the log: the outputs of recorded components.
     code : tuple of str
         Those of them that code of users computes, which was not allowed to run.
+    substeps : tuple of CopiedSubsteps
     scenario : str
         Where the scenario came from.
     """
@@ -58,6 +88,7 @@ class Verification:
     contradictions: tuple[Contradiction, ...]
     copied: tuple[str, ...]
     code: tuple[str, ...]
+    substeps: tuple[CopiedSubsteps, ...]
     scenario: str
 
     @property
@@ -95,6 +126,7 @@ class Verification:
                 f"{self.scenario!r} again with the changes it had, and compare with "
                 f"{command('diff')}"
             )
+        lines += map(str, self.substeps)
         lines.append(
             f"not compared: {NOT_COMPARED}; nor is the log signed: a log of another run, put in "
             "its place as a whole, passes"
@@ -140,6 +172,7 @@ class Verification:
             "computed": list(self.computed),
             "copied": list(self.copied),
             "code": list(self.code),
+            "substeps_copied": [asdict(copied) for copied in self.substeps],
             "contradictions": [asdict(entry) for entry in self.contradictions],
             **self.difference.to_dict(),
         }
@@ -148,6 +181,16 @@ class Verification:
 def _in_words(row: SignalDifference) -> str:
     rows_a, rows_b, _ = row.rows
     return f"{row.signal}: {row.status}: {rows_a} rows in the log, {rows_b} in the replay"
+
+
+def _copied_substeps(again: Log | Memory, copied: Collection[str]) -> tuple[CopiedSubsteps, ...]:
+    """Return the substeps of loops with components that a replay copied."""
+    found = []
+    for counts in recorded_substep_counts(again):
+        inside = tuple(name for name in counts.components if name in copied)
+        if inside:
+            found.append(CopiedSubsteps(counts.components, inside))
+    return tuple(found)
 
 
 def verify(source: Log, again: Log | Memory) -> Verification:
@@ -182,5 +225,6 @@ def verify(source: Log, again: Log | Memory) -> Verification:
         contradictions(source, again, computed),
         tuple(copied),
         tuple(code),
+        _copied_substeps(again, origin.copied),
         recorded_document(source).source,
     )
