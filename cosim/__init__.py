@@ -19,10 +19,10 @@ if TYPE_CHECKING:
     from cosim.report.comparing import compare
     from cosim.report.estimator_comparison import compare_estimators
     from cosim.scenario.assumptions.report import check_assumptions
-    from cosim.scenario.building.models import model_table
+    from cosim.scenario.context.models import model_table
     from cosim.scenario.data_files.field_file import read_field_data
     from cosim.scenario.experiment_design.ranking import design
-    from cosim.scenario.identification.from_logs import identify
+    from cosim.scenario.identifying import identify
     from cosim.scenario.running.execution import load, replay, run
 
 _HOMES = {
@@ -32,10 +32,10 @@ _HOMES = {
     "compare_estimators": "cosim.report.estimator_comparison",
     "design": "cosim.scenario.experiment_design.ranking",
     "diff": "cosim.log.diff",
-    "identify": "cosim.scenario.identification.from_logs",
+    "identify": "cosim.scenario.identifying",
     "linearize": "cosim.fmi.linearizing.linearize",
     "load": "cosim.scenario.running.execution",
-    "model_table": "cosim.scenario.building.models",
+    "model_table": "cosim.scenario.context.models",
     "open_log": "cosim.log.reader",
     "read_field_data": "cosim.scenario.data_files.field_file",
     "replay": "cosim.scenario.running.execution",

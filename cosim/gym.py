@@ -18,7 +18,7 @@ from cosim.core.stepping.step_rows import StepRows
 from cosim.errors import UsageError
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.running.execution import load
-from cosim.scenario.running.session import Session
+from cosim.scenario.session import Session
 
 try:
     import gymnasium

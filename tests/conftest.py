@@ -40,7 +40,7 @@ OF_ONE_WORKER = frozenset(
         "tests/scenario/test_dae.py",
         "tests/scenario/test_export.py",
         "tests/scenario/kinds/test_field_data.py",
-        "tests/scenario/identification/test_identifying.py",
+        "tests/scenario/test_identifying.py",
         "tests/scenario/kinds/test_linearized_observer.py",
         "tests/scenario/test_runs.py",
         "tests/scenario/swapping/test_swap.py",

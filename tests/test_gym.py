@@ -13,7 +13,7 @@ from cosim.errors import GraphError, UnknownSignalError, UsageError
 from cosim.gym import Env
 from cosim.report.verification import verify
 from cosim.scenario.running.execution import replay
-from cosim.scenario.running.session import Session
+from cosim.scenario.session import Session
 
 pytestmark = pytest.mark.usefixtures("without_verdicts")
 

@@ -149,7 +149,7 @@ def linearize(
     from cosim.fmi.linearizing.linearize import linearize_file
     from cosim.fmi.linearizing.request import LinearizationRequest
     from cosim.report.tables.fmu import print_linearization
-    from cosim.scenario.building.linearizing import model_toml
+    from cosim.scenario.kinds.linearizing import model_toml
 
     if as_toml and as_json:
         raise UsageError("--toml and --json: give one of them")

@@ -12,7 +12,7 @@ from cosim.errors import UsageError
 from cosim.terminal import show_count
 
 if TYPE_CHECKING:
-    from cosim.scenario.identification.from_logs import IdentifierRecord
+    from cosim.scenario.identifying import IdentifierRecord
 
 LogsArgument = Annotated[
     list[Path],
@@ -87,7 +87,7 @@ def identify(
     from cosim.report.identification import report_identification
     from cosim.report.tables.console import print_line
     from cosim.report.tables.identification import print_identification
-    from cosim.scenario.identification.from_logs import identifier_record, identify_records
+    from cosim.scenario.identifying import identifier_record, identify_records
 
     if irregular is not None and not 0.0 < irregular < float("inf"):
         raise UsageError(f"--irregular: found {irregular:g}, needed a positive number")

@@ -10,7 +10,7 @@ from cosim.core.recording import Recording
 from cosim.core.signals import Channel
 from cosim.errors import LogError, UnknownSignalError, command, flag, listing, nearest
 from cosim.report.summary import Summary, ValueOutcome, summarize
-from cosim.scenario.recordings.recorded_metadata import (
+from cosim.scenario.recorded_metadata import (
     CertificateRecord,
     StepErrorRecord,
     recorded_certificate,

@@ -24,7 +24,7 @@ from cosim.report.summary import Summary, summarize
 from cosim.scenario.document.edits import short
 from cosim.scenario.document.swap import PortNames, component_table, port_names
 from cosim.scenario.parsing import Scenario
-from cosim.scenario.recordings.recorded_metadata import truth_of
+from cosim.scenario.recorded_metadata import truth_of
 from cosim.scenario.recordings.recording import check_target
 from cosim.scenario.running.execution import load, run
 

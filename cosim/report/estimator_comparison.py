@@ -24,7 +24,7 @@ from cosim.scenario.kinds.identification import IdentifierKind
 from cosim.scenario.kinds.methods import METHODS, IdentificationMethod
 from cosim.scenario.kinds.variants import foreign_keys
 from cosim.scenario.parsing import Scenario
-from cosim.scenario.recordings.recorded_metadata import (
+from cosim.scenario.recorded_metadata import (
     ParameterRecord,
     recorded_identification,
     truth_of,

@@ -19,13 +19,13 @@ from cosim.core.signals import Channel, Signal
 from cosim.report.certificate import certificate_of
 from cosim.report.summary import summarize
 from cosim.report.tables.certificate import notes, search_rows, share_text
-from cosim.scenario.actions.action_tables import effect_of, signals_of
 from cosim.scenario.building.build import DescribedScenario, describe
 from cosim.scenario.building.coupling_check import described_gains, gain_values
 from cosim.scenario.data_files.field_file import read_field_data
+from cosim.scenario.document.action_tables import effect_of, signals_of
 from cosim.scenario.document.document import find
 from cosim.scenario.document.schema import ActionTable
-from cosim.scenario.recordings.recorded_metadata import (
+from cosim.scenario.recorded_metadata import (
     component_table,
     recorded_certificate,
     recorded_loop_gains,

@@ -12,7 +12,7 @@ from cosim.core.recorded import find_signal
 from cosim.core.recording import Recording
 from cosim.core.signals import Signal
 from cosim.errors import LogError, UnknownSignalError
-from cosim.scenario.recordings.recorded_metadata import component_record
+from cosim.scenario.recorded_metadata import component_record
 from cosim.units import conversion
 
 

@@ -39,7 +39,7 @@ from cosim.errors import quoted
 from cosim.log import Log
 from cosim.log.layout import signals_json
 from cosim.log.result import RESULT, RESULT_FILE
-from cosim.scenario.recordings.recorded_metadata import (
+from cosim.scenario.recorded_metadata import (
     EIGENVALUE_FIGURES,
     IdentificationRecord,
     ParameterRecord,

@@ -19,10 +19,11 @@ from cosim.errors import LogError
 from cosim.report.recorded_rows import beside_truth, element_names, has_signal, lag_of, rows_of
 from cosim.scenario.document.schema import truth_ports
 from cosim.scenario.identification.run_verdicts import OUTPUT_ERROR
-from cosim.scenario.recordings.recorded_metadata import (
+from cosim.scenario.recorded_metadata import (
     ComponentRecord,
     IdentificationRecord,
     IrregularRecord,
+    Lateness,
     ParameterRecord,
     ReconstructionRecord,
     component_record,
@@ -39,7 +40,6 @@ from cosim.scenario.recordings.recorded_metadata import (
     truth_of,
     until_came_true,
 )
-from cosim.scenario.running.real_time import Lateness
 from cosim.theory.assessment.consistency import NOTHING_ELSE
 from cosim.theory.disturbances.excitation import describe_excitation, information
 

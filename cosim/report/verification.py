@@ -25,7 +25,7 @@ from cosim.errors import command, flag, listing
 from cosim.log import Log
 from cosim.log.diff import LogDifference, SignalDifference, diff
 from cosim.report.statements import COMPARED, NOT_COMPARED, Contradiction, contradictions
-from cosim.scenario.recordings.recorded_metadata import (
+from cosim.scenario.recorded_metadata import (
     component_record,
     recorded_substep_counts,
     replay_origin,

@@ -14,7 +14,7 @@ from cosim.arguments import mapping_argument
 from cosim.core.connections import ONE_SOURCE, Connection, components_driving
 from cosim.core.port import Port
 from cosim.errors import CosimError, GraphError, nearest, quoted
-from cosim.scenario.actions.action_tables import validate_actions
+from cosim.scenario.document.action_tables import validate_actions
 from cosim.scenario.document.document import Document
 from cosim.scenario.document.problems import Key, Problem, TableProblems, problems_of
 from cosim.scenario.document.schema import ActionTable, ConnectionTable, File
@@ -22,7 +22,7 @@ from cosim.scenario.document.swap import MapEntry, PortNames, ports_in, resolve_
 from cosim.scenario.kinds import KINDS, Kind
 
 if TYPE_CHECKING:
-    from cosim.scenario.running.session import Session
+    from cosim.scenario.session import Session
 
 STAND_INS = {"name": "unnamed", "stop": 1.0, "step": 1.0}  # for settings without a right value
 

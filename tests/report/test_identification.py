@@ -14,8 +14,8 @@ from cosim.report.identification import report_identification
 from cosim.report.plots import identification as plots
 from cosim.report.plots.intervals import band_curves
 from cosim.report.plots.picture import PictureOptions
-from cosim.scenario.identification.from_logs import identifier_record, identify_records
 from cosim.scenario.identification.run_verdicts import IDENTIFICATION
+from cosim.scenario.identifying import identifier_record, identify_records
 
 FAST = {"scenario.step": 0.02, "observer.filter_rate": 50.0}
 

@@ -16,7 +16,7 @@ from cosim.fmi.component import ModelExchange, load
 from cosim.fmi.generated import GeneratedInstance
 from cosim.fmi.options import FmuOptions
 from cosim.fmi.reading.model_description import read
-from cosim.scenario.building.context import ScenarioBuildContext
+from cosim.scenario.context.build_context import ScenarioBuildContext
 from cosim.scenario.document.document import find
 from cosim.scenario.exporting import export_component
 from tests.scenario.exported import (

@@ -22,7 +22,7 @@ from cosim.report.plots.curves import (
 from cosim.report.plots.estimates import draw_truth, limit_to_settled, limit_to_truth
 from cosim.report.plots.picture import Picture, PictureOptions, need_plot
 from cosim.report.recorded_rows import difference, element_names, has_signal, signal_of
-from cosim.scenario.recordings.recorded_metadata import truth_of
+from cosim.scenario.recorded_metadata import truth_of
 
 if TYPE_CHECKING:
     from cosim.report.comparing import Comparison

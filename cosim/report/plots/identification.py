@@ -22,8 +22,8 @@ from cosim.report.plots.intervals import band_curves, draw_bands, edges
 from cosim.report.plots.picture import Picture, PictureOptions, need_plot
 from cosim.report.recorded_rows import has_signal, signal_of, stacked_rows_of
 from cosim.scenario.document.schema import truth_ports
-from cosim.scenario.identification.from_logs import IdentifierRecord, LogIdentification
-from cosim.scenario.recordings.recorded_metadata import truth_of
+from cosim.scenario.identifying import IdentifierRecord, LogIdentification
+from cosim.scenario.recorded_metadata import truth_of
 from cosim.theory.assessment.spectrum import whiteness_spectrum
 from cosim.theory.assessment.verdicts import Verdict
 from cosim.theory.disturbed_plant import counted_values

@@ -10,7 +10,7 @@ from cosim.report.guaranteed import interval_text, reach_text
 from cosim.report.identification import IdentificationReport, TimedPart
 from cosim.report.summary import numbers_text
 from cosim.report.tables.console import new_table, print_json, print_table
-from cosim.scenario.identification.from_logs import IdentifierRecord, LogIdentification
+from cosim.scenario.identifying import IdentifierRecord, LogIdentification
 from cosim.theory.assessment.consistency import NOTHING_ELSE, ResidualTest
 from cosim.theory.assessment.validation import Validation
 from cosim.theory.assessment.verdicts import ParameterVerdict

@@ -29,13 +29,13 @@ from cosim.report.summary import (
 from cosim.report.tables.certificate import certificate_tables
 from cosim.report.tables.console import new_table, print_json, print_line, print_table
 from cosim.scenario.building.coupling_check import gain_text
-from cosim.scenario.building.initial_states import change_text
-from cosim.scenario.recordings.recorded_metadata import (
+from cosim.scenario.kinds.initial_states import change_text
+from cosim.scenario.recorded_metadata import (
+    Lateness,
     component_record,
     recorded_state_changes,
     recorded_warnings,
 )
-from cosim.scenario.running.real_time import Lateness
 
 if TYPE_CHECKING:
     from cosim.report.compensation import CompensationSummary

@@ -26,10 +26,10 @@ from cosim.core.stepping.actions import (
 from cosim.core.stepping.fault_injection import faults_of
 from cosim.core.structure.ports import ConnectionEnd, Ports, layout_of
 from cosim.errors import ClockError, CosimError, GraphError, UsageError, listing, nearest
-from cosim.scenario.actions.action_tables import effect_of, signals_of
 from cosim.scenario.actions.settings import SettingBuilder
+from cosim.scenario.actions.stopping import condition_problem
 from cosim.scenario.actions.timed_swaps import SwapBuilder
-from cosim.scenario.building.stopping import condition_problem
+from cosim.scenario.document.action_tables import effect_of, signals_of
 from cosim.scenario.document.problems import Key, Problem, TableProblems
 from cosim.scenario.document.schema import ActionTable
 

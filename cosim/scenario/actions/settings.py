@@ -24,7 +24,7 @@ from cosim.core.stepping.actions import AT_CONDITION, NO_VARIANTS, ActedOn, Acti
 from cosim.core.stepping.jumps import ParameterValues
 from cosim.errors import LogError, RunError, UsageError, listing, nearest, quoted
 from cosim.log.metadata import decode_design, encode_design
-from cosim.scenario.building.context import ScenarioBuildContext
+from cosim.scenario.context.build_context import ScenarioBuildContext
 from cosim.scenario.document.problems import Problem, TableProblems, problems_of
 from cosim.scenario.kinds import Kind
 from cosim.scenario.parsing import Scenario

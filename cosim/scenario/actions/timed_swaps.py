@@ -18,7 +18,7 @@ from cosim.core.contracts import Component
 from cosim.core.signals import Interface
 from cosim.core.stepping.actions import Swap
 from cosim.errors import UsageError, listing
-from cosim.scenario.building.context import ScenarioBuildContext
+from cosim.scenario.context.build_context import ScenarioBuildContext
 from cosim.scenario.document.swap import component_table
 from cosim.scenario.kinds import KINDS
 from cosim.scenario.parsing import Scenario

@@ -15,11 +15,11 @@ from cosim.errors import AssumptionError, RunError
 from cosim.scenario.assumptions.attempts import Evidence
 from cosim.scenario.building.build import Builder
 from cosim.scenario.building.changed_loops import changed_loops
-from cosim.scenario.building.context import DependsOnInvalid
 from cosim.scenario.building.coupling_check import CouplingReport, report_behind, report_on
 from cosim.scenario.building.experiment import Experiment
-from cosim.scenario.building.initial_states import change_text, changed_states
+from cosim.scenario.context.build_context import DependsOnInvalid
 from cosim.scenario.document.problems import Problem
+from cosim.scenario.kinds.initial_states import change_text, changed_states
 
 BEGINNING: Final = "beginning of the run"
 

@@ -23,9 +23,9 @@ from cosim.scenario.assumptions.compensation import CompensatorCheck, driven_by
 from cosim.scenario.assumptions.identification import IdentifierCheck, communication_points
 from cosim.scenario.assumptions.regression import RegressorCheck
 from cosim.scenario.building.build import Builder
-from cosim.scenario.building.context import DependsOnInvalid
 from cosim.scenario.building.coupling_check import COUPLING, CouplingReport, gain_text, gain_values
 from cosim.scenario.building.known_truth import disturbance_among, parameters_by_term
+from cosim.scenario.context.build_context import DependsOnInvalid
 from cosim.scenario.kinds.base import Kind
 from cosim.scenario.kinds.compensators import CompensatorKind
 from cosim.scenario.kinds.identification import IdentifierKind

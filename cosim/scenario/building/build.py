@@ -20,25 +20,25 @@ from cosim.core.stepping.actions import AT_CONDITION, Action, ConditionalAction,
 from cosim.core.structure.connection_checks import check_connections
 from cosim.core.structure.ports import Ports, layout_of
 from cosim.errors import CosimError
-from cosim.scenario.building.context import (
+from cosim.scenario.actions.stopping import check_until, until_warnings
+from cosim.scenario.building.experiment import Experiment
+from cosim.scenario.building.graph_checks import held_disturbances, jump_problems
+from cosim.scenario.building.substeps import check_substeps, substep_tolerance, substep_warnings
+from cosim.scenario.building.truth import check_truth
+from cosim.scenario.context.build_context import (
     DependsOnInvalid,
     NotImported,
     ScenarioBuildContext,
     clock_of,
 )
-from cosim.scenario.building.experiment import Experiment
-from cosim.scenario.building.graph_checks import held_disturbances, jump_problems
-from cosim.scenario.building.initial_states import GivenStates
-from cosim.scenario.building.models import form_problems
-from cosim.scenario.building.stopping import check_until, until_warnings
-from cosim.scenario.building.substeps import check_substeps, substep_tolerance, substep_warnings
-from cosim.scenario.building.truth import check_truth
+from cosim.scenario.context.models import form_problems
 from cosim.scenario.document.document import Document
 from cosim.scenario.document.problems import Key, Problem, TableProblems
 from cosim.scenario.document.swap import MapEntry, ports_in, unknown_ports
 from cosim.scenario.kinds import BuildContext, Kind
+from cosim.scenario.kinds.initial_states import GivenStates
 from cosim.scenario.parsing import Scenario, read
-from cosim.scenario.recordings.recorded_metadata import component_record
+from cosim.scenario.recorded_metadata import component_record
 
 if TYPE_CHECKING:
     from cosim.blocks.port_map import PortMap

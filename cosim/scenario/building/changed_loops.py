@@ -20,8 +20,8 @@ from cosim.core.linearization import Linearized
 from cosim.core.port import Port
 from cosim.core.stepping.actions import AT_CONDITION
 from cosim.errors import CosimError
-from cosim.scenario.actions.action_tables import signals_of
 from cosim.scenario.building.experiment import Experiment
+from cosim.scenario.document.action_tables import signals_of
 from cosim.scenario.document.problems import Key
 from cosim.scenario.document.schema import ActionTable
 

@@ -13,10 +13,10 @@ from cosim.core.gain.loop_gain import LoopGain
 from cosim.core.graph import Graph
 from cosim.core.recording import Plan, SignalEvent
 from cosim.core.stepping.actions import Action, ConditionalAction, TimedAction
-from cosim.scenario.building.initial_states import GivenStates
 from cosim.scenario.identification.model import IdentifiedPlant
+from cosim.scenario.kinds.initial_states import GivenStates
 from cosim.scenario.parsing import Scenario
-from cosim.scenario.recordings.recorded_metadata import ReplayOrigin
+from cosim.scenario.recorded_metadata import ReplayOrigin
 
 if TYPE_CHECKING:
     from cosim.fmi.binary.messages import Message

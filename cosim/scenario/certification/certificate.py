@@ -33,14 +33,14 @@ from cosim.core.recorders import Nothing, Watched, close, end_of_run, error_text
 from cosim.core.recording import Recorder
 from cosim.core.signals import Layout
 from cosim.errors import CosimError, Interrupted, RunError, UsageError, option
-from cosim.scenario.actions.action_tables import signals_of
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.certification.thinned_rows import QUARTERS, JumpWatch, ThinnedRows
+from cosim.scenario.document.action_tables import signals_of
 from cosim.scenario.document.schema import ActionTable
 from cosim.scenario.parsing import Scenario
-from cosim.scenario.recordings.recorded_metadata import CERTIFICATE
+from cosim.scenario.preparing import build_experiment
+from cosim.scenario.recorded_metadata import CERTIFICATE
 from cosim.scenario.recordings.recording import Progress, run_into
-from cosim.scenario.running.preparing import build_experiment
 from cosim.theory.richardson import StepError, step_error
 
 MOST_VALUES: Final = 2**24  # that are kept of a run: 128 MB

@@ -24,8 +24,8 @@ from cosim.errors import CosimError, Interrupted, RunError, UnknownSignalError, 
 from cosim.scenario.certification.certificate import Certifier, certifier_of
 from cosim.scenario.certification.thinned_rows import QUARTERS
 from cosim.scenario.parsing import Scenario
+from cosim.scenario.preparing import build_experiment
 from cosim.scenario.recordings.recording import Progress, run_into
-from cosim.scenario.running.preparing import build_experiment
 from cosim.theory.richardson import FEWEST, StepError
 
 MOST_STEPS: Final = 10**7  # of the finest run

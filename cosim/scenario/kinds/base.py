@@ -19,9 +19,9 @@ from cosim.core.linear import Linear, LinearModel
 from cosim.core.port import Port
 from cosim.core.recording import Recording
 from cosim.core.signals import Interface
-from cosim.scenario.building.initial_states import GivenStates
 from cosim.scenario.document.schema import Number, TomlTable, UnitName
 from cosim.scenario.identification.model import IdentifiedPlant
+from cosim.scenario.kinds.initial_states import GivenStates
 from cosim.theory.plants.descriptor import DescriptorSystem
 
 if TYPE_CHECKING:

@@ -18,8 +18,6 @@ from cosim.core.clock import NANOSECONDS, whole_steps
 from cosim.core.contracts import Component
 from cosim.core.linear import Linear, LinearModel
 from cosim.errors import AssumptionError, LogError, UsageError
-from cosim.scenario.building.initial_states import GivenStates
-from cosim.scenario.building.linearizing import DesignModel, MovingModel, design_model, split
 from cosim.scenario.document.schema import (
     Flag,
     Number,
@@ -37,6 +35,8 @@ from cosim.scenario.kinds.base import (
     Spectrum,
     Wiring,
 )
+from cosim.scenario.kinds.initial_states import GivenStates
+from cosim.scenario.kinds.linearizing import DesignModel, MovingModel, design_model, split
 from cosim.scenario.kinds.plants import StartField, check_foreign_initial
 from cosim.scenario.kinds.reconstruction import (
     DEFAULT_ORDER,

@@ -18,7 +18,6 @@ from cosim.core.linear import DescriptorModel, LinearModel
 from cosim.core.recording import SignalEvent
 from cosim.errors import UsageError, nearest
 from cosim.fmi.driving.solvers import SOLVERS, STEPPING
-from cosim.scenario.building.initial_states import GivenStates
 from cosim.scenario.document.schema import Flag, Number, NumberRow, Whole
 from cosim.scenario.kinds.base import (
     BuildContext,
@@ -28,7 +27,8 @@ from cosim.scenario.kinds.base import (
     PeriodicKind,
     Sampling,
 )
-from cosim.scenario.recordings.recorded_metadata import component_record
+from cosim.scenario.kinds.initial_states import GivenStates
+from cosim.scenario.recorded_metadata import component_record
 from cosim.theory.plants.descriptor import DescriptorSystem, reduce
 
 if TYPE_CHECKING:

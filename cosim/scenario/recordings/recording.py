@@ -20,8 +20,8 @@ from cosim.files import file_type
 from cosim.log import Log, McapRecorder
 from cosim.log.paths import check_new_log, log_path
 from cosim.scenario.building.experiment import Experiment
+from cosim.scenario.recordings.interrupting import interruptible
 from cosim.scenario.recordings.records import MessageRecorder, attachments_of, metadata_of
-from cosim.scenario.running.interrupting import interruptible
 
 Progress = Callable[[float, float], None]  # simulated time, end [s]
 Notice = Callable[[str], None]

@@ -22,8 +22,8 @@ from cosim.log import Attachment
 from cosim.scenario.actions.settings import SETTINGS
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.building.fingerprint import fingerprint
-from cosim.scenario.building.initial_states import INITIAL_STATES, change_text, changed_states
 from cosim.scenario.identification.run_verdicts import IDENTIFICATION, Assessor
+from cosim.scenario.kinds.initial_states import INITIAL_STATES, change_text, changed_states
 from cosim.units import Conversion
 
 if TYPE_CHECKING:

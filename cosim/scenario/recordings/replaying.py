@@ -27,7 +27,7 @@ from cosim.scenario.document.edits import ACTIONS, short
 from cosim.scenario.document.swap import is_map_key
 from cosim.scenario.kinds import KINDS, Kind
 from cosim.scenario.parsing import Scenario, read
-from cosim.scenario.recordings.recorded_metadata import (
+from cosim.scenario.recorded_metadata import (
     CodeRecord,
     component_metadata,
     component_record,

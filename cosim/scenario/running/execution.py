@@ -20,7 +20,8 @@ from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.document.document import Document, find
 from cosim.scenario.document.swap import PortNames
 from cosim.scenario.parsing import Scenario
-from cosim.scenario.recordings.recorded_metadata import ReplayOrigin, recorded_loop_gains
+from cosim.scenario.preparing import build_experiment
+from cosim.scenario.recorded_metadata import ReplayOrigin, recorded_loop_gains
 from cosim.scenario.recordings.recording import (
     Beside,
     Notice,
@@ -38,11 +39,10 @@ from cosim.scenario.recordings.replaying import (
     valid_designs,
     with_setting_designs,
 )
-from cosim.scenario.running.preparing import build_experiment
 
 if TYPE_CHECKING:
     from cosim.scenario.certification.certificate import Certification
-    from cosim.scenario.running.session import Session
+    from cosim.scenario.session import Session
 
 OwnRecorder = TypeVar("OwnRecorder", bound=Recorder)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any, Final, final
 
 from cosim.arguments import number_argument
@@ -18,34 +18,9 @@ from cosim.core.contracts import Block
 from cosim.core.recorders import Watched, close
 from cosim.core.recording import Recorder
 from cosim.errors import UsageError, option
+from cosim.scenario.recorded_metadata import REAL_TIME, Lateness
 
 BLOCK: Final = 0.01  # s of wall time between two waits, about
-REAL_TIME: Final = "real_time"  # its key among the results of a run
-
-
-@dataclass(frozen=True)
-class Lateness:
-    """How late a run was that should keep the pace of the wall clock.
-
-    Parameters
-    ----------
-    factor : float
-        Simulated time by wall time.
-    blocks : int
-        Where the pace was looked at.
-    late : int
-        Of these, those that were complete only after their time.
-    largest : float
-        Wall time by which the latest of them was [s].
-    time : float
-        Simulated time there [s].
-    """
-
-    factor: float
-    blocks: int
-    late: int
-    largest: float
-    time: float
 
 
 @final

@@ -13,10 +13,10 @@ from cosim.core.simulation import Simulation
 from cosim.errors import RunError, UsageError
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.parsing import Scenario
+from cosim.scenario.preparing import build_experiment
 from cosim.scenario.recordings.recording import Target, check_target, log_recorder
 from cosim.scenario.recordings.records import MessageRecorder, metadata_of
-from cosim.scenario.running.preparing import build_experiment
-from cosim.scenario.running.session import Opened, Session
+from cosim.scenario.session import Opened, Session
 
 
 def start(

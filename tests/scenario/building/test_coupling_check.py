@@ -9,7 +9,7 @@ from cosim.cli import main
 from cosim.errors import LogError, NonFiniteError, ScenarioError
 from cosim.report.summary import summarize
 from cosim.scenario.exporting import export_component
-from cosim.scenario.recordings.recorded_metadata import recorded_loop_gains, recorded_warnings
+from cosim.scenario.recorded_metadata import recorded_loop_gains, recorded_warnings
 
 PAIR = """
 [scenario]

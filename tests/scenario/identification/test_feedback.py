@@ -7,7 +7,7 @@ import pytest
 import cosim
 from cosim.scenario.building.build import Builder
 from cosim.scenario.identification.feedback import inputs_in_feedback
-from cosim.scenario.identification.from_logs import identifier_record
+from cosim.scenario.identifying import identifier_record
 from cosim.scenario.running.execution import load
 
 

@@ -12,7 +12,7 @@ from cosim.scenario.assumptions.regression import CLASS, DELAYS
 from cosim.scenario.assumptions.report import check_assumptions
 from cosim.scenario.building.build import parse
 from cosim.scenario.document.document import Document
-from cosim.scenario.recordings.recorded_metadata import recorded_identification
+from cosim.scenario.recorded_metadata import recorded_identification
 
 SOURCE = """
 [scenario]

@@ -12,8 +12,8 @@ import cosim
 from cosim.errors import RunError, ScenarioError, UsageError
 from cosim.fmi.linearizing.linearize import linearize
 from cosim.scenario.assumptions.report import check_assumptions
-from cosim.scenario.building.linearizing import model_toml, split
 from cosim.scenario.exporting import export_component
+from cosim.scenario.kinds.linearizing import model_toml, split
 from tests.fmi.pendulum import jacobian, pendulum
 
 pytestmark = pytest.mark.usefixtures("without_verdicts")

@@ -5,7 +5,7 @@ import pytest
 
 import cosim
 from cosim.errors import CosimError
-from cosim.scenario.recordings.recorded_metadata import component_record
+from cosim.scenario.recorded_metadata import component_record
 from tests.scenario.kinds.test_compensation import scenario
 
 DRIVE = np.array([[0, 0, 1, 0], [0, 0, 0, 1], [-5, 4, -1.8, 0.8], [4, -5, 0.8, -1.8]])

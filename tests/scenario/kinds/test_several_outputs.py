@@ -8,7 +8,7 @@ import pytest
 import cosim
 from cosim.errors import CosimError
 from cosim.scenario.exporting import export_component
-from cosim.scenario.recordings.recorded_metadata import recorded_identification
+from cosim.scenario.recorded_metadata import recorded_identification
 from cosim.testing import check_component
 from tests.scenario.online import identifiers
 

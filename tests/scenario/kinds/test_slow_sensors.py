@@ -7,8 +7,8 @@ import cosim
 from cosim.errors import CosimError
 from cosim.scenario.document.document import find
 from cosim.scenario.exporting import export_component
-from cosim.scenario.identification.from_logs import identifier_record, identify_records
-from cosim.scenario.recordings.recorded_metadata import recorded_identification
+from cosim.scenario.identifying import identifier_record, identify_records
+from cosim.scenario.recorded_metadata import recorded_identification
 from tests.scenario.kinds.test_several_outputs import SCENARIO as TWO
 
 H = 1e-2  # s

@@ -9,8 +9,8 @@ import pytest
 
 import cosim
 from cosim.errors import UsageError
-from cosim.scenario.identification.from_logs import identifier_record, identify_records
 from cosim.scenario.identification.run_verdicts import IDENTIFICATION, plain_amplitudes
+from cosim.scenario.identifying import identifier_record, identify_records
 
 FAST = {"scenario.step": 0.01, "observer.filter_rate": 100.0}
 

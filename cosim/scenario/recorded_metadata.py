@@ -20,7 +20,6 @@ from cosim.core.stages.substep_control import SUBSTEP_COUNTS, SubstepCounts
 from cosim.errors import LogError
 from cosim.log.metadata import read_json
 from cosim.scenario.document.schema import Number, NumberRow, NumberRows, Whole, truth_ports
-from cosim.scenario.running.real_time import REAL_TIME, Lateness
 from cosim.units import conversion
 
 Text = Annotated[str, Field(strict=True)]
@@ -329,6 +328,31 @@ class StateChangeRecord(_Record):
 
 
 @dataclass(frozen=True)
+class Lateness:
+    """How late a run was that should keep the pace of the wall clock.
+
+    Parameters
+    ----------
+    factor : float
+        Simulated time by wall time.
+    blocks : int
+        Where the pace was looked at.
+    late : int
+        Of these, those that were complete only after their time.
+    largest : float
+        Wall time by which the latest of them was [s].
+    time : float
+        Simulated time there [s].
+    """
+
+    factor: float
+    blocks: int
+    late: int
+    largest: float
+    time: float
+
+
+@dataclass(frozen=True)
 class ReplayOrigin:
     """What a replay is made from.
 
@@ -369,7 +393,9 @@ _STATE_CHANGES: TypeAdapter[dict[str, tuple[StateChangeRecord, ...]]] = TypeAdap
 )
 _COMPONENT: TypeAdapter[ComponentRecord] = TypeAdapter(ComponentRecord)  # deferred by its config
 _CERTIFICATE: TypeAdapter[CertificateRecord] = TypeAdapter(CertificateRecord)  # the same
-CERTIFICATE: Final = "certificate"  # its key among the results of a run
+# keys among the results of a run
+CERTIFICATE: Final = "certificate"
+REAL_TIME: Final = "real_time"
 _OF_IDENTIFIERS = ("start_time", "P0")
 _TIMES = ("T_obs", "T_f", "D_max", "T_id")
 

@@ -30,7 +30,7 @@ from cosim.scenario.identification.feedback import inputs_in_feedback
 from cosim.scenario.identification.irregular import interval_of
 from cosim.scenario.identification.model import IdentifiedPlant, SampleRows, ThetaBounds, bounds_of
 from cosim.scenario.identification.run_verdicts import OUTPUT_ERROR
-from cosim.scenario.recordings.recorded_metadata import component_record
+from cosim.scenario.recorded_metadata import component_record
 from cosim.scenario.recordings.replaying import rebuilt
 from cosim.theory.assessment.advice import advised
 from cosim.theory.assessment.agreement import contradictions, each_alone

@@ -21,14 +21,14 @@ from cosim.core.recording import Recording
 from cosim.core.signals import Interface
 from cosim.core.structure.ports import unknown_port
 from cosim.errors import CosimError, LogError, UsageError, nearest, option, quoted
-from cosim.scenario.building.models import LETTERS, system_of, system_of_file
+from cosim.scenario.context.models import LETTERS, system_of, system_of_file
 from cosim.scenario.document.problems import Key, TableProblems
 from cosim.scenario.document.swap import ports_in
 from cosim.scenario.identification.model import IdentifiedPlant
 from cosim.scenario.kinds import Kind
 from cosim.scenario.kinds.base import KnownSignal, Spectrum
 from cosim.scenario.parsing import Scenario
-from cosim.scenario.recordings.recorded_metadata import (
+from cosim.scenario.recorded_metadata import (
     CodeRecord,
     LinearizationRecord,
     component_record,
