@@ -293,8 +293,12 @@ class DescribedFmu:
     def __init__(
         self, archive: Archive, interface_type: InterfaceType, description: Description
     ) -> None:
-        rollback = description.capabilities[interface_type].saves_state
-        self.interface = replace(description.interface, rollback=rollback)
+        capabilities = description.capabilities[interface_type]
+        self.interface = replace(
+            description.interface,
+            rollback=capabilities.saves_state,
+            substeps=interface_type == "me" or capabilities.variable_step,
+        )
         self.metadata = _metadata(archive, interface_type)
         self._refusal = FmuError(f"{archive.path}: only its description was read")
 

@@ -139,6 +139,33 @@ def test_newton_solves_for_its_inputs(tmp_path):
     assert "solved" in {connection.course for connection in schedule.connections}
 
 
+LAGS = """
+[scenario]
+name = "lags"
+stop = 1.0
+step = 0.1
+substeps = {{ min = 1e-3 }}
+[components]
+one = {}
+two = {{ kind = "lag", time_constant = 2.0 }}
+[connections]
+"one.u" = "two.y"
+"two.u" = "one.y"
+"""
+
+
+def test_substeps_of_fmus_are_named(tmp_path, capsys):
+    """They are known from the descriptions, as nothing of an FMU runs."""
+    path = tmp_path / "lags.toml"
+    path.write_text(LAGS.format('{ kind = "lag", time_constant = 1.0 }'), encoding="utf-8")
+    run(capsys, "export", path, "--component", "one", "--out", tmp_path / "one.fmu")
+    for interface_type in ("me", "cs"):
+        table = f'{{ kind = "fmu", path = "one.fmu", interface_type = "{interface_type}" }}'
+        path.write_text(LAGS.format(table), encoding="utf-8")
+        line = run(capsys, "info", path, "--graph").splitlines()[2]
+        assert line.endswith("; in substeps of 0.001 s or more")
+
+
 def test_text_shows_stages_components_and_connections(capsys):
     lines = run(capsys, "info", "closed-loop", "--graph").splitlines()
     assert lines[0] == "closed-loop: stages in their order, communication step 0.001 s"
