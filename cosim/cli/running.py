@@ -236,8 +236,9 @@ def replay(
             "--verify",
             help="Check the log's content hash, and compare with the log what is computed again: "
             "every signal, bit for bit, and what the log says of its run (truth, connections, "
-            "schedule, times, component tables, warnings, last row); exit 1 if one differs. A log "
-            "is not signed: one of another run, put in its place as a whole, passes.",
+            "schedule, times, component tables, overrides, substeps, warnings, last row, "
+            "verdicts); exit 1 if one differs. A log is not signed: one of another run, put in "
+            "its place as a whole, passes.",
         ),
     ] = False,
     allow_code: Annotated[

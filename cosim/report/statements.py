@@ -46,6 +46,7 @@ from cosim.scenario.recorded_metadata import (
     component_metadata,
     component_table,
     recorded_identification,
+    recorded_substep_counts,
     recorded_warnings,
     run_metadata,
 )
@@ -211,6 +212,10 @@ class _Statements:
             value = results.get(key)
             text = value if value is None else str(value)
             yield f"{key} in {RESULT_FILE}", text, recorded.get(key)
+        if self._source.status == "complete":  # else the run may have taken some beyond the end
+            counts = recorded_substep_counts(self._source)
+            expected_counts = recorded_substep_counts(self._again)
+            yield f"counts of substeps in {RESULT_FILE}", counts, expected_counts
         expected = self._again.results["last"]
         last = results.get("last")
         if last is None and self._source.status == "failed":

@@ -51,12 +51,14 @@ class CopiedSubsteps:
     copied: tuple[str, ...]
 
     def __str__(self) -> str:
-        return (
+        text = (
             f"not computed, but copied from the log: the substeps of the loop of "
             f"{listing(self.loop)} in /cosim/step: which were taken or refused, their estimated "
-            f"errors, the inputs at their ends and there the outputs of {listing(self.copied)}; "
-            "the other outputs there were compared"
+            f"errors, the inputs at their ends and there the outputs of {listing(self.copied)}"
         )
+        if len(self.copied) < len(self.loop):
+            text += "; the other outputs there were compared"
+        return text
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,7 @@
 """Substeps in scenarios: what is refused and reported, logs, replays."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -101,6 +103,22 @@ def test_a_changed_value_of_a_substep_is_found(pair, tmp_path):
         assert len(problems) == 1
         assert "substep of the loop of 'one' at t = 0.0" in problems[0]
         assert f"value {number}: found" in problems[0]
+
+
+def test_a_changed_count_of_substeps_is_found(pair, tmp_path):
+    """The counts that a summary shows follow from the substeps."""
+    log = cosim.run(pair, out=tmp_path / "x.mcap")
+    results = json.loads(json.dumps(dict(log.results)))
+    results["substeps"][0]["missed"] += 1
+    content = take_apart(log.path)
+    content.attachments = [
+        (name, json.dumps(results).encode() if name == "result.json" else data)
+        for name, data in content.attachments
+    ]
+    put_together(content, tmp_path / "y.mcap")
+    changed = Log(tmp_path / "y.mcap")
+    (problem,) = verify(changed, cosim.replay(changed)).problems
+    assert "counts of substeps in result.json: found" in problem
 
 
 def test_a_changed_output_is_found_beside_recorded_components(tmp_path):
