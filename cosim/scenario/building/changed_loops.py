@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
@@ -21,9 +22,11 @@ from cosim.core.port import Port
 from cosim.core.stepping.actions import AT_CONDITION
 from cosim.errors import CosimError
 from cosim.scenario.building.experiment import Experiment
-from cosim.scenario.document.action_tables import signals_of
+from cosim.scenario.document.action_tables import effect_of, signals_of
 from cosim.scenario.document.problems import Key
 from cosim.scenario.document.schema import ActionTable
+
+NOT_LINEARIZED: Final = ("delay", "drop")  # actions on an input that leave the loop closed
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +45,8 @@ class ChangedLoops:
         That it changes.
     loops : LinearizedLoops
         Over the rest of the run; over all of it where the instant is not known.
+    not_linearized : mapping of component name to str
+        A fault of one of its inputs, in words, that the loops do without.
     """
 
     key: Key
@@ -49,6 +54,7 @@ class ChangedLoops:
     is_certain: bool
     components: frozenset[str]
     loops: LinearizedLoops
+    not_linearized: Mapping[str, str]
 
 
 def changed_loops(
@@ -66,7 +72,7 @@ def changed_loops(
     """
     actions = experiment.scenario.actions
     changes = _Changes(experiment, row)
-    beginning = _Components(loops.linearized, {})
+    beginning = _Components(loops.linearized, {}, {})
     now = beginning
     for at, numbers in _by_instant(actions).items():
         changed: dict[str, int] = {}  # by component, the first action
@@ -78,7 +84,8 @@ def changed_loops(
             behind = replace(loops, clock=clock, linearized=now.scaled())
             key = ("actions", min(changed.values()))
             names = frozenset(changed)
-            yield ChangedLoops(key, f"behind the action at {at} s", True, names, behind)
+            text = f"behind the action at {at} s"
+            yield ChangedLoops(key, text, True, names, behind, now.not_linearized)
     for number, action in actions.items():
         if action.when is None:
             continue
@@ -86,7 +93,8 @@ def changed_loops(
         if names:
             behind = replace(loops, linearized=after.scaled())
             text = f"behind the action when {action.when!r}, taken as at the start"
-            yield ChangedLoops(("actions", number), text, False, names, behind)
+            key = ("actions", number)
+            yield ChangedLoops(key, text, False, names, behind, after.not_linearized)
 
 
 def _by_instant(actions: Mapping[int, ActionTable]) -> dict[float, list[int]]:
@@ -107,10 +115,18 @@ class _Components:
     linearized : mapping of component name to Linearized
     factors : mapping of component name to Vector, shape (n_u,)
         That faults multiply inputs by; 1 where not named.
+    faults : mapping of (component name, element of its inputs) to str
+        Those that have no linearization, in words.
     """
 
     linearized: Mapping[str, Linearized]
     factors: Mapping[str, Vector]
+    faults: Mapping[tuple[str, int], str]
+
+    @property
+    def not_linearized(self) -> dict[str, str]:
+        """A fault by component, of those that have no linearization."""
+        return {name: text for (name, _), text in self.faults.items()}
 
     def scaled(self) -> dict[str, Linearized]:
         """Return them with their inputs multiplied."""
@@ -155,17 +171,21 @@ class _Changes:
             if found is not None:
                 linearizations[name] = found
         all_factors = dict(before.factors)
+        all_faults = dict(before.faults)
         for signal in signals_of(action):
             port = Port.parse(signal)
             if not self._is_inside(port):
                 continue
+            elements = self._elements(port)
             own = all_factors.get(port.component)
-            factors = self._factors(port, action, own)
+            factors = self._factors(port.component, elements, action, own)
             if own is None or (factors != own).any():
                 all_factors[port.component] = factors
             if (factors != (1.0 if own is None else own)).any():
                 names.add(port.component)
-        return _Components(linearizations, all_factors), frozenset(names)
+            if _set_fault(all_faults, port, elements, action):
+                names.add(port.component)
+        return _Components(linearizations, all_factors, all_faults), frozenset(names)
 
     def _is_inside(self, port: Port) -> bool:
         """Return whether an input is driven from the loop that it is in."""
@@ -175,16 +195,23 @@ class _Changes:
                 return True
         return False
 
-    def _factors(self, port: Port, action: ActionTable, before: Vector | None) -> Vector:
+    def _elements(self, port: Port) -> range:
+        """Return which of the inputs of its component a port is."""
+        end = self._experiment.graph.ports.input(port)
+        first = end.columns.start - end.channel.inputs.start
+        return range(first, first + end.size)
+
+    def _factors(
+        self, name: str, elements: range, action: ActionTable, before: Vector | None
+    ) -> Vector:
         """Return the factors of the inputs of a component, of which an action is about some.
 
         What is added to an input does not change what a loop makes of an error; what takes its
         place opens the loop, and is left out.
         """
-        end = self._experiment.graph.ports.input(port)
-        factors = np.ones(end.channel.interface.n_u) if before is None else before.copy()
-        first = end.columns.start - end.channel.inputs.start
-        factors[first : first + end.size] = 1.0 if action.gain is None else action.gain
+        n_u = self._experiment.graph.layout[name].interface.n_u
+        factors = np.ones(n_u) if before is None else before.copy()
+        factors[elements.start : elements.stop] = 1.0 if action.gain is None else action.gain
         return factors
 
     def _linearized(self, name: str, time_ns: int) -> Linearized | None:
@@ -203,3 +230,18 @@ class _Changes:
             return linearized(component, t, u)
         except CosimError:  # the run will end with it
             return None
+
+
+def _set_fault(
+    faults: dict[tuple[str, int], str], port: Port, elements: range, action: ActionTable
+) -> bool:
+    """Set what an action makes of faults without a linearization; return whether that changed."""
+    before = dict(faults)
+    effect = effect_of(action)
+    for element in elements:
+        key = (port.component, element)
+        if effect in NOT_LINEARIZED:
+            faults[key] = f"the {effect} of '{port}'"
+        else:
+            faults.pop(key, None)
+    return faults != before

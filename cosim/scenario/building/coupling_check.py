@@ -159,11 +159,21 @@ def report_behind(changed: ChangedLoops) -> CouplingReport:
     gains = {}
     for number, gain in enumerate(changed.loops.gains()):
         if not changed.components.isdisjoint(gain.components):
-            gains[number] = replace(gain, action=changed.action)
+            gains[number] = _gain_behind(gain, changed)
     report = _report(changed.loops, gains)
     if changed.is_certain:
         return report
     return CouplingReport(report.gains, warnings=report.warnings + report.refusals)
+
+
+def _gain_behind(gain: LoopGain, changed: ChangedLoops) -> LoopGain:
+    """Return the gain of a loop behind an action; not known where a fault is not in it."""
+    named = replace(gain, action=changed.action)
+    for name in gain.components:
+        if name in changed.not_linearized:
+            reason = f"{changed.not_linearized[name]} is not linearized"
+            return replace(named, rho=None, rate=None, reason=reason)
+    return named
 
 
 def _report(loops: LinearizedLoops, gains: Mapping[int, LoopGain]) -> CouplingReport:

@@ -8,6 +8,7 @@ import cosim
 from cosim.cli import main
 from cosim.errors import LogError, NonFiniteError, ScenarioError
 from cosim.report.summary import summarize
+from cosim.scenario.building.coupling_check import gain_text
 from cosim.scenario.exporting import export_component
 from cosim.scenario.recorded_metadata import recorded_loop_gains, recorded_warnings
 
@@ -402,6 +403,26 @@ def test_a_fault_that_multiplies_an_input_is_checked_as_another_gain_is(setting)
     faults[2]["gain"] = 30.0
     with pytest.raises(ScenarioError, match=r"actions\.2: behind the action at 4\.0 s, the loop"):
         cosim.run(path, set={"actions": faults})
+
+
+def test_a_gain_behind_a_delay_or_a_drop_is_not_known_and_says_so(setting, capsys):
+    """As what is late, or lost, is not linearized; also behind what is set meanwhile."""
+    actions = [
+        {"at": 2.0, "signal": "plant.u", "delay": 0.3},
+        {"at": 3.0, "signal": "pid.setpoint", "delay": 0.3},
+        {"at": 4.0, "set": {"pid.gain": 60.0}},
+        {"at": 5.0, "set": {"pid.gain": 2.0}},
+        {"at": 5.0, "signal": "plant.u", "release": True},
+        {"at": 6.0, "signal": "pid.measurement", "drop": 0.1},
+    ]
+    path = setting("at = 4.0", 2.0)
+    first, *behind = recorded_loop_gains(cosim.run(path, set={"actions": actions}))
+    assert [gain.action[-5:] for gain in behind] == ["2.0 s", "4.0 s", "5.0 s", "6.0 s"]
+    late, set_meanwhile, released, lost = behind
+    for gain in (late, set_meanwhile):
+        assert gain_text(gain) == "not known: the delay of 'plant.u' is not linearized"
+    assert released.rho == pytest.approx(first.rho, rel=1e-12)
+    assert gain_text(lost) == "not known: the drop of 'pid.measurement' is not linearized"
 
 
 def test_the_action_that_changes_a_loop_is_the_one_that_is_named(setting):
