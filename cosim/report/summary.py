@@ -13,6 +13,7 @@ import numpy as np
 
 from cosim.arrays import Matrix, Vector, as_columns
 from cosim.core.gain.loop_gain import LoopGain
+from cosim.core.recorded import find_signal
 from cosim.core.recording import Recording
 from cosim.core.stages.substep_control import SubstepCounts
 from cosim.errors import LogError
@@ -27,6 +28,7 @@ from cosim.scenario.recorded_metadata import (
     ParameterRecord,
     ReconstructionRecord,
     component_record,
+    connected_sources,
     first_order_loops,
     never_came_true,
     recorded_identification,
@@ -179,6 +181,9 @@ class Summary:
         Of all loops, as they were before the run.
     substeps : tuple of SubstepCounts
         Of the loops that took any.
+    interpolated : tuple of tuple of str
+        For each of these loops the outputs from outside that are interpolated over a communication
+        step, in its substeps too.
     changed_states : tuple of StateChange
         Initial states that are others than the scenario gives.
     copied_code : mapping of component name to str
@@ -208,6 +213,7 @@ class Summary:
     loops: tuple[str, ...] = ()
     gains: tuple[LoopGain, ...] = ()
     substeps: tuple[SubstepCounts, ...] = ()
+    interpolated: tuple[tuple[str, ...], ...] = ()
     changed_states: tuple[StateChange, ...] = ()
     copied_code: Mapping[str, str] = field(default_factory=dict)
     until: str | None = None
@@ -255,6 +261,7 @@ def summarize(recording: Recording) -> Summary:
             values += _value_outcomes(recording, estimate, true_values, unknown)
     last = {} if truth else _last_values(recording)
     came_true = until_came_true(recording)
+    substeps = recorded_substep_counts(recording)
     return Summary(
         scenario=run.get("scenario", ""),
         start=recorded_start(recording),
@@ -270,7 +277,8 @@ def summarize(recording: Recording) -> Summary:
         last=last,
         loops=tuple(first_order_loops(recording)),
         gains=recorded_loop_gains(recording),
-        substeps=recorded_substep_counts(recording),
+        substeps=substeps,
+        interpolated=tuple(_interpolated(recording, counts.components) for counts in substeps),
         changed_states=tuple(_changed_states(recording)),
         copied_code=_copied_code(recording),
         until=run.get("until") if came_true is not None else None,
@@ -278,6 +286,29 @@ def summarize(recording: Recording) -> Summary:
         never_came_true=never_came_true(recording),
         lateness=recorded_lateness(recording),
     )
+
+
+def _interpolated(recording: Recording, loop: Collection[str]) -> tuple[str, ...]:
+    """Return the outputs from outside a loop that are interpolated over a communication step."""
+    found: dict[str, None] = {}
+    for to, sources in connected_sources(recording).items():
+        name, _, _ = to.partition(".")
+        if name not in loop:
+            continue
+        port = find_signal(recording.channels, to, source="connections")
+        if recording.held[name][port.columns].all():
+            continue
+        for source in sources:
+            component, _, _ = source.partition(".")
+            if component not in loop and not _is_constant(recording, source):
+                found[source] = None
+    return tuple(found)
+
+
+def _is_constant(recording: Recording, source: str) -> bool:
+    """Whether an output inherits how it changes from inputs, and there are none."""
+    port = find_signal(recording.channels, source, source="connections")
+    return port.signal.variability == "inherited" and not port.channel.interface.inputs
 
 
 def _copied_code(recording: Recording) -> dict[str, str]:

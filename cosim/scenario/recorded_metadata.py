@@ -371,6 +371,12 @@ class ReplayOrigin:
     copied: tuple[str, ...]
 
 
+class ConnectionRecord(_Record):
+    """The outputs that a connection comes from."""
+
+    sources: Text = Field(alias="from")
+
+
 # Validators are built when they are first used: a command reads few of these.
 _DEFERRED = ConfigDict(defer_build=True)
 _TRUTH: TypeAdapter[dict[str, Any]] = TypeAdapter(
@@ -385,6 +391,7 @@ _TIME: TypeAdapter[float] = TypeAdapter(Number, config=_DEFERRED)
 _IDENTIFICATION: TypeAdapter[dict[str, IdentificationRecord]] = TypeAdapter(
     dict[str, IdentificationRecord], config=_DEFERRED
 )
+_CONNECTION: TypeAdapter[ConnectionRecord] = TypeAdapter(ConnectionRecord)  # deferred, too
 _LATENESS: TypeAdapter[Lateness] = TypeAdapter(Lateness)
 _SUBSTEPS: TypeAdapter[tuple[SubstepCounts, ...]] = TypeAdapter(tuple[SubstepCounts, ...])
 _MODELS: TypeAdapter[dict[str, ModelRecord]] = TypeAdapter(dict[str, ModelRecord], config=_DEFERRED)
@@ -587,6 +594,22 @@ def recorded_substep_counts(recording: Recording) -> tuple[SubstepCounts, ...]:
     """
     values = recording.results.get(SUBSTEP_COUNTS, [])
     return _checked(_SUBSTEPS, values, "results of substeps")
+
+
+def connected_sources(recording: Recording) -> dict[str, tuple[str, ...]]:
+    """Return the outputs that drive each input of a run, by the input.
+
+    Raises
+    ------
+    LogError
+        If they cannot be understood.
+    """
+    sources = {}
+    for to, text in recording.metadata.get("cosim.connections", {}).items():
+        what = f"connection to {to!r}"
+        connection = _checked(_CONNECTION, _json(text, what), what)
+        sources[to] = tuple(connection.sources.split(", "))
+    return sources
 
 
 def never_came_true(recording: Recording) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -11,7 +11,7 @@ from rich.table import Table
 
 from cosim.core.recording import Recording
 from cosim.core.stages.substep_control import SubstepCounts
-from cosim.errors import flag, quoted
+from cosim.errors import flag, listing, quoted
 from cosim.log import Log
 from cosim.report.certificate import certificate_of
 from cosim.report.guaranteed import interval_text, reach_text
@@ -145,8 +145,8 @@ def _add_loops(table: Table, summary: Summary) -> None:
         if summary.substeps:
             text = "step by step, first order, in substeps"
         table.add_row("loop", "", "", f"{loop}: {text}")
-    for counts in summary.substeps:
-        table.add_row("substeps", "", "", _substeps_text(counts))
+    for counts, interpolated in zip(summary.substeps, summary.interpolated, strict=True):
+        table.add_row("substeps", "", "", _substeps_text(counts, interpolated))
     behind = [gain for gain in summary.gains if gain.action]
     for gain in [gain for gain in summary.gains if not gain.action] + behind[:MOST_GAINS]:
         where = ", ".join(gain.components)
@@ -158,14 +158,17 @@ def _add_loops(table: Table, summary: Summary) -> None:
         table.add_row("loop gain", "", "", text)
 
 
-def _substeps_text(counts: SubstepCounts) -> str:
-    """Return how many substeps a loop took."""
+def _substeps_text(counts: SubstepCounts, interpolated: Sequence[str]) -> str:
+    """Return how many substeps a loop took, and what their errors do not tell of."""
     text = (
         f"{', '.join(counts.components)}: {counts.accepted}, the shortest "
         f"{counts.shortest_ns / 1e9:g} s; {counts.rejected} parts of a step were refused"
     )
     if counts.missed:
         text += f"; {counts.missed} miss the tolerance, at worst by {counts.worst_error:.3g} times"
+    if interpolated:
+        names = listing(interpolated)
+        text += f"; interpolated over a step, an error that is not estimated: {names}"
     return text
 
 

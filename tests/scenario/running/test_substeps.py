@@ -10,8 +10,25 @@ from cosim.errors import ScenarioError, UsageError
 from cosim.log import Log
 from cosim.log.schema import decode_substep, encode_substep
 from cosim.report.summary import summarize
+from cosim.report.tables.run import print_summary
 from cosim.report.verification import verify
 from tests.log.crafting import put_together, take_apart
+
+DRIVEN = """
+scenario = { name = "driven", stop = 1.0, step = 0.1, substeps = { rtol = 1e-3, min = 1e-3 } }
+[components]
+u = { kind = "sine", rate = 3.0 }
+setpoint = { kind = "constant", value = 1.0 }
+jump = { kind = "step", time = 0.5 }
+e = { kind = "sum", signs = [1, 1, 1, -1] }
+x = { kind = "lag", time_constant = 0.5, initial = 0.0 }
+[connections]
+"e.u1" = "u.y"
+"e.u2" = "setpoint.y"
+"e.u3" = "jump.y"
+"e.u4" = "x.y"
+"x.u" = "e.y"
+"""
 
 PAIR = """
 [scenario]
@@ -155,6 +172,17 @@ def test_a_summary_counts_substeps(pair):
     assert counts.missed == 0
     warnings = [message for message in memory.messages() if message.level == "warning"]
     assert warnings == []
+
+
+def test_a_summary_names_what_is_interpolated_over_a_step(tmp_path, capsys):
+    """What drives a loop from outside, and neither holds nor stays what it is."""
+    path = tmp_path / "driven.toml"
+    path.write_text(DRIVEN)
+    memory = cosim.run(path)
+    assert summarize(memory).interpolated == (("u.y",),)
+    print_summary(memory, wall={"run": 1.0}, profile=None, as_json=False, quiet=False)
+    text = "; interpolated over a step, an error that is not estimated: u.y\n"
+    assert text in capsys.readouterr().out
 
 
 def test_a_run_says_that_substeps_miss_the_tolerance(pair):
