@@ -168,7 +168,7 @@ class SettingBuilder:
         """
         table = f"components.{name}"
         readers = []
-        for other, tables in self._context.reads.items():
+        for other, tables in self._context.records.reads.items():
             if table in tables and other not in ("", name):
                 readers.append(other)
         if readers:
@@ -180,7 +180,7 @@ class SettingBuilder:
         """Build a component with other parameters, in a context of its own."""
         scenario = replace(self._scenario, specs={**self._specs, name: spec})
         context = ScenarioBuildContext(scenario, self._resources, self._recording)
-        context.begin(name)
+        context.records.begin(name)
         component = with_units(spec.build(name, context), spec.units)
         return spec.with_period(component, spec.period_steps(name, context.step_ns))
 

@@ -84,7 +84,7 @@ class SwapBuilder:
         CosimError
             If the FMU cannot be opened.
         """
-        source = self._context.model_exchange.get(name)
+        source = self._context.fmus.model_exchange.get(name)
         if source is None or not source.state_names:
             raise UsageError(
                 f"the state of {name!r} cannot be handed over: it has no continuous states with "
@@ -94,9 +94,9 @@ class SwapBuilder:
         spec = KINDS[table["kind"]].model_validate(table)
         scenario = replace(self._scenario, specs={**self._scenario.specs, name: spec})
         context = ScenarioBuildContext(scenario, self._resources, None)
-        context.begin(name)
+        context.records.begin(name)
         component = spec.build(name, context)
-        target = context.model_exchange.get(name)
+        target = context.fmus.model_exchange.get(name)
         if target is None:
             raise UsageError(
                 f"the state of {name!r} cannot be handed over to {path}, which has no continuous "
@@ -105,7 +105,7 @@ class SwapBuilder:
         _check_states(name, path, source, target)
         interface = self._components[name].interface
         _check_interface(name, path, interface, component.interface)
-        self._context.fmus[f"{name} ({path})"] = context.fmus[name]
+        self._context.fmus.opened[f"{name} ({path})"] = context.fmus.opened[name]
         return Swap(name, Declared(component, interface), path, StateTransfer(source, target))
 
 

@@ -77,7 +77,7 @@ class Beginning:
     @property
     def warnings(self) -> tuple[tuple[str, str], ...]:
         """What the run warns of, by component, each once."""
-        return tuple(dict.fromkeys(self._builder.context.warnings))
+        return tuple(dict.fromkeys(self._builder.context.records.warnings))
 
     def check(self) -> Evidence:
         """Prepare and initialize every component.

@@ -71,7 +71,7 @@ class IdentifierCheck:
     def _start(self) -> Evidence:
         context = self.builder.context
         T_id = start_time(self.kind.start, self._source, context)
-        times = context.metadata.get(self.name, {})
+        times = context.records.metadata.get(self.name, {})
         clock = self.builder.clock
         values: dict[str, Any] = {"start_time": T_id, "stop": clock.stop}
         parts = ""

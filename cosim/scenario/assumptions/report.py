@@ -145,7 +145,7 @@ class _Check:
         )
         for check in checks:  # what rests on another comes behind it
             for name, kind in self._scenario.specs.items():
-                self._context.begin(name)
+                self._context.records.begin(name)
                 for verdict in check(name, kind):
                     verdicts.append((name, _resting_on(verdicts, verdict)))
         others = self._others(verdicts)

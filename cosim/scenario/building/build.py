@@ -25,13 +25,9 @@ from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.building.graph_checks import held_disturbances, jump_problems
 from cosim.scenario.building.substeps import check_substeps, substep_tolerance, substep_warnings
 from cosim.scenario.building.truth import check_truth
-from cosim.scenario.context.build_context import (
-    DependsOnInvalid,
-    NotImported,
-    ScenarioBuildContext,
-    clock_of,
-)
+from cosim.scenario.context.build_context import DependsOnInvalid, ScenarioBuildContext, clock_of
 from cosim.scenario.context.models import form_problems
+from cosim.scenario.context.user_classes import NotImported
 from cosim.scenario.document.document import Document
 from cosim.scenario.document.problems import Key, Problem, TableProblems
 from cosim.scenario.document.swap import MapEntry, ports_in, unknown_ports
@@ -199,7 +195,7 @@ class Builder:
 
     def _build(self, name: str, spec: Kind) -> None:
         """Build a component, or add the problem of that."""
-        self.context.begin(name)
+        self.context.records.begin(name)
         try:
             component = self._component(name, spec)
             period = spec.period_steps(name, self.context.step_ns)
@@ -225,9 +221,10 @@ class Builder:
     def _drop_repeated_problems(self) -> None:
         """Drop what a component says of another that it reads, which says that itself."""
         known = {(".".join(map(str, key)), text) for key, text in self.problems}
+        read_by = self.context.records.reads
         kept = []
         for key, text in self.problems:
-            reads = self.context.reads.get(str(key[1]), ()) if key[:1] == ("components",) else ()
+            reads = read_by.get(str(key[1]), ()) if key[:1] == ("components",) else ()
             others = [table for table in reads if table != f"components.{key[1]}"]
             if not any((table, text) in known for table in others):
                 kept.append((key, text))
@@ -392,6 +389,7 @@ class Builder:
         """
         self.check()
         context = self.context
+        records = context.records
         graph = self.graph()
         jumps = jump_problems(self.scenario, graph)
         if jumps:
@@ -402,14 +400,14 @@ class Builder:
             graph,
             self.clock,
             truth=self._truth,
-            metadata=context.metadata,
-            warnings=tuple(context.warnings),
-            reads=context.reads,
-            attachments=context.attachments,
-            fmus=context.fmus,
-            files=frozenset(context.files),
+            metadata=records.metadata,
+            warnings=tuple(records.warnings),
+            reads=records.reads,
+            attachments=records.attachments,
+            fmus=context.fmus.opened,
+            files=frozenset(context.files.paths),
             identified=context.identified,
-            models=context.models,
+            models=context.models.records,
             given_states=self.given_states,
             actions=self._actions,
             reactions=self._reactions,
@@ -537,7 +535,7 @@ def describe(document: Document) -> DescribedScenario:
         builder = Builder(scenario, resources, problems=problems, describes=True)
         builder.check()
         graph = None if builder.unknown else builder.experiment().graph
-        metadata = builder.context.metadata
+        metadata = builder.context.records.metadata
         return DescribedScenario(scenario, builder.clock, builder.components, graph, metadata)
 
 

@@ -1,4 +1,4 @@
-"""What kinds may ask of the scenario while their components are built, and what each records."""
+"""What kinds may ask of the scenario while their components are built."""
 
 from __future__ import annotations
 
@@ -6,12 +6,11 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 from contextlib import ExitStack
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from cosim.arguments import check_path
-from cosim.arrays import Matrix, Vector
+from cosim.arrays import Vector
 from cosim.blocks.replay import Replay
 from cosim.core.clock import Clock, nanoseconds, seconds
 from cosim.core.contracts import Component
@@ -20,20 +19,19 @@ from cosim.core.recorded import find_channel
 from cosim.core.recording import Recording
 from cosim.core.signals import Interface
 from cosim.core.structure.ports import unknown_port
-from cosim.errors import CosimError, LogError, UsageError, nearest, option, quoted
-from cosim.scenario.context.models import LETTERS, system_of, system_of_file
-from cosim.scenario.document.problems import Key, TableProblems
+from cosim.errors import CosimError, UsageError
+from cosim.scenario.context.build_records import BuildRecords
+from cosim.scenario.context.fmus import ScenarioFmus
+from cosim.scenario.context.named_files import NamedFiles
+from cosim.scenario.context.scenario_models import ScenarioModels
+from cosim.scenario.context.user_classes import UserClasses
+from cosim.scenario.document.problems import Key
 from cosim.scenario.document.swap import ports_in
 from cosim.scenario.identification.model import IdentifiedPlant
 from cosim.scenario.kinds import Kind
 from cosim.scenario.kinds.base import KnownSignal, Spectrum
 from cosim.scenario.parsing import Scenario
-from cosim.scenario.recorded_metadata import (
-    CodeRecord,
-    LinearizationRecord,
-    component_record,
-    recorded_models,
-)
+from cosim.scenario.recorded_metadata import component_record
 from cosim.theory.plants.descriptor import DescriptorSystem
 
 if TYPE_CHECKING:
@@ -47,11 +45,6 @@ if TYPE_CHECKING:
     from cosim.scenario.user_kinds.user_code import UserClass
 
 T = TypeVar("T")
-
-_NOT_IMPORTED: Final = (
-    "known to its class alone, which is not imported here; 'cosim run SCENARIO --dry-run' imports "
-    "it, in a process of its own"
-)
 
 
 def clock_of(scenario: Scenario) -> Clock:
@@ -81,12 +74,8 @@ class DependsOnInvalid(UsageError):
     """A component cannot be checked because something that it reads is wrong and reported."""
 
 
-class NotImported(UsageError):
-    """A component is of code that does not run here, so that nobody knows its ports."""
-
-
 class ScenarioBuildContext:
-    """Records what each component reads while it is built, and what it opens.
+    """Answers what kinds ask, and records what each component reads, and what it opens.
 
     See :class:`cosim.scenario.kinds.BuildContext`. Where it only ``describes``, nothing of an FMU
     runs. All that it answers may raise ``DependsOnInvalid``.
@@ -102,6 +91,16 @@ class ScenarioBuildContext:
     invalid : iterable of Key
         What is known to be wrong beside ``scenario.invalid``.
     describes : bool
+
+    Attributes
+    ----------
+    invalid : set of Key
+        What is known to be wrong.
+    records : BuildRecords
+    files : NamedFiles
+    models : ScenarioModels
+    fmus : ScenarioFmus
+    identified : dict of identifier to IdentifiedPlant
     """
 
     def __init__(
@@ -114,33 +113,29 @@ class ScenarioBuildContext:
         invalid: Iterable[Key] = (),
         describes: bool = False,
     ) -> None:
-        self._describes = describes
         self.invalid = {*scenario.invalid, *invalid}
         self._scenario = scenario
-        self._resources = resources
         self._recording = recording
-        self._named_files = named_files
-        self._current = ""
-        self.metadata: dict[str, dict[str, Any]] = {}
-        self.warnings: list[tuple[str, str]] = []
-        self.reads: dict[str, frozenset[str]] = {"": frozenset()}
-        self.attachments: dict[str, str] = {}
-        self.fmus: dict[str, Fmu] = {}
-        self.model_exchange: dict[str, ModelExchange] = {}
-        self._linearized: dict[str, Linearization] = {}
+        folder = scenario.document.folder
+        self.records = BuildRecords()
+        self.files = NamedFiles(folder, recording, named_files)
+        self.models = ScenarioModels(scenario.file.models, self.files, recording)
+        self.fmus = ScenarioFmus(
+            self.files, self.records, resources, recording=recording, describes=describes
+        )
+        self._classes = UserClasses(
+            folder,
+            scenario.specs,
+            self.records,
+            recording=recording,
+            allowed=named_files,
+            describes=describes,
+        )
         self._field_data: dict[str, FieldData] = {}
         self._designs: dict[str, tuple[Any, frozenset[str]]] = {}
         self._choices: dict[str, Mapping[str, Any]] = {}
         self._sources_beside: dict[str, Component] = {}
-        self._systems: dict[str, DescriptorSystem] = {}
-        self.models: dict[str, dict[str, Any]] = {}
-        self.files: set[Path] = set()
         self.identified: dict[str, IdentifiedPlant] = {}
-
-    def begin(self, name: str) -> None:
-        """Record what is read from now on for a component."""
-        self._current = name
-        self.reads[name] = frozenset()
 
     # --- what a kind may ask for ---
 
@@ -178,50 +173,14 @@ class ScenarioBuildContext:
         ValueError
             If the rows of a matrix have different lengths.
         """
-        models = self._scenario.file.models
         self._need(("models", name))
-        if name not in models:
-            raise UsageError(f"there is no model {name!r} in [models]; {nearest(name, models)}")
-        self._read(f"models.{name}")
-        if name not in self._systems:
-            table = models[name]
-            if table.file is None:
-                self._systems[name] = system_of(name, table)
-            else:
-                self._systems[name] = system_of_file(table, self._matrices(name, table.file))
-        return self._systems[name]
-
-    def _matrices(self, name: str, path: str) -> Mapping[str, Matrix]:
-        """Return the matrices of a model's file, and record them; a replay takes them from there.
-
-        Raises
-        ------
-        UsageError
-            If the file cannot be read, or is not to be opened; see :meth:`file`.
-        LogError
-            If the recorded matrices cannot be understood.
-        """
-        if self._recording is not None:
-            record = recorded_models(self._recording).get(name)
-            if record is not None and record.file == path:
-                self.models[name] = record.model_dump(mode="json")
-                return record.arrays
-        from cosim.scenario.data_files.model_file import (  # rarely needed
-            missing_text,
-            read_model_file,
-        )
-
-        content = read_model_file(self.file(path), LETTERS)
-        missing = [letter for letter in ("A", "C") if letter not in content.matrices]
-        if missing:
-            raise UsageError(missing_text(path, content, missing))
-        matrices = {letter: rows.tolist() for letter, rows in content.matrices.items()}
-        self.models[name] = {"file": path, "sha256": content.sha256, "matrices": matrices}
-        return content.matrices
+        self.models.check_known(name)
+        self.records.read(f"models.{name}")
+        return self.models.system(name)
 
     def spec(self, name: str) -> Kind:
         """Return the table of another component, and record that it was read."""
-        self._read(f"components.{name}")
+        self.records.read(f"components.{name}")
         if name not in self._scenario.specs:
             raise DependsOnInvalid
         return self._scenario.specs[name]
@@ -284,15 +243,10 @@ class ScenarioBuildContext:
         What it was made of counts as read by every component that asks for it.
         """
         if name not in self._designs:
-            before = self.reads[self._current]
-            self.reads[self._current] = frozenset()
-            try:
-                made = design()
-                self._designs[name] = made, self.reads[self._current]
-            finally:
-                self.reads[self._current] |= before
-        result: T = self._designs[name][0]
-        self.reads[self._current] |= self._designs[name][1]
+            self._designs[name] = self.records.read_by(design)
+        made, tables = self._designs[name]
+        self.records.read(*tables)
+        result: T = made
         return result
 
     def field_data(self, name: str, read: Callable[[], FieldData]) -> FieldData:
@@ -327,7 +281,7 @@ class ScenarioBuildContext:
                 spec = self._scenario.specs.get(name)
                 if spec is None:
                     continue
-                self._read(f"components.{name}")
+                self.records.read(f"components.{name}")
                 if not spec.hands_on_lag:
                     lags[self._lag_of(spec, source)] = source
                 elif name not in seen:
@@ -387,13 +341,13 @@ class ScenarioBuildContext:
         """Return a component without inputs, beside that of the run."""
         if self._recording is not None and self._is_replayed(spec):
             return Replay(self._recording, name)
-        count = len(self.warnings)
+        count = len(self.records.warnings)
         try:
             return spec.build(name, self)
         except CosimError as error:  # the problem of that component, which reports it itself
             raise DependsOnInvalid(str(error)) from error
         finally:
-            del self.warnings[count:]  # it warns where it is built for the run
+            del self.records.warnings[count:]  # it warns where it is built for the run
 
     def spectra(self, name: str) -> list[Spectrum]:
         """Return what is known of the signals of a component, by the tables of those it drives."""
@@ -405,7 +359,7 @@ class ScenarioBuildContext:
                 continue
             spectrum = spec.spectrum(to.component, self)
             if spectrum is not None:
-                self._read(f"components.{to.component}")
+                self.records.read(f"components.{to.component}")
                 spectra.append(spectrum)
         return spectra
 
@@ -426,24 +380,8 @@ class ScenarioBuildContext:
         return self._choices[name]
 
     def file(self, path: str) -> Path:
-        """Return the path of a file named in the scenario, and record that it is read.
-
-        Raises
-        ------
-        UsageError
-            In a replay, if the log alone names it: a log from elsewhere must not choose the files
-            that are opened here, the libraries in an FMU least of all. Or if no file can have it.
-        """
-        if self._recording is not None and path not in self._named_files:
-            raise UsageError(
-                f"a replay opens no file that only the log names: found {quoted(path)}, and what "
-                f"is needed of it is not in the log; name it yourself, {option('set')}, or run the "
-                "scenario"
-            )
-        check_path(path)
-        file = self._scenario.document.folder / path
-        self.files.add(file.resolve())
-        return file
+        """Return the path of a file named in the scenario; see :meth:`NamedFiles.path`."""
+        return self.files.path(path)
 
     def recording(self, path: str) -> Recording:
         """Open a log with the scenario's communication step.
@@ -451,7 +389,7 @@ class ScenarioBuildContext:
         Raises
         ------
         UsageError
-            If it has another one, or is not to be opened; see :meth:`file`.
+            If it has another one, or is not to be opened; see :meth:`NamedFiles.path`.
         LogError
             If it cannot be read.
         """
@@ -467,183 +405,30 @@ class ScenarioBuildContext:
         return log
 
     def user_class(self, name: str, class_name: str, *, package: str | None = None) -> UserClass:
-        """Import the class of a component, and record its source.
-
-        Raises
-        ------
-        NotImported
-            If only descriptions are read.
-        TableProblems
-            If it cannot be imported; what was raised is the cause.
-        UsageError
-            In a replay, if its source is not that of the recorded run: what is computed would be of
-            another component than the log says.
-        """
-        from cosim.scenario.user_kinds.user_code import OtherSource, load_class
-
-        if self._describes:
-            self.add_metadata(name, {"class": class_name, "ports": _NOT_IMPORTED})
-            raise NotImported(class_name)
-        folder = self._scenario.document.folder if package is None else None
-        spec = self._scenario.specs[name]
-        needed = None
-        recorded: CodeRecord | None = None
-        is_replayed = self._recording is not None and spec.code not in self._named_files
-        if self._recording is not None and is_replayed:
-            recorded = component_record(self._recording, name).code
-            needed = {} if recorded is None else recorded.sources
-        try:
-            user_class = load_class(class_name, folder, distribution=package, needed=needed)
-        except OtherSource as other:
-            sources = {other.file: other.found}
-            own = CodeRecord.model_validate({"class": class_name, "sources": sources})
-            raise self._other_code(name, recorded, own) from other
-        except UsageError as error:
-            key = "class" if package is None else "kind"
-            raise TableProblems([((key,), str(error))]) from error.__cause__
-        code = {
-            "class": class_name,
-            "sources": dict(user_class.sources),
-            "distribution": user_class.distribution,
-        }
-        own = CodeRecord.model_validate(code)
-        if is_replayed and own != recorded:
-            raise self._other_code(name, recorded, own)
-        self.add_metadata(name, {"code": code})
-        return user_class
-
-    def _other_code(self, name: str, recorded: CodeRecord | None, own: CodeRecord) -> UsageError:
-        """Return the error about code in a replay that is not that of the recorded run."""
-        entry = option("set", f"{name}.class", own.class_name)
-        return UsageError(
-            f"found {own.difference(recorded)}; needed the same code: {entry} takes it as it is "
-            "now, for another replay than that of the log"
-        )
+        """Import the class of a component; see :meth:`UserClasses.load`."""
+        return self._classes.load(name, class_name, package)
 
     def fmu(self, name: str, path: str, options: FmuOptions) -> Component:
-        """Load an FMU; it is freed at the end of the run.
-
-        Only its description is read where nothing is to run.
-        """
-        from cosim.fmi.component import describe, load
-
-        if self._describes:
-            described = describe(self.file(path), options)
-            self.add_metadata(name, described.metadata)
-            return described
-        opened = load(self.file(path), options, instance_name=name)
-        loaded = self._resources.enter_context(opened)
-        self.attachments[f"{name}/modelDescription.xml"] = loaded.model_description
-        self.add_metadata(name, loaded.metadata)
-        for note in loaded.notes:
-            self.warn(name, note)
-        self.fmus[name] = loaded
-        if loaded.model_exchange is not None:
-            self.add_states(name, loaded.model_exchange)
-        return loaded.component
+        """Load an FMU; see :meth:`ScenarioFmus.component`."""
+        return self.fmus.component(name, path, options)
 
     def add_states(self, name: str, component: ModelExchange) -> None:
         """Record what has the continuous states of a component, to hand them over."""
-        self.model_exchange[name] = component
+        self.fmus.model_exchange[name] = component
 
     def opened(self, name: str) -> Fmu:
-        """Return the FMU that was loaded for a component.
-
-        Raises
-        ------
-        UsageError
-            If only its description is read.
-        """
-        self._need_run(name)
-        return self.fmus[name]
+        """Return the FMU that was loaded for a component; see :meth:`ScenarioFmus.of`."""
+        return self.fmus.of(name)
 
     def linearization(self, name: str, path: str, request: LinearizationRequest) -> Linearization:
-        """Linearize an FMU for a component, or take the recorded result of the same request.
-
-        Raises
-        ------
-        UsageError
-            If the FMU would have to be run where nothing is to run, or is not to be opened; see
-            :meth:`file`.
-        FmuError
-            If it cannot be linearized as is asked for.
-        RunError
-            If it cannot go on.
-        LogError
-            If the recorded result cannot be understood.
-        """
-        from cosim.fmi.linearizing.linearization import Linearization
-
-        if name not in self._linearized:
-            self._need_run(path)
-            request_record = {"fmu": path, **request.to_dict()}
-            recorded = self._recorded_linearization(name)
-            if recorded is not None and recorded.request == request_record:
-                record = recorded.model_dump()
-            else:
-                record = {"request": request_record, **self._linearize(path, request)}
-            try:
-                linearization = Linearization.of(record["result"])
-            except (KeyError, TypeError, ValueError, AttributeError) as error:
-                raise LogError(
-                    f"the recorded linearization of {path!r} cannot be understood: {error}"
-                ) from error
-            self._linearized[name] = linearization
-            self.add_metadata(name, {"linearization": record})
-            for note in linearization.notes:
-                self.warn(name, note)
-        return self._linearized[name]
+        """Linearize an FMU for a component; see :meth:`ScenarioFmus.linearization`."""
+        return self.fmus.linearization(name, path, request)
 
     def moving_linearization(
         self, name: str, path: str, request: LinearizationRequest
     ) -> MovingLinearization:
-        """Return an FMU that is linearized on the way; it is freed at the end of the run.
-
-        Raises
-        ------
-        UsageError
-            If only descriptions are read, or it is not to be opened; see :meth:`file`.
-        FmuError
-            If it cannot be linearized as is asked for.
-        RunError
-            If it does not reach its operating point.
-        """
-        from cosim.fmi.linearizing.linearize import open_for_linearization
-        from cosim.fmi.linearizing.moving import MovingLinearization
-        from cosim.fmi.reading.model_description import read
-
-        self._need_run(path)
-        archive = read(self.file(path))
-        opened = self._resources.enter_context(open_for_linearization(archive, request.start))
-        self.fmus[name] = opened
-        return MovingLinearization(opened.instance, request)
-
-    def _need_run(self, fmu: str) -> None:
-        """Refuse what needs the code of an FMU, where nothing is to run.
-
-        Raises
-        ------
-        UsageError
-            If only descriptions are read.
-        """
-        if self._describes:
-            raise UsageError(
-                f"{fmu} has to be run for its linearization, and only descriptions are read here; "
-                "'cosim run SCENARIO --dry-run' runs it, in a process of its own"
-            )
-
-    def _linearize(self, path: str, request: LinearizationRequest) -> dict[str, Any]:
-        from cosim.fmi.linearizing.linearize import linearize_archive
-        from cosim.fmi.reading.model_description import read
-
-        archive = read(self.file(path))
-        result = linearize_archive(archive, request)
-        return {"sha256": archive.sha256, "result": result.to_dict()}
-
-    def _recorded_linearization(self, name: str) -> LinearizationRecord | None:
-        if self._recording is None:
-            return None
-        return component_record(self._recording, name).linearization
+        """Return an FMU to linearize; see :meth:`ScenarioFmus.moving_linearization`."""
+        return self.fmus.moving_linearization(name, path, request)
 
     def add_identified(self, name: str, identified: IdentifiedPlant) -> None:
         """Have the estimates of an identifier judged at the end of the run."""
@@ -651,14 +436,11 @@ class ScenarioBuildContext:
 
     def add_metadata(self, name: str, metadata: Mapping[str, Any]) -> None:
         """Record metadata of a component."""
-        self.metadata.setdefault(name, {}).update(metadata)
+        self.records.add_metadata(name, metadata)
 
     def warn(self, name: str, text: str) -> None:
         """Record a warning about a component."""
-        self.warnings.append((name, text))
-
-    def _read(self, table: str) -> None:
-        self.reads[self._current] |= {table}
+        self.records.warn(name, text)
 
 
 def _values_at(component: Component, column: int, t: Vector) -> Vector:

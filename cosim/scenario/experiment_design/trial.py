@@ -331,7 +331,7 @@ def _identified(subject: DesignSubject, builder: Builder) -> IdentifiedPlant:
 def _start(builder: Builder, identifier: str, longest: float) -> tuple[int, int | None]:
     """Return when delta has settled, and the first point that counts where that is given."""
     clock = builder.clock
-    start_time = float(builder.context.metadata[identifier]["start_time"])
+    start_time = float(builder.context.records.metadata[identifier]["start_time"])
     start = round((start_time - clock.start_time) * 1e9 / clock.step_ns)
     settled = start - round(longest * 1e9 / clock.step_ns)
     kind = builder.scenario.specs[identifier]

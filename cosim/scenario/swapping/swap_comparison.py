@@ -154,7 +154,7 @@ class _SwapComparison:
         before = _replaced_components(scenario)
         self._interfaces = {name: part.component.interface for name, part in before.items()}
         builder = self._builder()
-        fmus = builder.context.fmus
+        fmus = builder.context.fmus.opened
         # The messages of FMUs from when they are loaded belong to the run, those of the comparison
         # do not.
         self._messages: dict[str, Sequence[Message]] = {}
@@ -167,7 +167,7 @@ class _SwapComparison:
                 reports[name] = self._compare(builder, name, part)
         problems = tuple(self._initial.problems)
         imported = {}
-        for name, metadata in builder.context.metadata.items():
+        for name, metadata in builder.context.records.metadata.items():
             if "code" in metadata:
                 imported[name] = str(metadata["code"]["class"])
         self.reports = SwapReports(reports, problems, self._initial.failure, imported)

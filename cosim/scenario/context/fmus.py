@@ -1,0 +1,183 @@
+"""The FMUs of a scenario: loaded, described or linearized for its components."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Any, final
+
+from cosim.core.contracts import Component
+from cosim.core.recording import Recording
+from cosim.errors import LogError, UsageError
+from cosim.scenario.context.build_records import BuildRecords
+from cosim.scenario.context.named_files import NamedFiles
+from cosim.scenario.recorded_metadata import LinearizationRecord, component_record
+
+if TYPE_CHECKING:
+    from cosim.fmi.component import Fmu
+    from cosim.fmi.driving.model_exchange import ModelExchange
+    from cosim.fmi.linearizing.linearization import Linearization
+    from cosim.fmi.linearizing.moving import MovingLinearization
+    from cosim.fmi.linearizing.request import LinearizationRequest
+    from cosim.fmi.options import FmuOptions
+
+
+@final
+class ScenarioFmus:
+    """The FMUs that the components of a scenario are made of.
+
+    Parameters
+    ----------
+    files : NamedFiles
+    records : BuildRecords
+    resources : ExitStack
+        Closes what is opened.
+    recording : Recording or None
+        Of a replay.
+    describes : bool
+        Run nothing: read descriptions only.
+
+    Attributes
+    ----------
+    opened : dict of component name to Fmu
+    model_exchange : dict of component name to ModelExchange
+        What has the continuous states of a component.
+    """
+
+    def __init__(
+        self,
+        files: NamedFiles,
+        records: BuildRecords,
+        resources: ExitStack,
+        *,
+        recording: Recording | None,
+        describes: bool,
+    ) -> None:
+        self._files = files
+        self._records = records
+        self._resources = resources
+        self._recording = recording
+        self._describes = describes
+        self._linearized: dict[str, Linearization] = {}
+        self.opened: dict[str, Fmu] = {}
+        self.model_exchange: dict[str, ModelExchange] = {}
+
+    def component(self, name: str, path: str, options: FmuOptions) -> Component:
+        """Load an FMU; it is freed at the end of the run.
+
+        Only its description is read where nothing is to run.
+        """
+        from cosim.fmi.component import describe, load
+
+        if self._describes:
+            described = describe(self._files.path(path), options)
+            self._records.add_metadata(name, described.metadata)
+            return described
+        opened = load(self._files.path(path), options, instance_name=name)
+        loaded = self._resources.enter_context(opened)
+        self._records.attachments[f"{name}/modelDescription.xml"] = loaded.model_description
+        self._records.add_metadata(name, loaded.metadata)
+        for note in loaded.notes:
+            self._records.warn(name, note)
+        self.opened[name] = loaded
+        if loaded.model_exchange is not None:
+            self.model_exchange[name] = loaded.model_exchange
+        return loaded.component
+
+    def of(self, name: str) -> Fmu:
+        """Return the FMU that was loaded for a component.
+
+        Raises
+        ------
+        UsageError
+            If only its description is read.
+        """
+        self._need_run(name)
+        return self.opened[name]
+
+    def linearization(self, name: str, path: str, request: LinearizationRequest) -> Linearization:
+        """Linearize an FMU for a component, or take the recorded result of the same request.
+
+        Raises
+        ------
+        UsageError
+            If the FMU would have to be run where nothing is to run, or is not to be opened; see
+            :meth:`NamedFiles.path`.
+        FmuError
+            If it cannot be linearized as is asked for.
+        RunError
+            If it cannot go on.
+        LogError
+            If the recorded result cannot be understood.
+        """
+        from cosim.fmi.linearizing.linearization import Linearization
+
+        if name not in self._linearized:
+            self._need_run(path)
+            request_record = {"fmu": path, **request.to_dict()}
+            recorded = self._recorded_linearization(name)
+            if recorded is not None and recorded.request == request_record:
+                record = recorded.model_dump()
+            else:
+                record = {"request": request_record, **self._linearize(path, request)}
+            try:
+                linearization = Linearization.of(record["result"])
+            except (KeyError, TypeError, ValueError, AttributeError) as error:
+                raise LogError(
+                    f"the recorded linearization of {path!r} cannot be understood: {error}"
+                ) from error
+            self._linearized[name] = linearization
+            self._records.add_metadata(name, {"linearization": record})
+            for note in linearization.notes:
+                self._records.warn(name, note)
+        return self._linearized[name]
+
+    def moving_linearization(
+        self, name: str, path: str, request: LinearizationRequest
+    ) -> MovingLinearization:
+        """Return an FMU that is linearized on the way; it is freed at the end of the run.
+
+        Raises
+        ------
+        UsageError
+            If only descriptions are read, or it is not to be opened; see :meth:`NamedFiles.path`.
+        FmuError
+            If it cannot be linearized as is asked for.
+        RunError
+            If it does not reach its operating point.
+        """
+        from cosim.fmi.linearizing.linearize import open_for_linearization
+        from cosim.fmi.linearizing.moving import MovingLinearization
+        from cosim.fmi.reading.model_description import read
+
+        self._need_run(path)
+        archive = read(self._files.path(path))
+        opened = self._resources.enter_context(open_for_linearization(archive, request.start))
+        self.opened[name] = opened
+        return MovingLinearization(opened.instance, request)
+
+    def _need_run(self, fmu: str) -> None:
+        """Refuse what needs the code of an FMU, where nothing is to run.
+
+        Raises
+        ------
+        UsageError
+            If only descriptions are read.
+        """
+        if self._describes:
+            raise UsageError(
+                f"{fmu} has to be run for its linearization, and only descriptions are read here; "
+                "'cosim run SCENARIO --dry-run' runs it, in a process of its own"
+            )
+
+    def _linearize(self, path: str, request: LinearizationRequest) -> dict[str, Any]:
+        from cosim.fmi.linearizing.linearize import linearize_archive
+        from cosim.fmi.reading.model_description import read
+
+        archive = read(self._files.path(path))
+        result = linearize_archive(archive, request)
+        return {"sha256": archive.sha256, "result": result.to_dict()}
+
+    def _recorded_linearization(self, name: str) -> LinearizationRecord | None:
+        if self._recording is None:
+            return None
+        return component_record(self._recording, name).linearization

@@ -1,0 +1,57 @@
+"""The files that a scenario names, as they are opened for its components."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from pathlib import Path
+from typing import final
+
+from cosim.arguments import check_path
+from cosim.core.recording import Recording
+from cosim.errors import UsageError, option, quoted
+
+
+@final
+class NamedFiles:
+    """The files that a scenario names.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the scenario.
+    recording : Recording or None
+        Of a replay.
+    allowed : collection of str
+        What a replay may open.
+
+    Attributes
+    ----------
+    paths : set of Path
+        Those that are read.
+    """
+
+    def __init__(self, folder: Path, recording: Recording | None, allowed: Collection[str]) -> None:
+        self._folder = folder
+        self._recording = recording
+        self._allowed = allowed
+        self.paths: set[Path] = set()
+
+    def path(self, name: str) -> Path:
+        """Return the path of a file, and record that it is read.
+
+        Raises
+        ------
+        UsageError
+            In a replay, if the log alone names it: a log from elsewhere must not choose the files
+            that are opened here, the libraries in an FMU least of all. Or if no file can have it.
+        """
+        if self._recording is not None and name not in self._allowed:
+            raise UsageError(
+                f"a replay opens no file that only the log names: found {quoted(name)}, and what "
+                f"is needed of it is not in the log; name it yourself, {option('set')}, or run the "
+                "scenario"
+            )
+        check_path(name)
+        path = self._folder / name
+        self.paths.add(path.resolve())
+        return path
