@@ -133,6 +133,7 @@ class LoopGainRecord(_Record):
     unknown: tuple[Text, ...] = ()
     reason: Text = ""
     action: Text = ""
+    parts: Annotated[Whole, Field(ge=1)] = 1
 
     @property
     def gain(self) -> LoopGain:
@@ -147,6 +148,7 @@ class LoopGainRecord(_Record):
             self.unknown,
             self.reason,
             self.action,
+            self.parts,
         )
 
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final, Literal, TypeAlias
 
 import numpy as np
@@ -64,6 +64,9 @@ class LoopGain:
         Why else the gain is not known.
     action : str
         Behind which action it is so; empty: as the run begins.
+    parts : int
+        Shortest substeps in a communication step; 1: it takes none. Where it does, ``h`` and
+        ``steps`` are those of its shortest substeps, and so is ``rho``.
     """
 
     components: tuple[str, ...]
@@ -75,6 +78,7 @@ class LoopGain:
     unknown: tuple[str, ...] = ()
     reason: str = ""
     action: str = ""
+    parts: int = 1
 
     @property
     def exponent(self) -> float:
@@ -222,8 +226,9 @@ class LinearizedLoops:
             return LoopGain(names, coupling, h, self.clock.steps, unknown=unknown)
         if loop.nested is not None:
             return LoopGain(names, coupling, h, self.clock.steps, reason=NESTED)
-        model = self._model(loop)
-        return _gain_of(model, names, coupling, self.clock.steps * self._substeps(loop))
+        parts = self._substeps(loop)
+        gain = _gain_of(self._model(loop), names, coupling, self.clock.steps * parts)
+        return replace(gain, parts=parts)
 
     def _verdict(self, model: LoopModel, parts: int) -> GainVerdict:
         return _gain_of(model.refined(parts), (), "", self.clock.steps * parts).verdict

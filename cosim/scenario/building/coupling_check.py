@@ -143,7 +143,7 @@ def _note(graph: Graph, gains: tuple[LoopGain, ...]) -> None:
     for gain in gains:
         if gain.rho is not None:
             for name in gain.components:
-                graph.members[name].note += f" with a gain of {_number(gain.rho)} a step"
+                graph.members[name].note += f" with a gain of {_number(gain.rho)} a {_step(gain)}"
 
 
 def report_on(loops: LinearizedLoops) -> CouplingReport:
@@ -211,10 +211,14 @@ def _excess(gain: LoopGain) -> str:
     assert gain.rho is not None
     own = _own(gain)
     return (
-        f"{_loop(gain)}: coupling '{gain.coupling}' has a gain of "
-        f"{_number(gain.rho)} a step of {gain.h:g} s, the loop itself one of {own}, and so "
+        f"{_loop(gain)}: coupling '{gain.coupling}' has a gain of {_number(gain.rho)} a "
+        f"{_step(gain)} of {gain.h:g} s, the loop itself one of {own}, and so "
         f"multiplies an error by {_growth(gain.exponent)} over {_span(gain)}"
     )
+
+
+def _step(gain: LoopGain) -> str:
+    return "step" if gain.parts == 1 else "substep"
 
 
 def _loop(gain: LoopGain) -> str:
@@ -278,6 +282,8 @@ def gain_text(gain: LoopGain) -> str:
         return f"not known: {gain.reason}"
     own = _own(gain)
     text = f"{_number(gain.rho)} a step, the loop itself {own}"
+    if gain.parts > 1:
+        text = f"{_number(gain.rho)} a substep of {gain.h:g} s, the shortest; the loop itself {own}"
     if gain.exponent > math.log(NOTED):
         text += f"; an error grows by {_growth(gain.exponent)} over {_span(gain)} beyond it"
     return text
@@ -290,6 +296,7 @@ def gain_values(gain: LoopGain) -> dict[str, Any]:
         "action": gain.action,
         "coupling": gain.coupling,
         "gain": gain.rho,
+        "step": gain.h,
         "largest pole": gain.rate,
         "verdict": gain.verdict,
         "text": gain_text(gain),

@@ -13,6 +13,7 @@ from cosim.arrays import Matrix, Vector
 from cosim.core.conditions import until_text
 from cosim.core.connections import Connection
 from cosim.core.contracts import Block, Stopped
+from cosim.core.gain.loop_gain import LoopGain
 from cosim.core.recorders import close, end_of_run, error_text
 from cosim.core.recording import MessageLevel, Plan, Recorder, SignalEvent, Substep
 from cosim.core.stages.substep_control import SUBSTEP_COUNTS, SubstepCounts
@@ -254,7 +255,7 @@ def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:
     if settings.until is not None:
         run["until"] = settings.until
     if experiment.gains:
-        run["loop_gains"] = json.dumps([asdict(gain) for gain in experiment.gains])
+        run["loop_gains"] = json.dumps(list(map(_plain_gain, experiment.gains)))
     if experiment.models:
         run["models"] = json.dumps(experiment.models)
     if experiment.origin is not None:
@@ -275,6 +276,14 @@ def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:
             "fingerprint": fingerprint(scenario, name, experiment.reads[name]),
         }
     return records
+
+
+def _plain_gain(gain: LoopGain) -> dict[str, Any]:
+    """Return the gain of a loop in plain values; its parts only where it takes substeps."""
+    values = asdict(gain)
+    if gain.parts == 1:
+        values.pop("parts")
+    return values
 
 
 def _plain(connection: Connection, conversions: tuple[Conversion, ...]) -> dict[str, Any]:

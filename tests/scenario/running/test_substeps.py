@@ -1,6 +1,7 @@
 """Substeps in scenarios: what is refused and reported, logs, replays."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -12,6 +13,8 @@ from cosim.log.schema import decode_substep, encode_substep
 from cosim.report.summary import summarize
 from cosim.report.tables.run import print_summary
 from cosim.report.verification import verify
+from cosim.scenario.building.coupling_check import gain_text
+from cosim.scenario.recorded_metadata import recorded_loop_gains
 from tests.log.crafting import put_together, take_apart
 
 DRIVEN = """
@@ -200,7 +203,10 @@ def test_a_coupling_is_refused_only_if_the_shortest_substep_is(pair):
     changes = {"scenario.coupling": "jacobi", "scenario.substeps.rtol": 1e-2}
     stable = cosim.run(pair, set={**changes, "scenario.substeps.min": 1e-4})
     assert abs(stable["one.x"]).max() < 2.0
-    with pytest.raises(ScenarioError, match=r"'jacobi' has a gain of .* a step of 0.00\d+ s"):
+    (gain,) = recorded_loop_gains(stable)
+    assert (gain.parts, gain.steps) == (64, 640)
+    assert re.fullmatch(r"0\.\d+ a substep of 0.00015625 s, the shortest; the .*", gain_text(gain))
+    with pytest.raises(ScenarioError, match=r"'jacobi' has a gain of .* a substep of 0.00\d+ s"):
         cosim.run(pair, set={**changes, "scenario.substeps.min": 2e-3})
 
 
