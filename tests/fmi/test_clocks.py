@@ -137,6 +137,15 @@ def test_the_fmu_says_interval_and_shift(opened, interface_type, fractions):
         assert trace["asked_count"].tolist() == ticks_by(trace.t, ticks).tolist()
 
 
+@TYPES
+@pytest.mark.parametrize("variability", ["fixed", "tunable"])
+def test_a_clock_keeps_the_interval_of_its_file(opened, interface_type, variability):
+    """It holds where the importer sets none: FMI 3.0 section 2.2.9.2."""
+    interval = {"sample": f'intervalVariability="{variability}" intervalDecimal="0.2"'}
+    trace = Trace(opened(interface_type, "sample", changes=interval))
+    assert trace["count"].tolist() == ticks_by(trace.t, every(200_000_000)).tolist()
+
+
 def test_an_interval_may_be_a_rounding_off(opened):
     """3 * 0.1 is not 0.3, but means it."""
     trace = Trace(opened("me", "asked", period=3 * 0.1), h=0.3)

@@ -16,6 +16,9 @@ Between its ticks an output that belongs to a clock keeps the value that was rea
 triggers or is triggered is a signal, 1 at the communication point at which it ticks: an output
 clock at the end of the communication step in which it did.
 
+A periodic clock keeps the interval that the file gives, so that none is set: that is the one that
+holds where ``fmi3SetInterval`` is not called. Where the file gives none, the FMU is asked for it.
+
 Instants are integer nanoseconds: that of the k-th tick of a periodic clock is start + shift + k
 interval, and nothing accumulates. A countdown clock counts from an event, whose time is the FMU's:
 there the instant is the exact sum of that double and the interval.
