@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Final
 
-from cosim.core.contracts import Component
+import numpy as np
+
+from cosim.core.contracts import Component, Design
 from cosim.core.recording import Recorder
 from cosim.core.signals import Interface
-from cosim.errors import GraphError, UsageError, quoted
+from cosim.errors import GraphError, UsageError, nearest, quoted
 
+THREADS: Final = (1, 2)
 RECORDER_METHODS = ("__enter__", "__exit__", "begin", "write", "message", "event", "result")
 
 
@@ -78,6 +81,111 @@ def checked_components(components: Mapping[str, Component]) -> dict[str, Compone
             )
         _check_component(name, component)
     return dict(components)
+
+
+def check_threads(threads: int | None) -> None:
+    """Check a number of threads; None: as many as it takes.
+
+    Raises
+    ------
+    GraphError
+        If there cannot be as many.
+    """
+    if threads is not None and (type(threads) is not int or threads not in THREADS):
+        raise GraphError(f"threads: found {kind_of(threads)}; needed 1 or 2, or None")
+
+
+def check_choice(key: str, value: str, choices: tuple[str, ...]) -> None:
+    """Check that a value is one of several.
+
+    Raises
+    ------
+    GraphError
+        If it is none of them; names the nearest.
+    """
+    if not isinstance(value, str) or value not in choices:
+        raise GraphError(f"{key}: found {kind_of(value)}; {nearest(str(value), choices)}")
+
+
+def check_iterations(iterations: int, coupling: str, input_interpolation: str) -> None:
+    """Check that a number of iterations is one, and has something to change.
+
+    Raises
+    ------
+    GraphError
+        If it is not, or has not.
+    """
+    if type(iterations) is not int or iterations < 1:
+        raise GraphError(
+            f"iterations: found {kind_of(iterations)}; needed a whole number from 1 on"
+        )
+    if iterations > 1 and coupling == "newton":
+        raise GraphError(
+            f"iterations: found {iterations} with coupling = 'newton', which takes as many as it "
+            "needs; needed 1, or 'gauss-seidel' or 'jacobi'"
+        )
+    if iterations > 1 and input_interpolation == "zero-order":
+        raise GraphError(
+            f"iterations: found {iterations} with input_interpolation = 'zero-order', where inputs "
+            "hold their values from the start of a step, so that nothing changes; needed "
+            "'linear' or 'latest'"
+        )
+
+
+def checked_periods(
+    periods: Mapping[str, int], components: Mapping[str, Component]
+) -> dict[str, int]:
+    """Return a copy of the communication steps between rows that are kept, by component.
+
+    Raises
+    ------
+    GraphError
+        If there is no such component, or they are no whole number from 1 on.
+    """
+    check_type("periods", periods, Mapping, GraphError)
+    for name, period in periods.items():
+        if name not in components:
+            suggestion = nearest(str(name), components)
+            raise GraphError(f"periods: there is no component {name!r}; {suggestion}")
+        if type(period) is not int or period < 1:
+            found = kind_of(period)
+            raise GraphError(f"periods: found {found} steps for {name!r}, needed at least 1")
+    return dict(periods)
+
+
+def check_step(step_ns: int) -> None:
+    """Check a communication step [ns].
+
+    Raises
+    ------
+    GraphError
+        If it is no whole number from 1 on.
+    """
+    if type(step_ns) is not int or step_ns < 1:
+        raise GraphError(
+            f"step_ns: found {kind_of(step_ns)}, needed a whole number of nanoseconds, at least 1"
+        )
+
+
+def check_recorded_designs(
+    designs: Mapping[str, Design], components: Mapping[str, Component]
+) -> None:
+    """Check that recorded designs are those of components.
+
+    Raises
+    ------
+    GraphError
+        If there is no such component, or a design is no mapping of arrays.
+    """
+    check_type("recorded", designs, Mapping, GraphError)
+    for name, design in designs.items():
+        if name not in components:
+            suggestion = nearest(str(name), components)
+            raise GraphError(f"recorded: there is no component {name!r}; {suggestion}")
+        check_type(f"recorded design of {name!r}", design, Mapping, GraphError)
+        for key, array in design.items():
+            label = f"recorded design of {name!r}, {key!r}"
+            check_type(label, array, np.ndarray, GraphError)
 
 
 def _check_component(name: str, component: Component) -> None:

@@ -13,7 +13,15 @@ from itertools import chain
 import numpy as np
 
 from cosim.arrays import Mask, Vector
-from cosim.core.arguments import check_type, checked_components, kind_of
+from cosim.core.arguments import (
+    check_choice,
+    check_iterations,
+    check_recorded_designs,
+    check_step,
+    check_threads,
+    checked_components,
+    checked_periods,
+)
 from cosim.core.connections import Connection, SourceText
 from cosim.core.contracts import Component, Design, Transfer
 from cosim.core.initialization.initial_values import InitialValues
@@ -38,7 +46,6 @@ from cosim.errors import GraphError, nearest
 from cosim.native.stages.loop_solver import LoopSolver
 from cosim.units import Conversion
 
-THREADS = (1, 2)
 COUPLINGS: tuple[Coupling, ...] = ("gauss-seidel", "jacobi", "newton")
 INTERPOLATIONS: tuple[str, ...] = ("linear", "zero-order", "latest")
 
@@ -112,15 +119,14 @@ class Graph:
         threads: int | None = None,
         native: bool = True,
     ) -> None:
-        if threads is not None and (type(threads) is not int or threads not in THREADS):
-            raise GraphError(f"threads: found {kind_of(threads)}; needed 1 or 2, or None")
+        check_threads(threads)
         self.threads = threads
         self.native = native
         self.components = checked_components(components)
-        _check_choice("coupling", coupling, COUPLINGS)
-        _check_choice("input_interpolation", input_interpolation, INTERPOLATIONS)
-        self.periods = _checked_periods({} if periods is None else periods, self.components)
-        _check_iterations(iterations, coupling, input_interpolation)
+        check_choice("coupling", coupling, COUPLINGS)
+        check_choice("input_interpolation", input_interpolation, INTERPOLATIONS)
+        self.periods = checked_periods({} if periods is None else periods, self.components)
+        check_iterations(iterations, coupling, input_interpolation)
         self.iterations = iterations
         self.substeps = substeps
         self.coupling = coupling
@@ -192,13 +198,9 @@ class Graph:
         RunError
             If a component raises a foreign exception, or its design is not finite numbers.
         """
-        if type(step_ns) is not int or step_ns < 1:
-            raise GraphError(
-                f"step_ns: found {kind_of(step_ns)}, needed a whole number of nanoseconds, at "
-                "least 1"
-            )
+        check_step(step_ns)
         taken: Mapping[str, Design] = {} if recorded is None else recorded
-        self._check_recorded(taken)
+        check_recorded_designs(taken, self.components)
         h = step_ns / 1e9
         designs: dict[str, Design] = {}
         for name, member in self._members.items():
@@ -474,17 +476,6 @@ class Graph:
 
     # --- structure ---
 
-    def _check_recorded(self, recorded: Mapping[str, Design]) -> None:
-        check_type("recorded", recorded, Mapping, GraphError)
-        for name, design in recorded.items():
-            if name not in self.components:
-                suggestion = nearest(str(name), self.components)
-                raise GraphError(f"recorded: there is no component {name!r}; {suggestion}")
-            check_type(f"recorded design of {name!r}", design, Mapping, GraphError)
-            for key, array in design.items():
-                label = f"recorded design of {name!r}, {key!r}"
-                check_type(label, array, np.ndarray, GraphError)
-
     def _wires_of(self, name: str) -> dict[Port, tuple[Wire, ...]]:
         """Return the wires that feed each input of a component."""
         wires: dict[Port, tuple[Wire, ...]] = {}
@@ -539,49 +530,3 @@ class Graph:
             own = self.ports.output(port).columns
             columns += range(own.start, own.stop)
         return columns
-
-
-def _check_iterations(
-    iterations: int, coupling: Coupling, input_interpolation: InputInterpolation
-) -> None:
-    """Check that a number of iterations is one, and has something to change.
-
-    Raises
-    ------
-    GraphError
-        If it is not, or has not.
-    """
-    if type(iterations) is not int or iterations < 1:
-        raise GraphError(
-            f"iterations: found {kind_of(iterations)}; needed a whole number from 1 on"
-        )
-    if iterations > 1 and coupling == "newton":
-        raise GraphError(
-            f"iterations: found {iterations} with coupling = 'newton', which takes as many as it "
-            "needs; needed 1, or 'gauss-seidel' or 'jacobi'"
-        )
-    if iterations > 1 and input_interpolation == "zero-order":
-        raise GraphError(
-            f"iterations: found {iterations} with input_interpolation = 'zero-order', where inputs "
-            "hold their values from the start of a step, so that nothing changes; needed "
-            "'linear' or 'latest'"
-        )
-
-
-def _check_choice(key: str, value: str, choices: tuple[str, ...]) -> None:
-    if not isinstance(value, str) or value not in choices:
-        raise GraphError(f"{key}: found {kind_of(value)}; {nearest(str(value), choices)}")
-
-
-def _checked_periods(
-    periods: Mapping[str, int], components: Mapping[str, Component]
-) -> dict[str, int]:
-    check_type("periods", periods, Mapping, GraphError)
-    for name, period in periods.items():
-        if name not in components:
-            suggestion = nearest(str(name), components)
-            raise GraphError(f"periods: there is no component {name!r}; {suggestion}")
-        if type(period) is not int or period < 1:
-            found = kind_of(period)
-            raise GraphError(f"periods: found {found} steps for {name!r}, needed at least 1")
-    return dict(periods)

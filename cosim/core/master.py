@@ -26,9 +26,10 @@ from cosim.core.clock import Clock
 from cosim.core.conditions import RunConditions, conditions_until
 from cosim.core.contracts import Block, Design, Stopped
 from cosim.core.graph import Graph
-from cosim.core.recorders import Nothing, record
+from cosim.core.recorders import Nothing
 from cosim.core.recording import Plan, Recorder
 from cosim.core.stages.engine import Engine
+from cosim.core.stages.left_limits import record
 from cosim.errors import UsageError
 
 

@@ -20,7 +20,7 @@ from cosim.core.contracts import Block, Stopped
 from cosim.core.growing_rows import GrowingRows
 from cosim.core.recorded import RecordedSignals, RunMessage, find_channel
 from cosim.core.recording import MessageLevel, Plan, Recorder, RowMemory, SignalEvent, Substep
-from cosim.core.signals import Channel, Layout
+from cosim.core.signals import Channel
 from cosim.errors import CosimError, Interrupted, LogError, UsageError, nearest
 
 
@@ -289,36 +289,6 @@ def close(recorder: Recorder, error: BaseException | None) -> None:
         recorder.__exit__(None, None, None)
     else:
         recorder.__exit__(type(error), error, error.__traceback__)
-
-
-def record(recorder: Recorder, layout: Layout, block: Block, rows: Matrix) -> None:
-    """Record rows, shape (K+1, row_width), and where continuous outputs jump in them."""
-    if not layout.jumping:
-        recorder.write(block, rows)
-        return
-    recorder.write(block, rows[:, : layout.width])
-    for event in jumps_in(layout, block, rows):
-        recorder.event(event)
-
-
-def jumps_in(layout: Layout, block: Block, rows: Matrix) -> list[SignalEvent]:
-    """Return the jumps of continuous outputs in rows, in the order of time: their left limits."""
-    limits = layout.left_limits
-    events = []
-    for channel in layout.channels:
-        for signal in channel.interface.outputs:
-            own = channel.signal_columns[signal.name]
-            if own.start not in limits:
-                continue
-            first = limits[own.start]
-            left = np.ascontiguousarray(rows[1:, first : first + signal.size])
-            right = np.ascontiguousarray(rows[1:, own])
-            jumps = (left.view(np.int64) != right.view(np.int64)).any(axis=1)
-            for row in np.flatnonzero(jumps).tolist():
-                time_ns = int(block.time_ns[row + 1])
-                values = tuple(left[row].tolist())
-                events.append(SignalEvent(time_ns, "jump", f"{channel.name}.{signal.name}", values))
-    return sorted(events, key=lambda event: event.time_ns)
 
 
 class Nothing:

@@ -30,10 +30,11 @@ from cosim.core.clock import Clock
 from cosim.core.conditions import conditions_until
 from cosim.core.contracts import Component, Transfer
 from cosim.core.graph import Graph
-from cosim.core.recorders import Nothing, end_of_run, error_text, record
+from cosim.core.recorders import Nothing, end_of_run, error_text
 from cosim.core.recording import EventCause, Plan, Recorder
 from cosim.core.signals import FaultKind
 from cosim.core.stages.engine import Engine
+from cosim.core.stages.left_limits import record
 from cosim.core.stages.overrides import OverrideValue
 from cosim.core.stepping.actions import Agenda, ConditionalAction, Reactions, TimedAction
 from cosim.core.stepping.fault_injection import VaryingFaults, faults_of

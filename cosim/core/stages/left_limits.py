@@ -3,7 +3,7 @@
 The row at a communication point has the right limits. Behind the channels it has the left limits of
 those continuous outputs that jump and are followed; that of a discrete output is what it had in the
 row before. A component takes left limits at the end of a step. Where one of them is no right limit,
-its outputs are evaluated again for the right ones.
+its outputs are evaluated again for the right ones. A recorder gets left limits as events.
 """
 
 from __future__ import annotations
@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Vector
+from cosim.core.contracts import Block
+from cosim.core.recording import Recorder, SignalEvent
 from cosim.core.signals import Layout
 
 ColumnNumbers = NDArray[np.intp]
@@ -101,10 +103,39 @@ class JumpColumns:
             signals[1 + place, self.own_limits] = y[self.own_places]
 
 
+def record(recorder: Recorder, layout: Layout, block: Block, rows: Matrix) -> None:
+    """Record rows, shape (K+1, row_width), and where continuous outputs jump in them."""
+    if not layout.jumping:
+        recorder.write(block, rows)
+        return
+    recorder.write(block, rows[:, : layout.width])
+    for event in jumps_in(layout, block, rows):
+        recorder.event(event)
+
+
+def jumps_in(layout: Layout, block: Block, rows: Matrix) -> list[SignalEvent]:
+    """Return the jumps of continuous outputs in rows, in the order of time: their left limits."""
+    limits = layout.left_limits
+    events = []
+    for channel in layout.channels:
+        for signal in channel.interface.outputs:
+            own = channel.signal_columns[signal.name]
+            if own.start not in limits:
+                continue
+            first = limits[own.start]
+            left = slice(first, first + signal.size)
+            jumps = (_bits(rows[1:], left) != _bits(rows[1:], own)).any(axis=1)
+            for row in np.flatnonzero(jumps).tolist():
+                time_ns = int(block.time_ns[row + 1])
+                values = tuple(rows[row + 1, left].tolist())
+                events.append(SignalEvent(time_ns, "jump", f"{channel.name}.{signal.name}", values))
+    return sorted(events, key=lambda event: event.time_ns)
+
+
 def _numbers(columns: Iterable[int]) -> ColumnNumbers:
     return np.array(list(columns), np.intp)
 
 
-def _bits(rows: Matrix, columns: ColumnNumbers) -> NDArray[np.int64]:
+def _bits(rows: Matrix, columns: ColumnNumbers | slice) -> NDArray[np.int64]:
     """Return values by their bits, by which NaN is NaN."""
     return np.ascontiguousarray(rows[:, columns]).view(np.int64)

@@ -11,11 +11,11 @@ from typing import Any, Final, final
 from cosim.arrays import Matrix
 from cosim.core.clock import Clock
 from cosim.core.contracts import Block
-from cosim.core.recorders import record
 from cosim.core.recording import Recorder
 from cosim.core.signals import Layout
 from cosim.core.stages.coupling import Cut
 from cosim.core.stages.engine import Engine
+from cosim.core.stages.left_limits import record
 from cosim.core.stages.native_stage import NativeStage
 from cosim.core.stages.pacing import PIECE_WORK
 from cosim.core.stepping.fault_injection import VaryingFaults
