@@ -27,7 +27,6 @@ from dataclasses import dataclass, field
 from typing import Literal, Protocol, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector, read_only
 from cosim.core.contracts import Block, Stopped
@@ -396,7 +395,8 @@ class Loop:
         torn = set() if self.torn is None else set(self.torn.columns)
         writers: dict[int, str] = {}
         for member in self.members:
-            writers.update((int(column), member.name) for column in _numbers(member.outputs))
+            outputs = range(member.outputs.start, member.outputs.stop)
+            writers.update(dict.fromkeys(outputs, member.name))
         sources: dict[str, set[str]] = {}
         for member in self.members:
             columns: set[int] = set()
@@ -418,7 +418,7 @@ class Loop:
 
     def _advance(self, block: Block, signals: Matrix) -> None:
         known = read_only(signals)
-        columns = np.concatenate([_numbers(member.columns) for member in self.members])
+        columns = np.concatenate([member.column_numbers for member in self.members])
         for k in range(block.steps):
             step = slice(k, k + 2)
             results: list[tuple[Member, Vector]] = []
@@ -577,10 +577,6 @@ def check_finite(members: Sequence[Member], block: Block, signals: Matrix) -> No
     bad = first_non_finite(members, signals[1 : block.steps + 1])
     if bad is not None:
         raise Cut(bad.row, bad.error(float(block.time[bad.row + 1])), members[0].name)
-
-
-def _numbers(columns: slice) -> NDArray[np.intp]:
-    return np.arange(columns.start, columns.stop)
 
 
 def _origin(results: Iterable[tuple[Member, Vector]]) -> NonFinite | None:

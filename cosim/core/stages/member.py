@@ -97,6 +97,11 @@ class Member:
             optional += [signal.optional] * signal.size
         self.optional = np.array(optional, np.bool_)
 
+    @property
+    def column_numbers(self) -> NDArray[np.intp]:
+        """The numbers of its columns in the row."""
+        return np.arange(self.columns.start, self.columns.stop)
+
     def label(self, column: int) -> str:
         """Return the name of one of its elements, numbered from the first input."""
         return f"{self.name}.{element_names(self.channel.signals)[column]}"

@@ -61,8 +61,7 @@ class TornInputs:
         self._elements = elements
         self.columns = elements.columns
         self.solver = LoopSolver(len(elements), iterations)
-        of_members = [np.arange(m.columns.start, m.columns.stop) for m in members]
-        self._of_loop = np.concatenate(of_members)
+        self._of_loop = np.concatenate([member.column_numbers for member in members])
         self._jumping = [
             f"{member.name}.{name}"
             for member in members
