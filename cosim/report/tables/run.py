@@ -141,7 +141,7 @@ def _summary_table(summary: Summary, recording: Recording) -> Table:
 
 def _add_loops(table: Table, summary: Summary) -> None:
     for loop in summary.loops:
-        text = "step by step, so with an error of first order in the step; compare with --step"
+        text = "step by step, so with an error of first order in the step; --certify shows it"
         if summary.substeps:
             text = "step by step, first order, in substeps"
         table.add_row("loop", "", "", f"{loop}: {text}")

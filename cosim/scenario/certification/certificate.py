@@ -409,6 +409,14 @@ class Certifier:
                 errors[self._subject.labels[column]] = error
         return errors
 
+    @property
+    def of_conditions(self) -> frozenset[str]:
+        """The components that have no estimate with any step, as they follow a condition."""
+        names: set[str] = set()
+        for origin, _ in self._of_actions():
+            names.update(self._subject.followers.get(origin, ()))
+        return frozenset(names)
+
     def _runs(self, own: ThinnedRows) -> list[ThinnedRows]:
         return [own, self._half.rows, self._quarter.rows]
 

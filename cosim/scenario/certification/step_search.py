@@ -100,6 +100,12 @@ class TriedStep:
         """Whether an error is lost in rounding, so that smaller steps show no more."""
         return any(error.is_rounding for error in self.errors.values())
 
+    @property
+    def follows_condition(self) -> bool:
+        """Whether there is no estimate of an error, nor with another step."""
+        components = self.certifier.of_conditions
+        return any(label.partition(".")[0] in components for label in self.errors)
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for the log."""
         largest = {label: error.largest for label, error in self.errors.items()}
@@ -219,6 +225,7 @@ class _StepSearch:
         self.trials: list[TriedStep] = []
         with ExitStack() as resources:
             clock = build_experiment(scenario, resources, None).clock
+        self._own_step_ns = clock.step_ns
         self._steps = _dividing_steps(clock.step_ns, clock.steps)
         self._possible: dict[int, bool] = {clock.step_ns: True}
         self._times_ns: list[int] = []
@@ -240,7 +247,9 @@ class _StepSearch:
                 trial = self._try(step_ns)
                 if trial.is_fine:
                     return trial
-                if trial.is_rounding:
+                # With larger steps than the scenario's own a condition may come true by mistake.
+                is_hopeless = trial.follows_condition and step_ns <= self._own_step_ns
+                if trial.is_rounding or is_hopeless:
                     break
         raise RunError(self._none_found())
 
@@ -273,6 +282,8 @@ class _StepSearch:
             f"{option(FIND_STEP)}: no step keeps {wanted}; tried {len(self.trials)}, down to "
             f"{last.step_ns / NANOSECONDS:g} s: {last.failure}"
         )
+        if last.follows_condition:
+            text += ", whatever it is; needed an action at a time, or another signal"
         grown = [trial for trial in self.trials if trial.grows]
         if grown and (last.grows or last.problem):
             step = grown[-1].step_ns / NANOSECONDS

@@ -99,6 +99,31 @@ def test_a_step_that_is_given_beside_is_refused(tmp_path, capsys):
 # --- where the confident sentence would be false ---
 
 
+def test_a_search_ends_where_no_step_has_an_estimate(tmp_path):
+    """The point of a condition depends on every step: none below the scenario's own is tried."""
+    text = """
+    [components]
+    sine = { kind = "sine", rate = 1.0 }
+    lag = { kind = "lag", time_constant = 0.5, initial = 0.0 }
+
+    [connections]
+    "lag.u" = "sine.y"
+
+    [[actions]]
+    when = "sine.y > 0.5"
+    signal = "lag.u"
+    override = 0.3
+    """
+    path = write(tmp_path, text)
+    with pytest.raises(RunError) as caught:
+        cosim.run(path, find_step={"lag.y": 1e-3})
+    assert str(caught.value).endswith(
+        "down to 0.0078125 s: no estimate of lag.y: the action when 'sine.y > 0.5' comes at a "
+        "point that depends on the step, whatever it is; needed an action at a time, or another "
+        "signal"
+    )
+
+
 def test_an_unstable_coupling_is_no_success(tmp_path, monkeypatch):
     """It multiplies by -1.02 a step: with every halving it grows, until it leaves all bounds."""
     monkeypatch.setattr(step_search, "MOST_STEPS", 10**5)
