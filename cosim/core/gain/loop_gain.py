@@ -224,7 +224,7 @@ class LinearizedLoops:
         h = self.clock.step_ns / NANOSECONDS
         if unknown:
             return LoopGain(names, coupling, h, self.clock.steps, unknown=unknown)
-        if loop.nested is not None:
+        if loop.nested is not None and (loop.controls or loop.torn is not None):
             return LoopGain(names, coupling, h, self.clock.steps, reason=NESTED)
         parts = self._substeps(loop)
         gain = _gain_of(self._model(loop), names, coupling, self.clock.steps * parts)

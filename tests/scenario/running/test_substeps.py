@@ -241,6 +241,16 @@ def test_substeps_that_no_loop_takes_change_nothing_and_say_so(scenario, tmp_pat
     assert memory.substeps() == []
 
 
+def test_a_loop_without_substeps_of_its_own_has_the_gain_of_its_steps(tmp_path):
+    """A sampled controller cuts it, and what is left is no loop."""
+    path = tmp_path / "sampled.toml"
+    path.write_text(SAMPLED)
+    found = recorded_loop_gains(cosim.run(path))
+    path.write_text(SAMPLED.replace("substeps = {}", ""))
+    assert found == recorded_loop_gains(cosim.run(path))
+    assert found[0].rho is not None
+
+
 @pytest.mark.parametrize("how", [{"certify": True}, {"find_step": {"two.x": 1e-4}}])
 def test_a_certificate_of_chosen_steps_is_refused(pair, how):
     """Halves of the communication step would show nothing of the error."""
