@@ -62,6 +62,8 @@ class StepError:
         The differences grow as the step is made smaller, by more than rounding does.
     is_rounding : bool
         The differences are those of rounding: a smaller step shows no more.
+    bound : float or None
+        Then what the error is within, of any order: twice the largest difference.
     """
 
     largest: float | None = None
@@ -71,6 +73,7 @@ class StepError:
     reason: str = ""
     grows: bool = False
     is_rounding: bool = False
+    bound: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,7 +177,8 @@ def _of_differences(differences: _Differences, scale: float) -> StepError:
 
 def _rounding(largest: float) -> StepError:
     reason = f"the differences, {largest:.2g}, are at the level of rounding"
-    return StepError(reason=reason, is_rounding=True)
+    # d1 = e h (1 - 2^-p) is half of the error where p = 1, and more of it where p is larger.
+    return StepError(reason=reason, is_rounding=True, bound=2.0 * largest)
 
 
 def _whole(order: float) -> int:

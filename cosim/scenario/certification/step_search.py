@@ -60,8 +60,7 @@ class TriedStep:
     def is_fine(self) -> bool:
         """Whether every error is known, and within its tolerance."""
         return not self.problem and all(
-            error.largest is not None and error.largest <= self.tolerances[label]
-            for label, error in self.errors.items()
+            _is_within(error, self.tolerances[label]) for label, error in self.errors.items()
         )
 
     @property
@@ -82,9 +81,11 @@ class TriedStep:
         texts = []
         unknown: dict[str, list[str]] = {}
         for label, error in self.errors.items():
+            if _is_within(error, self.tolerances[label]):
+                continue
             if error.largest is None:
                 unknown.setdefault(error.reason, []).append(label)
-            elif error.largest > self.tolerances[label]:
+            else:
                 texts.append(f"the error of {label} is {error.largest:.3g}")
         for reason, labels in unknown.items():
             texts.append(f"no estimate of {', '.join(labels)}: {reason}")
@@ -97,8 +98,11 @@ class TriedStep:
 
     @property
     def is_rounding(self) -> bool:
-        """Whether an error is lost in rounding, so that smaller steps show no more."""
-        return any(error.is_rounding for error in self.errors.values())
+        """Whether an error that is too large is lost in rounding: smaller steps show no more."""
+        return any(
+            error.is_rounding and not _is_within(error, self.tolerances[label])
+            for label, error in self.errors.items()
+        )
 
     @property
     def follows_condition(self) -> bool:
@@ -329,6 +333,12 @@ class _StepSearch:
         trial = TriedStep(step_ns, errors, self._tolerances, problem, certifier)
         self.trials.append(trial)
         return trial
+
+
+def _is_within(error: StepError, tolerance: float) -> bool:
+    """Return whether an error is within a tolerance; one that is lost in rounding by its bound."""
+    known = error.bound if error.largest is None else error.largest
+    return known is not None and known <= tolerance
 
 
 def _dividing_steps(step_ns: int, steps: int) -> list[int]:

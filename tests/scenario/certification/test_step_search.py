@@ -142,6 +142,13 @@ def test_a_jump_between_points_has_no_step(tmp_path, monkeypatch):
         cosim.run(path, find_step={"lag.y": 1e-12})
 
 
+def test_differences_of_rounding_keep_a_larger_tolerance():
+    """The exact lag has the same values with every step, but for rounding: the largest will do."""
+    log = cosim.run(certified.parsed(certified.EXACT), find_step={"lag.y": 1e-12})
+    assert log.step_ns == 250_000_000
+    assert cosim.certificate(log)["lag.y"].is_rounding
+
+
 def test_rounding_ends_the_search():
     with pytest.raises(
         RunError, match=r"tried 1, down to 0.25 s: no estimate of lag.y: .*rounding"
