@@ -203,8 +203,7 @@ class Clock:
 
     def block_at(self, index: int, steps: int) -> Block:
         """Return some communication steps, from the point of number ``index`` on."""
-        numbers = np.arange(index, index + steps + 1, dtype=np.int64)
-        ns = self.start_ns + numbers * self.step_ns
+        ns = np.arange(index, index + steps + 1, dtype=np.int64) * self.step_ns + self.start_ns
         time = seconds(ns)
         for array in (ns, time):
             array.setflags(write=False)  # components see them
