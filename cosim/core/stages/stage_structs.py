@@ -27,11 +27,14 @@ from cosim.native.stages.stage import (
     SumStruct,
     TermStruct,
     UnknownsStruct,
+    WideCopyStruct,
 )
 from cosim.native.step import NativeStep
 
 TILE_STEPS: Final = 256  # of a segment before the next one, at most
 TILE_BYTES: Final = 2**17  # of the rows of so many steps, which stay in the cache
+
+WIDE: Final = 8  # columns, from which on they are copied at once
 
 NativeSteps: TypeAlias = Mapping[str, NativeStep]  # by component
 
@@ -132,7 +135,7 @@ def _add_jumps(struct: MemberStruct, jumps: JumpColumns) -> object:
     followed = zip(jumps.followed.tolist(), jumps.limits.tolist(), strict=True)
     sources += [JumpStruct(column, limit) for column, limit in followed]
     own = zip(jumps.own_limits.tolist(), jumps.own.tolist(), strict=True)
-    limits = [CopyStruct(to, column, 1) for to, column in own]
+    limits = [CopyStruct(to, column) for to, column in own]
     source_array = (JumpStruct * len(sources))(*sources)
     limit_array = (CopyStruct * len(limits))(*limits)
     right = np.zeros(len(sources))
@@ -210,24 +213,32 @@ def _let_go_back(
 def _add_wires(struct: MemberStruct, member: Member) -> object:
     """Write the wires of a member to its struct; return their memory."""
     copies = []
+    wide_copies = []
     sums = []
     terms: list[Array[TermStruct]] = []
     for wire in member.wires:
         sources = wire.source_columns
         if wire.gain is None and wire.conversion.copies:
-            copies.append(CopyStruct(wire.to.start, sources[0], len(sources)))
+            if len(sources) < WIDE:
+                columns = range(wire.to.start, wire.to.stop)
+                copies += [CopyStruct(*pair) for pair in zip(columns, sources, strict=True)]
+            else:
+                wide_copies.append(WideCopyStruct(wire.to.start, sources[0], len(sources)))
             continue
         for row, to in enumerate(range(wire.to.start, wire.to.stop)):
             own_terms = _terms(wire, row)
             sums.append(_sum(to, wire, own_terms))
             terms.append(own_terms)
     copy_array = (CopyStruct * len(copies))(*copies)
+    wide_array = (WideCopyStruct * len(wide_copies))(*wide_copies)
     sum_array = (SumStruct * len(sums))(*sums)
     struct.n_copies = len(copies)
+    struct.n_wide = len(wide_copies)
     struct.n_sums = len(sums)
     struct.copies = addressof(copy_array)
+    struct.wide_copies = addressof(wide_array)
     struct.sums = addressof(sum_array)
-    return copy_array, sum_array, terms
+    return copy_array, wide_array, sum_array, terms
 
 
 def _terms(wire: Wire, row: int) -> Array[TermStruct]:

@@ -3,7 +3,8 @@
 #include <float.h>
 #include <math.h>
 #include <stdbool.h>
-#include <string.h>
+
+#include "copying.h"
 
 #define GOAL 2e-13                  /* residual that is a solution, relative to the unknown */
 #define LIMIT 1e-9                  /* one that is, where it does not fall any more ... */
@@ -39,14 +40,6 @@ static double *factors_of(const Solver *s)
 static double *order_of(const Solver *s)
 {
     return s->memory + 1 + 2 * s->n + s->n * s->n;
-}
-
-static inline void copy(double *to, const double *from, int64_t count)
-{
-    if (count == 1)
-        *to = *from;
-    else
-        memcpy(to, from, (size_t)count * sizeof *to);
 }
 
 /* Look at the residual; the worst, in units of GOAL. */
@@ -99,7 +92,7 @@ static double scale_of(const Solver *s, int64_t i)
 static int32_t shift(Solver *s, int64_t column)
 {
     s->column = column;
-    copy(s->v, s->point, s->n);
+    cosim_copy_values(s->v, s->point, s->n);
     s->v[column] += copysign(ldexp(scales_of(s)[column], DIFFERENCE), s->v[column]);
     return COSIM_SWEEP;
 }
@@ -213,7 +206,7 @@ static void take_recorded(Solver *s, double t)
         else
             high = middle;
     }
-    memcpy(s->v, s->rows + low * s->n, (size_t)s->n * sizeof *s->v);
+    cosim_copy_values(s->v, s->rows + low * s->n, s->n);
 }
 
 void cosim_loop_solver_begin(cosim_loop_solver *s, double t1)
@@ -242,7 +235,7 @@ static int32_t halve(Solver *s)
 /* Take the point itself: rounding leaves no matrix, and no more than rounding is left. */
 static int32_t go_back(Solver *s)
 {
-    memcpy(s->v, s->point, (size_t)s->n * sizeof *s->v);
+    cosim_copy_values(s->v, s->point, s->n);
     s->column = -1;
     s->is_last = 1;
     return COSIM_SWEEP;
@@ -268,8 +261,8 @@ static int32_t judge(Solver *s, const double *w, double largest)
         return COSIM_UNSOLVED;
     s->before = excess;
     s->halvings = 0;
-    copy(s->point, s->v, s->n);
-    copy(s->point + s->n, w, s->n);
+    cosim_copy_values(s->point, s->v, s->n);
+    cosim_copy_values(s->point + s->n, w, s->n);
     s->point_is_rounding = is_rounding;
     if (keeps) {
         s->is_new = 0;
@@ -282,7 +275,7 @@ static int32_t repeat(Solver *s, const double *w)
 {
     if (++s->sweeps >= s->iterations)
         return COSIM_SOLVED;
-    memcpy(s->v, w, (size_t)s->n * sizeof *w);
+    cosim_copy_values(s->v, w, s->n);
     return COSIM_SWEEP;
 }
 

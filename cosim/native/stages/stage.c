@@ -5,6 +5,8 @@
 #include <string.h>
 #include <time.h>
 
+#include "copying.h"
+
 #define RARE __attribute__((noinline))
 
 #define GO_ON (-1) /* the cursor shows where */
@@ -30,14 +32,6 @@ static double value_of(const cosim_sum *sum, const double *row)
     for (int32_t j = 0; j < sum->n_terms; ++j)
         value += terms[j].gain * row[terms[j].from];
     return convert(sum, value);
-}
-
-static inline void copy(double *to, const double *from, int32_t count)
-{
-    if (count == 1)
-        *to = *from;
-    else
-        memcpy(to, from, (size_t)count * sizeof *to);
 }
 
 static void add_up(cosim_stage *s, const cosim_sum *sum, double *row)
@@ -68,9 +62,16 @@ static inline void put_tried(const cosim_member *m, double *row)
         row[m->torn[i]] = m->tried[i];
 }
 
-/* Fill inputs that are no copies. */
+static void copy_wide(const cosim_wide_copy *c, double *row)
+{
+    memcpy(row + c->to, row + c->from, (size_t)c->count * sizeof *row);
+}
+
+/* Fill inputs that are no copies of single columns. */
 RARE static void gather_driven(cosim_stage *s, const cosim_member *m, double *row)
 {
+    for (int32_t i = 0; i < m->n_wide; ++i)
+        copy_wide(m->wide_copies + i, row);
     for (int32_t i = 0; i < m->n_sums; ++i)
         add_up(s, m->sums + i, row);
     override(s, m, row);
@@ -80,14 +81,14 @@ static inline void gather_copies(const cosim_member *m, double *row)
 {
     const cosim_copy *c = m->copies, *end = c + m->n_copies;
     for (; c < end; ++c)
-        copy(row + c->to, row + c->from, c->count);
+        row[c->to] = row[c->from];
 }
 
 /* Fill the inputs from their sources. */
 static inline void gather_sources(cosim_stage *s, const cosim_member *m, double *row)
 {
     gather_copies(m, row);
-    if (m->n_sums | *m->overridden)
+    if (m->n_wide | m->n_sums | *m->overridden)
         gather_driven(s, m, row);
 }
 
@@ -164,9 +165,9 @@ static void gather_rows(cosim_stage *s, const cosim_member *m, double *rows, int
     for (int32_t i = 0; i < m->n_copies; ++i) {
         const cosim_copy c = m->copies[i];
         for (int64_t k = 0; k < end; k += width)
-            copy(rows + k + c.to, rows + k + c.from, c.count);
+            rows[k + c.to] = rows[k + c.from];
     }
-    if (m->n_sums | *m->overridden)
+    if (m->n_wide | m->n_sums | *m->overridden)
         for (int64_t k = 0; k < end; k += width)
             gather_driven(s, m, rows + k);
 }
@@ -209,12 +210,14 @@ RARE static void remember_origin(cosim_stage *s, const cosim_member *m, const do
 /* Look at outputs that were written. */
 static inline void trace(cosim_stage *s, const cosim_member *m, const double *row)
 {
-    const double *y = row + m->y;
-    for (int32_t j = 0; j < m->n_y; ++j)
-        if (!is_finite(y[j])) {
-            remember_origin(s, m, row);
-            return;
-        }
+    const volatile double *y = row + m->y; /* volatile: vectorizing does not pay for a few */
+    double nothing = 0.0;                  /* NaN where one is not finite */
+    for (int32_t j = 0; j < m->n_y; ++j) {
+        const double value = y[j];
+        nothing += value - value;
+    }
+    if (nothing != 0.0)
+        remember_origin(s, m, row);
 }
 
 /* Begin to do the operations of a step, or of another sweep. */
@@ -426,7 +429,7 @@ static inline int32_t perform(cosim_stage *s, const cosim_operation *operation, 
         gather_left(s, m, step->before, step->row);
         return evaluate(s, m, COSIM_ADVANCE, step);
     case COSIM_KEEP:
-        copy(step->row + m->y, step->before + m->y, m->n_y);
+        cosim_copy_values(step->row + m->y, step->before + m->y, m->n_y);
         keep_outputs(m, step->row);
         return COSIM_OK;
     case COSIM_GATHER:
@@ -455,27 +458,43 @@ static inline int32_t perform(cosim_stage *s, const cosim_operation *operation, 
     }
 }
 
+static inline Step first_step(const cosim_stage *s)
+{
+    double *before = s->rows + s->step * s->width;
+    return (Step){s->t + s->step, before, before + s->width};
+}
+
+static inline void next_step(const cosim_stage *s, Step *step)
+{
+    ++step->t;
+    step->before = step->row;
+    step->row += s->width;
+}
+
 /* Do the steps of the segment up to `end`, from the cursor on; or return the number of the
  * operation that is left. */
 static int64_t run_segment(cosim_stage *s, int64_t end)
 {
     const cosim_segment *segment = s->segments + s->segment;
+    const cosim_operation *operations = segment->operations, *behind = operations + segment->count;
+    Step step = first_step(s);
     for (; s->step < end; ++s->step) {
-        double *before = s->rows + s->step * s->width;
-        const Step step = {s->t + s->step, before, before + s->width};
-        if (s->operation == 0)
+        const cosim_operation *operation = operations + s->operation;
+        if (operation == operations)
             begin_step(s);
-        for (int64_t i = s->operation; i < segment->count; ++i) {
-            const int32_t status = perform(s, segment->operations + i, &step);
-            if (status == COSIM_OK)
-                continue;
-            if (status != GO_ON) {
-                s->operation = i;
-                return segment->first + i + 1;
+        while (operation < behind) {
+            const int32_t status = perform(s, operation, &step);
+            if (status == COSIM_OK) {
+                ++operation;
+            } else if (status == GO_ON) {
+                operation = operations + s->operation;
+            } else {
+                s->operation = operation - operations;
+                return segment->first + s->operation + 1;
             }
-            i = s->operation - 1;
         }
         s->operation = 0;
+        next_step(s, &step);
     }
     return 0;
 }

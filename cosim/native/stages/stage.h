@@ -18,10 +18,15 @@
 /* Outputs at t, the time reached, for inputs u; changes no state. 0: fine. */
 typedef int32_t (*cosim_outputs)(void *self, double t, const double *u, double *y);
 
-/* `count` columns that are copied. */
+/* A column that is copied. */
+typedef struct {
+    int32_t to, from;
+} cosim_copy;
+
+/* Many that follow each other. */
 typedef struct {
     int32_t to, from, count;
-} cosim_copy;
+} cosim_wide_copy;
 
 typedef struct {
     int32_t from;
@@ -61,9 +66,10 @@ typedef struct {
     cosim_outputs outputs; /* NULL: left to the caller */
     void *self;
     int32_t u, n_u, y, n_y;  /* first column and number of its inputs, and of its outputs */
-    int32_t n_copies, n_sums, n_torn; /* what feeds its inputs */
+    int32_t n_copies, n_wide, n_sums, n_torn; /* what feeds its inputs */
     int32_t takes_latest; /* over a step its inputs have the values that they have at its end */
     const cosim_copy *copies;
+    const cosim_wide_copy *wide_copies; /* (n_wide) */
     const cosim_sum *sums;
     const uint8_t *optional; /* (n_u + n_y) where NaN means "no value yet" */
     double *seconds;         /* wall time of its calls is added to it; NULL: it is not measured */

@@ -32,6 +32,12 @@ OVER: Final = 2
 class CopyStruct(Structure):
     """cosim_copy."""
 
+    _fields_ = tuple((name, c_int32) for name in ("to", "from"))
+
+
+class WideCopyStruct(Structure):
+    """cosim_wide_copy."""
+
     _fields_ = tuple((name, c_int32) for name in ("to", "from", "count"))
 
 
@@ -63,9 +69,9 @@ class MemberStruct(Structure):
 
     _fields_ = (
         *((name, c_void_p) for name in ("advance", "outputs", "self")),
-        *((name, c_int32) for name in ("u", "n_u", "y", "n_y", "n_copies", "n_sums", "n_torn")),
-        ("takes_latest", c_int32),
-        *((name, c_void_p) for name in ("copies", "sums")),
+        *((name, c_int32) for name in ("u", "n_u", "y", "n_y")),
+        *((name, c_int32) for name in ("n_copies", "n_wide", "n_sums", "n_torn", "takes_latest")),
+        *((name, c_void_p) for name in ("copies", "wide_copies", "sums")),
         *((name, c_void_p) for name in ("optional", "seconds", "overridden", "gains", "overrides")),
         *((name, c_void_p) for name in ("torn", "tried", "rollback", "jumps", "right", "limits")),
         *((name, c_int32) for name in ("n_jumps", "n_limits")),

@@ -87,6 +87,24 @@ def test_compiled_stages_give_the_same_bits(seed, coupling):
             assert rows_of(graph, block) == needed
 
 
+@pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi", "newton"])
+@pytest.mark.parametrize("size", [2, 7, 8, 9])
+def test_vectors_are_copied_with_the_same_bits(size, coupling):
+    """Few columns one by one, many at once: in a loop, and behind it."""
+
+    def graph(native):
+        A = -np.diag(np.arange(1.0, 1.0 + size))
+        one, two, behind = (
+            Linear(controller(A=A, B=gain * np.eye(size), C=np.eye(size), x0=np.ones(size)))
+            for gain in (0.5, -10.0, 1.0)
+        )
+        components = {"one": one, "two": two, "behind": behind}
+        connections = {"one.u": "two.x", "two.u": "one.y", "behind.u": "two.y"}
+        return Graph(components, connections, coupling=coupling, native=native)
+
+    assert rows_of(graph(True), 7) == rows_of(graph(False), 13)
+
+
 def test_units_are_converted_with_the_same_bits():
     """(v factor1 + offset1 - offset2) / factor2, alone and behind a gain; -0.0 keeps its sign."""
 

@@ -37,7 +37,7 @@ static void build(system_of_lags *s)
         *m = (cosim_member){.u = 2 * i, .n_u = 1, .y = 2 * i + 1, .n_y = 1,
                             .copies = s->copies + i, .n_copies = 1, .optional = s->optional,
                             .overridden = s->overridden};
-        s->copies[i] = (cosim_copy){2 * i, i ? 2 * i - 1 : WIDTH - 1, 1};
+        s->copies[i] = (cosim_copy){2 * i, i ? 2 * i - 1 : WIDTH - 1};
     }
     for (int i = 0; i < LAGS; ++i) {
         s->lags[i] = (cosim_linear){1, 1, 1, &Ad, &B0, &B1, &C, &D, s->x[i]};
