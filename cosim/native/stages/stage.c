@@ -92,11 +92,20 @@ static inline void gather_sources(cosim_stage *s, const cosim_member *m, double 
         gather_driven(s, m, row);
 }
 
-/* The same; those that are tried, or kept, have the values of that. */
+/* The same of a member with inputs that are tried, or kept: those have the values of that. */
+RARE static void gather_torn(cosim_stage *s, const cosim_member *m, double *row)
+{
+    if (m->n_torn < m->n_u)
+        gather_sources(s, m, row);
+    put_tried(m, row);
+}
+
 static inline void gather(cosim_stage *s, const cosim_member *m, double *row)
 {
-    gather_sources(s, m, row);
-    put_tried(m, row);
+    if (m->n_torn)
+        gather_torn(s, m, row);
+    else
+        gather_sources(s, m, row);
 }
 
 static inline double left_limit(const cosim_jump *jump, const double *before, const double *row)
