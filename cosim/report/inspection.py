@@ -30,6 +30,7 @@ from cosim.scenario.recorded_metadata import (
     recorded_certificate,
     recorded_loop_gains,
     recorded_start,
+    recorded_substep_counts,
     replay_origin,
     run_metadata,
 )
@@ -86,6 +87,7 @@ def describe_log(path: str) -> Section:
     content = {
         "run": about,
         "loops": [gain_values(gain) for gain in recorded_loop_gains(log)],
+        **_substeps(log),
         "signals": signals,
         "metadata": metadata,
         "differences": differences,
@@ -98,6 +100,23 @@ def describe_log(path: str) -> Section:
     if more:
         content["more messages"] = {"not shown": more}
     return content
+
+
+def _substeps(log: Log) -> Section:
+    """Return how many substeps loops took, where they took any."""
+    rows: list[Section] = []
+    for counts in recorded_substep_counts(log):
+        row = {
+            "loop": ", ".join(counts.components),
+            "taken": counts.accepted,
+            "refused": counts.rejected,
+            "shortest": counts.shortest_ns / 1e9,
+            "beyond the tolerance": counts.missed,
+            "largest error": _digits(counts.worst_error),
+            "t": counts.worst_ns / 1e9,
+        }
+        rows.append(row)
+    return {"substeps": rows} if rows else {}
 
 
 def _certificate(log: Log) -> Section:

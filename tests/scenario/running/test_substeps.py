@@ -10,6 +10,7 @@ import cosim
 from cosim.errors import ScenarioError, UsageError
 from cosim.log import Log
 from cosim.log.schema import decode_substep, encode_substep
+from cosim.report.inspection import describe_log
 from cosim.report.summary import summarize
 from cosim.report.tables.run import print_summary
 from cosim.report.verification import verify
@@ -175,6 +176,20 @@ def test_a_summary_counts_substeps(pair):
     assert counts.missed == 0
     warnings = [message for message in memory.messages() if message.level == "warning"]
     assert warnings == []
+
+
+def test_info_counts_the_substeps_of_a_log(pair, tmp_path):
+    log = cosim.run(pair, out=tmp_path / "x.mcap")
+    (counts,) = summarize(log).substeps
+    (row,) = describe_log(str(log.path))["substeps"]
+    assert (row["loop"], row["taken"], row["refused"]) == (
+        "one, two",
+        counts.accepted,
+        counts.rejected,
+    )
+    assert row["shortest"] == counts.shortest_ns / 1e9
+    assert row["beyond the tolerance"] == 0
+    assert 0.0 < row["largest error"] <= 1.0
 
 
 def test_a_summary_names_what_is_interpolated_over_a_step(tmp_path, capsys):
