@@ -43,7 +43,8 @@ def spectral_radius(M: Matrix) -> float:
     for i in np.argsort(-np.abs(eigenvalues)):
         if left[i]:
             distances = np.where(left, np.abs(eigenvalues - eigenvalues[i]), np.inf)
-            near = distances <= MARGIN * np.minimum(errors[i], errors)
+            # Both are off by their errors, and may lie on opposite sides of what they stand for.
+            near = distances <= 2.0 * MARGIN * np.minimum(errors[i], errors)
             near[i] = True
             members = _coinciding(distances, near, rounding, scale)
             left[members] = False
