@@ -45,8 +45,8 @@ class ChangedLoops:
         That it changes.
     loops : LinearizedLoops
         Over the rest of the run; over all of it where the instant is not known.
-    not_linearized : mapping of component name to str
-        A fault of one of its inputs, in words, that the loops do without.
+    not_linearized : mapping of component name to tuple of str
+        Faults of its inputs, in words, that the loops do without.
     """
 
     key: Key
@@ -54,7 +54,7 @@ class ChangedLoops:
     is_certain: bool
     components: frozenset[str]
     loops: LinearizedLoops
-    not_linearized: Mapping[str, str]
+    not_linearized: Mapping[str, tuple[str, ...]]
 
 
 def changed_loops(
@@ -124,9 +124,12 @@ class _Components:
     faults: Mapping[tuple[str, int], str]
 
     @property
-    def not_linearized(self) -> dict[str, str]:
-        """A fault by component, of those that have no linearization."""
-        return {name: text for (name, _), text in self.faults.items()}
+    def not_linearized(self) -> dict[str, tuple[str, ...]]:
+        """The faults without a linearization, by component."""
+        by_component: dict[str, dict[str, None]] = {}
+        for (name, _), text in self.faults.items():
+            by_component.setdefault(name, {})[text] = None
+        return {name: tuple(texts) for name, texts in by_component.items()}
 
     def scaled(self) -> dict[str, Linearized]:
         """Return them with their inputs multiplied."""
@@ -238,9 +241,10 @@ def _set_fault(
     """Set what an action makes of faults without a linearization; return whether that changed."""
     before = dict(faults)
     effect = effect_of(action)
+    opens_loop = action.drop is True or action.drop == 1.0  # no sample arrives any more
     for element in elements:
         key = (port.component, element)
-        if effect in NOT_LINEARIZED:
+        if effect in NOT_LINEARIZED and not opens_loop:
             faults[key] = f"the {effect} of '{port}'"
         else:
             faults.pop(key, None)

@@ -169,11 +169,11 @@ def report_behind(changed: ChangedLoops) -> CouplingReport:
 def _gain_behind(gain: LoopGain, changed: ChangedLoops) -> LoopGain:
     """Return the gain of a loop behind an action; not known where a fault is not in it."""
     named = replace(gain, action=changed.action)
-    for name in gain.components:
-        if name in changed.not_linearized:
-            reason = f"{changed.not_linearized[name]} is not linearized"
-            return replace(named, rho=None, rate=None, reason=reason)
-    return named
+    faults = [text for name in gain.components for text in changed.not_linearized.get(name, ())]
+    if not faults:
+        return named
+    reason = f"no linearization of {listing(faults)}"
+    return replace(named, rho=None, rate=None, reason=reason)
 
 
 def _report(loops: LinearizedLoops, gains: Mapping[int, LoopGain]) -> CouplingReport:

@@ -414,15 +414,20 @@ def test_a_gain_behind_a_delay_or_a_drop_is_not_known_and_says_so(setting, capsy
         {"at": 5.0, "set": {"pid.gain": 2.0}},
         {"at": 5.0, "signal": "plant.u", "release": True},
         {"at": 6.0, "signal": "pid.measurement", "drop": 0.1},
+        {"at": 7.0, "signal": "plant.u", "delay": 0.1},
+        {"at": 8.0, "signal": ["plant.u", "pid.measurement"], "drop": True},
     ]
     path = setting("at = 4.0", 2.0)
     first, *behind = recorded_loop_gains(cosim.run(path, set={"actions": actions}))
-    assert [gain.action[-5:] for gain in behind] == ["2.0 s", "4.0 s", "5.0 s", "6.0 s"]
-    late, set_meanwhile, released, lost = behind
+    assert [gain.action[-5] for gain in behind] == ["2", "4", "5", "6", "7", "8"]
+    late, set_meanwhile, released, lost, both, none_arrives = behind
     for gain in (late, set_meanwhile):
-        assert gain_text(gain) == "not known: the delay of 'plant.u' is not linearized"
-    assert released.rho == pytest.approx(first.rho, rel=1e-12)
-    assert gain_text(lost) == "not known: the drop of 'pid.measurement' is not linearized"
+        assert gain_text(gain) == "not known: no linearization of the delay of 'plant.u'"
+    text = "not known: no linearization of the drop of 'pid.measurement'"
+    assert gain_text(lost) == text
+    assert gain_text(both) == f"{text}, the delay of 'plant.u'"
+    for gain in (released, none_arrives):
+        assert gain.rho == pytest.approx(first.rho, rel=1e-12)
 
 
 def test_the_action_that_changes_a_loop_is_the_one_that_is_named(setting):
