@@ -100,12 +100,14 @@ def test_states_within_a_step_are_the_same_after_going_back(method):
         assert within() == first
 
 
-@pytest.mark.parametrize(("method", "ratio"), [("Radau", 1.2), ("BDF", 3.0)])
-def test_running_on_needs_fewer_evaluations_than_starting_anew(method, ratio):
+@pytest.mark.parametrize(("method", "spared"), [("Radau", 1), ("BDF", 15)])
+def test_running_on_needs_fewer_evaluations_than_starting_anew(method, spared):
     """Count the evaluations in 100 stretches of 1 ms.
 
     A start costs Radau two evaluations and a Jacobian matrix, BDF all the steps that it takes from
-    order 1 on. LSODA is not among them: it starts anew.
+    order 1 on. How many iterations Radau saves of that depends on rounding, so on the processor:
+    1.5 evaluations a stretch with OpenBLAS's kernels for Haswell, 1.8 for Nehalem. LSODA is not
+    among them: it starts anew.
     """
 
     def count(anew):
@@ -124,7 +126,7 @@ def test_running_on_needs_fewer_evaluations_than_starting_anew(method, ratio):
                 solver.start(t, x, np.ones(1))
         return len(calls)
 
-    assert count(anew=True) > ratio * count(anew=False)
+    assert count(anew=True) >= count(anew=False) + spared * 100
 
 
 def test_a_solver_that_fails_says_so_in_its_own_words():
