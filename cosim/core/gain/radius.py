@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Vector
 
-MARGIN: Final = 10.0  # times the error that condition and rounding explain
+MARGIN: Final = 100.0  # times the error that condition and rounding explain
+ROOT_MARGIN: Final = 1.0  # times the root of the rounding
 SWEEPS: Final = 20  # of balancing
 GOOD: Final = 0.95  # of the sum of a row and its column: balancing more is not worth it
 
@@ -43,8 +44,7 @@ def spectral_radius(M: Matrix) -> float:
     for i in np.argsort(-np.abs(eigenvalues)):
         if left[i]:
             distances = np.where(left, np.abs(eigenvalues - eigenvalues[i]), np.inf)
-            # Both are off by their errors, and may lie on opposite sides of what they stand for.
-            near = distances <= 2.0 * MARGIN * np.minimum(errors[i], errors)
+            near = distances <= MARGIN * np.minimum(errors[i], errors)
             near[i] = True
             members = _coinciding(distances, near, rounding, scale)
             left[members] = False
@@ -56,7 +56,7 @@ def _coinciding(distances: Vector, near: Mask, rounding: float, scale: float) ->
     """Return the most of near eigenvalues that may coincide: m within the m-th root of rounding."""
     by_distance = np.flatnonzero(near)[np.argsort(distances[near])]
     for count in range(len(by_distance), 1, -1):
-        if distances[by_distance[count - 1]] <= MARGIN * scale * rounding ** (1.0 / count):
+        if distances[by_distance[count - 1]] <= ROOT_MARGIN * scale * rounding ** (1.0 / count):
             return by_distance[:count]
     return by_distance[:1]
 

@@ -9,7 +9,7 @@ from cosim.core.gain.radius import spectral_radius
 
 
 @pytest.mark.parametrize("n", range(2, 8))
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(40))
 def test_eigenvalues_that_coincide_are_found_to_rounding(n, seed):
     """A Jordan block in other coordinates: an eigenvalue solver alone is off by up to 1e-5."""
     rng = np.random.default_rng(seed)
@@ -28,6 +28,20 @@ def test_eigenvalues_that_are_close_are_told_apart(n, seed, spread):
     M = T @ np.diag(eigenvalues) @ np.linalg.inv(T)
     error = abs(spectral_radius(M) - np.abs(eigenvalues).max())
     assert error <= 1e-13 * n * np.linalg.cond(T) ** 2
+
+
+@pytest.mark.parametrize("n", range(3, 15))
+@pytest.mark.parametrize("other", [0.9, 0.97, 1.02, 1.05])
+def test_jordan_blocks_hide_no_eigenvalue_beside_them(n, other):
+    """At 1 and at 0, of all sizes, with one eigenvalue more that is close to the one at 1."""
+    for k in range(2, n):
+        for coupling in (1.0, 0.1, 0.01):
+            M = np.eye(n) + coupling * np.eye(n, k=1)
+            M[k:, k:] = np.eye(n - k, k=1)
+            M[k - 1, k] = 0.3
+            M[0, 0] = other
+            M[0, 1] = 0.0
+            assert spectral_radius(M) == pytest.approx(max(other, 1.0), abs=1e-9)
 
 
 def test_a_defective_eigenvalue_hides_no_other():
