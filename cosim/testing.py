@@ -667,6 +667,11 @@ def _check_substeps(bench: _Bench, held: Mask, expected: Matrix) -> None:
     prepare(replayed, step, held, {})
     prepare_substeps(replayed, (bench.h,), {name: np.array(a) for name, a in design.items()})
     bench.compare("substeps take their recorded design", bench.run(replayed), expected)
+    surprised = bench.make()
+    prepare(surprised, step, held, {})
+    prepare_substeps(surprised, (0.75 * step,), {})
+    of_any_length = "substeps of other lengths than were announced are steps of their length"
+    bench.compare(of_any_length, bench.run(surprised), expected)
 
 
 def _check_native(bench: _Bench, held: Mask, expected: Matrix) -> None:

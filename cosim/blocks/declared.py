@@ -12,6 +12,7 @@ from cosim.core.contracts import (
     Design,
     Native,
     Rollback,
+    first_event,
     left_limits,
     linearized,
     prepare,
@@ -105,6 +106,10 @@ class Declared:
     def left_limits(self, t: Vector) -> Mapping[int, Vector]:
         """Return the left limits of the component."""
         return left_limits(self._component, t)
+
+    def first_event(self) -> float:
+        """Return the time of the first event inside the last step of the component."""
+        return first_event(self._component)
 
     def native(self) -> NativeStep | None:
         """Return the compiled step of the component."""

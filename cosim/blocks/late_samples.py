@@ -73,6 +73,7 @@ class LateSamples:
             linearizable=False,
             substeps=False,
             left_limits=(),
+            locates_events=False,
         )
         self._own = self.interface.input_columns()
         self._held = HeldRows(steps, component.interface.n_u, component.interface.n_y)

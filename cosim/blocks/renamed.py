@@ -14,6 +14,7 @@ from cosim.core.contracts import (
     Native,
     Rollback,
     Stopped,
+    first_event,
     left_limits,
     linearized,
     prepare,
@@ -75,6 +76,10 @@ class Renamed:
         """Return the left limits of the component, of the shown outputs."""
         own = left_limits(self._component, t)
         return {place: self._ports.shown_outputs(y) for place, y in own.items()}
+
+    def first_event(self) -> float:
+        """Return the time of the first event inside the last step of the component."""
+        return first_event(self._component)
 
     def native(self) -> NativeStep | None:
         """Return the compiled step, if the component has one: its own, if nothing has moved."""

@@ -63,6 +63,7 @@ class Replay:
             native=not self._limits,
             linearizable=False,
             keeps_events=False,
+            locates_events=False,
             left_limits=_jumping(recorded, self._limits),
             substeps=True,  # in a loop the recorded ones are taken
         )
@@ -70,6 +71,10 @@ class Replay:
         self._rows = blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
         self._time = time_ns / 1e9
         self._step = recorded_step(self._time, self._rows)
+        self._never = np.zeros(1, np.int32)
+        if not self._limits:
+            # what may jump, but is not recorded to, has not jumped
+            self._step.left_outputs = (self._never.ctypes.data, self._rows.ctypes.data)
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Pass the recorded design on, so that a replay's log is as complete as the run's."""
@@ -158,11 +163,11 @@ def _left_limits(
 def _jumping(
     interface: Interface, limits: Mapping[float, Sequence[tuple[slice, tuple[float, ...]]]]
 ) -> tuple[str, ...]:
-    """Return the outputs of which there are left limits."""
+    """Return the outputs that may jump by themselves, or of which there are left limits."""
     starts = {columns.start for at_time in limits.values() for columns, _ in at_time}
     names = []
     for name, columns in interface.output_columns().items():
-        if columns.start in starts:
+        if name in interface.left_limits or columns.start in starts:
             names.append(name)
     return tuple(names)
 

@@ -292,4 +292,11 @@ def _held_between(interface: Interface, n: int) -> Interface:
     if n < 1:
         raise ClockError(f"period: found {n} communication steps, needed at least 1")
     outputs = tuple(replace(signal, variability="discrete") for signal in interface.outputs)
-    return replace(interface, outputs=outputs, prepares=True, substeps=False, left_limits=())
+    return replace(
+        interface,
+        outputs=outputs,
+        prepares=True,
+        substeps=False,
+        left_limits=(),
+        locates_events=False,
+    )

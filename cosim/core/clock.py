@@ -15,8 +15,8 @@ from cosim.arrays import Mask, Nanoseconds, Vector
 from cosim.core.arguments import kind_of
 from cosim.core.contracts import Block
 from cosim.errors import ClockError, quoted
+from cosim.instants import NANOSECONDS as NANOSECONDS
 
-NANOSECONDS = 1_000_000_000
 LARGEST_NS = 2**63 - 1
 LARGEST_EXPONENT = 400  # of ten: beyond every double
 BLOCK_WORK = 0.05  # s of wall time that a block should take, at least

@@ -13,6 +13,7 @@ that are used again, so they are valid during the call only: copy what is kept.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeAlias, TypeVar, cast
@@ -67,7 +68,7 @@ class Component(Protocol):
         t : Vector, shape (K+1,)
             Times [s].
         h : float
-            Communication step [s]; a part of it where the interface declares ``substeps``.
+            Communication step [s]; any part of it where the interface declares ``substeps``.
         u : Matrix, shape (K+1, n_u)
             Inputs at those times; rows may be strided.
 
@@ -123,7 +124,9 @@ class PreparableSubsteps(Preparable, Protocol):
         Parameters
         ----------
         lengths : tuple of float
-            Parts of the communication step [s], which ``advance`` may get as ``h`` from now on.
+            Parts of the communication step [s], which ``advance`` may get as ``h`` from now on. It
+            may get others, too: where an event ends a substep. What these need must have the same
+            bits on every processor, as it is not recorded.
         recorded : Design
             As for ``prepare``.
 
@@ -162,6 +165,18 @@ class Jumping(Protocol):
         t : Vector
             Times at which the last ``advance`` returned outputs [s]. Where these did not jump they
             need not be returned.
+        """
+        ...
+
+
+class Eventful(Protocol):
+    """For components with events inside of steps; their interface declares ``locates_events``."""
+
+    def first_event(self) -> float:
+        """Return the time of the first event inside the last step [s]; infinity: there was none.
+
+        Of the last step of the last ``advance``, and at neither of its ends: there it happens at a
+        communication point.
         """
         ...
 
@@ -232,6 +247,13 @@ def left_limits(component: Component, t: Vector) -> Mapping[int, Vector]:
     if not component.interface.left_limits:
         return {}
     return cast(Jumping, component).left_limits(t)
+
+
+def first_event(component: Component) -> float:
+    """Return the time of the first event inside the last step of a component; infinity: none."""
+    if not component.interface.locates_events:
+        return math.inf
+    return cast(Eventful, component).first_event()
 
 
 def check_design(recorded: Design, shapes: Mapping[str, tuple[int, ...]]) -> None:

@@ -17,7 +17,13 @@ from cosim.core.contracts import Design, check_design
 from cosim.core.linearization import Linearized
 from cosim.core.signals import Interface
 from cosim.errors import GraphError
-from cosim.native.numerics.linear import DiscretizedDynamics, affine, first_order_hold, linear_step
+from cosim.native.numerics.linear import (
+    DiscretizedDynamics,
+    OtherSteps,
+    affine,
+    first_order_hold,
+    linear_step,
+)
 from cosim.native.step import NativeStep
 
 
@@ -144,7 +150,8 @@ class Linear:
         check_design(arrays, self._shapes())
         self._arrays = arrays
         self._held = held
-        self._build_step({})
+        self._h = h
+        self._step = self._built_step()
         return arrays
 
     def prepare_substeps(self, lengths: Sequence[float], recorded: Design) -> Design:
@@ -153,17 +160,19 @@ class Linear:
         n_x, n_u = self.model.B.shape
         by_u = (len(lengths), n_x, n_u)
         check_design(arrays, {"Ad": (len(lengths), n_x, n_x), "B0": by_u, "B1": by_u})
-        parts = {}
+        known = {}
         matrices = (arrays["Ad"], arrays["B0"], arrays["B1"])
         for h, Ad, B0, B1 in zip(lengths, *matrices, strict=True):
-            parts[h] = DiscretizedDynamics(Ad, B0, B1)
-        self._build_step(parts)
+            known[h] = DiscretizedDynamics(Ad, B0, B1)
+        A = self._arrays["A"]
+        B = self._arrays["B"]
+        self._step = self._built_step(OtherSteps(A, B, self._held, self._h, known))
         return arrays
 
-    def _build_step(self, parts: Mapping[float, DiscretizedDynamics]) -> None:
+    def _built_step(self, others: OtherSteps | None = None) -> NativeStep:
         arrays = self._arrays
         discrete = DiscretizedDynamics(arrays["Ad"], arrays["B0"], arrays["B1"])
-        self._step: NativeStep = linear_step(discrete, arrays["C"], arrays["D"], parts)
+        return linear_step(discrete, arrays["C"], arrays["D"], others)
 
     def _discretized_substeps(self, lengths: Sequence[float]) -> dict[str, NDArray[np.float64]]:
         A = self._arrays["A"]

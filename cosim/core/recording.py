@@ -14,6 +14,7 @@ from cosim.arrays import Mask, Matrix, Nanoseconds
 from cosim.core.contracts import Block, Design
 from cosim.core.port import Port
 from cosim.core.signals import Channel, FaultKind, Layout
+from cosim.instants import duration, last_nanosecond
 
 EventCause: TypeAlias = FaultKind | Literal["override", "release", "set", "swap", "follow", "jump"]
 MessageLevel: TypeAlias = Literal["debug", "info", "warning", "error", "fatal"]
@@ -80,26 +81,40 @@ class Substep(NamedTuple):
 
     Parameters
     ----------
-    begin_ns : int
-        Where it begins.
-    length_ns : int
+    begin, end : float
+        [s]. A whole number of nanoseconds, or the time that a component gave of its event.
     loop : str
         The first component of the loop.
-    error : float
-        The estimated error, in units of what is tolerated.
+    error : float or None
+        The estimated error, in units of what is tolerated; None: there is no estimate, as an event
+        divides it, or leaves less than two nanoseconds.
     accepted : bool
+    event : str
+        The component that has an event at its end, or inside it where it was refused for that;
+        empty: none has.
     values : tuple of float
         Where it was accepted: the applied inputs and outputs of all components of the loop at its
         end, one component's behind the other's, in the order of the loop; behind them the left
         limits of those that jump.
     """
 
-    begin_ns: int
-    length_ns: int
+    begin: float
+    end: float
     loop: str
-    error: float
+    error: float | None
     accepted: bool
+    event: str = ""
     values: tuple[float, ...] = ()
+
+    @property
+    def length(self) -> float:
+        """How long it is [s]."""
+        return duration(self.begin, self.end)
+
+    @property
+    def begin_ns(self) -> int:
+        """The last whole nanosecond at or before its begin."""
+        return last_nanosecond(self.begin)
 
 
 @runtime_checkable

@@ -224,6 +224,8 @@ class Interface:
         Whether an event that is due may happen as soon as outputs are evaluated, for good: of an
         FMU that cannot go back. Where a loop evaluates them again for inputs that come later, it
         has happened with the earlier ones.
+    locates_events : bool
+        Whether the component has ``first_event`` (:class:`cosim.core.contracts.Eventful`).
     substeps : bool
         Whether it may be advanced over parts of a communication step
         (:class:`cosim.core.contracts.PreparableSubsteps`).
@@ -249,6 +251,7 @@ class Interface:
     left_limits: tuple[str, ...] = ()
     substeps: bool = False
     keeps_events: bool = False
+    locates_events: bool = False
 
     def __post_init__(self) -> None:
         # What is declared must not change later: copies, and nothing that can be written to.
@@ -273,7 +276,8 @@ class Interface:
         values = (self.inputs, self.outputs, feedthrough, initial, self.delayed)
         methods = (self.prepares, self.rollback, self.native, self.linearizable)
         jumps = (self.jumping, self.left_limits)
-        others = (self.restarts, self.lagging, *jumps, self.substeps, self.keeps_events)
+        events = (self.keeps_events, self.locates_events)
+        others = (self.restarts, self.lagging, *jumps, self.substeps, *events)
         return Interface, (*values, *methods, *others)
 
     def _dependencies(self, key: str, declared: Dependencies) -> dict[str, tuple[str, ...] | None]:

@@ -63,6 +63,11 @@ class StepEnd(NamedTuple):
     last_successful_time: float = math.nan
     interpolated_until: float = math.inf
 
+    @property
+    def returned_early(self) -> bool:
+        """Whether it came to ``last_successful_time`` only, of its own."""
+        return not (self.completed or self.discarded or self.terminate)
+
 
 class ClockInterval(NamedTuple):
     """Result of fmi3GetIntervalDecimal or fmi3GetIntervalFraction for one clock.

@@ -108,6 +108,8 @@ class Part:
             items["cosim.delayed"] = compact(list(channel.interface.delayed))
         if channel.interface.lagging:
             items["cosim.lagging"] = compact(list(channel.interface.lagging))
+        if channel.interface.left_limits:
+            items["cosim.left_limits"] = compact(list(channel.interface.left_limits))
         # Last: the checksum covers all items, and what came after it would be unprotected.
         return add_checksum(_CHECKSUM_NAME, items)
 
@@ -150,8 +152,12 @@ def read_part(metadata: Mapping[str, str]) -> Part:
     initial = json_table(items.get("cosim.initial", "{}"))
     delayed = read_json(items.get("cosim.delayed", "[]"))
     lagging = read_json(items.get("cosim.lagging", "[]"))
+    left_limits = read_json(items.get("cosim.left_limits", "[]"))
     interface = replace(
-        _read_interface(signals, initial), delayed=tuple(delayed), lagging=tuple(lagging)
+        _read_interface(signals, initial),
+        delayed=tuple(delayed),
+        lagging=tuple(lagging),
+        left_limits=tuple(left_limits),
     )
     first_column = read_number(items["cosim.start"])
     period = period_ns // step_ns
@@ -182,9 +188,9 @@ def signals_json(interface: Interface) -> str:
     unknown. A field that is not ``_ALWAYS_WRITTEN`` is left out where it has its default, so that
     one added later changes no hash of signals that do without it. What outputs depend on at
     initialization, and which inputs are delayed, only orders calls, which outputs lag
-    only says what the order of the error is: that stands apart, in ``cosim.initial``,
-    ``cosim.delayed`` and ``cosim.lagging``, and changes no hash; so do nominal values, which are
-    not written at all.
+    only says what the order of the error is, and which have left limits what a jump is: that stands
+    apart, in ``cosim.initial``, ``cosim.delayed``, ``cosim.lagging`` and ``cosim.left_limits``, and
+    changes no hash; so do nominal values, which are not written at all.
     """
     # The hash covers this text byte by byte: neither the order of the signals nor that of the keys
     # in an entry may change, nor _ALWAYS_WRITTEN.

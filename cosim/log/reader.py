@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
+from operator import attrgetter
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeVar, final
@@ -330,10 +331,10 @@ class Log(RecordedSignals):
             If the file is damaged.
         """
         try:
-            substeps = [decode_substep(*message) for message in self._messages_of(STEP_TOPIC)]
+            substeps = [decode_substep(data) for _, data in self._messages_of(STEP_TOPIC)]
         except MALFORMED as error:
             raise LogError(f"{self.path} is damaged: {error}") from error
-        return sorted(substeps, key=lambda substep: substep.begin_ns)
+        return sorted(substeps, key=attrgetter("begin"))
 
     def _messages_of(self, topic: str) -> Iterator[tuple[int, bytes]]:
         """Yield time [ns] and data of the messages of a topic, in the order of the file."""

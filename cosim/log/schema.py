@@ -8,6 +8,7 @@ the original names stand in the channel's metadata.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Sequence
 from functools import cache
@@ -207,18 +208,20 @@ def step_schema() -> bytes:
 
 
 def encode_substep(substep: Substep) -> bytes:
-    """Serialize a substep, but for where it begins, which is the time of its record."""
+    """Serialize a substep; where there is no estimate of its error, that is NaN."""
     message = _message_class(STEP_SCHEMA, _step_descriptors)(
-        length_ns=substep.length_ns,
+        begin=substep.begin,
+        end=substep.end,
         loop=substep.loop,
-        error=substep.error,
+        error=math.nan if substep.error is None else substep.error,
         accepted=substep.accepted,
+        event=substep.event,
         values=substep.values,
     )
     return bytes(message.SerializeToString(deterministic=True))
 
 
-def decode_substep(time_ns: int, data: bytes) -> Substep:
+def decode_substep(data: bytes) -> Substep:
     """Return a serialized substep.
 
     Raises
@@ -231,9 +234,18 @@ def decode_substep(time_ns: int, data: bytes) -> Substep:
     # The error's type depends on which of its three implementations protobuf runs on.
     except Exception as error:
         raise ValueError(f"no {STEP_SCHEMA} message: {error}") from error
-    values = tuple(message.values)
+    if not -math.inf < message.begin < message.end < math.inf:
+        raise ValueError(
+            f"no {STEP_SCHEMA} message: a part of a step from {message.begin} s to {message.end} s"
+        )
     return Substep(
-        time_ns, message.length_ns, message.loop, message.error, message.accepted, values
+        message.begin,
+        message.end,
+        message.loop,
+        None if math.isnan(message.error) else message.error,
+        message.accepted,
+        message.event,
+        tuple(message.values),
     )
 
 
@@ -267,12 +279,14 @@ def _step_descriptors() -> descriptor_pb2.FileDescriptorSet:
     )
     substep = file.message_type.add(name="Substep")
     types = {
-        "length_ns": _FIELD.TYPE_INT64,
+        "begin": _FIELD.TYPE_DOUBLE,
+        "end": _FIELD.TYPE_DOUBLE,
         "loop": _FIELD.TYPE_STRING,
         "error": _FIELD.TYPE_DOUBLE,
         "accepted": _FIELD.TYPE_BOOL,
+        "event": _FIELD.TYPE_STRING,
     }
     for number, (name, of) in enumerate(types.items(), start=1):
         substep.field.add(name=name, number=number, type=of, label=_FIELD.LABEL_OPTIONAL)
-    substep.field.add(name="values", number=5, type=_FIELD.TYPE_DOUBLE, label=_FIELD.LABEL_REPEATED)
+    substep.field.add(name="values", number=7, type=_FIELD.TYPE_DOUBLE, label=_FIELD.LABEL_REPEATED)
     return descriptor_pb2.FileDescriptorSet(file=[file])

@@ -110,10 +110,11 @@ def _substeps(log: Log) -> Section:
             "loop": ", ".join(counts.components),
             "taken": counts.accepted,
             "refused": counts.rejected,
-            "shortest": counts.shortest_ns / 1e9,
+            "up to an event": counts.events,
+            "shortest": counts.shortest,
             "beyond the tolerance": counts.missed,
             "largest error": _digits(counts.worst_error),
-            "t": counts.worst_ns / 1e9,
+            "t": counts.worst_time,
         }
         rows.append(row)
     return {"substeps": rows} if rows else {}

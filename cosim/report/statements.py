@@ -27,6 +27,7 @@ import math
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
+from operator import attrgetter
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -150,7 +151,7 @@ class _Statements:
         expected = _substeps_before(self._source.end_ns, self._again)
         yield "number of substeps", len(recorded), len(expected)
         for found, computed in zip(recorded, expected, strict=False):
-            about = f"substep of the loop of {found.loop!r} at t = {found.begin_ns / 1e9} s"
+            about = f"substep of the loop of {found.loop!r} at t = {found.begin} s"
             yield about, found._replace(values=()), computed._replace(values=())
             for number, (a, b) in enumerate(zip(found.values, computed.values, strict=False)):
                 yield f"{about}: value {number}", a.hex(), b.hex()
@@ -243,7 +244,7 @@ class _Statements:
 def _substeps_before(time_ns: int, run: Log | Memory) -> list[Substep]:
     """Return the substeps that begin before an instant [ns], in one order of the loops."""
     substeps = [substep for substep in run.substeps() if substep.begin_ns < time_ns]
-    return sorted(substeps, key=lambda substep: (substep.begin_ns, substep.loop))
+    return sorted(substeps, key=attrgetter("begin", "loop"))
 
 
 def _event_bits(run: Log | Memory) -> list[tuple[Any, ...]]:

@@ -57,6 +57,7 @@ CAN = {
         "lines": 'providesIntermediateUpdate="true"',
         "any step": 'canHandleVariableCommunicationStepSize="true"',
         "events": 'hasEventMode="true"',
+        "returns": 'mightReturnEarlyFromDoStep="true"',
         "inner step of 30 ms": 'fixedInternalStepSize="0.03"',
         "d moves": "",
         "d is shown": "",

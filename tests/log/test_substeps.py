@@ -14,10 +14,12 @@ from cosim.log.schema import decode_substep, encode_substep
 from tests.log.recordings import STEP_NS, blocks, layout, plan, table
 
 HALF = STEP_NS // 2
+EVENT = (HALF + 0.3) / 1e9  # no whole nanosecond
 SUBSTEPS = [
-    Substep(0, STEP_NS, "plant", math.inf, False),
-    Substep(0, HALF, "plant", 0.25, True, (1.0, -0.0)),
-    Substep(HALF, STEP_NS - HALF, "plant", 0.25, True, (math.nan, 5e-324)),
+    Substep(0.0, STEP_NS / 1e9, "plant", math.inf, False),
+    Substep(0.0, HALF / 1e9, "plant", 0.25, True, "", (1.0, -0.0)),
+    Substep(HALF / 1e9, EVENT, "plant", None, True, "relay", (math.nan, 5e-324)),
+    Substep(EVENT, STEP_NS / 1e9, "plant", 0.5, True, "", (2.0, 1.0)),
 ]
 
 
@@ -60,13 +62,16 @@ def test_any_reader_decodes_substeps_by_their_schema(path):
                     pool.Add(file)
             descriptor = pool.FindMessageTypeByName(schema.name)
             decoded = message_factory.GetMessageClass(descriptor).FromString(message.data)
-            head = (message.log_time, decoded.length_ns, decoded.loop, decoded.error)
-            found.append(bits(Substep(*head, decoded.accepted, tuple(decoded.values))))
+            error = None if math.isnan(decoded.error) else decoded.error
+            head = (decoded.begin, decoded.end, decoded.loop, error, decoded.accepted)
+            substep = Substep(*head, decoded.event, tuple(decoded.values))
+            assert message.log_time == substep.begin_ns == math.floor(decoded.begin * 1e9 + 1e-3)
+            found.append(bits(substep))
     assert found == list(map(bits, SUBSTEPS))
 
 
 def test_a_message_that_is_no_substep_is_refused():
     """It was written by another version, or is damaged."""
-    assert bits(decode_substep(0, encode_substep(SUBSTEPS[1]))) == bits(SUBSTEPS[1])
+    assert bits(decode_substep(encode_substep(SUBSTEPS[1]))) == bits(SUBSTEPS[1])
     with pytest.raises(ValueError, match=r"no cosim_step.Substep message"):
-        decode_substep(0, b"\xff\xff")
+        decode_substep(b"\xff\xff")

@@ -24,6 +24,7 @@ from cosim.core.contracts import (
     Rollback,
     Stopped,
     Transfer,
+    first_event,
     left_limits,
     linearized,
     prepare,
@@ -277,6 +278,19 @@ class GuardedComponent:
                 raise RunError(f"left_limits {problem}")
         return limits
 
+    def first_event(self) -> float:
+        """Return the time of the first event inside the last step [s]; infinity: there was none.
+
+        Raises
+        ------
+        RunError
+            As from :meth:`advance`.
+        """
+        try:
+            return float(first_event(self._component))
+        except RAISED as error:
+            raise RunError(_raised("first_event", error)) from error
+
     def save(self) -> Any:
         """Copy the state of the component, whose interface declares ``rollback``.
 
@@ -399,6 +413,10 @@ class Timed:
         """Pass on."""
         with self._measured():
             return left_limits(self._component, t)
+
+    def first_event(self) -> float:
+        """Pass on."""
+        return first_event(self._component)
 
     def linearized(self, t: float, u: Vector) -> Linearized | None:
         """Pass on."""

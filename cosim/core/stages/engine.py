@@ -171,7 +171,7 @@ class Engine:
         substeps: list[Substep] = []
         for control in self._controls:
             substeps += control.drain()
-        for substep in sorted(substeps, key=attrgetter("begin_ns")):
+        for substep in sorted(substeps, key=attrgetter("begin")):
             self._recorder.substep(substep)
 
     def _advance_watched(self, block: Block, signals: Matrix) -> Iterator[tuple[Block, Matrix]]:

@@ -221,16 +221,20 @@ class StageBuilder:
         order = 1 if loop.is_first_order else 2
         names = {member.name for member in loop.members}
         driving: set[Port] = set()
+        for member in loop.members:
+            for sources in self._sources[member.name].values():
+                driving.update(sources)
         compared: list[int] = []
         nominal: list[float] = []
         for member in loop.members:
-            for sources in self._sources[member.name].values():
-                driving.update(port for port in sources if port.component not in names)
             for signal in member.channel.interface.outputs:
-                if self._variabilities.of(Port(member.name, signal.name)) != "discrete":
+                port = Port(member.name, signal.name)
+                lags = signal.name in member.channel.interface.lagging and port not in driving
+                if self._variabilities.of(port) != "discrete" and not lags:
                     compared += _numbers(member.channel.signal_columns[signal.name])
                     nominal += signal.nominal_values
-        outside = self._outside_columns(sorted(driving, key=str))
+        from_outside = {port for port in driving if port.component not in names}
+        outside = self._outside_columns(sorted(from_outside, key=str))
         components = tuple(member.name for member in loop.members)
         return SubstepControl(
             components,

@@ -1,16 +1,11 @@
-"""How the substeps of a loop are chosen; how they are taken: :mod:`cosim.core.stages.substeps`.
-
-The parts of a communication step are those of a binary tree: part ``number`` of ``2**level``, with
-ends rounded down to whole nanoseconds. So there are two lengths a level at most, all of them known
-before the run, and what components compute for them is recorded like the rest of their designs.
-"""
+"""How the substeps of a loop are chosen; how they are taken: :mod:`cosim.core.stages.substeps`."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from typing import Final, NamedTuple, final
+from typing import Final, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,31 +13,12 @@ from numpy.typing import NDArray
 from cosim.arrays import Vector
 from cosim.core.recording import Recording, Substep
 from cosim.core.stages.member import Member
+from cosim.core.stages.spans import Span, StepPart
 from cosim.errors import GraphError, LogError
+from cosim.instants import NANOSECONDS, whole_duration
 
 SUBSTEP_COUNTS: Final = "substeps"  # result: how many each loop took
 EASY: Final = 0.5  # of the tolerance: below it a part twice as long is tried
-
-
-class Subinterval(NamedTuple):
-    """Part ``number`` of the ``2**level`` parts of a communication step."""
-
-    level: int
-    number: int
-
-    @property
-    def halves(self) -> tuple[Subinterval, Subinterval]:
-        """Its first and its second half."""
-        first = 2 * self.number
-        return Subinterval(self.level + 1, first), Subinterval(self.level + 1, first + 1)
-
-    def begin_ns(self, step_ns: int) -> int:
-        """Return where it begins in a communication step [ns]."""
-        return self.number * step_ns >> self.level
-
-    def end_ns(self, step_ns: int) -> int:
-        """Return where it ends in a communication step [ns]."""
-        return (self.number + 1) * step_ns >> self.level
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,21 +94,24 @@ class SubstepCounts:
     accepted, rejected : int
     missed : int
         Of the accepted ones: those that miss the tolerance, as they cannot be shorter.
-    shortest_ns : int
-        Of the accepted ones.
+    events : int
+        Of the accepted ones: those that an event ends.
+    shortest : float
+        Of the accepted ones, but for those that an event begins or ends [s].
     worst_error : float
         Of the accepted ones, in units of what is tolerated.
-    worst_ns : int
-        Where that one begins.
+    worst_time : float
+        Where that one begins [s].
     """
 
     components: tuple[str, ...]
     accepted: int = 0
     rejected: int = 0
     missed: int = 0
-    shortest_ns: int = 0
+    events: int = 0
+    shortest: float = 0.0
     worst_error: float = 0.0
-    worst_ns: int = 0
+    worst_time: float = 0.0
 
     def add(self, substep: Substep) -> None:
         """Count a substep."""
@@ -140,13 +119,17 @@ class SubstepCounts:
             self.rejected += 1
             return
         self.accepted += 1
-        if not self.shortest_ns or substep.length_ns < self.shortest_ns:
-            self.shortest_ns = substep.length_ns
+        self.events += bool(substep.event)
+        length = whole_duration(substep.begin, substep.end)
+        if length is not None and not 0.0 < self.shortest <= length:
+            self.shortest = length
+        if substep.error is None:
+            return
         if substep.error > 1.0:
             self.missed += 1
         if substep.error > self.worst_error:
             self.worst_error = substep.error
-            self.worst_ns = substep.begin_ns
+            self.worst_time = substep.begin
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,18 +180,17 @@ class RecordedSubsteps:
         self.copied = tuple(member for member in members if member.name in recorded)
         loop = members[0].name
         self._substeps = [kept for kept in recording.substeps() if kept.loop == loop]
-        self._begins = np.array([kept.begin_ns for kept in self._substeps], np.int64)
+        self._begins = np.array([kept.begin for kept in self._substeps])
         accepted = [kept for kept in self._substeps if kept.accepted]
-        begins = np.array([kept.begin_ns for kept in accepted], np.int64)
-        lengths = np.array([kept.length_ns for kept in accepted], np.int64)
-        ends = begins + lengths
+        begins = np.array([kept.begin for kept in accepted])
+        ends = np.array([kept.end for kept in accepted])
         width = sum(member.columns.stop - member.columns.start for member in members)
         width += sum(len(m.jumps.own_limits) for m in members if m.jumps is not None)
         is_whole = (
             len(accepted) > 0
-            and begins[0] == recording.time_ns(loop)[0]
+            and begins[0] == recording.time_ns(loop)[0] / NANOSECONDS
             and bool((ends[:-1] == begins[1:]).all())
-            and int(ends[-1]) >= recording.end_ns
+            and ends[-1] >= recording.end_ns / NANOSECONDS
             and all(len(kept.values) == width for kept in accepted)
         )
         if not is_whole:
@@ -218,9 +200,9 @@ class RecordedSubsteps:
                 "components are recorded"
             )
 
-    def between(self, begin_ns: int, end_ns: int) -> list[Substep]:
-        """Return the substeps that begin in a communication step."""
-        first, last = np.searchsorted(self._begins, [begin_ns, end_ns])
+    def between(self, begin: float, end: float) -> list[Substep]:
+        """Return the substeps that begin in a communication step, between two times [s]."""
+        first, last = np.searchsorted(self._begins, [begin, end])
         return self._substeps[first:last]
 
 
@@ -297,28 +279,36 @@ class SubstepControl:
         self.counts = SubstepCounts(self.components)
         self._substeps.clear()
 
-    def first(self) -> Subinterval:
+    def first(self, step: Span) -> StepPart:
         """Return the first part of a communication step."""
-        return Subinterval(int(self.memory[0]), 0)
+        return StepPart(step, int(self.memory[0]), 0)
 
-    def next(self, part: Subinterval, error: float) -> Subinterval | None:
-        """Return the part behind one that was accepted; None: the communication step ends there."""
+    def next(self, part: StepPart, error: float | None) -> list[StepPart]:
+        """Return the part behind another one; none where the span ends there.
+
+        Parameters
+        ----------
+        part : StepPart
+        error : float or None
+            Estimated of the latter; None: there is no estimate.
+        """
         level = part.level
-        index = part.number + 1
-        grows = error * 2.0 ** (self.order + 1) <= EASY
-        if grows and level > 0 and index % 2 == 0:
+        is_easy = error is not None and error * 2.0 ** (self.order + 1) <= EASY
+        if is_easy and part.ends_a_longer_one:
             level -= 1
-            index //= 2
-        self.memory[0] = level
-        return None if index == 2**level else Subinterval(level, index)
+        if part.span.is_step:
+            self.memory[0] = level
+        following = part.following(level)
+        return [] if following is None else [following]
 
     def tolerated(self, size: Vector) -> Vector:
         """Return what the errors of the compared columns may be, for values of this size."""
         return self._atol + self.tolerance.rtol * size
 
-    def can_refine(self, part: Subinterval, step_ns: int) -> bool:
+    def can_refine(self, part: StepPart) -> bool:
         """Return whether the halves of a part may be halved."""
-        return part.level + 2 <= self.tolerance.finest_level(step_ns)
+        span = part.span
+        return (span.last_ns - span.first_ns) >> (part.level + 2) >= self.tolerance.min_ns
 
     def add(self, substep: Substep) -> None:
         """Keep a substep."""

@@ -6,6 +6,8 @@
     until the end of the communication step:
         coarse <- the loop takes the interval at once, and goes back
         fine   <- the loop takes it in two halves
+        where a component had an event inside the interval:
+            the loop goes back; interval <- what is before the event, then what is behind it
         where fine differs from coarse by more than is tolerated, and the halves can be halved:
             the loop goes back; interval <- the first half, which is known to be its coarse
         else:
@@ -15,28 +17,47 @@ Between communication points what drives the loop from outside is interpolated l
 
 The difference of one step and two halves estimates the error of the latter by Richardson's
 extrapolation (E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I,
-section II.4): ``(fine - coarse) / (2**p - 1)`` for a loop of order p, of all continuous outputs.
+section II.4): ``(fine - coarse) / (2**p - 1)`` for a loop of order p, of all continuous outputs;
+but for those that belong to what the inputs are inside a step, where the loop does not read them.
+
+What is before an event is taken again with other inputs at its end, so that the event may then come
+a little earlier, where the interval is divided again, or a little later, in the next one.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, final
+from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 
 from cosim.arrays import Matrix, Vector, read_only
 from cosim.core.contracts import Block, Stopped
 from cosim.core.recording import Substep
-from cosim.core.stages.coupling import Advancing, Cut, OperationName, call
+from cosim.core.stages.coupling import Advancing, Cut, OperationName, call, keep_limits
 from cosim.core.stages.member import END, Member
-from cosim.core.stages.substep_control import (
-    OutsideColumns,
-    RecordedSubsteps,
-    Subinterval,
-    SubstepControl,
-)
+from cosim.core.stages.spans import Span, StepPart
+from cosim.core.stages.substep_control import OutsideColumns, RecordedSubsteps, SubstepControl
+from cosim.instants import duration, last_nanosecond
+
+EVENTS: Final = 1000  # in one communication step
+
+
+class _Event(NamedTuple):
+    """An event inside a part."""
+
+    time: float  # [s]
+    component: str
+
+
+class _Taken(NamedTuple):
+    """A part, taken at once and in two halves, as far as that went."""
+
+    middle: Vector | None = None  # the row where the halves meet
+    end: Vector | None = None  # the row at the end
+    error: float | None = None  # in units of what is tolerated; None: there are no halves
+    event: _Event | None = None  # the first one inside
 
 
 @final
@@ -46,32 +67,34 @@ class _Step:
     def __init__(self, block: Block, signals: Matrix) -> None:
         self.block = block
         self.signals = signals
-        self.begin_ns = int(block.time_ns[0])
-        self.step_ns = int(block.time_ns[1]) - self.begin_ns
+        self.begin, self.end = block.time.tolist()
+        self.events = 0
+        first_ns, last_ns = block.time_ns.tolist()
+        self.span = Span(self.begin, self.end, first_ns, last_ns, is_step=True)
 
     def rows(
-        self, begin: int, end: int, row: Vector, outside: OutsideColumns
+        self, begin: float, end: float, row: Vector, outside: OutsideColumns
     ) -> tuple[Block, Matrix]:
-        """Return a part of the step, between two times in it [ns], as a block with its rows.
+        """Return a part of the step, between two times in it [s], as a block with its rows.
 
         The first one is ``row``; the second has what drives the loop from outside.
         """
-        time_ns = np.array([self.begin_ns + begin, self.begin_ns + end])
-        block = Block(self.block.index, time_ns, time_ns / 1e9, (end - begin) / 1e9)
+        time_ns = np.array([last_nanosecond(begin), last_nanosecond(end)])
+        block = Block(self.block.index, time_ns, np.array([begin, end]), duration(begin, end))
         rows = np.array([row, row])
         self._drive(rows[1], end, outside)
         return block, rows
 
-    def _drive(self, row: Vector, end: int, outside: OutsideColumns) -> None:
+    def _drive(self, row: Vector, end: float, outside: OutsideColumns) -> None:
         first, last = self.signals
-        if end == self.step_ns:
+        if end == self.end:
             for columns in (outside.linear, outside.start, outside.end, outside.limits):
                 row[columns] = last[columns]
             return
         left = last.copy()
         left[outside.jumping] = last[outside.limits]
         linear = outside.linear
-        fraction = end / self.step_ns
+        fraction = duration(self.begin, end) / self.block.h
         row[linear] = first[linear] + fraction * (left[linear] - first[linear])
         row[outside.start] = first[outside.start]
         row[outside.end] = left[outside.end]
@@ -96,8 +119,9 @@ class SubsteppedLoop:
     ) -> None:
         self._control = control
         self._members = members
+        self._locating = [m for m in members if m.channel.interface.locates_events]
         self._advancing = advancing
-        columns = [np.arange(m.columns.start, m.columns.stop) for m in members]
+        columns = [member.column_numbers for member in members]
         limits = [m.jumps.own_limits for m in members if m.jumps is not None]
         self._columns = np.concatenate([*columns, *limits])
         self._limits = np.concatenate([np.empty(0, np.intp), *limits])
@@ -117,69 +141,168 @@ class SubsteppedLoop:
 
     def _advance(self, step: _Step) -> None:
         control = self._control
-        part: Subinterval | None = control.first()
+        waiting = [control.first(step.span)]  # the next one last
         row = step.signals[0].copy()
         coarse: Vector | None = None
-        is_known = False
-        while part is not None:
+        while waiting:
+            part = waiting.pop()
             states = self._save()
-            if not is_known:
-                coarse = self._take(step, part, row)
+            found = self._attempt(step, part, row, coarse, states)
+            coarse = None
+            if found.event is not None:
                 self._restore(states)
-            first, second = part.halves
-            middle = self._take(step, first, row)
-            fine = None if middle is None else self._take(step, second, middle)
-            error = self._error(row, coarse, fine)
-            if error > 1.0 and control.can_refine(part, step.step_ns):
-                self._add(step, part, error)
+                waiting += self._divided(step, part, found.event)
+            elif found.error is not None and found.error > 1.0 and control.can_refine(part):
                 self._restore(states)
-                part = first
-                coarse = middle
-                is_known = True
-                continue
-            if middle is None or fine is None:
-                assert self._cut is not None
-                raise self._cut
-            self._add(step, first, error, middle)
-            self._add(step, second, error, fine)
-            row = fine
-            part = control.next(part, error)
-            is_known = False
+                self._add(part, error=found.error)
+                waiting.append(part.halves[0])
+                coarse = found.middle
+            else:
+                row = self._accept(part, found)
+                waiting += control.next(part, found.error)
         step.signals[1, self._columns] = row[self._columns]
+
+    def _attempt(
+        self,
+        step: _Step,
+        part: StepPart,
+        row: Vector,
+        coarse: Vector | None,
+        states: Sequence[Any],
+    ) -> _Taken:
+        """Take a part at once, unless ``coarse`` is its row already, and in two halves."""
+        if coarse is None:
+            coarse, event = self._take(step, part, row)
+            if event is not None or not part.has_halves:
+                return _Taken(end=coarse, event=event)
+            self._restore(states)
+        first, second = part.halves
+        middle, event = self._take(step, first, row)
+        fine: Vector | None = None
+        if middle is not None and event is None:
+            fine, event = self._take(step, second, middle)
+        return _Taken(middle, fine, self._error(row, coarse, fine), event)
+
+    def _take(
+        self, step: _Step, part: StepPart, row: Vector
+    ) -> tuple[Vector | None, _Event | None]:
+        """Advance the loop over a part.
+
+        Returns
+        -------
+        Vector or None
+            The row at its end; None: the loop does not come there.
+        _Event or None
+            The first event inside.
+        """
+        block, rows = step.rows(part.begin, part.end, row, self._control.outside)
+        try:
+            self._advancing.advance(block, rows)
+        except Cut as cut:
+            self._cut = cut
+            return None, None
+        reached: Vector = rows[1]
+        return reached, self._event_inside(step, part)
+
+    def _event_inside(self, step: _Step, part: StepPart) -> _Event | None:
+        """Return the first event of a component inside a part that was taken, at neither end."""
+        close = 2.0 * math.ulp(step.end)
+        events = [_Event(m.component.first_event(), m.name) for m in self._locating]
+        inside = [event for event in events if part.begin + close < event.time < part.end - close]
+        return min(inside, default=None)
+
+    def _divided(self, step: _Step, part: StepPart, event: _Event) -> list[StepPart]:
+        """Return what there is to take in the place of a part with an event, the first one last.
+
+        Raises
+        ------
+        Cut
+            If there are too many.
+        """
+        step.events += 1
+        if step.events > EVENTS:
+            reason = (
+                f"{EVENTS} events between t = {step.begin} s and {step.end} s, the last at "
+                f"{event.time} s; they do not end"
+            )
+            stop = Stopped(np.empty((0, 0)), reason).at(event.component, event.time)
+            raise Cut(0, stop, event.component)
+        self._add(part, event=event.component)
+        before = Span.between(part.begin, event.time, event.component)
+        behind = Span.between(event.time, part.end, part.event)
+        return [*self._control.next(part, None), behind.whole, before.whole]
+
+    def _accept(self, part: StepPart, found: _Taken) -> Vector:
+        """Keep a part that was taken; return the row at its end.
+
+        Raises
+        ------
+        Cut
+            If the loop does not come to its end.
+        """
+        if found.end is None:
+            assert self._cut is not None
+            raise self._cut
+        if found.middle is None:
+            self._add(part, event=part.event, row=found.end)
+            return found.end
+        first, second = part.halves
+        self._add(first, error=found.error, row=found.middle)
+        self._add(second, error=found.error, event=part.event, row=found.end)
+        return found.end
 
     def _follow(self, step: _Step, recorded: RecordedSubsteps) -> None:
         """Take recorded substeps, each with the recorded inputs at both of its ends.
 
         They are kept with the outputs that are computed now.
         """
-        end_ns = step.begin_ns + step.step_ns
         row = step.signals[0]
-        for substep in recorded.between(step.begin_ns, end_ns):
+        computed = step.signals
+        for substep in recorded.between(step.begin, step.end):
             if not substep.accepted:
                 self._control.add(substep)
                 continue
-            begin = substep.begin_ns - step.begin_ns
-            block, rows = step.rows(begin, begin + substep.length_ns, row, self._control.outside)
+            block, rows = step.rows(substep.begin, substep.end, row, self._control.outside)
             rows[1, self._columns] = substep.values
-            computed = rows[1].copy()
+            computed = rows.copy()
             for member in recorded.live:
-                computed[member.outputs] = self._advance_alone(member, block, rows)
-                step.signals[1, member.outputs] = computed[member.outputs]
-            values = tuple(computed[self._columns].tolist())
+                self._advance_alone(member, block, rows, computed)
+            values = tuple(computed[1, self._columns].tolist())
             self._control.add(substep._replace(values=values))
             row = rows[1]
+        for member in recorded.live:
+            step.signals[1, member.outputs] = computed[1, member.outputs]
         for member in recorded.copied:
             step.signals[1, member.outputs] = self._call(
                 "advance", member, step.block, step.signals
             )
         for member in self._members:
             step.signals[1, member.inputs] = row[member.inputs]
-        step.signals[1, self._limits] = row[self._limits]
+        step.signals[1, self._limits] = computed[1, self._limits]
 
-    def _advance_alone(self, member: Member, block: Block, rows: Matrix) -> Vector:
-        """Advance a component over a substep of which all signals are known; return its outputs."""
-        if not member.reads_jumps(rows):
-            return self._call("advance", member, block, rows)
+    def _advance_alone(self, member: Member, block: Block, rows: Matrix, computed: Matrix) -> None:
+        """Advance a component over a substep of which all signals are known.
+
+        Parameters
+        ----------
+        member : Member
+        block : Block
+        rows : Matrix, shape (2, width)
+            All signals at both ends.
+        computed : Matrix, shape (2, width)
+            Takes its outputs, and the left limits of those that jump.
+        """
+        jumps = member.reads_jumps(rows)
+        taken = self._with_left_inputs(member, rows) if jumps else rows
+        computed[1, member.outputs] = self._call("advance", member, block, taken)
+        failure = keep_limits("advance", member, block.time, computed)
+        if failure is not None:
+            raise Cut(0, failure, member.name)
+        if jumps:
+            computed[1, member.outputs] = self._call("right", member, block, rows)
+
+    def _with_left_inputs(self, member: Member, rows: Matrix) -> Matrix:
+        """Return rows of which the second has left limits in its inputs, where these jump."""
         taken = rows.copy()
         member.gather(taken, END)
         right = taken[1, member.inputs].copy()
@@ -187,8 +310,7 @@ class SubsteppedLoop:
         left = taken[1, member.inputs]
         # What does not jump is taken as it was recorded: a loop may have solved for it.
         taken[1, member.inputs] = np.where(left == right, rows[1, member.inputs], left)
-        self._call("advance", member, block, taken)
-        return self._call("right", member, block, rows)
+        return taken
 
     def _call(self, kind: OperationName, member: Member, block: Block, rows: Matrix) -> Vector:
         """Advance a component over one step, or evaluate its outputs at the end.
@@ -202,19 +324,6 @@ class SubsteppedLoop:
             return call(kind, member, block.time, block.h, member.inputs_over(read_only(rows)))
         except Stopped as stop:
             raise Cut(0, stop, member.name) from stop
-
-    def _take(self, step: _Step, part: Subinterval, row: Vector) -> Vector | None:
-        """Advance the loop over a part; return the row at its end, None where it cannot."""
-        begin = part.begin_ns(step.step_ns)
-        end = part.end_ns(step.step_ns)
-        block, rows = step.rows(begin, end, row, self._control.outside)
-        try:
-            self._advancing.advance(block, rows)
-        except Cut as cut:
-            self._cut = cut
-            return None
-        reached: Vector = rows[1]
-        return reached
 
     def _error(self, row: Vector, coarse: Vector | None, fine: Vector | None) -> float:
         """Return the error that is estimated of the two halves, in units of what is tolerated."""
@@ -232,14 +341,19 @@ class SubsteppedLoop:
             return math.inf
         return worst / (2.0**self._control.order - 1.0)
 
-    def _add(self, step: _Step, part: Subinterval, error: float, row: Vector | None = None) -> None:
-        """Keep a part that was taken; one without a row was rejected."""
-        begin = part.begin_ns(step.step_ns)
-        end = part.end_ns(step.step_ns)
+    def _add(
+        self,
+        part: StepPart,
+        *,
+        error: float | None = None,
+        event: str = "",
+        row: Vector | None = None,
+    ) -> None:
+        """Keep a part that was taken; one without a row was refused."""
         values = () if row is None else tuple(row[self._columns].tolist())
         loop = self._members[0].name
         self._control.add(
-            Substep(step.begin_ns + begin, end - begin, loop, error, row is not None, values)
+            Substep(part.begin, part.end, loop, error, row is not None, event, values)
         )
 
     def _save(self) -> list[Any]:

@@ -70,6 +70,8 @@ class CoSimulation:
             native=not description.drives_clocks,
             linearizable=self._is_linearizable(description),
             substeps=self._capabilities.variable_step,
+            left_limits=self._jumping_outputs(description),
+            locates_events=self._capabilities.event_mode or self._capabilities.early_return,
             keeps_events=self._capabilities.event_mode and not self._capabilities.saves_state,
         )
         self._in_events: frozenset[str] = frozenset()
@@ -82,7 +84,9 @@ class CoSimulation:
             self._feedthrough = DirectFeedthrough(instance, self._in_events)
         # Of the FMU before an event that is only shown; its memory is used again.
         self._fmu_state: object | None = None
-        self._stepper = Stepper(instance, self._diagnostics, self._clocks)
+        self._stepper = Stepper(instance, self._diagnostics, self._clocks, self._feedthrough)
+        self._stepper.keeps_left = bool(self.interface.left_limits)
+        self._left_limits: dict[float, Vector] = {}
         if not self._stepper.interpolates:
             self.interface = replace(self.interface, lagging=tuple(self._uncorrected_outputs()))
         self._tuned: list[TunedParameters] = []
@@ -116,6 +120,13 @@ class CoSimulation:
     def _is_linearizable(self, description: Description) -> bool:
         shows = self._capabilities.directional_derivatives or self._capabilities.saves_state
         return shows and has_continuous_ports(description)
+
+    def _jumping_outputs(self, description: Description) -> tuple[str, ...]:
+        """Return the continuous outputs that may jump in events of the FMU's own."""
+        if not self._capabilities.event_mode:
+            return ()
+        outputs = description.interface.outputs
+        return tuple(signal.name for signal in outputs if signal.variability == "continuous")
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -167,6 +178,7 @@ class CoSimulation:
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Step K times; see :class:`cosim.core.contracts.Component`."""
         stepper = self._stepper
+        self._left_limits.clear()
         inputs = list(np.array(u, np.float64, order="C"))
         times = t.tolist()
         steps = len(inputs) - 1
@@ -179,6 +191,8 @@ class CoSimulation:
                 completed = self._step(times[k], h, inputs[k], u1)
                 if completed:
                     self._report_inner_step(t1, h)
+                    if stepper.left is not None:
+                        self._left_limits[t1] = stepper.left
                     # An event at the end of the block is left to the next advance: a loop may still
                     # correct the inputs that it happens with.
                     if k < steps - 1:
@@ -191,6 +205,15 @@ class CoSimulation:
         except RunError as error:
             raise Stopped(y[:k].copy(), str(error)) from error
         return y
+
+    def left_limits(self, t: Vector) -> dict[int, Vector]:
+        """Return the outputs before events at the ends of the last steps, by place in ``t``."""
+        limits = self._left_limits
+        return {place: limits[time] for place, time in enumerate(t.tolist()) if time in limits}
+
+    def first_event(self) -> float:
+        """Return the time of the first event inside the last step [s]; infinity: none."""
+        return self._stepper.first_event
 
     def _step(self, t: float, h: float, u0: Vector, u1: Vector) -> bool:
         """Do one communication step; return False where the FMU requests the end inside it."""
@@ -286,7 +309,7 @@ class CoSimulation:
 
     def native(self) -> NativeStep | None:
         """Return the compiled step; None: there is none."""
-        return self._stepper.native(self._feedthrough)
+        return self._stepper.native()
 
     # --- messages, states ---
 

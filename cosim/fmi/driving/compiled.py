@@ -147,6 +147,7 @@ class CompiledIntegrator:
         if integrator.fmu_state is not None:
             struct.fmu_state = self._addresses.state(integrator.fmu_state)
         struct.in_step = integrator.events.in_step
+        struct.first = integrator.events.first
         struct.reached = 0
         struct.failure = 0
         struct.moved = 0
@@ -194,8 +195,16 @@ class CompiledIntegrator:
         if not struct.moved:
             return
         records = self._events[: struct.n_events].copy()
-        self._integrator.events.extend(records, struct.in_step, struct.latest)
+        self._integrator.events.extend(
+            records, struct.in_step, first=struct.first, latest=struct.latest
+        )
         struct.n_events = 0
+
+    @property
+    def first_event(self) -> float:
+        """Time of the first event inside the last step [s]; infinity: there was none."""
+        first: float = self._struct.first
+        return first
 
     def begin_events(self) -> None:
         """Begin to count the events anew, as after they were fetched."""

@@ -179,13 +179,14 @@ class EventList:
     ----------
     in_step : int
         Events since a communication step began.
-    latest : float
-        Time of the last one [s].
+    first, latest : float
+        Times of the first and the last one [s]; infinity: there was no first one.
     """
 
     def __init__(self) -> None:
         self._records: list[EventRecords] = []
         self.in_step = 0
+        self.first = math.inf
         self.latest = 0.0
 
     def begin_step(self) -> None:
@@ -194,19 +195,25 @@ class EventList:
         if omitted > 0:
             self._records.append([(self.latest, NOT_LISTED, omitted)])
         self.in_step = 0
+        self.first = math.inf
 
     def add(self, kind: EventKind, t: float) -> None:
         """Add an event at ``t`` [s]."""
+        if not self.in_step:
+            self.first = t
         self.in_step += 1
         self.latest = t
         if self.in_step <= KEPT:
             self._records.append([(t, BITS[kind], 0)])
 
-    def extend(self, records: NDArray[np.void], in_step: int, latest: float) -> None:
-        """Add what compiled steps listed; ``in_step`` and ``latest`` are as they are behind it."""
+    def extend(
+        self, records: NDArray[np.void], in_step: int, *, first: float, latest: float
+    ) -> None:
+        """Add what compiled steps listed; the attributes are as they are behind it."""
         if len(records):
             self._records.append(records)
         self.in_step = in_step
+        self.first = first
         self.latest = latest
 
     def drain(self) -> list[Message]:

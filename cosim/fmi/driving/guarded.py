@@ -14,6 +14,7 @@ from cosim.core.contracts import (
     PreparableSubsteps,
     Rollback,
     Stopped,
+    first_event,
     left_limits,
 )
 from cosim.core.linearization import Linearized
@@ -187,6 +188,10 @@ class Guarded:
     def linearized(self, t: float, u: Vector) -> Linearized | None:
         """Pass on."""
         return self._call(t, lambda: self._component.linearized(t, u))
+
+    def first_event(self) -> float:
+        """Pass on."""
+        return first_event(self._component)
 
     def save(self) -> tuple[Any, int]:
         """Copy the state of the component, with what is known of it."""

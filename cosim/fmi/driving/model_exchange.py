@@ -119,6 +119,7 @@ class ModelExchange:
             linearizable=self.solver != RADAU and has_continuous_ports(instance.description),
             substeps=True,
             left_limits=self._jumping_outputs(),
+            locates_events=self._may_have_events,
             keeps_events=self._may_have_events and not self._capabilities.saves_state,
         )
         self._integrator.keeps_left = bool(self.interface.left_limits)
@@ -198,6 +199,12 @@ class ModelExchange:
         """Return the outputs before events at the ends of the last steps, by place in ``t``."""
         limits = self._left_limits
         return {place: limits[time] for place, time in enumerate(t.tolist()) if time in limits}
+
+    def first_event(self) -> float:
+        """Return the time of the first event inside the last step [s]; infinity: none."""
+        if self._compiled:
+            return self._compiled.first_event
+        return self._integrator.events.first
 
     def _keep_left(self, t: float) -> None:
         if self._integrator.left is not None:

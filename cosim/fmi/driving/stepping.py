@@ -103,6 +103,8 @@ class Stepper:
         Takes what the run shows about the FMU.
     clocks : EventClocks
         Its clocks.
+    feedthrough : DirectFeedthrough or None
+        Its D, where it gives one.
 
     Attributes
     ----------
@@ -112,10 +114,18 @@ class Stepper:
         That those outputs belong to.
     inner_steps : int
         The inner step of the FMU, in communication steps, where the last step showed it; else 0.
+    keeps_left : bool
+        Whether the outputs before an event at the end of a step are read.
+    left : Vector or None
+        Those of the last step; None: it had no such event.
     """
 
     def __init__(
-        self, instance: CoSimulationInstance, diagnostics: Diagnostics, clocks: EventClocks
+        self,
+        instance: CoSimulationInstance,
+        diagnostics: Diagnostics,
+        clocks: EventClocks,
+        feedthrough: DirectFeedthrough | None,
     ) -> None:
         description = instance.description
         capabilities = description.capabilities["cs"]
@@ -125,6 +135,7 @@ class Stepper:
         self._capabilities = capabilities
         self._diagnostics = diagnostics
         self._clocks = clocks
+        self._feedthrough = feedthrough
         self._outputs = description.references("output")
         self._inputs = description.references("input")
         # Inputs that belong to a clock are set where it ticks, and clocks by calls of their own.
@@ -151,6 +162,8 @@ class Stepper:
         n_u = len(discrete)
         self._inner_step = InnerStep(_watched(description), n_u)
         self.inner_steps = 0
+        self.keeps_left = False
+        self.left: Vector | None = None
         self._share_state(n_u)
         self.hold(discrete)
         self.begin(np.zeros(n_u), np.zeros(self._outputs.size))
@@ -175,9 +188,10 @@ class Stepper:
         struct.inputs = self.inputs.ctypes.data
         struct.event_inputs = self._event_values.ctypes.data
         struct.scratch = self._scratch.ctypes.data
+        struct.first_event = math.inf
         self._struct = struct
 
-    def native(self, feedthrough: DirectFeedthrough | None) -> NativeStep | None:
+    def native(self) -> NativeStep | None:
         """Return the compiled step; None: the FMU is none of a binary, or has clocks."""
         addresses = self._instance.addresses()
         if addresses is None or self._instance.description.drives_clocks:
@@ -191,8 +205,8 @@ class Stepper:
             struct.slopes = addresses.slopes(self._interpolated_inputs)
         if self._saves_before_steps:
             struct.get_state = addresses.call("GetFMUState")
-        if feedthrough is not None:
-            feedthrough.native(addresses, struct)
+        if self._feedthrough is not None:
+            self._feedthrough.native(addresses, struct)
         struct.plain = (
             struct.step_inputs.is_direct
             and struct.outputs_read.is_direct
@@ -207,10 +221,21 @@ class Stepper:
             struct,
             n_y=self._outputs.size,
             memory=np.zeros(0),
-            keep=(self, addresses, feedthrough),
+            keep=(self, addresses, self._feedthrough),
             outputs=address("cosim_co_simulation_outputs"),
             rollback=self._rollback if self._capabilities.saves_state else None,
+            left_outputs=self._left_outputs(),
         )
+
+    def _left_outputs(self) -> tuple[int, int] | None:
+        """Return where compiled steps tell left limits; None: nobody asks for them.
+
+        They have no events, so none is ever told.
+        """
+        if not self.keeps_left:
+            return None
+        offset = CoSimulationStruct.has_left.offset
+        return addressof(self._struct) + offset, self.outputs.ctypes.data
 
     def _rollback(self) -> RollbackStruct:
         """Return how compiled code goes back; the memory of its copy is kept here."""
@@ -242,6 +267,12 @@ class Stepper:
     def stepped(self) -> bool:
         """Whether a communication step was completed."""
         return bool(self._struct.stepped)
+
+    @property
+    def first_event(self) -> float:
+        """Time of the first event inside the last step [s]; infinity: there was none."""
+        first: float = self._struct.first_event
+        return first
 
     @property
     def interpolates(self) -> bool:
@@ -357,6 +388,8 @@ class Stepper:
         self.check_compiled()
         begun = self._struct.note
         self._struct.note = NOTHING
+        self._struct.first_event = math.inf
+        self.left = None
         if begun == COMPLETED:
             self.inner_steps = self._struct.inner_steps
             return True
@@ -416,7 +449,12 @@ class Stepper:
             if end.terminate:
                 self._struct.ended = True
             s = self._reached(ramp, s, part_end, end, halvings)
-            if self._is_event_due(ramp, s, end):
+            is_event_due = self._is_event_due(ramp, s, end)
+            if s < 1.0 and (is_event_due or end.returned_early):
+                self._note_event(ramp, s, end)
+            if is_event_due and s == 1.0 and self.keeps_left:
+                self.left = self._corrected_outputs(ramp.u1)
+            if is_event_due:
                 # What ticks at the end of the communication step waits for the inputs there.
                 self._handle_event(ramp.time(s), ramp.at(s), ticks=s < 1.0)
             if s >= s1:
@@ -588,6 +626,20 @@ class Stepper:
             return True
         next_event = self._struct.next_event
         return next_event != math.inf and ramp.fraction(next_event) <= s
+
+    def _note_event(self, ramp: InputRamp, s: float, end: StepEnd) -> None:
+        """Keep the time of an event at ``s``, inside the step, if it is the first one."""
+        time = ramp.time(s)
+        if end.returned_early:
+            time = end.last_successful_time
+        elif ramp.fraction(self._struct.next_event) == s:
+            time = self._struct.next_event
+        self._struct.first_event = min(self._struct.first_event, time)
+
+    def _corrected_outputs(self, u: Vector) -> Vector:
+        """Return the outputs of the FMU now, corrected to inputs ``u`` where D is known."""
+        y = self._clocks.outputs()
+        return y if self._feedthrough is None else self._feedthrough.add(y, u - self.inputs)
 
     def has_point_event(self, t: float, u: Vector) -> bool:
         """Return whether an event is due at a communication point ``t`` [s] with inputs ``u``.

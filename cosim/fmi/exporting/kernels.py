@@ -261,7 +261,7 @@ def _discretized(
     lines.append(doubles("kernel_X0", X0))
     lines.append(doubles("kernel_Xu", Xu))
     numbers = f"{n}, {m}, {p}, Ad, B0, B1, C, D"
-    lines.append(f"const cosim_linear kernel_constants = {{{numbers}, 0, 0, 0}};")
+    lines.append(f"const cosim_linear kernel_constants = {{{numbers}, 0, 0, 0, 0}};")
     return Kernel("sampled.c", ("linear.c",), 2 * n, tuple(lines), equations)
 
 

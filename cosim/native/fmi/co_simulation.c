@@ -272,6 +272,7 @@ int32_t cosim_co_simulation_step(void *self, double t0, double t1, double h, con
     (void)t1;
     Component *c = self;
     c->note = COSIM_NOTHING;
+    c->first_event = INFINITY;
     if (!is_plain(c) || (c->interpolates && c->fmu->version != 2))
         return step(c, t0, h, u0, u1, y);
     if (c->interpolates)

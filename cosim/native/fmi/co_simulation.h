@@ -42,7 +42,8 @@ typedef struct {
     int32_t initialized, interpolates, stepped, ended;
     int32_t n_u, n_y, n_event;
     int32_t note; /* of the last step: what it did before it was left to the methods */
-    double next_event; /* infinity: none */
+    double next_event;  /* infinity: none */
+    double first_event; /* inside the last step; infinity: none, as in every compiled one */
     cosim_fmu_call *get_state; /* NULL: no state is saved before a step */
     const uint8_t *held;       /* (n_u) keeps its value over a step */
     /* the state: as in StepperState */
@@ -59,6 +60,7 @@ typedef struct {
     const intptr_t *event_columns; /* (n_event) inputs that are set in events */
     double *scratch;               /* (3 n_u + n_y) */
     cosim_co_simulation_copy *copy;
+    int32_t has_left; /* outputs had other values before an event at the end: never here */
 } cosim_co_simulation;
 
 /* A cosim_step and a cosim_outputs. */

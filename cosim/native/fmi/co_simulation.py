@@ -55,7 +55,7 @@ class CoSimulationStruct(Structure):
         ("fmu", c_void_p),
         *((name, c_int32) for name in ("plain", "initialized", "interpolates", "stepped", "ended")),
         *((name, c_int32) for name in ("n_u", "n_y", "n_event", "note")),
-        ("next_event", c_double),
+        *((name, c_double) for name in ("next_event", "first_event")),
         *((name, c_void_p) for name in ("get_state", "held", "outputs", "inputs")),
         *((name, c_void_p) for name in ("event_inputs", "inner_step")),
         ("inner_steps", c_int64),
@@ -66,6 +66,7 @@ class CoSimulationStruct(Structure):
         ("slopes", SlopesStruct),
         *((name, c_void_p) for name in ("fmu_state", "unknowns", "knowns")),
         *((name, c_void_p) for name in ("ramped", "event_columns", "scratch", "copy")),
+        ("has_left", c_int32),
     )
 
 

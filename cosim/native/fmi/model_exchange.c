@@ -369,6 +369,8 @@ static void push(Model *s, double t, int32_t kind, int32_t count)
 static void list_event(Model *s, int32_t kind)
 {
     s->latest = s->t;
+    if (!s->in_step)
+        s->first = s->t;
     if (++s->in_step <= LISTED)
         push(s, s->t, kind, 0);
 }
@@ -385,6 +387,7 @@ static void begin_step(Model *s)
     if (s->in_step > LISTED)
         push(s, s->latest, COSIM_NOT_LISTED, s->in_step - LISTED);
     s->in_step = 0;
+    s->first = INFINITY;
 }
 
 /* Whether the events of one more step find room. */

@@ -70,6 +70,7 @@ typedef struct {
     int32_t n_events, room;
     int32_t in_step; /* how many came since a communication step began */
     double latest;   /* time of the last one */
+    double first;    /* time of the first one; infinity: there was none */
 
     /* the inputs of the step, by linear interpolation */
     double t0, t1;

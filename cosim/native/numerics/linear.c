@@ -340,12 +340,24 @@ void cosim_first_order_holds(int64_t count, int32_t n, int32_t m, const double *
                                B1 + i * n * m, work);
 }
 
+/* That of steps of a length that was not known before. */
+__attribute__((noinline)) static cosim_linear_substep discretize(const cosim_linear *s, double h)
+{
+    cosim_linear_dynamics *d = s->dynamics;
+    if (d->h != h)
+        cosim_first_order_hold(s->n, s->m, d->A, d->B, h, d->held, d->Ad, d->B0, d->B1, d->work);
+    d->h = h;
+    return (cosim_linear_substep){h, d->Ad, d->B0, d->B1};
+}
+
 /* That of steps of length h. */
 static inline cosim_linear_substep discretization(const cosim_linear *s, double h)
 {
     for (int32_t i = 0; i < s->n_substeps; ++i)
         if (s->substeps[i].h == h)
             return s->substeps[i];
+    if (s->dynamics && s->dynamics->step != h)
+        return discretize(s, h);
     return (cosim_linear_substep){h, s->Ad, s->B0, s->B1};
 }
 

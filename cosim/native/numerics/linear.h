@@ -57,12 +57,22 @@ typedef struct {
     const double *Ad, *B0, *B1;
 } cosim_linear_substep;
 
+/* What to discretize for steps of any length. */
+typedef struct {
+    const double *A, *B; /* (n, n), (n, m) */
+    const uint8_t *held; /* (m) */
+    double step;         /* length of a communication step [s] */
+    double h;            /* what the following are for [s]; 0: for nothing yet */
+    double *Ad, *B0, *B1, *work;
+} cosim_linear_dynamics;
+
 typedef struct {
     int32_t n, m, p;                    /* states, inputs, outputs */
     const double *Ad, *B0, *B1, *C, *D; /* (n, n), (n, m), (n, m), (p, n), (p, m) */
     double *memory;                     /* x, then n doubles of scratch */
     const cosim_linear_substep *substeps; /* (n_substeps), parts of a communication step */
     int32_t n_substeps;
+    cosim_linear_dynamics *dynamics; /* NULL: there are no other steps */
 } cosim_linear;
 int32_t cosim_linear_step(void *self, double t0, double t1, double h, const double *u0,
                           const double *u1, double *y);

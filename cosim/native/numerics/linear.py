@@ -22,6 +22,16 @@ class SubstepStruct(ctypes.Structure):
     _fields_ = (("h", c_double), *((name, c_void_p) for name in ("Ad", "B0", "B1")))
 
 
+class DynamicsStruct(ctypes.Structure):
+    """cosim_linear_dynamics."""
+
+    _fields_ = (
+        *((name, c_void_p) for name in ("A", "B", "held")),
+        *((name, c_double) for name in ("step", "h")),
+        *((name, c_void_p) for name in ("Ad", "B0", "B1", "work")),
+    )
+
+
 class LinearStruct(ctypes.Structure):
     """cosim_linear."""
 
@@ -29,6 +39,7 @@ class LinearStruct(ctypes.Structure):
         *((name, c_int32) for name in ("n", "m", "p")),
         *((name, c_void_p) for name in ("Ad", "B0", "B1", "C", "D", "memory", "substeps")),
         ("n_substeps", c_int32),
+        ("dynamics", c_void_p),
     )
 
 
@@ -64,6 +75,29 @@ class DiscretizedDynamics:
     Ad: Matrix
     B0: Matrix
     B1: Matrix
+
+
+@dataclass(frozen=True, slots=True)
+class OtherSteps:
+    """What steps need whose lengths are not that of a communication step.
+
+    Parameters
+    ----------
+    A, B : Matrix, shapes (n, n), (n, m)
+        ``x' = A x + B u``.
+    held : Mask, shape (m,)
+        Inputs with a zero-order hold.
+    step : float
+        Communication step [s].
+    known : mapping of length [s] to DiscretizedDynamics
+        Those of other lengths are computed where they come.
+    """
+
+    A: Matrix
+    B: Matrix
+    held: Mask
+    step: float
+    known: Mapping[float, DiscretizedDynamics]
 
 
 def first_order_hold(A: Matrix, B: Matrix, h: float, held: Mask) -> DiscretizedDynamics:
@@ -159,7 +193,7 @@ def linear_step(
     discrete: DiscretizedDynamics,
     C: Matrix,
     D: Matrix,
-    substeps: Mapping[float, DiscretizedDynamics] | None = None,
+    others: OtherSteps | None = None,
 ) -> NativeStep:
     """Build the step of a discretized linear system with the outputs `y = C x + D u`.
 
@@ -169,8 +203,8 @@ def linear_step(
     ----------
     discrete : DiscretizedDynamics
     C, D : Matrix, shapes (n_y, n), (n_y, m)
-    substeps : mapping of step [s] to DiscretizedDynamics, optional
-        For steps of other lengths.
+    others : OtherSteps, optional
+        For steps of other lengths; without, there are none.
     """
     n, m = discrete.B0.shape
     n_y = len(C)
@@ -180,11 +214,13 @@ def linear_step(
     memory = arrays[-1]
     state = LinearStruct(n, m, n_y, *map(pointer, arrays))
     keep: list[object] = [*arrays]
-    if substeps:
-        structs = _substep_structs(substeps, keep)
+    if others is not None:
+        structs = _substep_structs(others.known, keep)
         state.substeps = ctypes.addressof(structs)
         state.n_substeps = len(structs)
-        keep.append(structs)
+        dynamics = _dynamics_struct(others, keep)
+        state.dynamics = ctypes.addressof(dynamics)
+        keep += [structs, dynamics]
     function = address("cosim_linear_step")
     outputs = address("cosim_linear_outputs")
     return NativeStep(
@@ -209,6 +245,17 @@ def _substep_structs(
         struct.h = h
         struct.Ad, struct.B0, struct.B1 = map(pointer, arrays)
     return structs
+
+
+def _dynamics_struct(others: OtherSteps, keep: list[object]) -> DynamicsStruct:
+    """Return the struct of what is discretized where it is needed; ``keep`` gets its memory."""
+    n, m = others.B.shape
+    mask = np.array(others.held, np.uint8)
+    inputs = _together(others.A, others.B)
+    results = _together(*map(np.zeros, (n * n, n * m, n * m, 4 * (n + 2 * m) ** 2)))
+    keep += [mask, *inputs, *results]
+    A, B = map(pointer, inputs)
+    return DynamicsStruct(A, B, pointer(mask), others.step, 0.0, *map(pointer, results))
 
 
 def delay_step(steps: int, width: int) -> NativeStep:

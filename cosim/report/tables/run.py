@@ -162,8 +162,10 @@ def _substeps_text(counts: SubstepCounts, interpolated: Sequence[str]) -> str:
     """Return how many substeps a loop took, and what their errors do not tell of."""
     text = (
         f"{', '.join(counts.components)}: {counts.accepted}, the shortest "
-        f"{counts.shortest_ns / 1e9:g} s; {counts.rejected} parts of a step were refused"
+        f"{counts.shortest:g} s; {counts.rejected} parts of a step were refused"
     )
+    if counts.events:
+        text += f"; {counts.events} end where an event was found"
     if counts.missed:
         text += f"; {counts.missed} miss the tolerance, at worst by {counts.worst_error:.3g} times"
     if interpolated:

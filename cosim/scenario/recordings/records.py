@@ -216,7 +216,7 @@ def missed_text(counts: SubstepCounts) -> str:
     return (
         f"the loop of {listing(counts.components)}: {counts.missed} of {counts.accepted} substeps "
         f"miss the tolerance and cannot be shorter, at worst by a factor of "
-        f"{counts.worst_error:.3g} at t = {counts.worst_ns / 1e9} s; needed a smaller "
+        f"{counts.worst_error:.3g} at t = {counts.worst_time} s; needed a smaller "
         "scenario.substeps.min, larger tolerances, or coupling = 'newton'"
     )
 

@@ -1,6 +1,7 @@
 """Loops that take substeps: tolerances, the tree of parts, what is recorded, replays."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -22,8 +23,10 @@ from cosim.core.master import run
 from cosim.core.recorders import Memory
 from cosim.core.signals import Interface, Signal
 from cosim.core.simulation import Simulation
-from cosim.core.stages.substep_control import Subinterval, SubstepTolerance
+from cosim.core.stages.spans import Span, StepPart
+from cosim.core.stages.substep_control import SubstepTolerance
 from cosim.errors import GraphError, LogError, RunError
+from cosim.instants import whole_duration
 from tests.core.stages.test_newton import pair, record, solution, state_space, states
 
 SIGNALS = ("one.u", "one.y", "one.x", "two.u", "two.y", "two.x")
@@ -37,24 +40,40 @@ def counts_of(graph):
     return graph.substep_controls[0].counts
 
 
-@given(st.integers(2, 10**12), st.integers(1, 10**9), st.data())
-def test_the_parts_of_a_step_follow_each_other_in_whole_nanoseconds(step_ns, min_ns, data):
+@given(st.integers(2, 10**12), st.integers(1, 10**9), st.integers(0, 10**12), st.data())
+def test_the_parts_of_a_step_follow_each_other_in_whole_nanoseconds(step_ns, min_ns, at, data):
     """Halves meet, none is shorter than the shortest substep, and every length is known before."""
     if 2 * min_ns > step_ns:
         return
     limits = SubstepTolerance(min_ns=min_ns)
-    finest = limits.finest_level(step_ns)
-    level = data.draw(st.integers(0, finest - 1))
-    part = Subinterval(level, data.draw(st.integers(0, 2**level - 1)))
+    step = Span(at / 1e9, (at + step_ns) / 1e9, at, at + step_ns, is_step=True)
+    level = data.draw(st.integers(0, limits.finest_level(step_ns) - 1))
+    part = StepPart(step, level, data.draw(st.integers(0, 2**level - 1)))
     first, second = part.halves
-    assert first.begin_ns(step_ns) == part.begin_ns(step_ns)
-    assert first.end_ns(step_ns) == second.begin_ns(step_ns)
-    assert second.end_ns(step_ns) == part.end_ns(step_ns)
+    assert first.begin == part.begin
+    assert first.end == second.begin
+    assert second.end == part.end
     for half in (first, second):
-        length = half.end_ns(step_ns) - half.begin_ns(step_ns)
-        assert length >= min_ns
-        assert length / 1e9 in limits.lengths(step_ns)
-    assert Subinterval(level, 2**level - 1).end_ns(step_ns) == step_ns
+        length = whole_duration(half.begin, half.end)
+        assert length >= min_ns / 1e9
+        assert length in limits.lengths(step_ns)
+    assert StepPart(step, level, 2**level - 1).end == step.end
+
+
+@given(st.floats(0.0, 1e6), st.floats(1e-15, 10.0), st.data())
+def test_what_an_event_leaves_is_divided_at_whole_nanoseconds(begin, length, data):
+    """Its ends are what was given, to the last bit; its parts follow each other."""
+    span = Span.between(begin, begin + length)
+    if not span.whole.has_halves:
+        assert length < 4e-9
+        return
+    deepest = (span.last_ns - span.first_ns).bit_length() - 1
+    level = data.draw(st.integers(0, deepest - 1))
+    part = StepPart(span, level, data.draw(st.integers(0, 2**level - 1)))
+    assert span.begin <= part.begin < part.halves[0].end < part.end <= span.end
+    assert part.halves[0].end == part.halves[1].begin
+    assert whole_duration(part.halves[0].end, 0.0) is not None
+    assert (part.following(level) or span).begin in (part.end, span.begin)
 
 
 def test_the_error_follows_the_tolerance():
@@ -76,9 +95,9 @@ def test_substeps_are_short_where_the_loop_is_fast_and_long_behind():
     graph = pair(substeps=tolerance(1e-6))
     memory = record(graph, step=0.1)
     accepted = [substep for substep in memory.substeps() if substep.accepted]
-    early = [s.length_ns for s in accepted if s.begin_ns < 1_000_000]
-    late = [s.length_ns for s in accepted if s.begin_ns > 900_000_000]
-    assert max(early) < 1_000_000 < min(late)
+    early = [s.length for s in accepted if s.begin < 1e-3]
+    late = [s.length for s in accepted if s.begin > 0.9]
+    assert max(early) < 1e-3 < min(late)
 
 
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi", "newton"])
@@ -173,13 +192,13 @@ def test_every_substep_is_recorded_with_what_the_loop_had_at_its_end():
     assert all(substep.error <= 1.0 for substep in accepted)
     reached = 0
     for substep in accepted:
-        assert substep.begin_ns == reached
-        reached += substep.length_ns
+        assert substep.begin == reached / 1e9
+        reached += round(substep.length * 1e9)
         if reached % 10_000_000 == 0:
             row = [memory[signal][reached // 10_000_000] for signal in SIGNALS]
             assert substep.values == tuple(row)
     assert reached == 50_000_000
-    begins = [substep.begin_ns for substep in substeps]
+    begins = [substep.begin for substep in substeps]
     assert begins == sorted(begins)
 
 
@@ -220,8 +239,8 @@ def test_a_step_that_a_component_cannot_take_is_divided():
     """FMUs discard steps that are too long."""
     graph = limited(2e-3, SubstepTolerance(1.0, 1.0, 1000))
     memory = record(graph, stop=0.1)
-    longest = max(substep.length_ns for substep in memory.substeps() if substep.accepted)
-    assert longest == 625_000  # half of the longest that could be taken at once
+    longest = max(substep.length for substep in memory.substeps() if substep.accepted)
+    assert longest == 625e-6  # half of the longest that could be taken at once
     assert math.inf in [substep.error for substep in memory.substeps()]
 
 
@@ -232,6 +251,70 @@ def test_a_step_that_cannot_be_divided_further_ends_the_run():
         record(graph, stop=0.1)
 
 
+class Eventful(Limited):
+    """The same, with events at the times that a function of the begin and end of a step gives."""
+
+    def __init__(self, event_time):
+        super().__init__(math.inf)
+        self.interface = replace(self.interface, locates_events=True)
+        self._event_time = event_time
+
+    def advance(self, t, h, u):
+        self._ends = t
+        return super().advance(t, h, u)
+
+    def first_event(self):
+        return self._event_time(*self._ends.tolist())
+
+
+def eventful(event_time, substeps):
+    components = {"one": Eventful(event_time), "two": Limited(1.0)}
+    return Graph(components, {"one.u": "two.y", "two.u": "one.y"}, substeps=substeps)
+
+
+def test_a_substep_ends_at_the_time_of_an_event_to_the_last_bit():
+    """Also a part of a nanosecond behind the begin, or before the end."""
+    times = [0.0033333333333333335, 0.0133, 0.02 + 3e-13, 0.04 - 4e-13]
+    graph = eventful(
+        lambda t0, t1: min([t for t in times if t0 < t], default=math.inf), tolerance(1.0)
+    )
+    memory = record(graph, stop=0.05, step=0.01)
+    accepted = [s for s in memory.substeps() if s.accepted]
+    assert [s.end for s in accepted if s.event] == times
+    assert {s.event for s in accepted} == {"one", ""}
+    assert [s.begin for s in accepted[1:]] == [s.end for s in accepted[:-1]]
+    refused = [s for s in memory.substeps() if not s.accepted]
+    assert [(s.event, s.error, s.values) for s in refused] == [("one", None, ())] * 4
+    counts = counts_of(graph)
+    assert counts.events == 4
+    assert counts.shortest >= 1e-3  # of those that the control has chosen
+
+
+def test_events_at_the_ends_of_a_step_divide_nothing():
+    """They happen at a communication point."""
+    graph = eventful(lambda t0, t1: t1, tolerance(1.0))
+    record(graph, stop=0.05, step=0.01)
+    assert counts_of(graph).events == 0
+
+
+def test_an_event_that_comes_earlier_each_time_is_found_by_and_by():
+    """With the inputs of each shorter part it is nearer to 3 ms: a thousandth of the distance."""
+    graph = eventful(lambda t0, t1: 3e-3 + 1e-3 * (t1 - 3e-3) if t0 < 3e-3 else t1, tolerance(1.0))
+    memory = record(graph, stop=0.01, step=0.01)
+    ends = [s.end for s in memory.substeps() if s.accepted and s.event]
+    assert ends[0] == pytest.approx(3e-3, abs=1e-17)
+    assert len(ends) < 10
+
+
+@pytest.mark.parametrize("event_time", [lambda t0, t1: t0 + 1e-8, lambda t0, t1: 0.5 * (t0 + t1)])
+def test_events_without_end_stop_the_run(event_time):
+    """As in an FMU whose relay slides."""
+    graph = eventful(event_time, tolerance(1.0))
+    reason = r"'one' stopped at t = .*: 1000 events between t = 0.0 s and 0.01 s, the last at .* s"
+    with pytest.raises(RunError, match=f"{reason}; they do not end"):
+        record(graph, stop=0.05, step=0.01)
+
+
 def test_substeps_that_miss_the_tolerance_are_counted():
     """They cannot be shorter: the run goes on, and says so."""
     graph = pair("gauss-seidel", substeps=tolerance(1e-9, min_ns=1_000_000))
@@ -240,7 +323,7 @@ def test_substeps_that_miss_the_tolerance_are_counted():
     missing = [s for s in memory.substeps() if s.accepted and s.error > 1.0]
     assert counts.missed == len(missing) > 0
     assert counts.worst_error == max(s.error for s in missing)
-    assert counts.shortest_ns == min(s.length_ns for s in missing) >= 1_000_000
+    assert counts.shortest == min(s.length for s in missing) >= 1e-3
 
 
 # --- recorded components ---

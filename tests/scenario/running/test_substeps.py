@@ -103,7 +103,7 @@ def with_changed_substep(log, path, number):
     for of, time_ns, sequence, data in content.messages:
         changed = data
         if of == channel:
-            substep = decode_substep(time_ns, data)
+            substep = decode_substep(data)
             taken += substep.accepted
             if taken == 3 and substep.accepted:
                 values = np.array(substep.values)
@@ -172,7 +172,7 @@ def test_a_summary_counts_substeps(pair):
     assert counts.components == ("one", "two")
     assert counts.accepted == len(accepted)
     assert counts.rejected == len(memory.substeps()) - len(accepted)
-    assert counts.shortest_ns == min(substep.length_ns for substep in accepted)
+    assert counts.shortest == min(substep.length for substep in accepted)
     assert counts.missed == 0
     warnings = [message for message in memory.messages() if message.level == "warning"]
     assert warnings == []
@@ -187,7 +187,7 @@ def test_info_counts_the_substeps_of_a_log(pair, tmp_path):
         counts.accepted,
         counts.rejected,
     )
-    assert row["shortest"] == counts.shortest_ns / 1e9
+    assert row["shortest"] == counts.shortest
     assert row["beyond the tolerance"] == 0
     assert 0.0 < row["largest error"] <= 1.0
 

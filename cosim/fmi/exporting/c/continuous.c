@@ -32,7 +32,7 @@ const char *model_advance(double *memory, double *work, double t0, double t1, do
     double *Ad = work + 1, *B0 = Ad + model_n * model_n, *B1 = B0 + model_n * model_m,
            *scratch = B1 + model_n * model_m;
     cosim_linear step = {model_n, model_m, model_p, Ad, B0,   B1,
-                         model_C, model_D, memory,  NULL, 0};
+                         model_C, model_D, memory,  NULL, 0,  NULL};
     if (work[0] != h) {
         cosim_first_order_hold(model_n, model_m, model_A, model_B, h, model_free, Ad, B0, B1,
                                scratch);

@@ -1,0 +1,262 @@
+"""Substeps of loops that end at the events of FMUs, at the time that the FMU gave.
+
+Two lags, or a lag and an FMU for model exchange, in a loop. ``x1`` of the first lag grows by 1 at
+the multiples of ``PERIOD``, which the FMU announces or meets::
+
+    x1' = -x1 - x2,  x2' = x1 - x2
+"""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+import cosim
+from cosim.blocks.source import constant
+from cosim.blocks.state_space import controller
+from cosim.core.clock import Clock
+from cosim.core.connections import Connection
+from cosim.core.graph import Graph
+from cosim.core.linear import Linear
+from cosim.core.master import run
+from cosim.core.recorders import Memory
+from cosim.core.stages.substep_control import SubstepTolerance
+from cosim.fmi.component import load
+from cosim.fmi.options import FmuOptions
+from cosim.report.verification import verify
+from tests.fmi import eventful
+from tests.fmi.lag import able
+from tests.fmi.lag import build as build_lag
+
+PERIOD = 0.07
+MATRIX = np.array([[-1.0, -1.0], [1.0, -1.0]])
+SOLUTIONS = (1e-4, 1e-6, 1e-8)
+
+
+def exact(t):
+    """Return x1 and x2 at t, after an event there."""
+    events = np.arange(1, 100) * PERIOD
+    past = events[events <= t + 1e-9]
+    return sum((expm(MATRIX * (t - event)) @ [1.0, 0.0] for event in past), np.zeros(2))
+
+
+@pytest.fixture(scope="module")
+def lag(tmp_path_factory):
+    """Build the lag once."""
+    return build_lag(tmp_path_factory.mktemp("lag"), "3")
+
+
+@pytest.fixture
+def jumping(lag, tmp_path):
+    """Return a lag with events, as a path; ``can`` as in ``tests.fmi.lag``."""
+
+    def make(*can):
+        return able(lag, tmp_path / "jumping.fmu", "3", "any step", "state", *can)
+
+    return make
+
+
+def second(lag, tmp_path, kind):
+    """Return the second component of the loop: an FMU, or a linear one of cosim."""
+    if kind == "fmu":
+        path = able(lag, tmp_path / "second.fmu", "3", "any step", "state", "lines")
+        return load(path, FmuOptions()).component
+    one = np.eye(1)
+    return Linear(controller(A=-one, B=one, C=one, D=0 * one, x0=np.zeros(1)))
+
+
+def run_loop(first, other, *, tolerance, stop=1.0, native=True, block=None):
+    """Run the loop of both lags with substeps; return its recording and how many it took."""
+    output = "two.y" if isinstance(other, Linear) else "two.x"
+    components = {"zero": constant([0.0]), "one": first, "two": other}
+    connections = {
+        "one.u": Connection((output,), gain=np.array([[-1.0]])),
+        "one.d": "zero.y",
+        "two.u": "one.x",
+    }
+    if not isinstance(other, Linear):
+        connections["two.d"] = "zero.y"
+    limits = SubstepTolerance(tolerance, tolerance, 1000)
+    graph = Graph(components, connections, coupling="newton", substeps=limits, native=native)
+    memory = Memory()
+    run(graph, Clock(stop, 0.1, block), memory)
+    return memory, graph.substep_controls[0].counts
+
+
+def errors(memory, other):
+    """Return the largest error of x1 and x2 at the communication points."""
+    x2 = memory["two.y" if isinstance(other, Linear) else "two.x"]
+    found = np.column_stack([memory["one.x"], x2])
+    return np.abs(found - [exact(0.1 * k) for k in range(len(found))]).max()
+
+
+def event_ends(memory):
+    return [s.end for s in memory.substeps() if s.accepted and s.event]
+
+
+@pytest.mark.parametrize("kind", ["fmu", "linear"])
+@pytest.mark.parametrize("announces", [0.0, 1.0])
+@pytest.mark.parametrize("lines", [("lines",), ()])
+def test_a_loop_ends_its_substeps_at_the_events_of_an_fmu(
+    lag, jumping, tmp_path, kind, announces, lines
+):
+    """At each of the 13 between communication points, and the errors follow the tolerance.
+
+    So few substeps are taken: refined around the events, as before, there were thousands.
+    """
+    times = [k * PERIOD for k in range(1, 15) if k % 10]
+    used = []
+    for tolerance in (1e-4, 1e-6):
+        options = FmuOptions(start={"event": PERIOD, "announces": announces})
+        with load(jumping("events", *lines), options) as fmu:
+            other = second(lag, tmp_path, kind)
+            memory, counts = run_loop(fmu.component, other, tolerance=tolerance)
+            assert errors(memory, other) < 100 * tolerance
+        assert event_ends(memory) == times
+        assert counts.events == len(times)
+        assert counts.missed == 0
+        used.append(counts.accepted)
+    # of second order, a local error of third: 100 ** (1 / 3) = 4.6 times as many at most
+    assert used[0] < used[1] < 5 * used[0] < 300
+
+
+def test_without_left_limits_a_jump_would_be_a_ramp(lag, jumping, tmp_path):
+    """What the other lag takes up to an event is x1 before it, which /cosim/step has."""
+    options = FmuOptions(start={"event": PERIOD, "announces": 1.0})
+    with load(jumping("events", "lines"), options) as fmu:
+        memory, _ = run_loop(fmu.component, second(lag, tmp_path, "fmu"), tolerance=1e-6)
+    (first, *_) = [s for s in memory.substeps() if s.accepted and s.event]
+    assert first.event == "one"
+    assert first.values[2] == 1.0  # u, d, x of the first component
+    assert first.values[-1] == 0.0  # the left limit of what jumps and is followed
+
+
+def test_an_early_return_without_event_mode_ends_a_substep(lag, jumping, tmp_path):
+    """The FMU returns at the multiples of 0.03 s, and wants to be gone on from there."""
+    options = FmuOptions(start={"returns": 0.03})
+    with load(jumping("lines", "returns"), options) as fmu:
+        memory, _ = run_loop(fmu.component, second(lag, tmp_path, "fmu"), tolerance=1e-4)
+    assert event_ends(memory)[:4] == [0.03, 0.06, 0.09, 0.12]
+
+
+@pytest.mark.parametrize("native", [True, False])
+@pytest.mark.parametrize("block", [None, 1, 3])
+def test_blocks_and_compiled_code_change_no_bit(lag, jumping, tmp_path, native, block):
+    """Neither of the rows nor of the substeps."""
+    runs = []
+    for options in ({}, {"native": native, "block": block}):
+        start = FmuOptions(start={"event": PERIOD, "announces": 1.0})
+        with load(jumping("events", "lines"), start) as fmu:
+            other = second(lag, tmp_path, "linear")
+            runs.append(run_loop(fmu.component, other, tolerance=1e-5, **options)[0])
+    first, again = runs
+    assert again.substeps() == first.substeps()
+    for signal in ("one.u", "one.x", "two.y"):
+        assert again[signal].tobytes() == first[signal].tobytes()
+
+
+# --- state events of model exchange ---
+
+THRESHOLD = 0.8
+
+
+def switched(t_end):
+    """Return x, b and the event of x' = 6 - b - (1 or 4) x, b' = x - b, which switches at 0.8."""
+
+    def right_hand_side(rate):
+        return lambda t, y: [6.0 - y[1] - rate * y[0], y[0] - y[1]]
+
+    def crossing(t, y):
+        return y[0] - THRESHOLD
+
+    crossing.terminal = True
+    precise = {"rtol": 1e-13, "atol": 1e-14, "method": "DOP853"}
+    before = solve_ivp(right_hand_side(1.0), (0.0, t_end), [0.0, 0.0], events=crossing, **precise)
+    event = before.t[-1]
+    after = solve_ivp(right_hand_side(4.0), (event, t_end), before.y[:, -1], **precise)
+    return after.y[:, -1], event
+
+
+def run_switched(lag, tmp_path, *, version, solver, tolerance, native=True):
+    """Run that loop, x from an FMU for model exchange and b from a lag, for 1 s."""
+    rtol = None if solver == "rk4" else 1e-11
+    options = FmuOptions(solver=solver, start={"p": THRESHOLD}, tolerance=rtol)
+    with load(eventful.build("SWITCH", version), options) as fmu:
+        components = {
+            "zero": constant([0.0]),
+            "six": constant([6.0]),
+            "a": fmu.component,
+            "b": second(lag, tmp_path, "fmu"),
+        }
+        connections = {
+            "a.u": Connection(("b.x", "six.y"), gain=np.array([[-1.0, 1.0]])),
+            "a.d": "zero.y",
+            "b.d": "zero.y",
+            "b.u": "a.x",
+        }
+        limits = SubstepTolerance(tolerance, tolerance, 1000)
+        graph = Graph(components, connections, coupling="newton", substeps=limits, native=native)
+        memory = Memory()
+        run(graph, Clock(1.0, 0.1), memory)
+    return memory
+
+
+@pytest.mark.parametrize(("version", "solver"), [(2, "rk4"), (3, "RK45"), (2, "BDF")])
+def test_a_state_event_ends_a_substep(lag, tmp_path, version, solver):
+    """Where it is with the inputs of the loop is found by and by, each time at most once more.
+
+    Without, the kink would be refined to substeps of a microsecond.
+    """
+    expected, event = switched(1.0)
+    for tolerance in (1e-4, 1e-6):
+        memory = run_switched(lag, tmp_path, version=version, solver=solver, tolerance=tolerance)
+        found = [memory["a.x"][-1], memory["b.x"][-1]]
+        assert np.abs(found - expected).max() < 20 * tolerance
+        ends = event_ends(memory)
+        assert 1 <= len(ends) <= 10
+        assert abs(ends[-1] - event) < tolerance
+        shortest = min(s.length for s in memory.substeps() if s.accepted and not s.event)
+        assert shortest > 1e-4 or len(memory.substeps()) < 200
+        python = run_switched(
+            lag, tmp_path, version=version, solver=solver, tolerance=tolerance, native=False
+        )
+        assert python.substeps() == memory.substeps()
+
+
+# --- logs ---
+
+SCENARIO = """
+[scenario]
+name = "jumps"
+stop = 0.5
+step = 0.1
+coupling = "newton"
+[scenario.substeps]
+rtol = 1e-5
+atol = 1e-5
+[components]
+zero = {{ kind = "constant", value = 0.0 }}
+one = {{ kind = "fmu", path = "{one}", start = {{ event = 0.07, announces = 1.0 }} }}
+two = {{ kind = "controller", A = [[-1.0]], B = [[1.0]], C = [[1.0]] }}
+[connections]
+"one.u" = {{ from = "two.y", gain = -1.0 }}
+"one.d" = "zero.y"
+"two.u" = "one.x"
+"""
+
+
+def test_a_log_is_replayed_with_its_substeps_at_events(jumping, tmp_path):
+    """The linear component takes them again, of lengths that no design was recorded for."""
+    scenario = tmp_path / "jumps.toml"
+    scenario.write_text(SCENARIO.format(one=jumping("events", "lines")))
+    log = cosim.run(str(scenario), out=tmp_path / "x.mcap")
+    ends = [s.end for s in log.substeps() if s.accepted and s.event]
+    assert ends == [k * PERIOD for k in range(1, 8)]
+    assert log["two.y"][-1] == pytest.approx(exact(0.5)[1], abs=1e-3)
+    replayed = cosim.replay(log)
+    verification = verify(log, replayed)
+    assert verification.passed, verification.problems
+    assert replayed.substeps() == log.substeps()
+    assert all(math.isfinite(value) for s in log.substeps() for value in s.values)
