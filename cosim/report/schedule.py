@@ -111,6 +111,8 @@ class ScheduledStage:
         Whether its error is one of first order in the step.
     shortest_substep : float or None
         How short the parts may be into which it divides its steps [s]; None: it does not.
+    substeps : tuple of str
+        The components that take such parts; the others keep to its steps.
     """
 
     number: int
@@ -120,6 +122,7 @@ class ScheduledStage:
     solved: tuple[str, ...]
     is_first_order: bool
     shortest_substep: float | None = None
+    substeps: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -188,6 +191,9 @@ def _stage(number: int, stage: Stage) -> ScheduledStage:
         else:
             operations.append(f"outputs of {name}")
     solved = () if stage.torn is None else tuple(stage.torn.labels)
+    substeps: list[str] = []
+    for control in stage.controls:
+        substeps += control.components
     return ScheduledStage(
         number,
         tuple(members),
@@ -196,6 +202,7 @@ def _stage(number: int, stage: Stage) -> ScheduledStage:
         solved,
         stage.is_first_order,
         stage.controls[0].tolerance.min_ns / 1e9 if stage.controls else None,
+        tuple(substeps),
     )
 
 

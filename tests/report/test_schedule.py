@@ -166,6 +166,29 @@ def test_substeps_of_fmus_are_named(tmp_path, capsys):
         assert line.endswith("; in substeps of 0.001 s or more")
 
 
+def test_text_names_what_takes_substeps_where_others_do_not(tmp_path, capsys):
+    """A sampled controller keeps to communication steps; the loop inside its own does not."""
+    path = tmp_path / "sampled.toml"
+    path.write_text(
+        """
+scenario = { name = "sampled", stop = 1.0, step = 0.1, substeps = { min = 1e-3 } }
+[components]
+control = { kind = "pid", gain = 2.0, period = 0.2 }
+force = { kind = "sum", signs = [1, -1] }
+plant = { kind = "lag", time_constant = 1.0 }
+[connections]
+"control.setpoint" = "plant.y"
+"control.measurement" = "plant.y"
+"force.u1" = "control.y"
+"force.u2" = "plant.y"
+"plant.u" = "force.y"
+""",
+        encoding="utf-8",
+    )
+    line = run(capsys, "info", path, "--graph").splitlines()[2]
+    assert line.endswith("; force, plant in substeps of 0.001 s or more")
+
+
 def test_text_shows_stages_components_and_connections(capsys):
     lines = run(capsys, "info", "closed-loop", "--graph").splitlines()
     assert lines[0] == "closed-loop: stages in their order, communication step 0.001 s"

@@ -53,7 +53,9 @@ def stage_text(stage: ScheduledStage) -> str:
     if stage.is_first_order:
         text += "; error of first order in the step"
     if stage.shortest_substep is not None:
-        text += f"; in substeps of {stage.shortest_substep:g} s or more"
+        some = len(stage.substeps) < len(stage.members)
+        names = f"{', '.join(stage.substeps)} " if some else ""
+        text += f"; {names}in substeps of {stage.shortest_substep:g} s or more"
     return text
 
 
