@@ -231,6 +231,7 @@ def _conditional(scenario: Scenario) -> dict[str, ActionTable]:
             continue
         names = [Port.parse(signal).component for signal in signals_of(action)]
         names += [key.partition(".")[0] for key in action.set or {}]
+        names += action.swap or {}
         for name in names:
             conditional.setdefault(name, action)
     return conditional
@@ -433,7 +434,7 @@ class Certifier:
         subject = self._subject
         are_performed = not self._quarter.jumps.expected_ns <= subject.known_ns
         for component, action in subject.conditional.items():
-            if are_performed or action.set:
+            if are_performed or action.set or action.swap:
                 text = f"the action {_when(action)} comes at a point that depends on the step"
                 yield component, text
 

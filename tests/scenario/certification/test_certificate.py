@@ -12,6 +12,7 @@ import cosim
 from cosim.errors import Interrupted, LogError, ScenarioError, UnknownSignalError, UsageError
 from cosim.report.tables.certificate import notes
 from cosim.scenario.certification import certificate as certificate_module
+from cosim.scenario.exporting import export_component
 from tests.scenario import certified
 from tests.scenario.certified import lag_behind, write
 
@@ -459,6 +460,24 @@ ACTION = """
     """
 
 
+SLOWER = """
+    [components]
+    sine = { kind = "sine", rate = 1.0 }
+    lag = { kind = "lag", time_constant = 0.5, initial = 0.0 }
+    slower = { kind = "lag", time_constant = 3.0, initial = 0.0 }
+
+    [connections]
+    "lag.u" = "sine.y"
+    "slower.u" = "sine.y"
+    """
+FMU = 'kind = "fmu", path = "lag.fmu", interface_type = "me"'
+CONDITIONAL_SWAP = """
+    [[actions]]
+    when = "sine.y > 0.5"
+    swap = { lag = "slower.fmu" }
+    """
+
+
 def test_jumps_by_actions_at_their_instants_are_none_between_points():
     """The right limit begins the next step of every run: the lag errs by straight lines alone.
 
@@ -484,6 +503,19 @@ def test_what_an_action_on_a_condition_changes_has_no_estimate():
     assert found["gain.y"].reason == found["lag.y"].reason == text
     log = cosim.run(certified.parsed(conditional.replace("LEVEL", "5")), certify=True)
     assert cosim.certificate(log)["lag.y"].order == pytest.approx(2.0, abs=0.01)
+
+
+def test_what_follows_a_swap_on_a_condition_has_no_estimate(tmp_path):
+    """As behind any other action on one: the models differ from a point on that depends on it."""
+    path = write(tmp_path, SLOWER)
+    for name in ("lag", "slower"):
+        export_component(str(path), name, tmp_path / f"{name}.fmu")
+    swapped = SLOWER.replace('kind = "lag", time_constant = 0.5, initial = 0.0', FMU)
+    path = write(tmp_path, swapped + CONDITIONAL_SWAP)
+    found = cosim.certificate(cosim.run(path, certify=True))
+    text = "the action when 'sine.y > 0.5' comes at a point that depends on the step"
+    assert found["lag.y"].reason == text
+    assert found["slower.y"].order == pytest.approx(2.0, abs=0.01)
 
 
 def test_a_parameter_that_is_set_at_its_instant_keeps_the_order():
