@@ -434,7 +434,7 @@ class Certifier:
         subject = self._subject
         are_performed = not self._quarter.jumps.expected_ns <= subject.known_ns
         for component, action in subject.conditional.items():
-            if are_performed or action.set or action.swap:
+            if are_performed:
                 text = f"the action {_when(action)} comes at a point that depends on the step"
                 yield component, text
 
