@@ -343,8 +343,11 @@ class _InitialRow:
                 if np.isfinite(solution).all():
                     newton_step(sweep, solution, solution)  # only to see that 1 - w' is regular
         except SingularError as error:
-            residual = _residual_text(loop, measure(v, sweep(v), self._largest(loop)))
-            raise _unsolved(loop, f"1 - w' is singular, with a {residual}") from error
+            candidate = measure(v, sweep(v), self._largest(loop))
+            reason = f"1 - w' is singular, with a {_residual_text(loop, candidate)}"
+            if candidate.excess <= 1.0:
+                reason = "1 - w' is singular, so that other values solve it as well"
+            raise _unsolved(loop, reason) from error
         sweep(solution)
 
     def _largest(self, loop: AlgebraicLoop) -> float:

@@ -269,7 +269,7 @@ def test_a_loop_without_a_solution_is_named():
     refused(
         chase,
         {"lag.u": "lag.y"},
-        name + "1 - w' is singular, with a residual of 0 at 'lag.u', needed at most 0; give",
+        name + "1 - w' is singular, so that other values solve it as well; give",
     )
     square = {"x": Starter(lambda u: u * u + 1.0, start=(0.2,))}
     name = (
