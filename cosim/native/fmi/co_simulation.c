@@ -241,28 +241,36 @@ static inline int32_t plain_step(Component *c, int32_t version, double t0, doubl
     return read_outputs(c, version, y);
 }
 
+/* Inputs at the beginning of a step with slopes, and their change over it; the state gets those at
+ * its end. */
+static inline void ramp_inputs(const Component *c, const double *u0, const double *u1,
+                               double *begin, double *change)
+{
+    const volatile uint8_t *held = c->held, *ramped = c->ramped; /* volatile: as of inputs */
+    for (int32_t i = 0; i < c->n_u; ++i) {
+        const bool is_held = held[i];
+        const bool is_ramped = ramped[i];
+        change[i] = is_held ? 0.0 : u1[i] - u0[i];
+        const double mean = u0[i] + 0.5 * change[i];
+        const double end = is_held ? u0[i] : u1[i];
+        begin[i] = is_ramped ? u0[i] : mean;
+        c->inputs[i] = is_ramped ? end : mean;
+    }
+}
+
 /* The same with the slopes of FMI 2.0, which nothing ends inside a step. */
 static int32_t plain_step_on_ramps(Component *c, double t0, double h, const double *u0,
                                    const double *u1, double *y)
 {
     cosim_fmu *fmu = c->fmu;
-    double *end = c->scratch, *change = end + c->n_u, *inputs = change + c->n_u;
-    const volatile uint8_t *held = c->held, *ramped = c->ramped; /* volatile: as of inputs */
-    for (int32_t i = 0; i < c->n_u; ++i) {
-        change[i] = held[i] ? 0.0 : u1[i] - u0[i];
-        const double mean = u0[i] + 0.5 * change[i], last = held[i] ? u0[i] : u1[i];
-        inputs[i] = ramped[i] ? u0[i] : mean;
-        end[i] = ramped[i] ? last : mean;
-    }
-    if (cosim_fmu_set_direct(fmu, 2, &c->step_inputs, inputs) != COSIM_OK)
+    double *begin = c->scratch, *change = begin + c->n_u;
+    ramp_inputs(c, u0, u1, begin, change);
+    if (cosim_fmu_set_direct(fmu, 2, &c->step_inputs, begin) != COSIM_OK)
         return leave(c, COSIM_FAILED);
     if (cosim_fmu_set_slopes(fmu, &c->slopes, change, h) != COSIM_OK)
         return leave(c, COSIM_SLOPES_FAILED);
     if (cosim_fmu_do_step(fmu, 2, &c->do_step, t0, h) != COSIM_OK)
         return leave(c, COSIM_STEPPED);
-    const volatile double *taken = end;
-    for (int32_t i = 0; i < c->n_u; ++i)
-        c->inputs[i] = taken[i];
     return read_outputs(c, 2, y);
 }
 
