@@ -3,6 +3,8 @@
 #include <math.h>
 #include <string.h>
 
+#include "copying.h"
+
 #define CLOSE 1e-9 /* of a communication step: times that are the same */
 
 /* What is not usual is no part of other functions: those fill few lines of the cache then. */
@@ -222,9 +224,7 @@ static inline int32_t read_outputs(Component *c, int32_t version, double *y)
         return leave(c, COSIM_FAILED);
     c->stepped = 1;
     c->inner_steps = 0;
-    const volatile double *read = y; /* volatile: as of inputs */
-    for (int32_t i = 0; i < c->n_y; ++i)
-        c->outputs[i] = read[i];
+    cosim_copy_values(c->outputs, y, c->n_y);
     return COSIM_OK;
 }
 
@@ -306,10 +306,10 @@ typedef enum { TO_COPY, FROM_COPY } Direction;
 
 static inline double *move(double *copy, double *values, int32_t count, Direction direction)
 {
-    volatile double *to = direction == TO_COPY ? copy : values; /* volatile: as of inputs */
-    const double *from = direction == TO_COPY ? values : copy;
-    for (int32_t i = 0; i < count; ++i)
-        to[i] = from[i];
+    if (direction == TO_COPY)
+        cosim_copy_values(copy, values, count);
+    else
+        cosim_copy_values(values, copy, count);
     return copy + count;
 }
 
