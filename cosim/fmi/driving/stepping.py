@@ -170,15 +170,15 @@ class Stepper:
 
     def _share_state(self, n_u: int) -> None:
         """Put the state where compiled steps find it."""
-        self.outputs = place(np.zeros(self._outputs.size))
-        self.inputs = place(np.zeros(n_u))
+        n_y = self._outputs.size
+        state = place(np.zeros(n_y + n_u + self._event_inputs.size))
+        self.outputs, self.inputs, self._event_values = np.split(state, (n_y, n_y + n_u))
         self._held = place(np.zeros(n_u, np.bool_))
-        self._event_values = place(np.zeros(self._event_inputs.size))
         self._ramped = place(self._interpolated | (not self._some_not_interpolated))
-        self._scratch = place(np.zeros(3 * n_u + self._outputs.size))
+        self._scratch = place(np.zeros(3 * n_u + n_y))
         struct = place_struct(CoSimulationStruct)
         struct.n_u = n_u
-        struct.n_y = self._outputs.size
+        struct.n_y = n_y
         struct.n_event = self._event_inputs.size
         struct.held = self._held.ctypes.data
         struct.ramped = self._ramped.ctypes.data

@@ -329,10 +329,8 @@ RARE static void move_inner_step(Component *c, double *copy, Direction direction
 /* Copy the arrays of the state, or put their copy back. */
 static inline void move_values(Component *c, Direction direction)
 {
-    double *copy = c->copy->values;
-    copy = move(copy, c->outputs, c->n_y, direction);
-    copy = move(copy, c->inputs, c->n_u, direction);
-    copy = move(copy, c->event_inputs, c->n_event, direction);
+    const int32_t count = c->n_y + c->n_u + c->n_event; /* one array behind the other */
+    double *copy = move(c->copy->values, c->outputs, count, direction);
     if (direction == TO_COPY)
         c->copy->watches = c->inner_step->watches;
     if (c->copy->watches) /* once it is decided it stays so */

@@ -46,7 +46,7 @@ typedef struct {
     double first_event; /* inside the last step; infinity: none, as in every compiled one */
     cosim_fmu_call *get_state; /* NULL: no state is saved before a step */
     const uint8_t *held;       /* (n_u) keeps its value over a step */
-    /* the state: as in StepperState */
+    /* the state: as in StepperState; one array behind the other */
     double *outputs, *inputs, *event_inputs;
     cosim_inner_step *inner_step;
     int64_t inner_steps; /* the inner step that was detected, in communication steps */
