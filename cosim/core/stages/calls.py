@@ -6,9 +6,11 @@ to, what they return is checked, and what they raise is named.
 
 from __future__ import annotations
 
+import math
 import traceback
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from numbers import Integral, Real
 from time import perf_counter
 from typing import Any, Final, cast
 
@@ -276,6 +278,12 @@ class GuardedComponent:
             problem = result_problem(y, (self._n_y,))
             if problem:
                 raise RunError(f"left_limits {problem}")
+        for place in limits:
+            if not (isinstance(place, Integral) and 0 <= place < len(t)):
+                raise RunError(
+                    f"left_limits returned the place {place!r}; needed one from 0 to {len(t) - 1}, "
+                    "of the times that it got"
+                )
         return limits
 
     def first_event(self) -> float:
@@ -287,9 +295,14 @@ class GuardedComponent:
             As from :meth:`advance`.
         """
         try:
-            return float(first_event(self._component))
+            time = first_event(self._component)
         except RAISED as error:
             raise RunError(_raised("first_event", error)) from error
+        if not isinstance(time, Real) or math.isnan(time):
+            raise RunError(
+                f"first_event returned {time!r}; needed a time [s], or infinity: there was no event"
+            )
+        return float(time)
 
     def save(self) -> Any:
         """Copy the state of the component, whose interface declares ``rollback``.

@@ -246,7 +246,7 @@ class Cascade:
         try:
             signals[1:, member.outputs] = member.component.advance(block.time, block.h, u)
         except RunError as error:
-            stopped = _stop_of(error, member, block.time)
+            stopped = stop_of(error, member, block.time)
             steps = stopped.steps
             if steps:
                 signals[1 : steps + 1, member.outputs] = stopped.outputs
@@ -541,7 +541,7 @@ def keep_limits(kind: OperationName, member: Member, time: Vector, rows: Matrix)
     try:
         left_outputs = member.component.left_limits(time[1:])
     except RunError as error:
-        return _stop_of(error, member, time)
+        return stop_of(error, member, time)
     member.jumps.keep(rows, left_outputs)
     return None
 
@@ -569,7 +569,7 @@ def call(kind: OperationName, member: Member, time: Vector, h: float, u: Matrix)
         y: Vector = member.component.advance(time, h, u)[0]
         return y
     except RunError as error:
-        raise _stop_of(error, member, time) from error
+        raise stop_of(error, member, time) from error
 
 
 def check_finite(members: Sequence[Member], block: Block, signals: Matrix) -> None:
@@ -588,7 +588,7 @@ def _origin(results: Iterable[tuple[Member, Vector]]) -> NonFinite | None:
     return None
 
 
-def _stop_of(error: RunError, member: Member, time: Vector) -> Stopped:
+def stop_of(error: RunError, member: Member, time: Vector) -> Stopped:
     """Return an error as a stop, with component and time.
 
     One that does not say how far it came stopped before any step.

@@ -35,10 +35,18 @@ import numpy as np
 from cosim.arrays import Matrix, Vector, read_only
 from cosim.core.contracts import Block, Stopped
 from cosim.core.recording import Substep
-from cosim.core.stages.coupling import Advancing, Cut, OperationName, call, keep_limits
+from cosim.core.stages.coupling import (
+    Advancing,
+    Cut,
+    OperationName,
+    call,
+    keep_limits,
+    stop_of,
+)
 from cosim.core.stages.member import END, Member
 from cosim.core.stages.spans import Span, StepPart
 from cosim.core.stages.substep_control import OutsideColumns, RecordedSubsteps, SubstepControl
+from cosim.errors import RunError
 from cosim.instants import duration, last_nanosecond
 
 EVENTS: Final = 1000  # in one communication step
@@ -205,9 +213,22 @@ class SubsteppedLoop:
         return reached, self._event_inside(step, part)
 
     def _event_inside(self, step: _Step, part: StepPart) -> _Event | None:
-        """Return the first event of a component inside a part that was taken, at neither end."""
+        """Return the first event of a component inside a part that was taken, at neither end.
+
+        Raises
+        ------
+        Cut
+            If one does not tell it.
+        """
         close = 2.0 * math.ulp(step.end)
-        events = [_Event(m.component.first_event(), m.name) for m in self._locating]
+        events = []
+        for member in self._locating:
+            try:
+                time = member.component.first_event()
+            except RunError as error:
+                stop = stop_of(error, member, np.array([part.begin]))
+                raise Cut(0, stop, member.name) from error
+            events.append(_Event(time, member.name))
         inside = [event for event in events if part.begin + close < event.time < part.end - close]
         return min(inside, default=None)
 

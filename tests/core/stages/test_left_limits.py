@@ -297,6 +297,9 @@ def test_a_component_tells_its_own_jumps(native, in_loop):
         ),
         ({3: 0.5}, "left_limits returned float; its interface needs"),
         (None, "left_limits raised KeyError: 7"),
+        ({8: np.zeros(1)}, "left_limits returned the place 8; needed one from 0 to"),
+        ({-1: np.zeros(1)}, "left_limits returned the place -1; needed one from 0 to"),
+        ({"y": np.zeros(1)}, "left_limits returned the place 'y'; needed one from 0 to"),
     ],
 )
 def test_left_limits_that_are_none_are_refused(limits, text):

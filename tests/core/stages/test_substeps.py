@@ -315,6 +315,20 @@ def test_events_without_end_stop_the_run(event_time):
         record(graph, stop=0.05, step=0.01)
 
 
+@pytest.mark.parametrize(
+    ("event_time", "text"),
+    [
+        (lambda t0, t1: math.nan, r"first_event returned nan; needed a time \[s\], or infinity"),
+        (lambda t0, t1: None, r"first_event returned None; needed a time \[s\], or infinity"),
+    ],
+)
+def test_a_time_of_an_event_that_is_none_is_refused(event_time, text):
+    """By the name of the component, with the rows up to there."""
+    graph = eventful(event_time, tolerance(1.0))
+    with pytest.raises(RunError, match=rf"'one' stopped at t = 0.0 s: {text}"):
+        record(graph, stop=0.05, step=0.01)
+
+
 def test_substeps_that_miss_the_tolerance_are_counted():
     """They cannot be shorter: the run goes on, and says so."""
     graph = pair("gauss-seidel", substeps=tolerance(1e-9, min_ns=1_000_000))
