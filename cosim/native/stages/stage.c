@@ -219,14 +219,12 @@ RARE static void remember_origin(cosim_stage *s, const cosim_member *m, const do
 /* Look at outputs that were written. */
 static inline void trace(cosim_stage *s, const cosim_member *m, const double *row)
 {
-    const volatile double *y = row + m->y; /* volatile: vectorizing does not pay for a few */
-    double nothing = 0.0;                  /* NaN where one is not finite */
-    for (int32_t j = 0; j < m->n_y; ++j) {
-        const double value = y[j];
-        nothing += value - value;
-    }
-    if (nothing != 0.0)
-        remember_origin(s, m, row);
+    const double *y = row + m->y;
+    for (int32_t j = 0; j < m->n_y; ++j)
+        if (!is_finite(y[j])) {
+            remember_origin(s, m, row);
+            return;
+        }
 }
 
 /* Begin to do the operations of a step, or of another sweep. */
