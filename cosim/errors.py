@@ -15,6 +15,7 @@
     │       └── UnknownSignalError   what was not recorded; a KeyError too
     └── RunError              the run began and could not go on; exit 1
         ├── NonFiniteError    the first NaN or infinity, with component, signal and time
+        ├── RunawayError      a loop whose values grow without end, step by step
         ├── LogWriteError     a full disk, a lost file; what was written stays valid
         └── Interrupted       Ctrl-C or another signal; exit 128 + its number
 
@@ -112,6 +113,10 @@ class RunError(CosimError):
 
 class NonFiniteError(RunError):
     """A signal became NaN or infinite."""
+
+
+class RunawayError(RunError):
+    """The values of a loop grow without end, step by step."""
 
 
 class LogWriteError(RunError):

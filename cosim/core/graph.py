@@ -97,6 +97,8 @@ class Graph:
         Which input elements have a zero-order hold.
     initializations : int
         How often the components were initialized.
+    watched : frozenset of component names
+        Whose loops end a run where they run away (:mod:`cosim.core.stages.runaway`); to be set.
 
     Raises
     ------
@@ -122,6 +124,7 @@ class Graph:
         check_threads(threads)
         self.threads = threads
         self.native = native
+        self.watched: frozenset[str] = frozenset()
         self.components = checked_components(components)
         check_choice("coupling", coupling, COUPLINGS)
         check_choice("input_interpolation", input_interpolation, INTERPOLATIONS)

@@ -31,6 +31,7 @@ from cosim.core.stages.coupling import (
 )
 from cosim.core.stages.member import Member, NonFinite, first_non_finite
 from cosim.core.stages.nested_loop import NestedLoop
+from cosim.core.stages.runaway import LoopWatch
 from cosim.core.stages.stage_structs import NativeSteps, StageStructs
 from cosim.core.stages.substeps import SubsteppedLoop
 from cosim.errors import NonFiniteError
@@ -41,7 +42,18 @@ from cosim.native.step import NativeStep
 
 
 def advancing_stages(graph: Graph) -> Sequence[Advancing]:
-    """Return the stages of an initialized graph in their order, as they are to advance.
+    """Return the stages of an initialized graph in their order, and what watches its loops."""
+    watched = [
+        stage.members
+        for stage in graph.stages
+        if stage.is_loop and not graph.watched.isdisjoint(member.name for member in stage.members)
+    ]
+    stages = _advancing_stages(graph)
+    return [*stages, LoopWatch(watched)] if watched else stages
+
+
+def _advancing_stages(graph: Graph) -> Sequence[Advancing]:
+    """Return the stages as they are to advance.
 
     Those that follow each other advance in compiled code as one. A loop advances in compiled code
     whatever its components are. A component outside every loop that has no compiled step stays as

@@ -24,6 +24,7 @@ from cosim.errors import CosimError, listing
 from cosim.scenario.building.changed_loops import ChangedLoops, changed_loops
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.document.problems import Key, Problem
+from cosim.scenario.document.schema import Settings
 
 COUPLING: Final = "coupling"  # whose warnings these are
 LARGEST: Final = 1e4  # that is written without an exponent of ten
@@ -88,6 +89,7 @@ def with_loop_gains(experiment: Experiment, rebuild: Callable[[], Experiment]) -
     if problems:
         raise experiment.scenario.document.report(problems)
     _note(experiment.graph, reports[0][1].gains)
+    experiment.graph.watched = _watched(reports[0][1].gains, settings)
     coupling_warnings = tuple((COUPLING, text) for text in warnings)
     all_warnings = (*experiment.warnings, *coupling_warnings)
     return replace(experiment, gains=tuple(gains), warnings=all_warnings)
@@ -144,6 +146,17 @@ def _note(graph: Graph, gains: tuple[LoopGain, ...]) -> None:
         if gain.rho is not None:
             for name in gain.components:
                 graph.members[name].note += f" with a gain of {_number(gain.rho)} a {_step(gain)}"
+
+
+def _watched(gains: tuple[LoopGain, ...], settings: Settings) -> frozenset[str]:
+    """Return the components of loops that are not to grow: all but those that do of themselves."""
+    components: set[str] = set()
+    if settings.coupling_check == "warn":
+        return frozenset()
+    for gain in gains:
+        if gain.own_exponent <= math.log(REFUSED):
+            components.update(gain.components)
+    return frozenset(components)
 
 
 def report_on(loops: LinearizedLoops) -> CouplingReport:
