@@ -8,11 +8,11 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector
-from cosim.core.clock import NANOSECONDS
 from cosim.core.contracts import Component, Design, Native, Rollback, Stopped, linearized, prepare
 from cosim.core.linearization import Linearized
 from cosim.core.signals import Interface
 from cosim.errors import ClockError, RunError, steps_text
+from cosim.instants import NANOSECONDS
 from cosim.native.blocks.wrapping import (
     DecimatedMemory,
     SampledMemory,

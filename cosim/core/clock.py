@@ -15,7 +15,7 @@ from cosim.arrays import Mask, Nanoseconds, Vector
 from cosim.core.arguments import kind_of
 from cosim.core.contracts import Block
 from cosim.errors import ClockError, quoted
-from cosim.instants import NANOSECONDS as NANOSECONDS
+from cosim.instants import NANOSECONDS
 
 LARGEST_NS = 2**63 - 1
 LARGEST_EXPONENT = 400  # of ten: beyond every double

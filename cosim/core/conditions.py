@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
 from cosim.core.arguments import check_type
-from cosim.core.clock import NANOSECONDS, Clock, whole_steps
+from cosim.core.clock import Clock, whole_steps
 from cosim.core.contracts import Stopped
 from cosim.core.recorded import find_signal
 from cosim.core.signals import Layout
 from cosim.errors import ClockError, UnknownSignalError, UsageError, quoted
+from cosim.instants import NANOSECONDS
 from cosim.native.numerics.expression import compile_condition
 from cosim.native.numerics.programs import RowProgram
 

@@ -6,13 +6,13 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal, TypeAlias
 
-from cosim.core.clock import NANOSECONDS
 from cosim.core.connections import Connection
 from cosim.core.graph import Graph
 from cosim.core.port import Port
 from cosim.core.signals import Interface
 from cosim.core.stages.coupling import Stage
 from cosim.errors import UsageError, command
+from cosim.instants import NANOSECONDS
 from cosim.scenario.building.build import DescribedScenario, describe
 from cosim.scenario.document.document import find
 from cosim.scenario.kinds.base import Sampling

@@ -20,7 +20,7 @@ from typing import Final, Literal, TypeAlias
 import numpy as np
 
 from cosim.arrays import Vector
-from cosim.core.clock import NANOSECONDS, Clock
+from cosim.core.clock import Clock
 from cosim.core.gain.loop_map import LoopModel, loop_model, one_step_maps, product
 from cosim.core.gain.radius import spectral_radius
 from cosim.core.gain.system import connect, sampled_map
@@ -29,6 +29,7 @@ from cosim.core.linearization import Linearized
 from cosim.core.stages.coupling import Stage
 from cosim.core.structure.order import Coupling
 from cosim.errors import GraphError
+from cosim.instants import NANOSECONDS
 
 REFUSED: Final = 10.0
 NOTED: Final = 1.01

@@ -34,7 +34,6 @@ from typing import Final, NamedTuple, final
 import numpy as np
 
 from cosim.arrays import Vector
-from cosim.core.clock import NANOSECONDS
 from cosim.errors import FmuError, RunError
 from cosim.fmi.driving.diagnostics import Diagnostics
 from cosim.fmi.driving.events import ITERATIONS, close, endless_iteration, iterate_event
@@ -47,6 +46,7 @@ from cosim.fmi.instance import (
 )
 from cosim.fmi.references import ReferenceMap
 from cosim.fmi.variable import Variable
+from cosim.instants import NANOSECONDS
 
 ROUNDINGS: Final = 8 * 2.0**-53  # relative, of an interval that the FMU computed in doubles
 NEVER: Final = math.inf

@@ -14,7 +14,6 @@ from typing import TypeAlias
 import numpy as np
 
 from cosim.arrays import Matrix
-from cosim.core.clock import NANOSECONDS
 from cosim.core.linear import DescriptorModel, LinearModel
 from cosim.core.signals import element_names
 from cosim.fmi.describing import describe, element_dependencies, states_of_outputs
@@ -28,6 +27,7 @@ from cosim.fmi.description import (
 )
 from cosim.fmi.exporting.kernels import DiscreteModel, doubles, integer, integers
 from cosim.fmi.variable import Variable
+from cosim.instants import NANOSECONDS
 
 Exportable: TypeAlias = LinearModel | DiscreteModel
 

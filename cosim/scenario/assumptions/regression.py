@@ -10,8 +10,8 @@ from typing import Any, Final
 import numpy as np
 
 from cosim.arrays import Vector
-from cosim.core.clock import NANOSECONDS
 from cosim.errors import AssumptionError, UsageError
+from cosim.instants import NANOSECONDS
 from cosim.scenario.assumptions.attempts import Evidence, attempted
 from cosim.scenario.kinds.alphas import unchecked
 from cosim.scenario.kinds.base import BuildContext

@@ -16,11 +16,12 @@ from typing import Any, Final
 import numpy as np
 
 from cosim.arrays import Vector
-from cosim.core.clock import NANOSECONDS, Clock
+from cosim.core.clock import Clock
 from cosim.core.gain.loop_gain import NOTED, REFUSED, LinearizedLoops, LoopGain
 from cosim.core.graph import Graph
 from cosim.core.recording import Plan
 from cosim.errors import CosimError, listing
+from cosim.instants import NANOSECONDS
 from cosim.scenario.building.changed_loops import ChangedLoops, changed_loops
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.document.problems import Key, Problem

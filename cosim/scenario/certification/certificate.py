@@ -25,7 +25,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from cosim.arrays import Mask, Matrix
-from cosim.core.clock import NANOSECONDS, nanoseconds
+from cosim.core.clock import nanoseconds
 from cosim.core.contracts import Block
 from cosim.core.graph import Graph
 from cosim.core.port import Port
@@ -33,6 +33,7 @@ from cosim.core.recorders import Nothing, Watched, close, end_of_run, error_text
 from cosim.core.recording import Recorder
 from cosim.core.signals import Layout
 from cosim.errors import CosimError, Interrupted, RunError, UsageError, option
+from cosim.instants import NANOSECONDS
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.certification.thinned_rows import QUARTERS, JumpWatch, ThinnedRows
 from cosim.scenario.document.action_tables import signals_of

@@ -17,10 +17,11 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
-from cosim.core.clock import NANOSECONDS, nanoseconds
+from cosim.core.clock import nanoseconds
 from cosim.core.recorded import find_signal
 from cosim.core.recorders import Nothing, Watched
 from cosim.errors import CosimError, Interrupted, RunError, UnknownSignalError, UsageError, option
+from cosim.instants import NANOSECONDS
 from cosim.scenario.certification.certificate import Certifier, certifier_of
 from cosim.scenario.certification.thinned_rows import QUARTERS
 from cosim.scenario.parsing import Scenario

@@ -11,7 +11,7 @@ from pydantic import Field
 from cosim.blocks.pid import Pid, PidParameters
 from cosim.blocks.sampled import Sampled
 from cosim.blocks.state_space import DiscreteStateSpace, controller, system_matrices
-from cosim.core.clock import NANOSECONDS, nanoseconds, whole_steps
+from cosim.core.clock import nanoseconds, whole_steps
 from cosim.core.contracts import Component
 from cosim.core.linear import Linear, LinearModel
 from cosim.core.signals import Interface
@@ -19,6 +19,7 @@ from cosim.errors import UsageError
 from cosim.fmi.exporting import kernels
 from cosim.fmi.exporting.kernels import DiscreteModel, Kernel
 from cosim.fmi.exporting.specifications import Exportable
+from cosim.instants import NANOSECONDS
 from cosim.native.numerics.linear import first_order_hold
 from cosim.scenario.document.schema import Number, NumberRow, NumberRows, matrix
 from cosim.scenario.kinds.base import (

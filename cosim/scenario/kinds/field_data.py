@@ -18,11 +18,12 @@ from cosim.blocks.field_data import (
     samples_of,
 )
 from cosim.blocks.renaming import Renaming
-from cosim.core.clock import NANOSECONDS, Clock
+from cosim.core.clock import Clock
 from cosim.core.contracts import Component
 from cosim.core.port import Port
 from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
+from cosim.instants import NANOSECONDS
 from cosim.native.step import LARGEST_MEMORY
 from cosim.scenario.data_files.field_file import read_field_data
 from cosim.scenario.document.schema import Number, UnitName

@@ -13,8 +13,9 @@ from typing import Final
 import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector
-from cosim.core.clock import NANOSECONDS, Clock
+from cosim.core.clock import Clock
 from cosim.errors import UsageError
+from cosim.instants import NANOSECONDS
 from cosim.native.numerics.expression import compile_expression
 from cosim.native.numerics.jumps import Jump, jumps
 from cosim.native.numerics.programs import evaluate

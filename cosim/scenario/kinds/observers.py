@@ -14,10 +14,11 @@ from pydantic import Field
 from cosim.arrays import Matrix, Vector
 from cosim.blocks.observer import averaged_observer, observer_model
 from cosim.blocks.plant import initial_vector
-from cosim.core.clock import NANOSECONDS, whole_steps
+from cosim.core.clock import whole_steps
 from cosim.core.contracts import Component
 from cosim.core.linear import Linear, LinearModel
 from cosim.errors import AssumptionError, LogError, UsageError
+from cosim.instants import NANOSECONDS
 from cosim.scenario.document.schema import (
     Flag,
     Number,

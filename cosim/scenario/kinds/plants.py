@@ -12,12 +12,12 @@ from pydantic import Field, StrictStr
 from cosim.blocks.plant import descriptor_form, descriptor_model
 from cosim.blocks.replay import Replay
 from cosim.blocks.sampled import Sampled
-from cosim.core.clock import NANOSECONDS
 from cosim.core.contracts import Component
 from cosim.core.linear import DescriptorModel, LinearModel
 from cosim.core.recording import SignalEvent
 from cosim.errors import UsageError, nearest
 from cosim.fmi.driving.solvers import SOLVERS, STEPPING
+from cosim.instants import NANOSECONDS
 from cosim.scenario.document.schema import Flag, Number, NumberRow, Whole
 from cosim.scenario.kinds.base import (
     BuildContext,

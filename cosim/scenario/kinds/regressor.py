@@ -13,11 +13,12 @@ from pydantic import Field
 
 from cosim.arrays import Matrix, Vector
 from cosim.blocks.regressor import ElementRegressors, Regressor
-from cosim.core.clock import NANOSECONDS, Clock, whole_steps
+from cosim.core.clock import Clock, whole_steps
 from cosim.core.connections import Connection
 from cosim.core.contracts import Component
 from cosim.core.port import Port
 from cosim.errors import UsageError
+from cosim.instants import NANOSECONDS
 from cosim.native.estimation.alphas import Alpha, AlphaSignal, PastAlphas, signals_among
 from cosim.native.estimation.rayleigh import MOST_TERMS
 from cosim.native.estimation.regression import RegressorConstants
