@@ -1,17 +1,17 @@
-"""The parts of a communication step, and of what an event leaves of one.
+"""Spans and their parts: a communication step, or what an event leaves of a part of one.
 
-They are those of a binary tree: part ``number`` of ``2**level``, with ends that are rounded down to
-whole nanoseconds. So the parts of a communication step have two lengths a level at most, all of
-them known before the run, and what components compute for them is recorded like the rest of their
-designs. An event divides a part at the time that the component gave, whatever that is; the two
-pieces are divided like communication steps.
+The parts are those of a binary tree: part ``number`` of ``2**level``, with ends that are rounded
+down to whole nanoseconds. So the parts of a communication step have two lengths a level at most,
+all of them known before the run, and what components compute for them is recorded like the rest of
+their designs. An event divides a part at the time that the component gave, whatever that is; both
+pieces are spans of their own, which are divided like communication steps.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cosim.instants import NANOSECONDS, last_nanosecond
+from cosim.instants import NANOSECONDS, first_nanosecond, last_nanosecond
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +23,7 @@ class Span:
     begin, end : float
         [s]
     first_ns, last_ns : int
-        The whole nanoseconds in it.
+        The first and the last whole nanosecond in it [ns].
     event : str
         The component that has an event at its end; empty: none has.
     is_step : bool
@@ -40,8 +40,7 @@ class Span:
     @classmethod
     def between(cls, begin: float, end: float, event: str = "") -> Span:
         """Return what is between two times [s]."""
-        first_ns = -last_nanosecond(-begin)
-        return cls(begin, end, first_ns, last_nanosecond(end), event)
+        return cls(begin, end, first_nanosecond(begin), last_nanosecond(end), event)
 
     @property
     def whole(self) -> StepPart:
@@ -90,10 +89,10 @@ class StepPart:
     @property
     def halves(self) -> tuple[StepPart, StepPart]:
         """Its first and its second half."""
-        first = 2 * self.number
-        return StepPart(self.span, self.level + 1, first), StepPart(
-            self.span, self.level + 1, first + 1
-        )
+        level = self.level + 1
+        first = StepPart(self.span, level, 2 * self.number)
+        second = StepPart(self.span, level, 2 * self.number + 1)
+        return first, second
 
     @property
     def ends_a_longer_one(self) -> bool:
