@@ -15,7 +15,7 @@ from cosim.core.recording import Recording, Substep
 from cosim.core.stages.member import Member
 from cosim.core.stages.spans import Span, StepPart
 from cosim.errors import GraphError, LogError
-from cosim.instants import NANOSECONDS, whole_duration
+from cosim.instants import NANOSECONDS
 
 SUBSTEP_COUNTS: Final = "substeps"  # result: how many each loop took
 EASY: Final = 0.5  # of the tolerance: below it a part twice as long is tried
@@ -67,9 +67,11 @@ class SubstepTolerance:
         """
         level = (step_ns // self.min_ns).bit_length() - 1
         if level < 1:
+            shortest = self.min_ns / NANOSECONDS
+            step = step_ns / NANOSECONDS
             raise GraphError(
-                f"min: found {self.min_ns / 1e9} s, longer than half a step of {step_ns / 1e9} s; "
-                f"needed at most {step_ns // 2 / 1e9} s"
+                f"min: found {shortest} s, longer than half a step of {step} s; "
+                f"needed at most {step_ns // 2 / NANOSECONDS} s"
             )
         return level
 
@@ -80,7 +82,7 @@ class SubstepTolerance:
             shorter = step_ns >> level
             longer = -(-step_ns >> level)
             lengths += [longer, shorter] if longer > shorter else [shorter]
-        return tuple(length / 1e9 for length in dict.fromkeys(lengths))
+        return tuple(length / NANOSECONDS for length in dict.fromkeys(lengths))
 
 
 @dataclass(slots=True)
@@ -113,16 +115,16 @@ class SubstepCounts:
     worst_error: float = 0.0
     worst_time: float = 0.0
 
-    def add(self, substep: Substep) -> None:
+    def add(self, substep: Substep, *, begins_at_event: bool = False) -> None:
         """Count a substep."""
         if not substep.accepted:
             self.rejected += 1
             return
         self.accepted += 1
         self.events += bool(substep.event)
-        length = whole_duration(substep.begin, substep.end)
-        if length is not None and not 0.0 < self.shortest <= length:
-            self.shortest = length
+        is_chosen = not (substep.event or begins_at_event)
+        if is_chosen and not 0.0 < self.shortest <= substep.length:
+            self.shortest = substep.length
         if substep.error is None:
             return
         if substep.error > 1.0:
@@ -252,6 +254,7 @@ class SubstepControl:
         self.recorded: RecordedSubsteps | None = None
         self.counts = SubstepCounts(self.components)
         self._substeps: list[Substep] = []
+        self._last_event = -math.inf
 
     def take(
         self, recording: Recording, members: Sequence[Member], recorded: Collection[str]
@@ -274,10 +277,11 @@ class SubstepControl:
         self.recorded = RecordedSubsteps(recording, members, recorded)
 
     def reset(self) -> None:
-        """Begin with whole communication steps."""
+        """Forget everything, and begin with whole communication steps."""
         self.memory[:] = 0.0
         self.counts = SubstepCounts(self.components)
         self._substeps.clear()
+        self._last_event = -math.inf
 
     def first(self, step: Span) -> StepPart:
         """Return the first part of a communication step."""
@@ -290,7 +294,7 @@ class SubstepControl:
         ----------
         part : StepPart
         error : float or None
-            Estimated of the latter; None: there is no estimate.
+            Of the latter, in units of what is tolerated; None: there is no estimate.
         """
         level = part.level
         is_easy = error is not None and error * 2.0 ** (self.order + 1) <= EASY
@@ -319,9 +323,11 @@ class SubstepControl:
         self._substeps = [kept for kept in self._substeps if kept.begin_ns < time_ns]
 
     def drain(self) -> list[Substep]:
-        """Return the substeps since the last call."""
+        """Return the substeps since the last call, and count them."""
         substeps = self._substeps
         self._substeps = []
         for substep in substeps:
-            self.counts.add(substep)
+            self.counts.add(substep, begins_at_event=substep.begin == self._last_event)
+            if substep.accepted and substep.event:
+                self._last_event = substep.end
         return substeps

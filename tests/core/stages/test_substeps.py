@@ -290,6 +290,17 @@ def test_a_substep_ends_at_the_time_of_an_event_to_the_last_bit():
     assert counts.shortest >= 1e-3  # of those that the control has chosen
 
 
+def test_substeps_that_an_event_begins_or_ends_are_not_the_shortest():
+    """Also where the event is at a whole nanosecond, as those that an FMU announces often are."""
+    graph = eventful(lambda t0, t1: 0.005000003 if t0 < 0.005000003 else math.inf, tolerance(1.0))
+    memory = record(graph, stop=0.05, step=0.01)
+    lengths = {s.length for s in memory.substeps() if s.accepted}
+    counts = counts_of(graph)
+    assert counts.events == 1
+    assert min(lengths) < counts.shortest
+    assert counts.shortest in lengths
+
+
 def test_events_at_the_ends_of_a_step_divide_nothing():
     """They happen at a communication point."""
     graph = eventful(lambda t0, t1: t1, tolerance(1.0))
