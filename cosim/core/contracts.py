@@ -175,8 +175,8 @@ class Eventful(Protocol):
     def first_event(self) -> float:
         """Return the time of the first event inside the last step [s]; infinity: there was none.
 
-        Of the last step of the last ``advance``, and at neither of its ends: there it happens at a
-        communication point.
+        Of the last step of the last ``advance``. The time of one of its ends says the same as
+        infinity: what happens there divides nothing.
         """
         ...
 

@@ -17,8 +17,8 @@ Between communication points what drives the loop from outside is interpolated l
 
 The difference of one step and two halves estimates the error of the latter by Richardson's
 extrapolation (E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I,
-section II.4): ``(fine - coarse) / (2**p - 1)`` for a loop of order p, of all continuous outputs;
-but for those that belong to what the inputs are inside a step, where the loop does not read them.
+section II.4): ``(fine - coarse) / (2**p - 1)`` for a loop of order p, of all continuous outputs
+except those that lag and that nothing in the loop reads.
 
 What is before an event is taken again with other inputs at its end, so that the event may then come
 a little earlier, where the interval is divided again, or a little later, in the next one.
@@ -60,12 +60,13 @@ class _Event(NamedTuple):
 
 
 class _Taken(NamedTuple):
-    """A part, taken at once and in two halves, as far as that went."""
+    """A part that was taken at once or in two halves, as far as the loop came."""
 
-    middle: Vector | None = None  # the row where the halves meet
-    end: Vector | None = None  # the row at the end
-    error: float | None = None  # in units of what is tolerated; None: there are no halves
+    end: Vector | None  # the row at its end; None: the loop does not come there
     event: _Event | None = None  # the first one inside
+    cut: Cut | None = None  # why the loop does not come to the end
+    middle: Vector | None = None  # the row where the halves meet
+    error: float | None = None  # in units of what is tolerated; None: there are no halves
 
 
 @final
@@ -133,7 +134,6 @@ class SubsteppedLoop:
         limits = [m.jumps.own_limits for m in members if m.jumps is not None]
         self._columns = np.concatenate([*columns, *limits])
         self._limits = np.concatenate([np.empty(0, np.intp), *limits])
-        self._cut: Cut | None = None
 
     def advance(self, block: Block, signals: Matrix) -> None:
         """Fill rows 1 to K of its columns; see :class:`cosim.core.stages.coupling.Advancing`."""
@@ -155,19 +155,19 @@ class SubsteppedLoop:
         while waiting:
             part = waiting.pop()
             states = self._save()
-            found = self._attempt(step, part, row, coarse, states)
+            taken = self._attempt(step, part, row, coarse, states)
             coarse = None
-            if found.event is not None:
+            if taken.event is not None:
                 self._restore(states)
-                waiting += self._divided(step, part, found.event)
-            elif found.error is not None and found.error > 1.0 and control.can_refine(part):
+                waiting += self._divided(step, part, taken.event)
+            elif taken.error is not None and taken.error > 1.0 and control.can_refine(part):
                 self._restore(states)
-                self._add(part, error=found.error)
+                self._add(part, error=taken.error)
                 waiting.append(part.halves[0])
-                coarse = found.middle
+                coarse = taken.middle
             else:
-                row = self._accept(part, found)
-                waiting += control.next(part, found.error)
+                row = self._accept(part, taken)
+                waiting += control.next(part, taken.error)
         step.signals[1, self._columns] = row[self._columns]
 
     def _attempt(
@@ -180,37 +180,26 @@ class SubsteppedLoop:
     ) -> _Taken:
         """Take a part at once, unless ``coarse`` is its row already, and in two halves."""
         if coarse is None:
-            coarse, event = self._take(step, part, row)
-            if event is not None or not part.has_halves:
-                return _Taken(end=coarse, event=event)
+            whole = self._take(step, part, row)
+            if whole.event is not None or not part.has_halves:
+                return whole
+            coarse = whole.end
             self._restore(states)
         first, second = part.halves
-        middle, event = self._take(step, first, row)
-        fine: Vector | None = None
-        if middle is not None and event is None:
-            fine, event = self._take(step, second, middle)
-        return _Taken(middle, fine, self._error(row, coarse, fine), event)
+        half = self._take(step, first, row)
+        if half.end is None or half.event is not None:
+            return half._replace(end=None, middle=half.end, error=math.inf)
+        fine = self._take(step, second, half.end)
+        return fine._replace(middle=half.end, error=self._error(row, coarse, fine.end))
 
-    def _take(
-        self, step: _Step, part: StepPart, row: Vector
-    ) -> tuple[Vector | None, _Event | None]:
-        """Advance the loop over a part.
-
-        Returns
-        -------
-        Vector or None
-            The row at its end; None: the loop does not come there.
-        _Event or None
-            The first event inside.
-        """
+    def _take(self, step: _Step, part: StepPart, row: Vector) -> _Taken:
+        """Advance the loop over a part at once."""
         block, rows = step.rows(part.begin, part.end, row, self._control.outside)
         try:
             self._advancing.advance(block, rows)
         except Cut as cut:
-            self._cut = cut
-            return None, None
-        reached: Vector = rows[1]
-        return reached, self._event_inside(step, part)
+            return _Taken(None, cut=cut)
+        return _Taken(rows[1], self._event_inside(step, part))
 
     def _event_inside(self, step: _Step, part: StepPart) -> _Event | None:
         """Return the first event of a component inside a part that was taken, at neither end.
@@ -220,7 +209,7 @@ class SubsteppedLoop:
         Cut
             If one does not tell it.
         """
-        close = 2.0 * math.ulp(step.end)
+        close = 2.0 * math.ulp(step.end)  # to an end: what is between could not be taken
         events = []
         for member in self._locating:
             try:
@@ -253,7 +242,7 @@ class SubsteppedLoop:
         behind = Span.between(event.time, part.end, part.event)
         return [*self._control.next(part, None), behind.whole, before.whole]
 
-    def _accept(self, part: StepPart, found: _Taken) -> Vector:
+    def _accept(self, part: StepPart, taken: _Taken) -> Vector:
         """Keep a part that was taken; return the row at its end.
 
         Raises
@@ -261,16 +250,16 @@ class SubsteppedLoop:
         Cut
             If the loop does not come to its end.
         """
-        if found.end is None:
-            assert self._cut is not None
-            raise self._cut
-        if found.middle is None:
-            self._add(part, event=part.event, row=found.end)
-            return found.end
+        if taken.cut is not None:
+            raise taken.cut
+        assert taken.end is not None
+        if taken.middle is None:
+            self._add(part, event=part.event, row=taken.end)
+            return taken.end
         first, second = part.halves
-        self._add(first, error=found.error, row=found.middle)
-        self._add(second, error=found.error, event=part.event, row=found.end)
-        return found.end
+        self._add(first, error=taken.error, row=taken.middle)
+        self._add(second, error=taken.error, event=part.event, row=taken.end)
+        return taken.end
 
     def _follow(self, step: _Step, recorded: RecordedSubsteps) -> None:
         """Take recorded substeps, each with the recorded inputs at both of its ends.
