@@ -486,18 +486,13 @@ class Loop:
                 continue
             if self.kept is None or kind != "advance":
                 self._gather(kind, member, rows)
-            try:
-                y = call(kind, member, time, h, member.inputs_over(known))
-            except Stopped as stop:
+            y, stop = perform(kind, member, time, h, rows, known)
+            if y is not None:
+                results.append((member, y))
+            if stop is not None:
                 stopped = stop
-                if not stopped.steps:
-                    return stopped
-                y = stopped.outputs[0]
-            rows[1, member.outputs] = y
-            results.append((member, y))
-            failure = keep_limits(kind, member, time, rows)
-            if failure is not None:
-                return failure
+                if not stop.steps:
+                    return stop
         # What is recorded as applied at the end of the step is what the sources gave there at last.
         for member in self.members:
             member.gather(rows, END)
@@ -512,10 +507,7 @@ class Loop:
 
     def _gather(self, kind: OperationName, member: Member, rows: Matrix) -> None:
         """Bring the inputs of a component at the end of the step up to date."""
-        if kind == "right":
-            member.gather(rows, END)
-        else:
-            member.gather_left(rows)
+        gather(kind, member, rows)
         if self.torn is not None:
             self.torn.put(rows, member)
         if self.kept is not None:
@@ -526,6 +518,48 @@ def with_limits(kind: OperationName, member: Member) -> tuple[OperationName, ...
     """Return an operation that takes inputs, and behind it the one for their right limits."""
     has_sources = member.jumps is not None and member.jumps.has_sources
     return (kind, "right") if has_sources else (kind,)
+
+
+def gather(kind: OperationName, member: Member, rows: Matrix) -> None:
+    """Bring the inputs of a component at the end of a step up to date, for an operation."""
+    if kind == "right":
+        member.gather(rows, END)
+    else:
+        member.gather_left(rows)
+
+
+def perform(
+    kind: OperationName, member: Member, time: Vector, h: float, rows: Matrix, known: Matrix
+) -> tuple[Vector | None, Stopped | None]:
+    """Advance a component over one step, or evaluate its outputs at the end; fill row 1 with them.
+
+    Parameters
+    ----------
+    kind : {"advance", "advance together", "refresh", "right"}
+    member : Member
+    time : Vector, shape (2,)
+    h : float
+    rows, known : Matrix, shape (2, width)
+        The signals at both ends; ``known`` are the same, which cannot be written to.
+
+    Returns
+    -------
+    Vector or None
+        Its outputs; None: it does not complete the step.
+    Stopped or None
+        What stopped it, with component and time: with a row of outputs where the step is complete.
+    """
+    stop: Stopped | None = None
+    try:
+        y = call(kind, member, time, h, member.inputs_over(known))
+    except Stopped as error:
+        if not error.steps:
+            return None, error
+        stop = error
+        y = error.outputs[0]
+    rows[1, member.outputs] = y
+    failure = keep_limits(kind, member, time, rows)
+    return y, stop if failure is None else failure
 
 
 def keep_limits(kind: OperationName, member: Member, time: Vector, rows: Matrix) -> Stopped | None:

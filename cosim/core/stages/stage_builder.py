@@ -12,13 +12,13 @@ import numpy as np
 from cosim.core.port import Port
 from cosim.core.stages.coupling import Cascade, Loop, NestedStages, Stage
 from cosim.core.stages.member import Member
-from cosim.core.stages.nested_loop import substep_roles
 from cosim.core.stages.substep_control import OutsideColumns, SubstepControl, SubstepTolerance
 from cosim.core.stages.torn_inputs import KeptInputs, TornInputs
 from cosim.core.structure.checked_connections import CheckedConnections
 from cosim.core.structure.cycles import groups_in_order
 from cosim.core.structure.feedthrough import Edge, extrapolation_text
 from cosim.core.structure.order import Coupling, order_loop
+from cosim.core.structure.substep_roles import substep_roles
 from cosim.core.structure.variability import Variabilities
 from cosim.errors import GraphError, listing
 
