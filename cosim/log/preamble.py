@@ -8,17 +8,9 @@ from dataclasses import dataclass
 from cosim.core.recording import Plan
 from cosim.log.environment import environment
 from cosim.log.layout import Part
+from cosim.log.messages import EVENT_SCHEMA, LOG_SCHEMA, STEP_SCHEMA, MessageSchema
 from cosim.log.metadata import add_checksum, compact, encode_design
-from cosim.log.schema import (
-    EVENT_SCHEMA,
-    LOG_SCHEMA,
-    STEP_SCHEMA,
-    component_schema,
-    event_schema,
-    identifiers,
-    log_schema,
-    step_schema,
-)
+from cosim.log.schema import component_schema, identifiers
 from cosim.log.sink import Sink
 
 FORMAT = "2"
@@ -50,12 +42,12 @@ def write_parts(sink: Sink, parts: Sequence[Part]) -> list[int]:
 
 def write_event_channel(sink: Sink) -> int:
     """Write the channel of the jumps of signals; return its id."""
-    return sink.channel(EVENT_TOPIC, schema=(EVENT_SCHEMA, event_schema()), metadata={})
+    return _write_channel(sink, EVENT_TOPIC, EVENT_SCHEMA)
 
 
 def write_step_channel(sink: Sink) -> int:
     """Write the channel of the substeps of loops; return its id."""
-    return sink.channel(STEP_TOPIC, schema=(STEP_SCHEMA, step_schema()), metadata={})
+    return _write_channel(sink, STEP_TOPIC, STEP_SCHEMA)
 
 
 def write_preamble(
@@ -66,12 +58,16 @@ def write_preamble(
     attachments: Sequence[Attachment],
 ) -> int:
     """Write the channel of messages, the metadata and the attachments; return the channel's id."""
-    channel_id = sink.channel(LOG_TOPIC, schema=(LOG_SCHEMA, log_schema()), metadata={})
+    channel_id = _write_channel(sink, LOG_TOPIC, LOG_SCHEMA)
     for name, items in _complete_metadata(plan, metadata).items():
         sink.metadata(name, add_checksum(name, items))
     for attachment in attachments:
         sink.attachment(attachment.name, attachment.media_type, attachment.data)
     return channel_id
+
+
+def _write_channel(sink: Sink, topic: str, schema: MessageSchema) -> int:
+    return sink.channel(topic, schema=(schema.name, schema.serialized), metadata={})
 
 
 def _complete_metadata(

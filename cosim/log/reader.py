@@ -25,13 +25,13 @@ from cosim.core.signals import Channel
 from cosim.errors import GraphError, LogError, UsageError, nearest, quoted
 from cosim.log.container import MALFORMED, Container
 from cosim.log.layout import Part, read_number, read_part
+from cosim.log.messages import decode_event, decode_log, decode_substep
 from cosim.log.metadata import decode_design, json_table, json_texts, read_json, verify_checksum
 from cosim.log.own_file import OwnFile
 from cosim.log.paths import log_path
 from cosim.log.preamble import EVENT_TOPIC, FORMAT, LOG_TOPIC, STEP_TOPIC
 from cosim.log.result import RESULT, RESULT_FILE
 from cosim.log.rows import LogRows
-from cosim.log.schema import decode_event, decode_log, decode_substep
 from cosim.log.stream import TimedRows
 
 _LOG_TIME = slice(6, 14)  # of a message record's content

@@ -25,6 +25,7 @@ from cosim.log.compression import Compression
 from cosim.log.content import combine_hashes
 from cosim.log.environment import library_name
 from cosim.log.layout import Part, signals_json, split_channel
+from cosim.log.messages import encode_event, encode_log, encode_substep
 from cosim.log.paths import check_new_log, log_path
 from cosim.log.preamble import (
     EVENT_TOPIC,
@@ -38,7 +39,6 @@ from cosim.log.preamble import (
 )
 from cosim.log.reader import Log
 from cosim.log.result import LastRow, write_result
-from cosim.log.schema import encode_event, encode_log, encode_substep
 from cosim.log.sink import Mark, Sink
 from cosim.log.size import size_bound
 from cosim.log.unfinished import UnfinishedLog

@@ -10,7 +10,7 @@ from mcap.reader import make_reader
 from cosim.core.contracts import Block
 from cosim.core.recording import SignalEvent
 from cosim.log import Log, McapRecorder
-from cosim.log.schema import decode_event, encode_event
+from cosim.log.messages import decode_event, encode_event
 from tests.log.recordings import STEP_NS, blocks, layout, plan, record, table
 
 EVENTS = [

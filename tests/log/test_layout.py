@@ -28,8 +28,9 @@ from cosim.log.layout import (
     signals_json,
     split_channel,
 )
+from cosim.log.messages import decode_log, encode_log
 from cosim.log.metadata import add_checksum, decode_design, encode_design, verify_checksum
-from cosim.log.schema import component_schema, decode_log, encode_log, identifiers
+from cosim.log.schema import component_schema, identifiers
 from cosim.units import BASE, BaseUnit
 
 from .recordings import layout, plan, same_bits

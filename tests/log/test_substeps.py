@@ -10,7 +10,7 @@ from mcap.reader import make_reader
 from cosim.core.contracts import Block
 from cosim.core.recording import Substep
 from cosim.log import Log, McapRecorder
-from cosim.log.schema import decode_substep, encode_substep
+from cosim.log.messages import decode_substep, encode_substep
 from tests.log.recordings import STEP_NS, blocks, layout, plan, table
 
 HALF = STEP_NS // 2

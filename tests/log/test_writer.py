@@ -23,7 +23,7 @@ from cosim.core.recording import Recorder
 from cosim.errors import Interrupted, LogError, LogWriteError
 from cosim.log import Attachment, McapRecorder, open_log, unfinished, writer
 from cosim.log import buffer as row_buffer
-from cosim.log.schema import decode_log
+from cosim.log.messages import decode_log
 
 from .recordings import STEP_NS, blocks, layout, plan, record, same_bits, table
 from .test_layout import message_class
