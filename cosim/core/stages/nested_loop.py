@@ -7,7 +7,7 @@
         every stage of those between advances, in substeps where it is a loop
         the late components advance; outputs that follow them at once are evaluated again
 
-Which components are early or late: :mod:`cosim.core.structure.substep_roles`.
+Which components are early or late: :mod:`cosim.core.structure.substeps`.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ from cosim.core.structure.checked_connections import CheckedConnections
 from cosim.core.structure.cycles import groups_in_order
 from cosim.core.structure.feedthrough import Edge, extrapolation_text
 from cosim.core.structure.order import Coupling, order_loop
-from cosim.core.structure.substep_roles import substep_roles
+from cosim.core.structure.substeps import driving_outputs, estimated_outputs, substep_roles
 from cosim.core.structure.variability import Variabilities
 from cosim.errors import GraphError, listing
 
@@ -197,8 +197,6 @@ class StageBuilder:
         interfaces = {member.name: member.channel.interface for member in loop.members}
         sources = {name: self._sources[name] for name in interfaces}
         roles = substep_roles(interfaces, sources, self._variabilities.of)
-        if roles.unfit:
-            raise _substeps_refused(roles.unfit)
         if not (roles.early or roles.late):
             return replace(loop, controls=(self._substep_control(tolerance, loop),))
         stages = self.stages(roles.taking)
@@ -218,29 +216,20 @@ class StageBuilder:
         )
 
     def _substep_control(self, tolerance: SubstepTolerance, loop: Loop) -> SubstepControl:
-        order = 1 if loop.is_first_order else 2
-        names = {member.name for member in loop.members}
-        driving: set[Port] = set()
-        for member in loop.members:
-            for sources in self._sources[member.name].values():
-                driving.update(sources)
+        interfaces = {member.name: member.channel.interface for member in loop.members}
         compared: list[int] = []
         nominal: list[float] = []
-        for member in loop.members:
-            for signal in member.channel.interface.outputs:
-                port = Port(member.name, signal.name)
-                lags = signal.name in member.channel.interface.lagging and port not in driving
-                if self._variabilities.of(port) != "discrete" and not lags:
-                    compared += _numbers(member.channel.signal_columns[signal.name])
-                    nominal += signal.nominal_values
-        from_outside = {port for port in driving if port.component not in names}
-        outside = self._outside_columns(sorted(from_outside, key=str))
-        components = tuple(member.name for member in loop.members)
+        estimated = estimated_outputs(interfaces, self._sources, self._variabilities.of)
+        for port, signal in estimated.items():
+            compared += _numbers(self._ports.output(port).columns)
+            nominal += signal.nominal_values
+        driving = driving_outputs(interfaces, self._sources)
+        from_outside = [port for port in driving if port.component not in interfaces]
         return SubstepControl(
-            components,
+            tuple(interfaces),
             tolerance,
-            order,
-            outside=outside,
+            1 if loop.is_first_order else 2,
+            outside=self._outside_columns(sorted(from_outside, key=str)),
             compared=np.array(compared, np.intp),
             nominal=np.array(nominal),
         )
@@ -267,11 +256,9 @@ class StageBuilder:
         if self._method.input_interpolation != "linear":
             return True
         lagging: set[Port] = set()
-        driving: set[Port] = set()
         for member in members:
             lagging.update(Port(member.name, name) for name in member.channel.interface.lagging)
-            for ports in self._sources[member.name].values():
-                driving.update(ports)
+        driving = driving_outputs([member.name for member in members], self._sources)
         return not lagging.isdisjoint(driving)
 
 
@@ -290,16 +277,6 @@ def _check_rollback(members: Sequence[Member]) -> None:
             f"{listing(names)} in this loop cannot go back to its start (rollback is not declared; "
             "of an FMU: canGetAndSetFMUstate); needed 'gauss-seidel' or 'jacobi', with 1 iteration"
         )
-
-
-def _substeps_refused(names: Sequence[str]) -> GraphError:
-    """Return the error of components that cannot take substeps, and do not hold their outputs."""
-    return GraphError(
-        f"substeps: {listing(names)} in this loop cannot take parts of a step and go back "
-        "(rollback or substeps is not declared; of an FMU: canGetAndSetFMUstate, "
-        "canHandleVariableCommunicationStepSize), and other components follow the outputs through "
-        "the step; needed a loop without, or a smaller step without substeps"
-    )
 
 
 def _numbers(columns: slice) -> list[int]:

@@ -1,4 +1,4 @@
-"""Which components of a loop take substeps, and which keep to communication steps.
+"""Which components of a loop take substeps, and which of their outputs these are chosen by.
 
 Of a component that has steps of its own - a delay, a sampled controller, an estimator - nothing
 happens inside a communication step. It is *early* where what it reads at the end of a step reaches
@@ -8,12 +8,13 @@ such components read them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 from cosim.core.port import Port
-from cosim.core.signals import Interface, Variability
+from cosim.core.signals import Interface, Signal, Variability
 from cosim.core.structure.feedthrough import Sources
+from cosim.errors import GraphError, listing
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,14 +27,11 @@ class SubstepRoles:
         They take substeps.
     early, late : tuple of str
         They advance over whole communication steps, before and behind the substeps.
-    unfit : tuple of str
-        They can do neither.
     """
 
     taking: tuple[str, ...]
     early: tuple[str, ...]
     late: tuple[str, ...]
-    unfit: tuple[str, ...]
 
 
 def substep_roles(
@@ -51,6 +49,11 @@ def substep_roles(
         What drives each input.
     variability : callable
         Of an output.
+
+    Raises
+    ------
+    GraphError
+        If some can do neither.
     """
     taking = [name for name, own in interfaces.items() if own.substeps and own.rollback]
     others = [name for name in interfaces if name not in taking]
@@ -64,7 +67,14 @@ def substep_roles(
             break
         unfit += followed
         late = [name for name in late if name not in read]
-    return SubstepRoles(tuple(taking), tuple(early), tuple(late), tuple(unfit))
+    if unfit:
+        raise GraphError(
+            f"substeps: {listing(unfit)} in this loop cannot take parts of a step and go back "
+            "(rollback or substeps is not declared; of an FMU: canGetAndSetFMUstate, "
+            "canHandleVariableCommunicationStepSize), and other components follow the outputs "
+            "through the step; needed a loop without, or a smaller step without substeps"
+        )
+    return SubstepRoles(tuple(taking), tuple(early), tuple(late))
 
 
 def _is_early(interface: Interface) -> bool:
@@ -82,3 +92,33 @@ def _read_continuously(
         for ports in sources[reader].values():
             read.update(port.component for port in ports if variability(port) != "discrete")
     return read
+
+
+def driving_outputs(components: Iterable[str], sources: Sources) -> set[Port]:
+    """Return the outputs that drive some components."""
+    driving: set[Port] = set()
+    for component in components:
+        for ports in sources[component].values():
+            driving.update(ports)
+    return driving
+
+
+def estimated_outputs(
+    interfaces: Mapping[str, Interface],
+    sources: Sources,
+    variability: Callable[[Port], Variability],
+) -> dict[Port, Signal]:
+    """Return the outputs of a loop whose errors are estimated, in the order of its components.
+
+    Those are the continuous ones, except where they lag and drive nothing in the loop. The
+    parameters are those of :func:`substep_roles`.
+    """
+    driving = driving_outputs(interfaces, sources)
+    estimated: dict[Port, Signal] = {}
+    for name, interface in interfaces.items():
+        for signal in interface.outputs:
+            port = Port(name, signal.name)
+            is_followed = port in driving or signal.name not in interface.lagging
+            if is_followed and variability(port) != "discrete":
+                estimated[port] = signal
+    return estimated
