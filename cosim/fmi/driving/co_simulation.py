@@ -24,7 +24,8 @@ from cosim.fmi.driving.direct import DirectFeedthrough
 from cosim.fmi.driving.initialization import Initialization, Starts
 from cosim.fmi.driving.local_model import derived, has_continuous_ports
 from cosim.fmi.driving.saved import SavedState, restore, save
-from cosim.fmi.driving.stepping import InputDerivativesFailed, Stepper, StepperState
+from cosim.fmi.driving.step_inputs import InputDerivativesFailed
+from cosim.fmi.driving.stepping import Stepper, StepperState
 from cosim.fmi.driving.tuning import TunedParameters
 from cosim.fmi.instance import TERMINATED, CoSimulationInstance
 from cosim.native.step import NativeStep

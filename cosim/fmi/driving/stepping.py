@@ -52,6 +52,7 @@ from cosim.fmi.driving.diagnostics import Diagnostics
 from cosim.fmi.driving.direct import DirectFeedthrough
 from cosim.fmi.driving.inner_step import InnerStep, StepHistory
 from cosim.fmi.driving.input_ramp import CLOSE, InputRamp
+from cosim.fmi.driving.step_inputs import InputDerivativesFailed, StepInputs
 from cosim.fmi.driving.tuning import TunedParameters
 from cosim.fmi.instance import Addresses, CoSimulationInstance, StepEnd
 from cosim.native.fmi.co_simulation import (
@@ -70,10 +71,6 @@ from cosim.native.step import NativeStep, RollbackStruct
 
 PARTS: Final = 1000  # of one communication step, by early returns and time events
 HALVINGS: Final = 10  # of a step that is discarded
-
-
-class InputDerivativesFailed(RunError):
-    """The FMU does not take the slopes of its inputs, though it says that it can."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,26 +134,23 @@ class Stepper:
         self._clocks = clocks
         self._feedthrough = feedthrough
         self._outputs = description.references("output")
-        self._inputs = description.references("input")
+        inputs = description.references("input")
         # Inputs that belong to a clock are set where it ticks, and clocks by calls of their own.
         self._unclocked_inputs = description.unclocked("input")
         unclocked = np.zeros_like(discrete)
         unclocked[self._unclocked_inputs.columns] = True
         set_in_steps = ~discrete if capabilities.event_mode else np.ones_like(discrete)
-        self._step_inputs = self._inputs.select(set_in_steps & unclocked)
-        self._event_inputs = self._inputs.select(discrete & unclocked & capabilities.event_mode)
-        self._interpolated = description.interpolated_inputs
-        self._interpolated_inputs = self._inputs.select(self._interpolated)
-        self._some_not_interpolated = bool((~discrete & ~self._interpolated).any())
+        self._event_inputs = inputs.select(discrete & unclocked & capabilities.event_mode)
+        self._struct = place_struct(CoSimulationStruct)
+        self._step_inputs = StepInputs(
+            instance, diagnostics, inputs.select(set_in_steps & unclocked), self._struct
+        )
         self._saves_before_steps = (
             capabilities.saves_state
             and capabilities.variable_step
             and not description.undoes_discarded_steps
         )
         self._fmu_state: object | None = None  # before the last part; its memory is used again
-        self._can_interpolate = (
-            capabilities.interpolates_inputs and self._interpolated_inputs.size > 0
-        )
         self._addresses: Addresses | None = None
         self._copy: tuple[object, ...] | None = None  # the memory behind that of compiled code
         n_u = len(discrete)
@@ -174,14 +168,13 @@ class Stepper:
         state = place(np.zeros(n_y + n_u + self._event_inputs.size))
         self.outputs, self.inputs, self._event_values = np.split(state, (n_y, n_y + n_u))
         self._held = place(np.zeros(n_u, np.bool_))
-        self._ramped = place(self._interpolated | (not self._some_not_interpolated))
         self._scratch = place(np.zeros(3 * n_u + n_y))
-        struct = place_struct(CoSimulationStruct)
+        struct = self._struct
         struct.n_u = n_u
         struct.n_y = n_y
         struct.n_event = self._event_inputs.size
         struct.held = self._held.ctypes.data
-        struct.ramped = self._ramped.ctypes.data
+        struct.ramped = self._step_inputs.ramped.ctypes.data
         struct.event_columns = self._event_inputs.columns.ctypes.data
         struct.inner_step = self._inner_step.address
         struct.outputs = self.outputs.ctypes.data
@@ -189,7 +182,6 @@ class Stepper:
         struct.event_inputs = self._event_values.ctypes.data
         struct.scratch = self._scratch.ctypes.data
         struct.first_event = math.inf
-        self._struct = struct
 
     def native(self) -> NativeStep | None:
         """Return the compiled step; None: the FMU is none of a binary, or has clocks."""
@@ -198,11 +190,11 @@ class Stepper:
             return None
         struct = self._struct
         struct.fmu = addresses.fmu
-        struct.step_inputs = addresses.variables(self._step_inputs)
+        struct.step_inputs = addresses.variables(self._step_inputs.references)
         struct.outputs_read = addresses.variables(self._outputs)
         struct.do_step = addresses.step()
-        if self._can_interpolate:
-            struct.slopes = addresses.slopes(self._interpolated_inputs)
+        if self._step_inputs.can_interpolate:
+            struct.slopes = addresses.slopes(self._step_inputs.interpolated)
         if self._saves_before_steps:
             struct.get_state = addresses.call("GetFMUState")
         if self._feedthrough is not None:
@@ -277,7 +269,7 @@ class Stepper:
     @property
     def interpolates(self) -> bool:
         """Whether the FMU gets slopes of its inputs."""
-        return bool(self._struct.interpolates)
+        return self._step_inputs.interpolates
 
     def hold(self, held: Mask) -> None:
         """Set which inputs keep their value over a step, beside the discrete ones."""
@@ -293,7 +285,7 @@ class Stepper:
                 inputs=u,
                 event_inputs=self._event_inputs.take(u),
                 initialized=False,
-                interpolates=self._can_interpolate,
+                interpolates=self._step_inputs.can_interpolate,
                 stepped=False,
                 next_event=math.inf,
                 ended=False,
@@ -312,7 +304,7 @@ class Stepper:
             "began again with a new instance, which gets the mean of both ends of a step as its "
             "input, and the direct feedthrough to outputs belongs to that",
         )
-        self._can_interpolate = False
+        self._step_inputs.can_interpolate = False
         self._keep_fmu_state(None)
         if self._copy is not None:
             self._rollback()  # with a state of the new instance
@@ -443,9 +435,10 @@ class Stepper:
             # beginning of the part had it, and only so the integral of the inputs is right.
             mean = 0.5 * (part_begin + part_end)
             if end is None:
-                self._set_inputs(ramp, s, mean)
+                self._save_before_step()
+                self._step_inputs.set(ramp, s, mean)
                 end = self._instance.do_step(ramp.time(s), ramp.duration(s, part_end))
-            self._keep_inputs(ramp, s, part_end, mean, end)
+            self.inputs[:] = self._step_inputs.applied(ramp, s, part_end, mean, end)
             if end.terminate:
                 self._struct.ended = True
             s = self._reached(ramp, s, part_end, end, halvings)
@@ -465,63 +458,14 @@ class Stepper:
             f"t = {ramp.t} s; the last was at t = {ramp.time(s)} s"
         )
 
-    def _set_inputs(self, ramp: InputRamp, s0: float, mean: float) -> None:
-        """Set the inputs for a call of do_step, after a copy of the state where one is needed.
+    def _save_before_step(self) -> None:
+        """Copy the state of the FMU before the inputs are set, where it may be needed.
 
-        Those that are interpolated have their values at ``s0``, the others those at ``mean``.
+        A discarded step can be repeated from a state that was copied at its beginning only (FMI
+        2.0.4 section 4.2.2).
         """
-        instance = self._instance
         if self._saves_before_steps:
-            # Before the inputs and the step: a discarded step can be repeated from a state that was
-            # copied at its beginning only (FMI 2.0.4 section 4.2.2).
-            self._keep_fmu_state(instance.get_fmu_state(self._fmu_state))
-        if not self.interpolates:
-            inputs = ramp.at(mean)
-            instance.set_float64(self._step_inputs, self._step_inputs.take(inputs))
-            return
-        # Values and derivatives are those at the beginning of the step (FMI 2.0.4 section 4.2.1).
-        inputs = self._interpolated_at(ramp, s0, mean)
-        instance.set_float64(self._step_inputs, self._step_inputs.take(inputs))
-        try:
-            instance.set_input_derivatives(self._interpolated_inputs, self._slopes(ramp))
-        except RunError as error:
-            raise InputDerivativesFailed(str(error)) from error
-
-    def _slopes(self, ramp: InputRamp) -> Vector:
-        """Return du/dt of the inputs that are interpolated."""
-        slopes: Vector = self._interpolated_inputs.take(ramp.change) / ramp.h
-        return slopes
-
-    def _keep_inputs(
-        self, ramp: InputRamp, s0: float, s1: float, mean: float, end: StepEnd
-    ) -> None:
-        """Keep the inputs that the outputs after a call of do_step belong to."""
-        if not self.interpolates:
-            self.inputs[:] = ramp.at(mean)
-            return
-        if end.interpolated_until == -math.inf and self._slopes(ramp).any():
-            self._stop_interpolating(ramp.time(s0))
-        s_end = s1
-        if end.interpolated_until != math.inf:
-            s_end = min(max(s0, ramp.fraction(end.interpolated_until)), s1)
-        self.inputs[:] = self._interpolated_at(ramp, s_end, mean)
-
-    def _interpolated_at(self, ramp: InputRamp, s: float, mean: float) -> Vector:
-        """Return the inputs at ``s``; those that cannot be interpolated as they are at ``mean``."""
-        if not self._some_not_interpolated:
-            return ramp.at(s)
-        return np.where(self._interpolated, ramp.at(s), ramp.at(mean))
-
-    def _stop_interpolating(self, t: float) -> None:
-        self._struct.interpolates = False
-        self._diagnostics.add(
-            t,
-            "interpolation",
-            f"asked for no inputs in the step from t = {t} s, though it says it can "
-            "(providesIntermediateUpdate): they kept their value from the start of "
-            "that step; from then on it gets their mean, and the direct feedthrough to outputs "
-            "belongs to that",
-        )
+            self._keep_fmu_state(self._instance.get_fmu_state(self._fmu_state))
 
     def _reached(self, ramp: InputRamp, s0: float, s1: float, end: StepEnd, halvings: int) -> float:
         """Return how far a call of do_step from ``s0`` to ``s1`` came, in the end."""
