@@ -550,4 +550,4 @@ def _information(
 
 def span(start: float, end: float) -> str:
     """Return the time of a run as text: its length, or both ends where it does not start at 0."""
-    return f"{start:g} s to {end:g} s" if start else f"{end:g} s"
+    return f"{start:.12g} s to {end:.12g} s" if start else f"{end:.12g} s"

@@ -96,6 +96,7 @@ def test_a_report_names_both_ends(tmp_path, logs):
     assert (summary.start, summary.end) == (16.0, 17.0)
     assert span(16.0, 17.0) == "16 s to 17 s"
     assert span(0.0, 40.0) == "40 s"
+    assert span(1e6, 1000001.25) == "1000000 s to 1000001.25 s"
     plot_signals(logs[START], ["plant.y"], tmp_path / "a.png")
 
 
