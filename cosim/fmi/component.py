@@ -55,6 +55,8 @@ class Fmu:
         Of a model exchange FMU: what is known of its solver.
     notes : tuple of str
         What is to be known about how it was opened.
+    unsaved : str
+        Why its state is not saved, although it says that it can be; empty: it is, or does not.
     """
 
     def __init__(
@@ -67,6 +69,7 @@ class Fmu:
         folder: TemporaryFolder,
         solving: Mapping[str, str | float],
         notes: tuple[str, ...] = (),
+        unsaved: str = "",
         model_exchange: ModelExchange | None = None,
     ) -> None:
         self.component = component
@@ -76,6 +79,7 @@ class Fmu:
         self._instance = instance
         self._folder = folder
         self._solving = solving
+        self.unsaved = unsaved
         self._notes = notes
 
     @property
@@ -226,7 +230,11 @@ def load(
         interface_type, description = _with_options(archive, options)
         library = folder / _library(archive, interface_type)
         _check_architecture(archive, library)
-        description, notes = _reliable(archive, description, interface_type)
+        unsaved = _unsaved(archive, description, interface_type)
+        notes = _notes(archive, description)
+        if unsaved:
+            description = _without_saving(description, interface_type)
+            notes.append(unsaved)
         instance = LoadedInstance(
             folder,
             library,
@@ -252,6 +260,7 @@ def load(
         folder=temporary,
         solving=solving,
         notes=(*notes, *_notes_on_loading(description.name, changes)),
+        unsaved=unsaved,
         model_exchange=model_exchange,
     )
 
@@ -405,24 +414,32 @@ def _component(
     return component, component.metadata
 
 
-def _reliable(
-    archive: Archive, description: Description, interface_type: InterfaceType
-) -> tuple[Description, tuple[str, ...]]:
-    """Return a description without what fails, and notes about what was taken."""
-    capabilities = description.capabilities[interface_type]
+def _unsaved(archive: Archive, description: Description, interface_type: InterfaceType) -> str:
+    """Return why the state of an FMU is not saved that says that it can be; empty: it is."""
+    if not description.capabilities[interface_type].saves_state or description.tool == OUR_TOOL:
+        return ""
+    problems = find_rollback_problems(archive, interface_type)
+    if not problems:
+        return ""
+    return (
+        f"{description.name}: its state is not saved, although it says that it can be: "
+        f"{'; '.join(problems)}"
+    )
+
+
+def _without_saving(description: Description, interface_type: InterfaceType) -> Description:
+    """Return a description of an FMU whose state is not saved."""
+    capabilities = replace(description.capabilities[interface_type], saves_state=False)
+    all_capabilities = {**description.capabilities, interface_type: capabilities}
+    return replace(description, capabilities=all_capabilities)
+
+
+def _notes(archive: Archive, description: Description) -> list[str]:
+    """Return notes about what was taken of a file."""
     notes = [f"{description.name}: {text}" for text in _shortened(archive.warnings)]
     notes += _notes_on_texts(description)
     notes += _notes_on_clocks(description)
-    if capabilities.saves_state and description.tool != OUR_TOOL:
-        problems = find_rollback_problems(archive, interface_type)
-        if problems:
-            capabilities = replace(capabilities, saves_state=False)
-            notes.append(
-                f"{description.name}: its state is not saved, although it says that it can be: "
-                f"{'; '.join(problems)}"
-            )
-    all_capabilities = {**description.capabilities, interface_type: capabilities}
-    return replace(description, capabilities=all_capabilities), tuple(notes)
+    return notes
 
 
 def _shortened(warnings: Sequence[str]) -> list[str]:

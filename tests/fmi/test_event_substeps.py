@@ -23,6 +23,7 @@ from cosim.core.linear import Linear
 from cosim.core.master import run
 from cosim.core.recorders import Memory
 from cosim.core.stages.substep_control import SubstepTolerance
+from cosim.errors import ScenarioError
 from cosim.fmi.component import load
 from cosim.fmi.options import FmuOptions
 from cosim.report.verification import verify
@@ -260,3 +261,31 @@ def test_a_log_is_replayed_with_its_substeps_at_events(jumping, tmp_path):
     assert verification.passed, verification.problems
     assert replayed.substeps() == log.substeps()
     assert all(math.isfinite(value) for s in log.substeps() for value in s.values)
+
+
+def test_a_recording_of_a_component_with_events_inside_steps_is_warned_of(jumping, tmp_path):
+    """Of its substeps, another scenario takes the rows alone; the one at 0.7 s is a jump there."""
+    scenario = tmp_path / "jumps.toml"
+    scenario.write_text(SCENARIO.format(one=jumping("events", "lines")).replace("0.5", "0.8"))
+    log = cosim.run(str(scenario), out=tmp_path / "x.mcap")
+    swapped = cosim.run(str(scenario), swap={"one": log.path})
+    texts = [message.text for message in swapped.messages() if message.level == "warning"]
+    jump = "jumps at 1 instant, the first at t = 0.7 s: what it drives gets a ramp of a step"
+    inside = (
+        "has 10 events between communication points, the first at t = 0.07 s: between its rows "
+    )
+    for part in (jump, inside):
+        assert sum(part in text for text in texts) == 1
+
+
+@pytest.mark.parametrize("coupling", ["newton", "gauss-seidel"])
+def test_why_an_fmu_cannot_go_back_is_said_with_the_refusal(tmp_path, coupling):
+    """It declares that it can; the trial is what shows that it cannot, here as it ends."""
+    scenario = tmp_path / "ends.toml"
+    text = SCENARIO.format(one=eventful.build("ENDS")).replace("newton", coupling)
+    scenario.write_text(text.replace("event = 0.07, announces = 1.0", "p = 0.1"))
+    with pytest.raises(ScenarioError) as caught:
+        cosim.run(str(scenario))
+    refusal, reason = str(caught.value).splitlines()
+    assert "ends.toml:7: scenario.substeps: one in this loop cannot take parts of a step" in refusal
+    assert "components.one: ENDS: its state is not saved, although it says that it can be" in reason

@@ -392,7 +392,7 @@ def test_a_recorded_plant_that_jumps_is_warned_of(tmp_path):
         return [message.text for message in swapped.messages() if message.level == "warning"]
 
     jumping = overridden("academic", tmp_path / "jumping.mcap")
-    text = "jumps at 3 instants, the first at t = 0.007 s, where inputs were overridden"
+    text = "jumps at 3 instants, the first at t = 0.007 s: what it drives gets a ramp of a step"
     assert sum(text in warning for warning in warnings(jumping)) == 1
     calm = overridden("academic", tmp_path / "calm.mcap", overrides=("observer.u",))
     assert not any("jumps at" in warning for warning in warnings(calm))

@@ -376,7 +376,7 @@ class Builder:
         try:
             graph = self._graph()
         except CosimError as error:
-            return [_problem_of(error)]
+            return self._problems_of(error)
         return jump_problems(self.scenario, graph)
 
     def experiment(self) -> Experiment:
@@ -453,7 +453,16 @@ class Builder:
         try:
             return self._graph()
         except CosimError as error:
-            raise self.scenario.document.report([_problem_of(error)]) from error
+            raise self.scenario.document.report(self._problems_of(error)) from error
+
+    def _problems_of(self, error: CosimError) -> list[Problem]:
+        """Return what is wrong with a graph, and why FMUs cannot go back where that matters."""
+        problems = [_problem_of(error)]
+        if "canGetAndSetFMUstate" in str(error):
+            for name, fmu in self.context.fmus.opened.items():
+                if fmu.unsaved:
+                    problems.append((("components", name), fmu.unsaved))
+        return problems
 
     def _graph(self) -> Graph:
         settings = self.scenario.file.scenario
@@ -472,7 +481,7 @@ class Builder:
 def _problem_of(error: CosimError) -> Problem:
     """Return what is wrong with a graph as a problem of the key that it is about."""
     name, _, text = str(error).partition(": ")
-    if name in ("coupling", "iterations"):
+    if name in ("coupling", "iterations", "substeps"):
         return ("scenario", name), text
     return ("connections",), str(error)
 

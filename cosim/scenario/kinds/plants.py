@@ -14,7 +14,7 @@ from cosim.blocks.replay import Replay
 from cosim.blocks.sampled import Sampled
 from cosim.core.contracts import Component
 from cosim.core.linear import DescriptorModel, LinearModel
-from cosim.core.recording import SignalEvent
+from cosim.core.recording import SignalEvent, Substep
 from cosim.errors import UsageError, nearest
 from cosim.fmi.driving.solvers import SOLVERS, STEPPING
 from cosim.instants import NANOSECONDS
@@ -322,6 +322,7 @@ class RecordingKind(PlantKind):
             context.add_metadata(name, {"lags": lags})
         outputs = {f"{self.component}.{signal.name}" for signal in replay.interface.outputs}
         self._warn_of_jumps(name, outputs, recording.events(), context)
+        self._warn_of_events(name, recording.substeps(), context)
         return replay
 
     def _warn_of_jumps(
@@ -342,8 +343,25 @@ class RecordingKind(PlantKind):
             context.warn(
                 name,
                 f"{self.component!r} of {self.log} jumps at {instants}, the first at t = "
-                f"{min(times) / NANOSECONDS} s, where inputs were overridden: what it drives gets "
-                "a ramp of a step instead; a replay of that log itself has the jumps",
+                f"{min(times) / NANOSECONDS} s: what it drives gets a ramp of a step instead; "
+                "a replay of that log itself has the jumps",
+            )
+
+    def _warn_of_events(
+        self, name: str, substeps: Iterable[Substep], context: BuildContext
+    ) -> None:
+        """Warn where a recorded component had events inside steps: its rows do not have them."""
+        times = []
+        for substep in substeps:
+            if substep.accepted and substep.event == self.component:
+                times.append(substep.end)
+        if times:
+            events = "1 event" if len(times) == 1 else f"{len(times)} events"
+            context.warn(
+                name,
+                f"{self.component!r} of {self.log} has {events} between communication points, the "
+                f"first at t = {times[0]} s: between its rows it is linear here; a replay of that "
+                "log itself takes the substeps that end there",
             )
 
     def lag(self, name: str, output: str, context: BuildContext) -> float:
