@@ -10,12 +10,14 @@ Nor are m of them further apart than some times the m-th root.
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Vector
+
+Complex: TypeAlias = NDArray[np.complex128]
 
 MARGIN: Final = 100.0  # times the error that condition and rounding explain
 ROOT_MARGIN: Final = 1.0  # times the root of the rounding
@@ -32,11 +34,8 @@ def spectral_radius(M: Matrix) -> float:
     balanced = _balanced(M)
     scale = float(np.linalg.norm(balanced))
     rounding = float(np.finfo(np.float64).eps)
-    # Where eigenvalues coincide to the last bit there are too few eigenvectors to see that by.
-    unlike = np.random.default_rng(0).standard_normal(M.shape)
-    eigenvalues, vectors = np.linalg.eig(balanced + 0.1 * rounding * scale * unlike)
+    eigenvalues, left_vectors, vectors = _decomposed(balanced, 0.1 * rounding * scale)
     rounding *= len(M)
-    left_vectors = np.linalg.inv(vectors)
     conditions = np.linalg.norm(left_vectors, axis=1) * np.linalg.norm(vectors, axis=0)
     errors = rounding * scale * conditions
     left = np.ones(len(eigenvalues), np.bool_)
@@ -50,6 +49,21 @@ def spectral_radius(M: Matrix) -> float:
             left[members] = False
             largest = max(largest, float(abs(eigenvalues[members].mean())))
     return largest
+
+
+def _decomposed(M: Matrix, change: float) -> tuple[Complex, Complex, Complex]:
+    """Return eigenvalues, left eigenvectors as rows, and right ones as columns, of M changed a bit.
+
+    Where eigenvalues coincide to the last bit there are too few eigenvectors to see that by. So M
+    is changed, by more where that leaves none more.
+    """
+    unlike = np.random.default_rng(0).standard_normal(M.shape)
+    while True:
+        eigenvalues, vectors = np.linalg.eig(M + change * unlike)
+        try:
+            return eigenvalues, np.linalg.inv(vectors), vectors
+        except np.linalg.LinAlgError:
+            change *= 2.0
 
 
 def _coinciding(distances: Vector, near: Mask, rounding: float, scale: float) -> NDArray[np.intp]:

@@ -55,6 +55,14 @@ def test_a_defective_eigenvalue_hides_no_other():
     assert spectral_radius(M) == pytest.approx(1.0, abs=1e-12)
 
 
+@pytest.mark.parametrize(
+    "M", [[[3.0, -2.0], [2.0, -1.0]], [[3.0, -4.0], [1.0, -1.0]], [[2.75, -3.0625], [1.0, -0.75]]]
+)
+def test_an_eigenvalue_with_one_eigenvector_to_the_last_bit(M):
+    """1, twice, also where a change by less than half a bit shows no second eigenvector."""
+    assert spectral_radius(np.array(M)) == pytest.approx(1.0, abs=1e-14)
+
+
 def test_units_do_not_matter():
     """A state in other units scales a row and a column."""
     M = np.array([[0.9, 1e12], [1e-13, 0.8]])
