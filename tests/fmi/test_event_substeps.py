@@ -68,19 +68,29 @@ def second(lag, tmp_path, kind):
     return Linear(controller(A=-one, B=one, C=one, D=0 * one, x0=np.zeros(1)))
 
 
-def run_loop(first, other, *, tolerance, stop=1.0, native=True, block=None):
+def run_loop(
+    first,
+    other,
+    *,
+    tolerance,
+    stop=1.0,
+    native=True,
+    block=None,
+    gain=-1.0,
+    coupling="newton",
+):
     """Run the loop of both lags with substeps; return its recording and how many it took."""
     output = "two.y" if isinstance(other, Linear) else "two.x"
     components = {"zero": constant([0.0]), "one": first, "two": other}
     connections = {
-        "one.u": Connection((output,), gain=np.array([[-1.0]])),
+        "one.u": Connection((output,), gain=np.array([[gain]])),
         "one.d": "zero.y",
         "two.u": "one.x",
     }
     if not isinstance(other, Linear):
         connections["two.d"] = "zero.y"
     limits = SubstepTolerance(tolerance, tolerance, 1000)
-    graph = Graph(components, connections, coupling="newton", substeps=limits, native=native)
+    graph = Graph(components, connections, coupling=coupling, substeps=limits, native=native)
     memory = Memory()
     run(graph, Clock(stop, 0.1, block), memory)
     return memory, graph.substep_controls[0].counts
@@ -224,6 +234,57 @@ def test_a_state_event_ends_a_substep(lag, tmp_path, version, solver):
             lag, tmp_path, version=version, solver=solver, tolerance=tolerance, native=False
         )
         assert python.substeps() == memory.substeps()
+
+
+SAW = 0.3  # where x of RESET falls to 0
+
+
+def sawing(gain, t_end):
+    """Return x and b of x' = 1 + gain b, b' = x - b, and the times at which x falls from SAW."""
+
+    def right_hand_side(t, y):
+        return [1.0 + gain * y[1], y[0] - y[1]]
+
+    def full(t, y):
+        return y[0] - SAW
+
+    full.terminal = True
+    full.direction = 1.0
+    precise = {"rtol": 1e-13, "atol": 1e-14, "method": "DOP853", "events": full}
+    t, y, events = 0.0, np.zeros(2), []
+    while True:
+        solution = solve_ivp(right_hand_side, (t, t_end), y, **precise)
+        t, y = solution.t[-1], solution.y[:, -1]
+        if solution.status == 0:
+            return y, events
+        events.append(t)
+        y = y - [SAW, 0.0]
+
+
+@pytest.mark.parametrize("coupling", ["newton", "gauss-seidel"])
+@pytest.mark.parametrize("gain", [1.0, -1.0])
+@pytest.mark.parametrize("kind", ["fmu", "linear"])
+def test_a_jump_that_moves_its_own_event_ends_a_substep(lag, tmp_path, kind, gain, coupling):
+    """With a gain of 1 a jump inside a part puts itself off until behind it: nothing solves that.
+
+    What one and two steps are compared by are the left limits: only one of both may have jumped.
+    """
+    expected, events = sawing(gain, 1.0)
+    for tolerance in (1e-4, 1e-6):
+        # local errors of order 3 or 2, of which each may be as large as tolerated
+        bound = 100 * tolerance if coupling == "newton" else math.sqrt(tolerance)
+        options = FmuOptions(solver="RK45", start={"p": SAW}, tolerance=1e-11)
+        with load(eventful.build("RESET"), options) as fmu:
+            other = second(lag, tmp_path, kind)
+            memory, counts = run_loop(
+                fmu.component, other, tolerance=tolerance, gain=gain, coupling=coupling
+            )
+        found = [memory["one.x"][-1], memory["two.x" if kind == "fmu" else "two.y"][-1]]
+        assert np.abs(found - expected).max() < bound
+        ends = np.array(event_ends(memory))
+        assert max(np.abs(ends - event).min() for event in events) < bound
+        assert len(ends) <= 4 * len(events)
+        assert counts.missed == 0
 
 
 # --- logs ---

@@ -10,8 +10,11 @@ pieces are spans of their own, which are divided like communication steps.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 from cosim.instants import NANOSECONDS, first_nanosecond, last_nanosecond
+
+NEAR: Final = 6  # what is near an event: 2**-6 of a part
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +96,13 @@ class StepPart:
         first = StepPart(self.span, level, 2 * self.number)
         second = StepPart(self.span, level, 2 * self.number + 1)
         return first, second
+
+    @property
+    def near_and_at_event(self) -> tuple[StepPart, StepPart]:
+        """Its last part of ``NEAR``, and before it the rest of it."""
+        near = StepPart(self.span, self.level + NEAR, ((self.number + 1) << NEAR) - 1).begin
+        last = Span.between(near, self.end, self.event)
+        return last.whole, Span.between(self.begin, near).whole
 
     @property
     def ends_a_longer_one(self) -> bool:

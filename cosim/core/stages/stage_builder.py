@@ -221,7 +221,8 @@ class StageBuilder:
         nominal: list[float] = []
         estimated = estimated_outputs(interfaces, self._sources, self._variabilities.of)
         for port, signal in estimated.items():
-            compared += _numbers(self._ports.output(port).columns)
+            columns = _numbers(self._ports.output(port).columns)
+            compared += [self._left_limits.get(column, column) for column in columns]
             nominal += signal.nominal_values
         driving = driving_outputs(interfaces, self._sources)
         from_outside = [port for port in driving if port.component not in interfaces]

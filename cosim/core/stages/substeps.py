@@ -22,6 +22,12 @@ except those that lag and that nothing in the loop reads.
 
 What is before an event is taken again with other inputs at its end, so that the event may then come
 a little earlier, where the interval is divided again, or a little later, in the next one.
+
+A jump that the loop follows may have no solution there: with the event inside the interval the
+inputs put it off until behind the end, without it they do not. How far these two are apart goes
+with the square of the interval. So the last part of it, where the event is, is taken for itself,
+until they are the same. What is compared of an output that jumps are its left limits: at the end
+of an interval fine may have had an event that coarse has not had yet.
 """
 
 from __future__ import annotations
@@ -159,7 +165,11 @@ class SubsteppedLoop:
             coarse = None
             if taken.event is not None:
                 self._restore(states)
-                waiting += self._divided(step, part, taken.event)
+                self._divide(step, part, taken.event, waiting)
+            elif taken.end is None and part.event and part.has_halves:
+                self._restore(states)
+                self._add(part, error=math.inf)
+                waiting += part.near_and_at_event
             elif taken.error is not None and taken.error > 1.0 and control.can_refine(part):
                 self._restore(states)
                 self._add(part, error=taken.error)
@@ -182,6 +192,8 @@ class SubsteppedLoop:
         if coarse is None:
             whole = self._take(step, part, row)
             if whole.event is not None or not part.has_halves:
+                return whole
+            if whole.end is None and part.event:
                 return whole
             coarse = whole.end
             self._restore(states)
@@ -221,8 +233,8 @@ class SubsteppedLoop:
         inside = [event for event in events if part.begin + close < event.time < part.end - close]
         return min(inside, default=None)
 
-    def _divided(self, step: _Step, part: StepPart, event: _Event) -> list[StepPart]:
-        """Return what there is to take in the place of a part with an event, the first one last.
+    def _divide(self, step: _Step, part: StepPart, event: _Event, waiting: list[StepPart]) -> None:
+        """Put what is before an event inside a part, and what is behind it, in the place of it.
 
         Raises
         ------
@@ -238,9 +250,11 @@ class SubsteppedLoop:
             stop = Stopped(np.empty((0, 0)), reason).at(event.component, event.time)
             raise Cut(0, stop, event.component)
         self._add(part, event=event.component)
-        before = Span.between(part.begin, event.time, event.component)
-        behind = Span.between(event.time, part.end, part.event)
-        return [*self._control.next(part, None), behind.whole, before.whole]
+        # A part that ends at an event ended where this one seemed to be: that is no end any more.
+        end = waiting.pop().end if part.event else part.end
+        waiting += self._control.next(part, None)
+        waiting.append(Span.between(event.time, end).whole)
+        waiting.append(Span.between(part.begin, event.time, event.component).whole)
 
     def _accept(self, part: StepPart, taken: _Taken) -> Vector:
         """Keep a part that was taken; return the row at its end.

@@ -18,7 +18,8 @@
  * TIRED    x' = 1; asks for the end after a step above x = p
  * SCALED   x' = u - x; at the times k p the nominal value of x changes; at 2 p it is none
  * REFUSES  x' = u; no derivatives above x = p: they are discarded
- * SAMPLE   x' = 1; q <- -u at the times k p, count of them; 0 before */
+ * SAMPLE   x' = 1; q <- -u at the times k p, count of them; 0 before
+ * RESET    x' = 1 + u, and x -> x - p at x = p */
 #if FMI == 2
 #include "fmi2Functions.h"
 #define F(name) fmi2##name
@@ -36,7 +37,7 @@
 #include <string.h>
 
 enum { BALL, FRICTION, SAW, COUNTER, TWO, SLIDE, ENDLESS, ENDS, MEMORY, SWITCH };
-enum { STEPS = SWITCH + 1, TIRED, SCALED, REFUSES, SAMPLE };
+enum { STEPS = SWITCH + 1, TIRED, SCALED, REFUSES, SAMPLE, RESET };
 enum { U, D, X, V, DER_X, DER_V, Q, COUNT, P, EVALUATIONS, COMPLETED, VARIABLES };
 
 typedef struct {
@@ -73,6 +74,8 @@ static void derive(Instance *instance)
         v[DER_X] = v[U] - v[X];
     if (MODEL == REFUSES)
         v[DER_X] = v[U];
+    if (MODEL == RESET)
+        v[DER_X] = 1.0 + v[U];
 }
 
 static void indicate(const Instance *instance, double z[])
@@ -146,6 +149,9 @@ static Answer update(Instance *instance)
     } else if (MODEL == MEMORY) {
         v[Q] += v[D] != instance->last;
         instance->last = v[D];
+    } else if (MODEL == RESET && v[X] >= v[P]) {
+        v[X] -= v[P];
+        found.values_changed = true;
     } else if (MODEL == SWITCH) {
         v[Q] = v[X] > v[P] ? -1.0 : 1.0;
     }
