@@ -52,6 +52,7 @@ from cosim.core.stages.coupling import (
 from cosim.core.stages.member import END, Member
 from cosim.core.stages.spans import Span, StepPart
 from cosim.core.stages.substep_control import OutsideColumns, RecordedSubsteps, SubstepControl
+from cosim.core.stages.torn_inputs import KeptInputs
 from cosim.errors import RunError
 from cosim.instants import duration, last_nanosecond
 
@@ -127,15 +128,22 @@ class SubsteppedLoop:
     control : SubstepControl
     advancing : Advancing
         Advances them over communication steps, and so over parts of one.
+    kept : KeptInputs or None
+        The inputs that belong to outputs from before a step.
     """
 
     def __init__(
-        self, members: Sequence[Member], control: SubstepControl, advancing: Advancing
+        self,
+        members: Sequence[Member],
+        control: SubstepControl,
+        advancing: Advancing,
+        kept: KeptInputs | None,
     ) -> None:
         self._control = control
         self._members = members
         self._locating = [m for m in members if m.channel.interface.locates_events]
         self._advancing = advancing
+        self._kept = kept
         columns = [member.column_numbers for member in members]
         limits = [m.jumps.own_limits for m in members if m.jumps is not None]
         self._columns = np.concatenate([*columns, *limits])
@@ -289,6 +297,7 @@ class SubsteppedLoop:
             block, rows = step.rows(substep.begin, substep.end, row, self._control.outside)
             rows[1, self._columns] = substep.values
             computed = rows.copy()
+            self._gather_kept(rows)
             for member in recorded.live:
                 self._advance_alone(member, block, rows, computed)
             values = tuple(computed[1, self._columns].tolist())
@@ -304,6 +313,15 @@ class SubsteppedLoop:
             step.signals[1, member.inputs] = row[member.inputs]
         step.signals[1, self._limits] = computed[1, self._limits]
 
+    def _gather_kept(self, rows: Matrix) -> None:
+        """Gather the inputs that belong to outputs at the begin of a substep."""
+        if self._kept is None:
+            return
+        before = rows.copy()
+        for member in self._members:
+            member.keep_outputs(before)
+        self._kept.gather(before)
+
     def _advance_alone(self, member: Member, block: Block, rows: Matrix, computed: Matrix) -> None:
         """Advance a component over a substep of which all signals are known.
 
@@ -316,6 +334,9 @@ class SubsteppedLoop:
         computed : Matrix, shape (2, width)
             Takes its outputs, and the left limits of those that jump.
         """
+        if self._kept is not None:
+            rows = rows.copy()
+            self._kept.put(rows, member)
         jumps = member.reads_jumps(rows)
         taken = self._with_left_inputs(member, rows) if jumps else rows
         computed[1, member.outputs] = self._call("advance", member, block, taken)
