@@ -57,9 +57,9 @@ class SignalEvent(NamedTuple):
     time_ns : int
     cause : EventCause
         An input was overridden, has a fault, or was released; a parameter was set, or a component
-        swapped; or the signal followed one of these. "jump": a continuous output jumped with a
-        discrete signal; ``values`` is its left limit. (That of a discrete one is in the row
-        before.)
+        swapped; or the signal followed one of these. "jump": a continuous output jumped, with a
+        discrete signal or by itself; ``values`` is its left limit. (That of a discrete one is in
+        the row before.)
     signal : str
         ``component.signal``; but for one that followed also elements of one; or
         ``component.parameter``, ``component.file``.
@@ -89,6 +89,7 @@ class Substep(NamedTuple):
         The estimated error, in units of what is tolerated; None: there is no estimate, as an event
         divides it, or leaves less than two nanoseconds.
     accepted : bool
+        Whether the loop went on from its end.
     event : str
         The component that has an event at its end, or inside it where it was refused for that;
         empty: none has.
@@ -125,7 +126,9 @@ class Recorder(Protocol):
     component cannot be prepared; ``write`` after every block; ``__exit__``.
     :func:`cosim.core.run` calls neither ``message`` nor ``result``; running a scenario does. There
     are events only where signals jump: inputs that are overridden or faulty, parameters that are
-    set, components that are swapped (:class:`cosim.core.Simulation`), and what follows them.
+    set, components that are swapped (:class:`cosim.core.Simulation`), what follows them, and
+    continuous outputs that jump with discrete signals or by themselves; there are substeps only of
+    loops that take them.
     """
 
     def __enter__(self) -> Self: ...

@@ -33,7 +33,6 @@ from tests.fmi.lag import build as build_lag
 
 PERIOD = 0.07
 MATRIX = np.array([[-1.0, -1.0], [1.0, -1.0]])
-SOLUTIONS = (1e-4, 1e-6, 1e-8)
 
 
 def exact(t):
@@ -115,7 +114,7 @@ def test_a_loop_ends_its_substeps_at_the_events_of_an_fmu(
 ):
     """At each of the 13 between communication points, and the errors follow the tolerance.
 
-    So few substeps are taken: refined around the events, as before, there were thousands.
+    Refined around the jumps there would be four to six times as many substeps.
     """
     times = [k * PERIOD for k in range(1, 15) if k % 10]
     used = []
@@ -133,8 +132,8 @@ def test_a_loop_ends_its_substeps_at_the_events_of_an_fmu(
     assert used[0] < used[1] < 5 * used[0] < 300
 
 
-def test_without_left_limits_a_jump_would_be_a_ramp(lag, jumping, tmp_path):
-    """What the other lag takes up to an event is x1 before it, which /cosim/step has."""
+def test_a_substep_up_to_an_event_ends_with_what_was_before_it(lag, jumping, tmp_path):
+    """The other lag takes that, not a ramp up to what is behind it: /cosim/step has both."""
     options = FmuOptions(start={"event": PERIOD, "announces": 1.0})
     with load(jumping("events", "lines"), options) as fmu:
         memory, _ = run_loop(fmu.component, second(lag, tmp_path, "fmu"), tolerance=1e-6)
@@ -216,10 +215,7 @@ def run_switched(lag, tmp_path, *, version, solver, tolerance, native=True):
 
 @pytest.mark.parametrize(("version", "solver"), [(2, "rk4"), (3, "RK45"), (2, "BDF")])
 def test_a_state_event_ends_a_substep(lag, tmp_path, version, solver):
-    """Where it is with the inputs of the loop is found by and by, each time at most once more.
-
-    Without, the kink would be refined to substeps of a microsecond.
-    """
+    """Where it is with the inputs of the loop is found by and by, in compiled code as in Python."""
     expected, event = switched(1.0)
     for tolerance in (1e-4, 1e-6):
         memory = run_switched(lag, tmp_path, version=version, solver=solver, tolerance=tolerance)
@@ -228,8 +224,6 @@ def test_a_state_event_ends_a_substep(lag, tmp_path, version, solver):
         ends = event_ends(memory)
         assert 1 <= len(ends) <= 10
         assert abs(ends[-1] - event) < tolerance
-        shortest = min(s.length for s in memory.substeps() if s.accepted and not s.event)
-        assert shortest > 1e-4 or len(memory.substeps()) < 200
         python = run_switched(
             lag, tmp_path, version=version, solver=solver, tolerance=tolerance, native=False
         )
