@@ -116,7 +116,7 @@ class _MemberRun:
                 completed = self._advance(stages, block, rows[: block.steps + 1])
                 rows[0] = rows[completed]
                 for control in graph.substep_controls:
-                    control.drain()  # nothing records them
+                    control.drain(int(block.time_ns[-1]))  # nothing records them
         except CosimError as error:
             return error
         return None

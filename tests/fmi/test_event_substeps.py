@@ -344,3 +344,15 @@ def test_why_an_fmu_cannot_go_back_is_said_with_the_refusal(tmp_path, coupling):
     refusal, reason = str(caught.value).splitlines()
     assert "ends.toml:7: scenario.substeps: one in this loop cannot take parts of a step" in refusal
     assert "components.one: ENDS: its state is not saved, although it says that it can be" in reason
+
+
+def test_a_run_that_an_fmu_ends_inside_a_step_is_verified(jumping, tmp_path):
+    """The substeps of the step that has no row are not those of the run."""
+    scenario = tmp_path / "jumps.toml"
+    text = SCENARIO.format(one=jumping("events", "lines"))
+    scenario.write_text(text.replace("announces = 1.0", "announces = 1.0, end = 0.35"))
+    log = cosim.run(str(scenario), out=tmp_path / "x.mcap")
+    assert log.time("two.y")[-1] == 0.3
+    assert max(s.end for s in log.substeps()) == 0.3
+    verification = verify(log, cosim.replay(log))
+    assert verification.passed, verification.problems

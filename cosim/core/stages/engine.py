@@ -154,7 +154,8 @@ class Engine:
         if self.conditions:
             for piece in self._advance_watched(block, signals):
                 yield piece
-                self.record_substeps()
+                self.record_substeps(int(piece[0].time_ns[-1]))
+            self._forget_substeps()
             return
         pacer = self._pacer
         pacer.begin(block)
@@ -164,15 +165,24 @@ class Engine:
             begin = max(reached, 0)
             reached = pacer.advance(block, signals)
             yield block.part(begin, reached), signals[begin : reached + 1]
-            self.record_substeps()
+            self.record_substeps(int(block.time_ns[reached]))
+        self._forget_substeps()
 
-    def record_substeps(self) -> None:
-        """Record the substeps of the rows that were written."""
+    def record_substeps(self, end_ns: int) -> None:
+        """Record the substeps of the rows that were written, up to an instant [ns].
+
+        Loops may be ahead of that, or have stopped inside a step, which has no row then.
+        """
         substeps: list[Substep] = []
         for control in self._controls:
-            substeps += control.drain()
+            substeps += control.drain(end_ns)
         for substep in sorted(substeps, key=attrgetter("begin")):
             self._recorder.substep(substep)
+
+    def _forget_substeps(self) -> None:
+        """Forget the substeps of a step that was not completed."""
+        for control in self._controls:
+            control.forget_from(0)
 
     def _advance_watched(self, block: Block, signals: Matrix) -> Iterator[tuple[Block, Matrix]]:
         """Advance up to where a condition comes true; yield the initial values by themselves."""

@@ -322,10 +322,10 @@ class SubstepControl:
         """Forget the substeps from an instant [ns] on: they are taken again."""
         self._substeps = [kept for kept in self._substeps if kept.begin_ns < time_ns]
 
-    def drain(self) -> list[Substep]:
-        """Return the substeps since the last call, and count them."""
-        substeps = self._substeps
-        self._substeps = []
+    def drain(self, end_ns: int) -> list[Substep]:
+        """Return the substeps since the last call, up to an instant [ns], and count them."""
+        substeps = [kept for kept in self._substeps if kept.begin_ns < end_ns]
+        self._substeps = [kept for kept in self._substeps if kept.begin_ns >= end_ns]
         for substep in substeps:
             self.counts.add(substep, begins_at_event=substep.begin == self._last_event)
             if substep.accepted and substep.event:

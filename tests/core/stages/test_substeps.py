@@ -605,7 +605,7 @@ def test_members_of_an_ensemble_take_their_own_substeps():
         memory = record(own, stop=0.1)
         last = [memory[signal][-1] for signal in SIGNALS]
         assert found.last[number].tolist() == last
-    assert graph.substep_controls[0].drain() == []
+    assert graph.substep_controls[0].drain(1_000_000_000) == []
 
 
 def test_the_order_of_a_nested_loop_is_that_of_what_takes_substeps():
