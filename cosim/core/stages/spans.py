@@ -14,7 +14,7 @@ from typing import Final
 
 from cosim.instants import NANOSECONDS, first_nanosecond, last_nanosecond
 
-NEAR: Final = 6  # what is near an event: 2**-6 of a part
+NEAR: Final = 6  # levels: near its end is the last 2**-6 of a part
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,8 +98,8 @@ class StepPart:
         return first, second
 
     @property
-    def near_and_at_event(self) -> tuple[StepPart, StepPart]:
-        """Its last part of ``NEAR``, and before it the rest of it."""
+    def last_and_rest(self) -> tuple[StepPart, StepPart]:
+        """What is near its end, and what is before that, as spans of their own."""
         near = StepPart(self.span, self.level + NEAR, ((self.number + 1) << NEAR) - 1).begin
         last = Span.between(near, self.end, self.event)
         return last.whole, Span.between(self.begin, near).whole

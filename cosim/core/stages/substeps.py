@@ -177,7 +177,7 @@ class SubsteppedLoop:
             elif taken.end is None and part.event and part.has_halves:
                 self._restore(states)
                 self._add(part, error=math.inf)
-                waiting += part.near_and_at_event
+                waiting += part.last_and_rest
             elif taken.error is not None and taken.error > 1.0 and control.can_refine(part):
                 self._restore(states)
                 self._add(part, error=taken.error)
