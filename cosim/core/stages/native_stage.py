@@ -91,7 +91,7 @@ def _in_substeps(stage: Stage, graph: Graph) -> Advancing:
         steps = _native_steps(stage.members)
         advancing = NativeStage([stage], steps, graph.layout, nullcontext())
     for control in stage.controls:
-        advancing = SubsteppedLoop(stage.members, control, advancing, stage.kept)
+        advancing = SubsteppedLoop(stage, control, advancing)
     return advancing
 
 

@@ -45,6 +45,7 @@ from cosim.core.stages.coupling import (
     Advancing,
     Cut,
     OperationName,
+    Stage,
     call,
     keep_limits,
     stop_of,
@@ -52,7 +53,6 @@ from cosim.core.stages.coupling import (
 from cosim.core.stages.member import END, Member
 from cosim.core.stages.spans import Span, StepPart
 from cosim.core.stages.substep_control import OutsideColumns, RecordedSubsteps, SubstepControl
-from cosim.core.stages.torn_inputs import KeptInputs
 from cosim.errors import RunError
 from cosim.instants import duration, last_nanosecond
 
@@ -123,27 +123,20 @@ class SubsteppedLoop:
 
     Parameters
     ----------
-    members : sequence of Member
-        The components of the loop.
+    loop : Stage
     control : SubstepControl
     advancing : Advancing
-        Advances them over communication steps, and so over parts of one.
-    kept : KeptInputs or None
-        The inputs that belong to outputs from before a step.
+        Advances its components over communication steps, and so over parts of one.
     """
 
-    def __init__(
-        self,
-        members: Sequence[Member],
-        control: SubstepControl,
-        advancing: Advancing,
-        kept: KeptInputs | None,
-    ) -> None:
+    def __init__(self, loop: Stage, control: SubstepControl, advancing: Advancing) -> None:
+        members = loop.members
+        self._loop = loop
+        self._refreshed = {name for kind, name in loop.order if kind == "refresh"}
         self._control = control
         self._members = members
         self._locating = [m for m in members if m.channel.interface.locates_events]
         self._advancing = advancing
-        self._kept = kept
         columns = [member.column_numbers for member in members]
         limits = [m.jumps.own_limits for m in members if m.jumps is not None]
         self._columns = np.concatenate([*columns, *limits])
@@ -297,9 +290,9 @@ class SubsteppedLoop:
             block, rows = step.rows(substep.begin, substep.end, row, self._control.outside)
             rows[1, self._columns] = substep.values
             computed = rows.copy()
-            self._gather_kept(rows)
+            given = self._given(rows)
             for member in recorded.live:
-                self._advance_alone(member, block, rows, computed)
+                self._advance_alone(member, block, rows, given, computed)
             values = tuple(computed[1, self._columns].tolist())
             self._control.add(substep._replace(values=values))
             row = rows[1]
@@ -313,16 +306,33 @@ class SubsteppedLoop:
             step.signals[1, member.inputs] = row[member.inputs]
         step.signals[1, self._limits] = computed[1, self._limits]
 
-    def _gather_kept(self, rows: Matrix) -> None:
-        """Gather the inputs that belong to outputs at the begin of a substep."""
-        if self._kept is None:
-            return
-        before = rows.copy()
-        for member in self._members:
-            member.keep_outputs(before)
-        self._kept.gather(before)
+    def _given(self, rows: Matrix) -> Matrix:
+        """Return rows of which the second has the inputs that components advanced with.
 
-    def _advance_alone(self, member: Member, block: Block, rows: Matrix, computed: Matrix) -> None:
+        Those that are extrapolated had outputs from the begin of the substep.
+        """
+        given = rows.copy()
+        for member in self._members:
+            member.keep_outputs(given)
+        by_name = {member.name: member for member in self._members}
+        for member in [by_name[name] for kind, name in self._loop.order if kind != "refresh"]:
+            member.gather_left(given)
+            if self._loop.kept is None:
+                given[1, member.outputs] = rows[1, member.outputs]
+        return given
+
+    def _extrapolated(self, member: Member) -> list[int]:
+        """Return the columns of inputs that a component advances with, but that end otherwise."""
+        columns: list[int] = []
+        if member.takes_latest:
+            for name in self._loop.extrapolated.get(member.name, ()):
+                places = member.channel.signal_columns[name]
+                columns += range(places.start, places.stop)
+        return columns
+
+    def _advance_alone(
+        self, member: Member, block: Block, rows: Matrix, given: Matrix, computed: Matrix
+    ) -> None:
         """Advance a component over a substep of which all signals are known.
 
         Parameters
@@ -331,19 +341,26 @@ class SubsteppedLoop:
         block : Block
         rows : Matrix, shape (2, width)
             All signals at both ends.
+        given : Matrix, shape (2, width)
+            The same with the inputs that it advanced with.
         computed : Matrix, shape (2, width)
             Takes its outputs, and the left limits of those that jump.
         """
-        if self._kept is not None:
+        if self._loop.kept is not None:
+            kept, _ = self._loop.kept.inputs_of(member)
             rows = rows.copy()
-            self._kept.put(rows, member)
+            rows[1, kept] = given[1, kept]
         jumps = member.reads_jumps(rows)
         taken = self._with_left_inputs(member, rows) if jumps else rows
+        extrapolated = self._extrapolated(member)
+        if extrapolated:
+            taken = taken.copy()
+            taken[1, extrapolated] = given[1, extrapolated]
         computed[1, member.outputs] = self._call("advance", member, block, taken)
         failure = keep_limits("advance", member, block.time, computed)
         if failure is not None:
             raise Cut(0, failure, member.name)
-        if jumps:
+        if jumps or (extrapolated and member.name in self._refreshed):
             computed[1, member.outputs] = self._call("right", member, block, rows)
 
     def _with_left_inputs(self, member: Member, rows: Matrix) -> Matrix:

@@ -378,6 +378,33 @@ def test_a_loop_with_recorded_components_takes_the_recorded_substeps(coupling, n
     same(original, record(again(original, coupling, native=native), stop=0.02))
 
 
+@pytest.mark.parametrize("native", [True, False])
+@pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
+@pytest.mark.parametrize("recorded", ["one", "two"])
+def test_components_that_took_the_latest_values_take_them_again(recorded, coupling, native):
+    """The first one had what the other gave at the begin of a substep, over all of it."""
+    method = {"coupling": coupling, "input_interpolation": "latest", "native": native}
+
+    def loop(**components):
+        own = {
+            "one": state_space(-1.0, 1.0, 1.0, 0.0, 0.0),
+            "two": state_space(-2.0, 1.0, 1.0, 0.5, 0.0),
+        }
+        connections = {
+            "one.u": Connection(("two.y",), gain=np.array([[-1.0]])),
+            "two.u": "one.y",
+        }
+        return Graph({**own, **components}, connections, substeps=tolerance(1e-4), **method)
+
+    original = record(loop(), stop=0.2)
+    replayed = loop(**{recorded: Replay(original, recorded)})
+    replayed.take_solutions(original, [recorded])
+    memory = record(replayed, stop=0.2)
+    for signal in ("one.x", "two.x", "one.y", "two.y", "one.u", "two.u"):
+        assert memory[signal].tobytes() == original[signal].tobytes()
+    assert memory.substeps() == original.substeps()
+
+
 def test_a_change_of_a_component_shows_beside_recorded_ones():
     """The comparison of a replay rests on it."""
     original = record(pair(substeps=tolerance(1e-5)), stop=0.2)
