@@ -387,7 +387,7 @@ def test_components_that_took_the_latest_values_take_them_again(recorded, coupli
 
     def loop(**components):
         own = {
-            "one": state_space(-1.0, 1.0, 1.0, 0.0, 0.0),
+            "one": state_space(-1.0, 1.0, 1.0, 0.0, 1.0),
             "two": state_space(-2.0, 1.0, 1.0, 0.5, 0.0),
         }
         connections = {
