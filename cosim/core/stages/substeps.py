@@ -246,7 +246,7 @@ class SubsteppedLoop:
         if step.events > EVENTS:
             reason = (
                 f"{EVENTS} events between t = {step.begin} s and {step.end} s, the last at "
-                f"{event.time} s; they do not end"
+                f"{event.time} s; they do not end, or need a smaller communication step"
             )
             stop = Stopped(np.empty((0, 0)), reason).at(event.component, event.time)
             raise Cut(0, stop, event.component)
