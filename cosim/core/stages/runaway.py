@@ -25,7 +25,7 @@ WINDOW: Final = 10  # steps, of which the largest value counts: it may oscillate
 GROWTH: Final = 1.1  # in these steps
 STEADY: Final = 0.95  # of the exponent of the growth in the steps before
 LIMIT: Final = 1e12
-NONE: Final = np.empty(0)
+HISTORY: Final = 3 * WINDOW  # steps that growth is seen in
 TINY: Final = float(np.finfo(np.float64).tiny)
 
 
@@ -73,7 +73,7 @@ class _WatchedLoop:
             for signal in member.channel.signals:
                 nominal += signal.nominal_values
         self._scale = max(map(abs, nominal))
-        self._peaks = np.empty(0)  # up to the step before `_next`
+        self._peaks = np.empty(0)  # of the last block and HISTORY steps, to that before `_next`
         self._next = 0
 
     def cut(self, block: Block, signals: Matrix) -> Cut | None:
@@ -96,9 +96,14 @@ class _WatchedLoop:
         return Cut(row - 1, error, self._members[0].name)
 
     def _known(self, index: int) -> Vector:
-        """Return the largest values of the steps up to one; it may be taken again."""
+        """Return the largest values of HISTORY steps up to one, as far as they are known.
+
+        It may be taken again: a run goes back to a step, or a session to a state.
+        """
         begin = self._next - len(self._peaks)
-        return self._peaks[: max(index - begin, 0)] if begin <= index <= self._next else NONE
+        if not begin <= index <= self._next:
+            return np.empty(0)
+        return self._peaks[: index - begin][-HISTORY:]
 
     def _peaks_of(self, signals: Matrix) -> Vector:
         """Return the largest value of every row; NaN is no value."""
@@ -131,11 +136,13 @@ def _growth(history: Vector) -> Vector:
     Vector, shape (N,)
     """
     growth = np.ones(len(history))
-    if len(history) < 3 * WINDOW:
+    if len(history) < HISTORY:
         return growth
-    largest = np.log(np.maximum(sliding_window_view(history, WINDOW).max(axis=1), TINY))
-    in_window = largest[2 * WINDOW :] - largest[WINDOW:-WINDOW]
-    before = largest[WINDOW:-WINDOW] - largest[: -2 * WINDOW]
-    is_steady = (before > 0.0) & (in_window >= math.log(GROWTH)) & (in_window >= STEADY * before)
-    growth[3 * WINDOW - 1 :] = np.where(is_steady, np.exp(in_window / WINDOW), 1.0)
+    largest = sliding_window_view(history, WINDOW).max(axis=1)
+    exponents = np.log(np.maximum(largest, TINY))
+    in_window = exponents[2 * WINDOW :] - exponents[WINDOW:-WINDOW]
+    before = exponents[WINDOW:-WINDOW] - exponents[: -2 * WINDOW]
+    least = np.maximum(math.log(GROWTH), STEADY * before)
+    is_steady = (before > 0.0) & (in_window >= least)
+    growth[HISTORY - 1 :] = np.where(is_steady, np.exp(in_window / WINDOW), 1.0)
     return growth

@@ -13,7 +13,7 @@ from cosim.core.master import run
 from cosim.core.recorders import Memory
 from cosim.core.signals import Interface, Signal
 from cosim.core.simulation import Simulation
-from cosim.core.stages.runaway import LIMIT
+from cosim.core.stages.runaway import HISTORY, LIMIT, LoopWatch
 from cosim.errors import RunawayError
 from tests.core.stages.test_newton import state_space
 
@@ -143,3 +143,13 @@ def test_a_loop_that_oscillates_while_it_grows_is_found():
     peaks = np.abs(memory["a.y"])
     assert not (peaks[1:] > peaks[:-1]).all()
     assert f"factor of {math.sqrt(1.32):.3f} a step" in text
+
+
+def test_what_is_remembered_does_not_grow_with_the_run():
+    """Of the rows before a block it is those that growth is seen in."""
+    members = list(growing().members.values())
+    watch = LoopWatch([members])
+    for block in Clock(10.0, 0.01, 4).blocks(4, 0.0):
+        watch.advance(block, np.ones((block.steps + 1, 4)))
+    (loop,) = watch._loops
+    assert len(loop._peaks) <= HISTORY + 5
