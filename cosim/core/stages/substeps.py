@@ -136,6 +136,10 @@ class SubsteppedLoop:
         self._control = control
         self._members = members
         self._locating = [m for m in members if m.channel.interface.locates_events]
+        by_name = {member.name: member for member in members}
+        self._in_order = [by_name[name] for kind, name in loop.order if kind == "advance"]
+        self._extrapolated = {member.name: _extrapolated(loop, member) for member in members}
+        self._gives_others = loop.kept is not None or any(self._extrapolated.values())
         self._advancing = advancing
         columns = [member.column_numbers for member in members]
         limits = [m.jumps.own_limits for m in members if m.jumps is not None]
@@ -311,24 +315,16 @@ class SubsteppedLoop:
 
         Those that are extrapolated had outputs from the begin of the substep.
         """
+        if not self._gives_others:
+            return rows
         given = rows.copy()
         for member in self._members:
             member.keep_outputs(given)
-        by_name = {member.name: member for member in self._members}
-        for member in [by_name[name] for kind, name in self._loop.order if kind != "refresh"]:
+        for member in self._in_order:
             member.gather_left(given)
             if self._loop.kept is None:
                 given[1, member.outputs] = rows[1, member.outputs]
         return given
-
-    def _extrapolated(self, member: Member) -> list[int]:
-        """Return the columns of inputs that a component advances with, but that end otherwise."""
-        columns: list[int] = []
-        if member.takes_latest:
-            for name in self._loop.extrapolated.get(member.name, ()):
-                places = member.channel.signal_columns[name]
-                columns += range(places.start, places.stop)
-        return columns
 
     def _advance_alone(
         self, member: Member, block: Block, rows: Matrix, given: Matrix, computed: Matrix
@@ -352,7 +348,7 @@ class SubsteppedLoop:
             rows[1, kept] = given[1, kept]
         jumps = member.reads_jumps(rows)
         taken = self._with_left_inputs(member, rows) if jumps else rows
-        extrapolated = self._extrapolated(member)
+        extrapolated = self._extrapolated[member.name]
         if extrapolated:
             taken = taken.copy()
             taken[1, extrapolated] = given[1, extrapolated]
@@ -424,3 +420,13 @@ class SubsteppedLoop:
     def _restore(self, states: Sequence[Any]) -> None:
         for member, state in zip(self._members, states, strict=True):
             member.component.restore(state)
+
+
+def _extrapolated(loop: Stage, member: Member) -> list[int]:
+    """Return the columns of inputs that a component advances with, but that end otherwise."""
+    columns: list[int] = []
+    if member.takes_latest:
+        for name in loop.extrapolated.get(member.name, ()):
+            places = member.channel.signal_columns[name]
+            columns += range(places.start, places.stop)
+    return columns
