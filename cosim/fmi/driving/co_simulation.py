@@ -22,6 +22,7 @@ from cosim.fmi.driving.clocks import EventClocks
 from cosim.fmi.driving.diagnostics import Diagnostics
 from cosim.fmi.driving.direct import DirectFeedthrough
 from cosim.fmi.driving.initialization import Initialization, Starts
+from cosim.fmi.driving.left_limits import LeftLimits, jumping_outputs
 from cosim.fmi.driving.local_model import derived, has_continuous_ports
 from cosim.fmi.driving.saved import SavedState, restore, save
 from cosim.fmi.driving.step_inputs import InputDerivativesFailed
@@ -71,7 +72,7 @@ class CoSimulation:
             native=not description.drives_clocks,
             linearizable=self._is_linearizable(description),
             substeps=self._capabilities.variable_step,
-            left_limits=self._jumping_outputs(description),
+            left_limits=jumping_outputs(description) if self._capabilities.event_mode else (),
             locates_events=self._capabilities.event_mode or self._capabilities.early_return,
             keeps_events=self._capabilities.event_mode and not self._capabilities.saves_state,
         )
@@ -87,7 +88,7 @@ class CoSimulation:
         self._fmu_state: object | None = None
         self._stepper = Stepper(instance, self._diagnostics, self._clocks, self._feedthrough)
         self._stepper.keeps_left = bool(self.interface.left_limits)
-        self._left_limits: dict[float, Vector] = {}
+        self._left_limits = LeftLimits()
         if not self._stepper.interpolates:
             self.interface = replace(self.interface, lagging=tuple(self._uncorrected_outputs()))
         self._tuned: list[TunedParameters] = []
@@ -121,13 +122,6 @@ class CoSimulation:
     def _is_linearizable(self, description: Description) -> bool:
         shows = self._capabilities.directional_derivatives or self._capabilities.saves_state
         return shows and has_continuous_ports(description)
-
-    def _jumping_outputs(self, description: Description) -> tuple[str, ...]:
-        """Return the continuous outputs that may jump in events of the FMU's own."""
-        if not self._capabilities.event_mode:
-            return ()
-        outputs = description.interface.outputs
-        return tuple(signal.name for signal in outputs if signal.variability == "continuous")
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -192,8 +186,7 @@ class CoSimulation:
                 completed = self._step(times[k], h, inputs[k], u1)
                 if completed:
                     self._report_inner_step(t1, h)
-                    if stepper.left is not None:
-                        self._left_limits[t1] = stepper.left
+                    self._left_limits.keep(t1, stepper.left)
                     # An event at the end of the block is left to the next advance: a loop may still
                     # correct the inputs that it happens with.
                     if k < steps - 1:
@@ -209,8 +202,7 @@ class CoSimulation:
 
     def left_limits(self, t: Vector) -> dict[int, Vector]:
         """Return the outputs before events at the ends of the last steps, by place in ``t``."""
-        limits = self._left_limits
-        return {place: limits[time] for place, time in enumerate(t.tolist()) if time in limits}
+        return self._left_limits.at(t)
 
     def first_event(self) -> float:
         """Return the time of the first event inside the last step [s]; infinity: none."""
@@ -261,9 +253,9 @@ class CoSimulation:
         Without one they are y + D (u - u_end).
         """
         stepper = self._stepper
-        if stepper.handle_point_event(t, u) or self._feedthrough is None:
+        if stepper.handle_point_event(t, u):
             return stepper.outputs
-        return self._feedthrough.add(stepper.outputs, u - stepper.inputs)
+        return stepper.corrected(stepper.outputs, u)
 
     def tune(self, t: float, parameters: TunedParameters) -> None:
         """Set tunable parameters at ``t``, the time reached.

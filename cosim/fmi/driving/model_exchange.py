@@ -30,6 +30,7 @@ from cosim.fmi.driving.integrator import (
     Interruption,
     LinearInputs,
 )
+from cosim.fmi.driving.left_limits import LeftLimits, jumping_outputs
 from cosim.fmi.driving.local_model import has_continuous_ports
 from cosim.fmi.driving.residual import FORMS, RADAU, DaeForm
 from cosim.fmi.driving.saved import SavedState, restore, save
@@ -118,12 +119,12 @@ class ModelExchange:
             restarts=self.solver == "CVode",
             linearizable=self.solver != RADAU and has_continuous_ports(instance.description),
             substeps=True,
-            left_limits=self._jumping_outputs(),
+            left_limits=jumping_outputs(instance.description) if self._may_have_events else (),
             locates_events=self._may_have_events,
             keeps_events=self._may_have_events and not self._capabilities.saves_state,
         )
         self._integrator.keeps_left = bool(self.interface.left_limits)
-        self._left_limits: dict[float, Vector] = {}
+        self._left_limits = LeftLimits()
         self._exact: ExactSolver | None = None
         self._compiled: CompiledIntegrator | None = None
 
@@ -131,13 +132,6 @@ class ModelExchange:
     def _may_have_events(self) -> bool:
         """Whether the FMU has event indicators, discrete variables or clocks."""
         return self.solver != "exact" and self._instance.description.has_discrete_parts
-
-    def _jumping_outputs(self) -> tuple[str, ...]:
-        """Return the continuous outputs that may jump in events of the FMU's own."""
-        if not self._may_have_events:
-            return ()
-        outputs = self._instance.description.interface.outputs
-        return tuple(signal.name for signal in outputs if signal.variability == "continuous")
 
     @property
     def metadata(self) -> dict[str, str | float]:
@@ -191,24 +185,19 @@ class ModelExchange:
         self._finish(self._take_over())
         self._leave_initialization()
         y = self._integrator.outputs(np.array(u, np.float64, order="C"))
-        self._keep_left(t)
+        self._left_limits.keep(t, self._integrator.left)
         self._hand_over()
         return y
 
     def left_limits(self, t: Vector) -> dict[int, Vector]:
         """Return the outputs before events at the ends of the last steps, by place in ``t``."""
-        limits = self._left_limits
-        return {place: limits[time] for place, time in enumerate(t.tolist()) if time in limits}
+        return self._left_limits.at(t)
 
     def first_event(self) -> float:
         """Return the time of the first event inside the last step [s]; infinity: none."""
         if self._compiled:
             return self._compiled.first_event
         return self._integrator.events.first
-
-    def _keep_left(self, t: float) -> None:
-        if self._integrator.left is not None:
-            self._left_limits[t] = self._integrator.left
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Step K times; see :class:`cosim.core.contracts.Component`."""
@@ -430,7 +419,7 @@ class ModelExchange:
                     self._integrator.handle_events(inputs[k + 1])
                 if completed:
                     y[k] = self._integrator.outputs(inputs[k + 1])
-                    self._keep_left(t1)
+                    self._left_limits.keep(t1, self._integrator.left)
             except RunError as error:
                 raise Stopped(y[:k].copy(), str(error)) from error
             if self._integrator.state.ended:

@@ -446,7 +446,7 @@ class Stepper:
             if s < 1.0 and (is_event_due or end.returned_early):
                 self._note_event(ramp, s, end)
             if is_event_due and s == 1.0 and self.keeps_left:
-                self.left = self._corrected_outputs(ramp.u1)
+                self.left = self.corrected(self._clocks.outputs(), ramp.u1)
             if is_event_due:
                 # What ticks at the end of the communication step waits for the inputs there.
                 self._handle_event(ramp.time(s), ramp.at(s), ticks=s < 1.0)
@@ -580,9 +580,8 @@ class Stepper:
             time = self._struct.next_event
         self._struct.first_event = min(self._struct.first_event, time)
 
-    def _corrected_outputs(self, u: Vector) -> Vector:
-        """Return the outputs of the FMU now, corrected to inputs ``u`` where D is known."""
-        y = self._clocks.outputs()
+    def corrected(self, y: Vector, u: Vector) -> Vector:
+        """Return outputs of the FMU as it is now, corrected to inputs ``u`` where D is known."""
         return y if self._feedthrough is None else self._feedthrough.add(y, u - self.inputs)
 
     def has_point_event(self, t: float, u: Vector) -> bool:
