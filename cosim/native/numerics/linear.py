@@ -250,12 +250,15 @@ def _substep_structs(
 def _dynamics_struct(others: OtherSteps, keep: list[object]) -> DynamicsStruct:
     """Return the struct of what is discretized where it is needed; ``keep`` gets its memory."""
     n, m = others.B.shape
-    mask = np.array(others.held, np.uint8)
-    inputs = _together(others.A, others.B)
-    results = _together(*map(np.zeros, (n * n, n * m, n * m, 4 * (n + 2 * m) ** 2)))
-    keep += [mask, *inputs, *results]
-    A, B = map(pointer, inputs)
-    return DynamicsStruct(A, B, pointer(mask), others.step, 0.0, *map(pointer, results))
+    augmented = n + 2 * m
+    held = np.array(others.held, np.uint8)
+    work = np.zeros(4 * augmented**2)
+    results = (np.zeros(n * n), np.zeros(n * m), np.zeros(n * m), work)
+    A, B, *memory = _together(others.A, others.B, *results)
+    keep += [held, A, B, *memory]
+    struct = DynamicsStruct(pointer(A), pointer(B), pointer(held), others.step)
+    struct.Ad, struct.B0, struct.B1, struct.work = map(pointer, memory)
+    return struct
 
 
 def delay_step(steps: int, width: int) -> NativeStep:
