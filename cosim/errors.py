@@ -6,7 +6,8 @@
     ├── UsageError            found before the first step; exit 2
     │   ├── ScenarioError     a scenario file: every problem of the file in one report
     │   ├── GraphError        components and connections that do not fit together
-    │   │   └── AlgebraicLoopError
+    │   │   ├── AlgebraicLoopError
+    │   │   └── RollbackError     components that would have to go back, and cannot
     │   ├── ClockError        a time, step or period that is off the grid
     │   ├── AssumptionError   an assumption of the method that does not hold
     │   │   └── StartError    an iteration cannot start where it should; another start may do
@@ -63,6 +64,10 @@ class GraphError(UsageError):
 
 class AlgebraicLoopError(GraphError):
     """Outputs that feed through to each other in an algebraic loop."""
+
+
+class RollbackError(GraphError):
+    """Components of a loop that would have to go back to the start of a step, and cannot."""
 
 
 class ClockError(UsageError):

@@ -20,7 +20,7 @@ from cosim.core.structure.feedthrough import Edge, extrapolation_text
 from cosim.core.structure.order import Coupling, order_loop
 from cosim.core.structure.substeps import driving_outputs, estimated_outputs, substep_roles
 from cosim.core.structure.variability import Variabilities
-from cosim.errors import GraphError, listing
+from cosim.errors import RollbackError, listing
 
 InputInterpolation: TypeAlias = Literal["linear", "zero-order", "latest"]
 
@@ -95,7 +95,7 @@ class StageBuilder:
 
         Raises
         ------
-        GraphError
+        RollbackError
             If the components of a loop cannot be coupled so.
         AlgebraicLoopError
             If there is a discrete signal in a cycle of outputs that feed through to each other.
@@ -191,7 +191,7 @@ class StageBuilder:
 
         Raises
         ------
-        GraphError
+        RollbackError
             If some neither can nor need not.
         """
         interfaces = {member.name: member.channel.interface for member in loop.members}
@@ -268,12 +268,12 @@ def _check_rollback(members: Sequence[Member]) -> None:
 
     Raises
     ------
-    GraphError
+    RollbackError
         If some cannot.
     """
     names = [member.name for member in members if not member.channel.interface.rollback]
     if names:
-        raise GraphError(
+        raise RollbackError(
             f"coupling: found 'newton', or several iterations, which takes a step several times; "
             f"{listing(names)} in this loop cannot go back to its start (rollback is not declared; "
             "of an FMU: canGetAndSetFMUstate); needed 'gauss-seidel' or 'jacobi', with 1 iteration"

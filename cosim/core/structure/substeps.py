@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from cosim.core.port import Port
 from cosim.core.signals import Interface, Signal, Variability
 from cosim.core.structure.feedthrough import Sources
-from cosim.errors import GraphError, listing
+from cosim.errors import RollbackError, listing
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +52,7 @@ def substep_roles(
 
     Raises
     ------
-    GraphError
+    RollbackError
         If some can do neither.
     """
     taking = [name for name, own in interfaces.items() if own.substeps and own.rollback]
@@ -68,7 +68,7 @@ def substep_roles(
         unfit += followed
         late = [name for name in late if name not in read]
     if unfit:
-        raise GraphError(
+        raise RollbackError(
             f"substeps: {listing(unfit)} in this loop cannot take parts of a step and go back "
             "(rollback or substeps is not declared; of an FMU: canGetAndSetFMUstate, "
             "canHandleVariableCommunicationStepSize), and other components follow the outputs "

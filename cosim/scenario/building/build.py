@@ -19,7 +19,7 @@ from cosim.core.signals import Interface
 from cosim.core.stepping.actions import AT_CONDITION, Action, ConditionalAction, TimedAction
 from cosim.core.structure.connection_checks import check_connections
 from cosim.core.structure.ports import Ports, layout_of
-from cosim.errors import CosimError
+from cosim.errors import CosimError, RollbackError
 from cosim.scenario.actions.stopping import check_until, until_warnings
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.building.graph_checks import held_disturbances, jump_problems
@@ -458,7 +458,7 @@ class Builder:
     def _problems_of(self, error: CosimError) -> list[Problem]:
         """Return what is wrong with a graph, and why FMUs cannot go back where that matters."""
         problems = [_problem_of(error)]
-        if "canGetAndSetFMUstate" in str(error):
+        if isinstance(error, RollbackError):
             for name, fmu in self.context.fmus.opened.items():
                 if fmu.unsaved:
                     problems.append((("components", name), fmu.unsaved))
