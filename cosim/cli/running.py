@@ -237,8 +237,8 @@ def replay(
             help="Check the log's content hash, and compare with the log what is computed again: "
             "every signal, bit for bit, and what the log says of its run (truth, connections, "
             "schedule, times, component tables, overrides, substeps, warnings, last row, "
-            "verdicts); exit 1 if one differs. A log is not signed: one of another run, put in "
-            "its place as a whole, passes.",
+            "verdicts); exit 1 if one differs, with the first difference of every component. A "
+            "log is not signed: one of another run, put in its place as a whole, passes.",
         ),
     ] = False,
     allow_code: Annotated[

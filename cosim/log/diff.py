@@ -8,6 +8,7 @@ elements, or where both are NaN.
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal, TypeAlias, final
@@ -36,6 +37,32 @@ class ElementDifference:
     time_ns: int
     a: float
     b: float
+
+    @property
+    def differing_bits(self) -> int:
+        """How many of the 64 bits of the two values differ."""
+        return (_bit_pattern(self.a) ^ _bit_pattern(self.b)).bit_count()
+
+    @property
+    def texts(self) -> tuple[str, str]:
+        """Both values as texts that give their bits back: as Python writes them, NaN with these."""
+        return _exact_text(self.a), _exact_text(self.b)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as JSON values; the bits are those of both values, hexadecimal."""
+        bits = [f"0x{_bit_pattern(value):016x}" for value in (self.a, self.b)]
+        return {**asdict(self), "bits": bits, "differing_bits": self.differing_bits}
+
+
+def _bit_pattern(value: float) -> int:
+    """Return the 64 bits of a number as an integer."""
+    (pattern,) = struct.unpack("<Q", struct.pack("<d", value))
+    return int(pattern)
+
+
+def _exact_text(value: float) -> str:
+    # all NaN look the same, and differ in up to 52 bits
+    return f"nan (0x{_bit_pattern(value):016x})" if math.isnan(value) else repr(value)
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,13 +151,14 @@ class LogDifference:
         first = self.first
         signals = []
         for row in self.rows:
-            signals.append({**asdict(row), "ratio": row.ratio})
+            own = None if row.first is None else row.first.to_dict()
+            signals.append({**asdict(row), "first": own, "ratio": row.ratio})
         return {
             "equal": self.equal,
             "within": self.within,
             "atol": self.atol,
             "rtol": self.rtol,
-            "first": None if first is None else asdict(first),
+            "first": None if first is None else first.to_dict(),
             "signals": signals,
             "events": asdict(self.events),
         }

@@ -16,14 +16,16 @@ Nothing is signed: the log of another run, put in the place of this one as a who
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
+from cosim.core.port import Port
 from cosim.core.recorders import Memory
 from cosim.errors import command, flag, listing
 from cosim.log import Log
-from cosim.log.diff import LogDifference, SignalDifference, diff
+from cosim.log.diff import ElementDifference, LogDifference, SignalDifference, diff
+from cosim.log.environment import environment_changes
 from cosim.report.statements import COMPARED, NOT_COMPARED, Contradiction, contradictions
 from cosim.scenario.recorded_metadata import (
     component_record,
@@ -32,7 +34,35 @@ from cosim.scenario.recorded_metadata import (
 )
 from cosim.scenario.recordings.replaying import recorded_document
 
-_MOST_SHOWN = 8  # contradictions
+_MOST_SHOWN = 8  # contradictions, or components
+VerificationStatus: TypeAlias = Literal["equal", "differs", "copied"]
+
+
+@dataclass(frozen=True, slots=True)
+class ComponentVerification:
+    """What a replay proves of one component.
+
+    Parameters
+    ----------
+    component : str
+    status : str
+        ``equal``: computed again, all bits of its inputs and outputs; ``differs``: they are not
+        all equal; ``copied``: its outputs were taken from the log, so that nothing is proven.
+    first : ElementDifference or None
+        The first difference in a value; None: there is none, or the rows are at other times.
+    reason : str
+        Why nothing computed it.
+    """
+
+    component: str
+    status: VerificationStatus
+    first: ElementDifference | None = None
+    reason: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as JSON values."""
+        first = None if self.first is None else self.first.to_dict()
+        return {**asdict(self), "first": first}
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +112,11 @@ class Verification:
     substeps : tuple of CopiedSubsteps
     scenario : str
         Where the scenario came from.
+    components : tuple of ComponentVerification
+        All of the log, in its order.
+    environment : mapping of name to (str, str)
+        Versions, platform and processor that are others than the log's run had: the recorded one
+        and the present one.
     """
 
     recorded_hash: str
@@ -92,6 +127,8 @@ class Verification:
     code: tuple[str, ...]
     substeps: tuple[CopiedSubsteps, ...]
     scenario: str
+    components: tuple[ComponentVerification, ...]
+    environment: Mapping[str, tuple[str, str]]
 
     @property
     def passed(self) -> bool:
@@ -146,6 +183,7 @@ class Verification:
             )
         if not self.difference.same_rows:
             problems.append(f"the replay differs from the log; first: {self._first}")
+            problems += self._later
         for contradiction in self.contradictions[:_MOST_SHOWN]:
             problems.append(f"the log contradicts its scenario: {contradiction}")
         further = len(self.contradictions) - _MOST_SHOWN
@@ -159,8 +197,22 @@ class Verification:
         if first is None:
             row = next(row for row in self.difference.rows if row.status != "equal")
             return _in_words(row)
-        time = first.time_ns / 1e9
-        return f"{first.signal} at t = {time} s: log {first.a!r}, replay {first.b!r}"
+        return _difference_text(first)
+
+    @property
+    def _later(self) -> list[str]:
+        """Where the other components differ first, in words and in the order of time."""
+        first = self.difference.first
+        others = []
+        for entry in self.components:
+            if entry.first is not None and entry.first != first:
+                others.append(entry.first)
+        others.sort(key=lambda element: element.time_ns)
+        lines = [f"then: {_difference_text(element)}" for element in others[:_MOST_SHOWN]]
+        further = len(others) - _MOST_SHOWN
+        if further > 0:
+            lines.append(f"then: {further} components more")
+        return lines
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as JSON values."""
@@ -174,15 +226,55 @@ class Verification:
             "computed": list(self.computed),
             "copied": list(self.copied),
             "code": list(self.code),
+            "components": [entry.to_dict() for entry in self.components],
+            "environment": {
+                name: {"recorded": recorded, "present": present}
+                for name, (recorded, present) in self.environment.items()
+            },
             "substeps_copied": [asdict(copied) for copied in self.substeps],
             "contradictions": [asdict(entry) for entry in self.contradictions],
             **self.difference.to_dict(),
         }
 
 
+def _difference_text(element: ElementDifference) -> str:
+    time = element.time_ns / 1e9
+    recorded, computed = element.texts
+    return (
+        f"{element.signal} at t = {time} s: log {recorded}, replay {computed}; "
+        f"{element.differing_bits} of the 64 bits differ"
+    )
+
+
 def _in_words(row: SignalDifference) -> str:
     rows_a, rows_b, _ = row.rows
     return f"{row.signal}: {row.status}: {rows_a} rows in the log, {rows_b} in the replay"
+
+
+def _components(
+    again: Log | Memory, difference: LogDifference, copied: Collection[str]
+) -> tuple[ComponentVerification, ...]:
+    """Return what is proven of every component."""
+    rows: dict[str, list[SignalDifference]] = {}
+    for row in difference.rows:
+        rows.setdefault(Port.parse(row.signal).component, []).append(row)
+    found = []
+    for name, own_rows in rows.items():
+        elements = [row.first for row in own_rows if row.first is not None]
+        first = min(elements, key=lambda element: element.time_ns, default=None)
+        status: VerificationStatus = "copied" if name in copied else "equal"
+        if any(row.status != "equal" for row in own_rows):
+            status = "differs"
+        reason = _why_copied(again, name) if name in copied else ""
+        found.append(ComponentVerification(name, status, first, reason))
+    return tuple(found)
+
+
+def _why_copied(again: Log | Memory, name: str) -> str:
+    code = component_record(again, name).code
+    if code is not None:
+        return f"{flag('allow_code')} computes it, which runs {code.class_name}"
+    return "a replay takes plants, FMUs and files from the log"
 
 
 def _copied_substeps(again: Log | Memory, copied: Collection[str]) -> tuple[CopiedSubsteps, ...]:
@@ -220,13 +312,16 @@ def verify(source: Log, again: Log | Memory) -> Verification:
         if component_record(again, name).code is not None:
             code += signals
     computed = again.channels.keys() - set(origin.copied)
+    difference = diff(source, again)
     return Verification(
         recorded_hash,
         found_hash,
-        diff(source, again),
+        difference,
         contradictions(source, again, computed),
         tuple(copied),
         tuple(code),
         _copied_substeps(again, origin.copied),
         recorded_document(source).source,
+        _components(again, difference, origin.copied),
+        environment_changes(source),
     )

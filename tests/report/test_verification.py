@@ -9,6 +9,7 @@ import cosim
 from cosim.cli import main
 from cosim.errors import LogError
 from cosim.log import open_log
+from cosim.log.diff import ElementDifference
 from cosim.log.layout import copy_values, record_dtype
 from cosim.report.verification import verify
 from tests.log.crafting import put_together, take_apart
@@ -24,26 +25,37 @@ def valid(tmp_path_factory):
     return path
 
 
+def with_rows(content, component, change):
+    """Change the rows of a component in place, with ``change(number, values)`` of each."""
+    (own,) = [n for n, channel in content.channels.items() if channel[0] == f"/{component}"]
+    rows = []
+    count = 0
+    for number, time_ns, sequence, data in content.messages:
+        if number == own:
+            size = len(data) // 9
+            record = np.zeros(1, record_dtype(size))
+            record.view("u1")[-len(data) :] = np.frombuffer(data, "u1")
+            values = np.empty((1, size))
+            copy_values(record, values)
+            change(count, values[0])
+            record["short"]["value"] = values
+            data = record.tobytes()[-len(data) :]
+            count += 1
+        rows.append((number, time_ns, sequence, data))
+    content.messages = rows
+
+
 def scaled(valid, path, columns, factor, *, forged=False):
     """Multiply some columns of the recorded plant, all checksums right; return the path.
 
     ``forged``: the recorded content hash and the last row are those of the changed rows, too.
     """
     content = take_apart(valid)
-    (plant,) = [number for number, channel in content.channels.items() if channel[0] == "/plant"]
-    rows = []
-    for number, time_ns, sequence, data in content.messages:
-        if number == plant:
-            size = len(data) // 9
-            record = np.zeros(1, record_dtype(size))
-            record.view("u1")[-len(data) :] = np.frombuffer(data, "u1")
-            values = np.empty((1, size))
-            copy_values(record, values)
-            values[:, columns] *= factor
-            record["short"]["value"] = values
-            data = record.tobytes()[-len(data) :]
-        rows.append((number, time_ns, sequence, data))
-    content.messages = rows
+
+    def scale(_, values):
+        values[columns] *= factor
+
+    with_rows(content, "plant", scale)
     put_together(content, path)
     if forged:
         found = open_log(path).content_hash()
@@ -113,6 +125,77 @@ def test_the_command_line_says_what_was_proven(valid, tmp_path, capsys):
     assert left.value.code == 1
     message = f"is {open_log(path).content_hash()}, recorded {log.recorded_hash}"
     assert message in capsys.readouterr().err
+
+
+def test_one_flipped_bit_is_shown_with_all_that_belongs_to_it(valid, tmp_path, capsys):
+    """One bit of one value: its signal, its time, both values to the last digit, and one bit."""
+    content = take_apart(valid)
+    observer = open_log(valid).channels["observer"]
+    column = observer.signal_columns["x_a"].start - observer.start + 1
+
+    def flip(number, values):
+        if number == 20:
+            values.view(np.uint64)[column] ^= np.uint64(1 << 17)
+
+    with_rows(content, "observer", flip)
+    environment = next(items for name, items in content.metadata if name == "cosim.env")
+    environment["numpy"] = "0.1.2"
+    path = put_together(content, tmp_path / "b.mcap")
+    right = cosim.open_log(valid)["observer.x_a"][20, 1].item()
+    wrong = cosim.open_log(path)["observer.x_a"][20, 1].item()
+    assert wrong != right
+    with pytest.raises(SystemExit) as left:
+        main(["replay", str(path), "--verify"])
+    assert left.value.code == 1
+    shown = capsys.readouterr().err
+    assert (
+        f"first: observer.x_a[1] at t = 0.02 s: log {wrong!r}, replay {right!r}; "
+        "1 of the 64 bits differ\n"
+    ) in shown
+    assert f"note: numpy was 0.1.2, is {np.__version__}\n" in shown
+    assert "then" not in shown
+    with pytest.raises(SystemExit):
+        main(["replay", str(path), "--verify", "--json"])
+    found = json.loads(capsys.readouterr().out)
+    first = found["first"]
+    assert (first["signal"], first["time_ns"]) == ("observer.x_a[1]", 20_000_000)
+    assert (first["a"], first["b"], first["differing_bits"]) == (wrong, right, 1)
+    patterns = [int(text, 16) for text in first["bits"]]
+    assert patterns == np.array([wrong, right]).view(np.uint64).tolist()
+    assert found["environment"] == {"numpy": {"recorded": "0.1.2", "present": np.__version__}}
+    statuses = {entry["component"]: entry["status"] for entry in found["components"]}
+    assert statuses.pop("observer") == "differs"
+    assert statuses.pop("plant") == "copied"
+    assert set(statuses.values()) == {"equal"}
+    assert list(found["components"][0]) == ["component", "status", "first", "reason"]
+
+
+def test_every_component_that_differs_is_shown_with_its_first_difference(valid):
+    """The earliest comes first, the other components behind it."""
+    again = cosim.replay(valid, set={"observer.filter_rate": 500.0})
+    verification = verify(open_log(valid), again)
+    first, *others = verification.problems[:2]
+    assert first.startswith("the replay differs from the log; first: observer.")
+    assert others[0].startswith("then: regressor.")
+    differing = {entry.component for entry in verification.components if entry.first is not None}
+    assert differing == {"observer", "regressor"}
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "bits", "texts"),
+    [
+        (0.0, -0.0, 1, ("0.0", "-0.0")),
+        (1.0, 1.0, 0, ("1.0", "1.0")),
+        (0.1, 0.2, 3, ("0.1", "0.2")),  # the same significand, exponents 0x3fb and 0x3fc
+        (1.0, -2.0, 12, ("1.0", "-2.0")),  # 0x3ff and 0xc00
+        (float("nan"), -float("nan"), 1, ("nan (0x7ff8000000000000)", "nan (0xfff8000000000000)")),
+    ],
+)
+def test_differing_bits_are_counted(a, b, bits, texts):
+    """All of the 64 bits of IEEE 754 count, sign and payload of NaN too."""
+    element = ElementDifference("plant.y", 0, a, b)
+    assert element.differing_bits == bits
+    assert element.texts == texts
 
 
 def test_only_a_replay_is_verified(valid):

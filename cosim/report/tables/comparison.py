@@ -39,7 +39,7 @@ def print_difference(difference: LogDifference, *, as_json: bool) -> None:
         outside = ""
         if row.first is not None:
             time = row.first.time_ns / 1e9
-            values = f"{row.first.a!r}, {row.first.b!r}"
+            values = ", ".join(row.first.texts)
             outside = f"{row.first.signal} at {time} s: {values}"
         numbers = [f"{value:.3g}" for value in (row.largest, row.scale, row.ratio)]
         table.add_row(row.signal, row.status, *numbers, outside)

@@ -377,13 +377,11 @@ def print_verification(
         for problem in verification.problems:
             print_line(f"{path}: {problem}", error=True)
         if verification.contradictions or not verification.difference.same_rows:
-            _warn_of_environment(source)
+            _warn_of_environment(verification, source)
 
 
-def _warn_of_environment(source: Recording) -> None:
-    from cosim.log.environment import environment_changes
-
-    for key, (recorded, current) in environment_changes(source).items():
+def _warn_of_environment(verification: Verification, source: Recording) -> None:
+    for key, (recorded, current) in verification.environment.items():
         print_line(f"note: {key} was {recorded}, is {current}", error=True)
     for name in source.channels:
         bits = component_record(source, name).bits
