@@ -13,6 +13,7 @@ In the order in which to read it::
       stages/                  the engine under it: components in their places, cascades and loops,
                                in Python and in compiled code
     recorders, recorded        what takes the rows, and gives them back by name
+      recorded_run             and by time, with what they rest on
     simulation                 the same engine, step by step
       stepping/                actions and faults, jumps of inputs, states, rows
     ensemble                   many members of one graph

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -203,9 +204,7 @@ class RecordedSignals(Mapping[str, NDArray[np.float64]]):
         return values
 
     def __iter__(self) -> Iterator[str]:
-        for component, channel in self.channels.items():
-            for signal in channel.signals:
-                yield f"{component}.{signal.name}"
+        return iter(self.signals)
 
     def __len__(self) -> int:
         return sum(len(channel.signals) for channel in self.channels.values())
@@ -223,9 +222,14 @@ class RecordedSignals(Mapping[str, NDArray[np.float64]]):
     __eq__ = object.__eq__
     __hash__ = object.__hash__
 
-    def signals(self) -> list[str]:
-        """Return the names of all signals, ``component.signal``."""
-        return list(self)
+    @property
+    def signals(self) -> Mapping[str, Signal]:
+        """What is known of every signal, by its name ``component.signal``: size, unit, role, ..."""
+        declared = {}
+        for component, channel in self.channels.items():
+            for signal in channel.signals:
+                declared[f"{component}.{signal.name}"] = signal
+        return MappingProxyType(declared)
 
     def time(self, name: str) -> Vector:
         """Return the instants of a signal's or component's rows, shape (N,) [s].
@@ -248,16 +252,9 @@ class RecordedSignals(Mapping[str, NDArray[np.float64]]):
         from html import escape  # only notebooks need it
 
         rows = []
-        for component, channel in self.channels.items():
-            for signal in channel.signals:
-                cells = (
-                    f"{component}.{signal.name}",
-                    str(signal.size),
-                    signal.unit or "",
-                    signal.role,
-                    signal.variability,
-                )
-                rows.append("".join(f"<td>{escape(cell)}</td>" for cell in cells))
+        for name, signal in self.signals.items():
+            cells = (name, str(signal.size), signal.unit or "", signal.role, signal.variability)
+            rows.append("".join(f"<td>{escape(cell)}</td>" for cell in cells))
         names = ("signal", "size", "unit", "role", "variability")
         header = "".join(f"<th>{name}</th>" for name in names)
         body = "".join(f"<tr>{row}</tr>" for row in rows)

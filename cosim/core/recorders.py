@@ -18,7 +18,8 @@ from cosim.arrays import Mask, Matrix, Nanoseconds, read_only
 from cosim.core.arguments import check_type
 from cosim.core.contracts import Block, Stopped
 from cosim.core.growing_rows import GrowingRows
-from cosim.core.recorded import RecordedSignals, RunMessage, find_channel
+from cosim.core.recorded import RunMessage, find_channel
+from cosim.core.recorded_run import RecordedRun, blocks_within
 from cosim.core.recording import MessageLevel, Plan, Recorder, RowMemory, SignalEvent, Substep
 from cosim.core.signals import Channel
 from cosim.errors import CosimError, Interrupted, LogError, UsageError, nearest
@@ -60,7 +61,7 @@ def _numbers(steps: range) -> NDArray[np.int64]:
     return np.arange(steps.start, steps.stop)
 
 
-class Memory(RecordedSignals):
+class Memory(RecordedRun):
     """Keeps every row of a run in memory; implements Recorder and Recording.
 
     Parameters
@@ -80,7 +81,7 @@ class Memory(RecordedSignals):
             check_type("metadata", metadata, Mapping, UsageError)
         if attachments is not None:
             check_type("attachments", attachments, Mapping, UsageError)
-        self.metadata: Mapping[str, Any] = metadata or {}
+        self._metadata: Mapping[str, Any] = metadata or {}
         self._attachments: Mapping[str, bytes] = attachments or {}
         self._channels: dict[str, Channel] = {}
         self._messages: list[RunMessage] = []
@@ -164,6 +165,11 @@ class Memory(RecordedSignals):
         return "the run"
 
     @property
+    def metadata(self) -> Mapping[str, Any]:
+        """Metadata of the run."""
+        return self._metadata
+
+    @property
     def attachments(self) -> tuple[str, ...]:
         """Names of the attachments."""
         return tuple(self._attachments)
@@ -245,15 +251,20 @@ class Memory(RecordedSignals):
         kept.flags.writeable = False
         return kept
 
-    def blocks(self, component: str) -> Iterator[tuple[Nanoseconds, Matrix]]:
+    def blocks(
+        self, component: str, *, first_ns: int | None = None, last_ns: int | None = None
+    ) -> Iterator[tuple[Nanoseconds, Matrix]]:
         """Yield times and rows of a component: all at once, as they are in memory anyway.
+
+        With bounds [ns], both included, only the rows between them.
 
         Raises
         ------
         UnknownSignalError
             If there is no such component; names the nearest.
         """
-        yield self.time_ns(component), self.rows(component)
+        whole = self.time_ns(component), self.rows(component)
+        yield from blocks_within(iter([whole]), first_ns, last_ns)
 
     def time_ns(self, component: str) -> Nanoseconds:
         """Return the instants of a component's rows, shape (N,) [ns].

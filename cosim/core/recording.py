@@ -235,10 +235,13 @@ class Recording(Protocol):
         """
         ...
 
-    def blocks(self, component: str) -> Iterator[tuple[Nanoseconds, Matrix]]:
+    def blocks(
+        self, component: str, *, first_ns: int | None = None, last_ns: int | None = None
+    ) -> Iterator[tuple[Nanoseconds, Matrix]]:
         """Yield times and rows of a component in order of time, some at a time.
 
-        The rows have its applied inputs, then its outputs.
+        The rows have its applied inputs, then its outputs. With bounds [ns], both included, they
+        are those between them. There is a block at least, which may have no rows.
         """
         ...
 

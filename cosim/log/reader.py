@@ -18,7 +18,8 @@ from mcap.opcode import Opcode
 from cosim.arguments import log_argument
 from cosim.arrays import Mask, Matrix, Nanoseconds
 from cosim.core.contracts import Design
-from cosim.core.recorded import RecordedSignals, RunMessage, find_channel
+from cosim.core.recorded import RunMessage, find_channel
+from cosim.core.recorded_run import RecordedRun, blocks_within
 from cosim.core.recorders import Memory
 from cosim.core.recording import SignalEvent, Substep
 from cosim.core.signals import Channel
@@ -58,7 +59,7 @@ def open_log(path: Path | str) -> Log:
 
 
 @final
-class Log(RecordedSignals):
+class Log(RecordedRun):
     """A recorded run in an MCAP file.
 
     Parameters
@@ -241,10 +242,18 @@ class Log(RecordedSignals):
         """
         return self._times_and_rows(component)[0]
 
-    def blocks(self, component: str) -> Iterator[TimedRows]:
+    def blocks(
+        self, component: str, *, first_ns: int | None = None, last_ns: int | None = None
+    ) -> Iterator[TimedRows]:
         """Yield times and rows of a component in order of time; of a long log some at a time.
 
         Nothing is kept: the memory that this takes does not grow with the log.
+
+        Parameters
+        ----------
+        component : str
+        first_ns, last_ns : int, optional
+            Only rows in ``first_ns <= time <= last_ns`` [ns].
 
         Raises
         ------
@@ -254,7 +263,7 @@ class Log(RecordedSignals):
             If the file is damaged.
         """
         find_channel(self._channels, component, source=str(self.path))
-        yield from self._rows.blocks(component)
+        yield from blocks_within(self._rows.blocks(component), first_ns, last_ns)
 
     def load(self, *components: str) -> None:
         """Read several components in one pass over the file; none named: all.

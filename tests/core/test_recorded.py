@@ -27,7 +27,7 @@ def recorded(request):
 
 def test_a_run_is_a_mapping_of_its_signals(recorded):
     """Names in the order of the row, arrays by name, elements of a signal as well."""
-    assert list(recorded) == recorded.signals()
+    assert list(recorded) == list(recorded.signals)
     assert len(recorded) == len(list(recorded.items())) == 24
     assert "u.y" in recorded
     assert "plant.x_a[1]" in recorded

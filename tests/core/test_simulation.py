@@ -536,7 +536,7 @@ def test_events_are_what_overrides_at_one_point_come_to(changes, expected):
     again = Kept()
     repeat(two_inputs(), clock(8), again, events=[first, *memory.events])
     assert again.events == [first, *memory.events]
-    for name in again.signals():
+    for name in again.signals:
         assert again[name].tobytes() == memory[name].tobytes()
 
 

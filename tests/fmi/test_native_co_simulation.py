@@ -114,7 +114,7 @@ def simulated(
         run(graph, Clock(STOP, STEP, block=block), memory)
     except RunError as raised:
         error = str(raised)
-    rows = {name: memory[name].tobytes() for name in memory.signals()}
+    rows = {name: memory[name].tobytes() for name in memory.signals}
     messages = [fmu.drain() for fmu in fmus]
     for fmu in fmus:
         fmu.close()
@@ -264,7 +264,7 @@ def typed_run(path, *, native):
             error = str(raised)
         messages = fmu.drain()
         fmu.close()
-    rows = {name: memory[name].tobytes() for name in memory.signals()}
+    rows = {name: memory[name].tobytes() for name in memory.signals}
     return rows, error, messages
 
 

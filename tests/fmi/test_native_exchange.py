@@ -368,7 +368,7 @@ def test_fmus_in_loops_and_cascades(model, solver, version, coupling):
             run(connected(coupling, native, fmus), Clock(STEPS * H, H, block), memory)
         except RunError as raised:
             error = str(raised)
-        rows = [memory[name].tobytes() for name in memory.signals()]
+        rows = [memory[name].tobytes() for name in memory.signals]
         found.append((rows, error, [events_of(fmu) for fmu in fmus]))
         for fmu in fmus:
             fmu.close()

@@ -177,7 +177,7 @@ def test_many_components_need_few_passes(tmp_path, monkeypatch, passes):
     assert len(passes) <= 1 + 3  # 1 + 64 + 4096 components
     passes.clear()
     backwards = open_log(tmp_path / "a.mcap")
-    for name in reversed(backwards.signals()):
+    for name in reversed(backwards.signals):
         assert len(backwards[name]) == 6
     assert len(passes) <= 20
 

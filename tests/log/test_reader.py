@@ -96,7 +96,7 @@ def test_a_log_returns_every_signal(path):
     """By its name, with its times; nothing can be written to."""
     rows = record(path)
     log = open_log(path)
-    assert log.signals() == [
+    assert list(log.signals) == [
         "plant.u",
         "plant.x_a",
         "plant.der(x)",
@@ -158,7 +158,7 @@ def test_logs_rewritten_by_other_tools_read_the_same(tmp_path, path, options, tu
     rewrite(path, copy, order=lambda messages: messages[::turn], **options)
     a = open_log(path)
     b = open_log(copy)
-    for name in a.signals():
+    for name in a.signals:
         assert same_bits(a[name], b[name])
     for name in a.channels:
         assert np.array_equal(a.time_ns(name), b.time_ns(name))

@@ -118,7 +118,7 @@ def test_the_command_line_says_what_was_proven(valid, tmp_path, capsys):
         "equal": True,
     }
     assert shown["copied"] == list(COPIED)
-    assert sorted(shown["computed"] + shown["copied"]) == sorted(log.signals())
+    assert sorted(shown["computed"] + shown["copied"]) == sorted(log.signals)
     path = scaled(valid, tmp_path / "b.mcap", slice(3, 5), 2.0)
     with pytest.raises(SystemExit) as left:
         main(["replay", str(path), "--verify"])

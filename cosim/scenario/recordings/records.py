@@ -14,6 +14,7 @@ from cosim.core.conditions import until_text
 from cosim.core.connections import Connection
 from cosim.core.contracts import Block, Stopped
 from cosim.core.gain.loop_gain import LoopGain
+from cosim.core.recorded_run import SCENARIO_FILE
 from cosim.core.recorders import close, end_of_run, error_text
 from cosim.core.recording import MessageLevel, Plan, Recorder, SignalEvent, Substep
 from cosim.core.stages.substep_control import SUBSTEP_COUNTS, SubstepCounts
@@ -30,7 +31,6 @@ from cosim.units import Conversion
 if TYPE_CHECKING:
     from cosim.fmi.binary.messages import Message
 
-SCENARIO_FILE = "scenario.toml"
 UNTIL = "until"
 
 

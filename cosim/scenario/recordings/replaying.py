@@ -14,6 +14,7 @@ import numpy as np
 from cosim.core.clock import Clock
 from cosim.core.contracts import Design
 from cosim.core.port import Port
+from cosim.core.recorded_run import SCENARIO_FILE
 from cosim.core.recording import CompleteRecording
 from cosim.core.stepping.actions import Action
 from cosim.errors import LogError, UsageError, command, flag, option
@@ -33,7 +34,6 @@ from cosim.scenario.recorded_metadata import (
     component_record,
     run_metadata,
 )
-from cosim.scenario.recordings.records import SCENARIO_FILE
 
 EVERYWHERE = {  # what matters to all inputs
     "scenario.input_interpolation",

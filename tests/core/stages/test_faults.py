@@ -232,7 +232,7 @@ def test_faults_are_recorded_and_repeated(kind, parameters):
     again = Memory()
     repeat(loop(), clock(), again, events=memory.events())
     assert again.events() == memory.events()
-    for name in memory.signals():
+    for name in memory.signals:
         assert again[name].tobytes() == memory[name].tobytes()
 
 

@@ -62,12 +62,12 @@ def test_a_run_with_actions_is_the_simulation_that_does_the_same_by_hand():
         memory = Memory()
         run_with_actions(loop(native=native), clock(), memory, actions=ACTIONS)
         assert memory.events() == expected.events()
-        for name in memory.signals():
+        for name in memory.signals:
             assert memory[name].tobytes() == expected[name].tobytes(), name
         again = Memory()
         repeat(loop(native=native), clock(), again, events=memory.events())
         assert again.events() == memory.events()
-        for name in memory.signals():
+        for name in memory.signals:
             assert again[name].tobytes() == memory[name].tobytes(), name
 
 
@@ -82,7 +82,7 @@ def test_actions_happen_to_who_steps_by_hand_too(size):
         rows = simulation.step(min(size, simulation.steps_left))
         assert rows.steps == len(rows.time_ns)
         parts.append(rows)
-    for name in memory.signals():
+    for name in memory.signals:
         found = np.concatenate([rows[name] for rows in parts])
         assert found.tobytes() == memory[name][1:].tobytes(), name
     assert parts[-1].time_ns[-1] == 40 * 10**8
@@ -182,7 +182,7 @@ def test_a_setting_is_an_event_and_repeated():
     again = Memory()
     repeat(other, clock(), again, events=memory.events(), settings=by_key)
     assert again.events() == memory.events()
-    for name in memory.signals():
+    for name in memory.signals:
         assert again[name].tobytes() == memory[name].tobytes(), name
 
 
@@ -278,7 +278,7 @@ def test_actions_happen_where_conditions_come_true_first(native, block):
     again = Memory()
     repeat(watched(native=native), clock(), again, events=memory.events())
     assert again.events() == memory.events()
-    for name in memory.signals():
+    for name in memory.signals:
         assert again[name].tobytes() == memory[name].tobytes(), name
 
 

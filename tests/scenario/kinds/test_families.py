@@ -230,7 +230,7 @@ def test_terms_without_parameters_have_amplitudes_alone(tmp_path):
     """There is no theta; a method that estimates theta alone says which does more."""
     terms = [{"alpha": ALPHAS[0], "family": "constant", "level": 0.7}]
     log = cosim.run(identified(tmp_path, terms, [0.4, 0.8]))
-    assert "identifier.theta" not in log.signals()
+    assert "identifier.theta" not in log.signals
     told = recorded_identification(log)["identifier"]
     assert told.parameters == ()
     (level,) = told.amplitudes[0]

@@ -1,0 +1,210 @@
+"""What a finished run tells beside its signals, and windows of it, in memory and from file."""
+
+import json
+import tomllib
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.core.recorded_run import span_ns
+from cosim.core.recorders import Memory
+from cosim.errors import LogError, UnknownSignalError, UsageError
+from cosim.log.diff import diff
+from cosim.scenario.document.document import find
+from tests.log.recordings import STEP_NS, blocks, layout, plan, record, same_bits, table
+
+SHORT = {"scenario.stop": 0.1}
+
+
+@pytest.fixture(scope="module")
+def in_memory():
+    return cosim.run("academic", set=SHORT)
+
+
+@pytest.fixture(scope="module")
+def from_file(tmp_path_factory):
+    return cosim.run("academic", set=SHORT, out=tmp_path_factory.mktemp("logs") / "academic.mcap")
+
+
+@pytest.fixture(params=["in_memory", "from_file"])
+def recorded(request):
+    return request.getfixturevalue(request.param)
+
+
+@pytest.fixture(params=["memory", "file"])
+def two_rates(request, tmp_path):
+    """Return a run of 1001 rows with a component that has every fifth, and its rows."""
+    rows = table(layout(), 1000)
+    if request.param == "file":
+        record(tmp_path / "a.mcap", rows=rows)
+        return cosim.open_log(tmp_path / "a.mcap"), rows
+    with Memory() as memory:
+        memory.begin(plan())
+        for block, signals in blocks(rows, 100):
+            memory.write(block, signals)
+    return memory, rows
+
+
+def test_t_has_the_instants_of_the_fastest_component(two_rates):
+    """Every communication point here, not those of the slower one."""
+    log, _ = two_rates
+    assert np.array_equal(log.t, np.arange(1001) * STEP_NS / 1e9)
+    assert len(log.time("identifier")) == 201
+
+
+def test_t_is_empty_before_the_run():
+    """As every signal is."""
+    assert len(Memory().t) == 0
+
+
+def test_signals_tell_what_they_are(recorded):
+    """By name, with all that was declared."""
+    assert recorded.signals["plant.x_a"].size == 2
+    assert recorded.signals["plant.x_a"].role == "state"
+    assert list(recorded.signals) == list(recorded)
+    with pytest.raises(TypeError):
+        recorded.signals["plant.x_a"] = None
+
+
+def test_parameters_are_those_of_the_scenario(recorded):
+    """Also where a run was started with others than its file has."""
+    shown = tomllib.loads(find("academic").text)["components"]
+    assert list(recorded.parameters) == list(recorded.channels)
+    for name, table_ in shown.items():
+        kind = table_.pop("kind")
+        assert recorded.parameters[name] == table_
+        assert kind
+    changed = cosim.run("academic", set={**SHORT, "observer.filter_rate": 500})
+    assert changed.parameters["observer"]["filter_rate"] == 500
+
+
+def test_the_scenario_is_its_text(recorded):
+    """As the run attached it."""
+    assert recorded.scenario == find("academic").text
+
+
+def test_a_run_without_a_scenario_has_no_parameters_and_no_text(two_rates):
+    """It says what is missing."""
+    log, _ = two_rates
+    assert log.parameters == {"plant": {}, "identifier": {}}
+    with pytest.raises(LogError, match=r"has no attachment 'scenario\.toml'"):
+        log.scenario  # noqa: B018
+
+
+@pytest.mark.parametrize("text", ["[1]", "{", "[" * 100_000, '{"a": 1', "null"])
+def test_parameters_that_cannot_be_understood_are_refused(text):
+    """A log may come from anywhere."""
+    memory = Memory(metadata={"cosim.component.plant": {"table": text}})
+    memory.begin(plan())
+    with pytest.raises(LogError, match=r"parameters of 'plant' cannot be understood: found .*JSON"):
+        memory.parameters  # noqa: B018
+
+
+def test_a_scenario_that_is_no_text_is_refused():
+    """Bytes that are no UTF-8."""
+    memory = Memory(attachments={"scenario.toml": b"\xff"})
+    with pytest.raises(LogError, match=r"scenario\.toml cannot be read"):
+        memory.scenario  # noqa: B018
+
+
+def test_a_window_has_the_rows_of_its_time(two_rates):
+    """Both ends included, every component by its own instants."""
+    log, rows = two_rates
+    part = log.window(0.1, 0.2)
+    assert list(part) == list(log)
+    assert part.t[0] == 0.1
+    assert part.t[-1] == 0.2
+    assert same_bits(part["plant.x_a"], rows[100:201, 1:3])
+    assert same_bits(part["identifier.y"], rows[100:201:5, 5:8])
+    assert np.array_equal(part.time("identifier"), np.arange(100, 201, 5) * STEP_NS / 1e9)
+    assert not part["plant.x_a"].flags.writeable
+    assert (part.steps, part.end_ns) == (200, 200 * STEP_NS)
+    assert part.label == f"{log.label} from 0.1 s to 0.2 s"
+
+
+@pytest.mark.parametrize(
+    ("t0", "t1", "first", "last"),
+    [
+        (None, None, 0, 1000),
+        (0.9, None, 900, 1000),
+        (None, 0.0, 0, 0),
+        (0.0995, 0.1015, 100, 101),
+        (-5.0, 1e300, 0, 1000),
+        (0.5, 0.5, 500, 500),
+    ],
+)
+def test_a_bound_that_is_left_out_or_off_the_grid_takes_all_rows_inside(
+    two_rates, t0, t1, first, last
+):
+    """The rows are those with ``t0 <= t <= t1``, compared as numbers."""
+    log, rows = two_rates
+    part = log.window(t0, t1)
+    assert same_bits(part["plant.u"], rows[first : last + 1, 0])
+    assert part.end_ns == last * STEP_NS
+
+
+@pytest.mark.parametrize(("t0", "t1"), [(0.1001, 0.1009), (5.0, None), (None, -1.0)])
+def test_a_window_without_rows_is_a_run_without_rows(two_rates, t0, t1):
+    """Its arrays are empty, of the shape of each signal."""
+    log, _ = two_rates
+    part = log.window(t0, t1)
+    assert part["plant.x_a"].shape == (0, 2)
+    assert part["plant.u"].shape == (0,)
+    assert len(part.t) == 0
+
+
+def test_a_window_of_a_window_is_what_both_have(two_rates):
+    """And a window is compared as any run."""
+    log, rows = two_rates
+    part = log.window(0.1, 0.5).window(0.4, 0.9)
+    assert same_bits(part["plant.u"], rows[400:501, 0])
+    assert diff(part, log.window(0.4, 0.5)).equal
+    assert {row.rows for row in diff(part, log).rows} == {(101, 1001, 101), (21, 201, 21)}
+
+
+def test_the_edges_of_a_window_are_doubles_as_the_times_are():
+    """Each instant is in the window from its own time to its own time."""
+    for k in range(0, 10**9, 99_999_937):
+        assert span_ns(k / 1e9, k / 1e9) == (k, k)
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_a_bound_that_is_no_finite_number_is_refused(two_rates, value):
+    """None is how a bound is left out."""
+    log, _ = two_rates
+    with pytest.raises(UsageError, match=r"t1: found (nan|inf); needed a finite number of seconds"):
+        log.window(0.0, value)
+    with pytest.raises(UsageError, match="t0: found 'a'; needed a number"):
+        log.window("a", 1.0)
+
+
+def test_bounds_in_the_wrong_order_are_refused(two_rates):
+    """Rather than an empty window."""
+    log, _ = two_rates
+    with pytest.raises(UsageError, match=r"found t0 = 2\.0 s behind t1 = 1\.0 s"):
+        log.window(2.0, 1.0)
+
+
+def test_an_unknown_signal_of_a_window_names_the_nearest(two_rates):
+    """As that of the run."""
+    log, _ = two_rates
+    with pytest.raises(UnknownSignalError, match="did you mean 'x_a'"):
+        log.window(0.1, 0.2)["plant.x_b"]
+
+
+def test_a_window_has_the_messages_and_jumps_of_its_time(tmp_path):
+    """An override at 0.05 s is in one half and not in the other."""
+    scenario = cosim.load("academic").set(SHORT)
+    with scenario.start(out=tmp_path / "a.mcap") as sim:
+        sim.step(50)
+        sim["plant.u"] = 0.3
+        sim.step(50)
+    log = cosim.open_log(tmp_path / "a.mcap")
+    assert [event.signal for event in log.window(0.0, 0.04).events()] == []
+    assert "plant.u" in [event.signal for event in log.window(0.05, 0.05).events()]
+    whole = log.messages()
+    halves = log.window(None, 0.03).messages() + log.window(0.030001, None).messages()
+    assert halves == whole
+    assert json.loads(log.window(0.0, 0.01).metadata["cosim.run"]["edits"])
+    assert log.window(0.0, 0.01).parameters == log.parameters
