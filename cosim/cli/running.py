@@ -250,6 +250,20 @@ def replay(
             "from the log. Their sources have to be those of the run.",
         ),
     ] = False,
+    begin: Annotated[
+        float | None,
+        typer.Option(
+            "--from",
+            metavar="T0",
+            help="Record, or compare with --verify, only from this communication point on [s]. All "
+            "is computed from the start, as a log has not the states of components: the rows are "
+            "those of the whole replay.",
+        ),
+    ] = None,
+    end: Annotated[
+        float | None,
+        typer.Option("--to", metavar="T1", help="And only up to this one; nothing behind is run."),
+    ] = None,
     out: OutOption = None,
     force: ForceOption = False,
     changes: SetOption = None,
@@ -272,6 +286,7 @@ def replay(
     source = open_log(log)
     if verify and stop is not None:
         raise UsageError("--verify compares the whole log; leave out --stop")
+    window = None if begin is None and end is None else (begin, end)
     edits = read_edits(changes, {"scenario.stop": stop})
     check_plot(plot, out)
     with show_progress(quiet or as_json) as progress, prints_to_stderr():
@@ -282,6 +297,7 @@ def replay(
             force=force,
             set=edits,
             allow_code=allow_code,
+            window=window,
             progress=progress,
             notice=notice,
         )

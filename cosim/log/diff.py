@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any, Literal, TypeAlias, final
 
 import numpy as np
@@ -171,6 +172,7 @@ def diff(
     atol: float = 0.0,
     rtol: float = 0.0,
     signals: Sequence[str] = (),
+    span_ns: tuple[int, int] | None = None,
 ) -> LogDifference:
     """Compare two runs signal by signal; of long logs only a part is in memory at a time.
 
@@ -184,6 +186,8 @@ def diff(
         As a part of each signal's largest |a|.
     signals : sequence of str
         The signals to compare, or elements of them, ``plant.x_a[0:2]``; none: all.
+    span_ns : (int, int), optional
+        The first and the last instant [ns] that are compared.
 
     Raises
     ------
@@ -207,17 +211,18 @@ def diff(
         names = list(dict.fromkeys([*columns_a, *columns_b]))
     rows: dict[str, SignalDifference] = {}
     for component, pairs in _pairs_by_component(names, columns_a, columns_b).items():
-        rows.update(_compare(component, pairs, a, b, atol=atol, rtol=rtol))
+        blocks = [partial(_blocks, run, component, span_ns) for run in (a, b)]
+        rows.update(_compare(pairs, blocks[0], blocks[1], atol=atol, rtol=rtol))
     for name in names:
         if name not in rows:
             run_a = a if name in columns_a else None
             run_b = b if name in columns_b else None
-            rows[name] = _not_compared(name, run_a, run_b)
+            rows[name] = _not_compared(name, run_a, run_b, span_ns)
     tolerances: dict[str, float | None] = {}
     for name, row in rows.items():
         if row.status not in {"other size", "only in a", "only in b"}:
             tolerances[name] = row.tolerance if atol or rtol else None
-    events = compare_events((a, b), (columns_a, columns_b), tolerances)
+    events = compare_events((a, b), (columns_a, columns_b), tolerances, span_ns)
     return LogDifference(tuple(rows[name] for name in names), atol, rtol, events)
 
 
@@ -287,11 +292,13 @@ def _component_of(name: str) -> str:
     return Port.parse(name).component
 
 
-def _not_compared(name: str, a: Recording | None, b: Recording | None) -> SignalDifference:
+def _not_compared(
+    name: str, a: Recording | None, b: Recording | None, span_ns: tuple[int, int] | None
+) -> SignalDifference:
     """Describe a signal that only one run has, or that the runs have with different sizes."""
     component = _component_of(name)
-    rows_a = 0 if a is None else _count(a, component)
-    rows_b = 0 if b is None else _count(b, component)
+    rows_a = 0 if a is None else _count(_blocks(a, component, span_ns))
+    rows_b = 0 if b is None else _count(_blocks(b, component, span_ns))
     status: DifferenceStatus = "other size"
     if b is None:
         status = "only in a"
@@ -300,30 +307,46 @@ def _not_compared(name: str, a: Recording | None, b: Recording | None) -> Signal
     return SignalDifference(name, status, (rows_a, rows_b, 0))
 
 
-def _count(run: Recording, component: str) -> int:
-    return sum(len(times) for times, _ in run.blocks(component))
+def _blocks(
+    run: Recording, component: str, span_ns: tuple[int, int] | None
+) -> Iterator[tuple[Nanoseconds, Matrix]]:
+    """Yield times and rows of a component, or those of a span of time."""
+    for times, rows in run.blocks(component):
+        if span_ns is None:
+            yield times, rows
+            continue
+        first_ns, last_ns = span_ns
+        first = int(np.searchsorted(times, first_ns))
+        end = int(np.searchsorted(times, last_ns, side="right"))
+        yield times[first:end], rows[first:end]
+
+
+def _count(blocks: Iterator[tuple[Nanoseconds, Matrix]]) -> int:
+    return sum(len(times) for times, _ in blocks)
 
 
 def _compare(
-    component: str,
     comparisons: Sequence[_Comparison],
-    a: Recording,
-    b: Recording,
+    a: Callable[[], Iterator[tuple[Nanoseconds, Matrix]]],
+    b: Callable[[], Iterator[tuple[Nanoseconds, Matrix]]],
     *,
     atol: float,
     rtol: float,
 ) -> dict[str, SignalDifference]:
-    """Compare the signals of a component; leave out those whose sizes differ."""
+    """Compare the signals of a component; leave out those whose sizes differ.
+
+    ``a`` and ``b`` return the blocks of its rows in both runs.
+    """
     same_size = [comparison for comparison in comparisons if comparison.same_size]
     if not same_size:
         return {}
     if rtol:  # the tolerance is a part of the scale, which is that of the whole signal
-        for _, rows in a.blocks(component):
+        for _, rows in a():
             for comparison in same_size:
                 comparison.extend_scale(rows)
     for comparison in same_size:
         comparison.set_tolerance(atol, rtol)
-    for window in windows(a.blocks(component), b.blocks(component)):
+    for window in windows(a(), b()):
         for comparison in same_size:
             comparison.add(window)
     return {comparison.name: comparison.result() for comparison in same_size}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from struct import pack
 from typing import NamedTuple, TypeAlias
@@ -84,6 +84,7 @@ def compare_events(
     runs: tuple[Recording, Recording],
     columns: tuple[SignalColumnsByName, SignalColumnsByName],
     tolerances: Mapping[str, float | None],
+    span_ns: tuple[int, int] | None = None,
 ) -> EventsDifference:
     """Compare the events of two runs.
 
@@ -93,17 +94,21 @@ def compare_events(
         Of a and of b.
     tolerances : mapping of signal to float or None
         The signals that are compared, which both runs have with one size; None: their bits are.
+    span_ns : (int, int), optional
+        The first and the last instant [ns] whose events are compared.
 
     Raises
     ------
     LogError
         If an event is of a signal that its run does not have, or not of its size.
     """
-    count_a, jumps_a = _jumps(runs[0], columns[0], tolerances)
-    count_b, jumps_b = _jumps(runs[1], columns[1], tolerances)
+    events_a = _events(runs[0], span_ns)
+    events_b = _events(runs[1], span_ns)
+    count_a, jumps_a = _jumps(runs[0], events_a, columns[0], tolerances)
+    count_b, jumps_b = _jumps(runs[1], events_b, columns[1], tolerances)
     places = sorted(dict.fromkeys([*jumps_a, *jumps_b]), key=lambda place: place.time_ns)
     outside = []
-    is_equal = _settings(runs[0]) == _settings(runs[1])
+    is_equal = _settings(events_a) == _settings(events_b)
     for place in places:
         a = jumps_a.get(place)
         b = jumps_b.get(place)
@@ -121,13 +126,25 @@ def compare_events(
     return EventsDifference((count_a, count_b), len(places), len(outside), is_equal, first)
 
 
-def _settings(run: Recording) -> list[SignalEvent]:
+def _events(run: Recording, span_ns: tuple[int, int] | None) -> list[SignalEvent]:
+    """Return the events of a run, or those of a span of time."""
+    events = run.events()
+    if span_ns is None:
+        return events
+    first_ns, last_ns = span_ns
+    return [event for event in events if first_ns <= event.time_ns <= last_ns]
+
+
+def _settings(events: Sequence[SignalEvent]) -> list[SignalEvent]:
     """Return where parameters were set, or components swapped."""
-    return [event for event in run.events() if event.cause in OF_COMPONENTS]
+    return [event for event in events if event.cause in OF_COMPONENTS]
 
 
 def _jumps(
-    run: Recording, columns: SignalColumnsByName, compared: Mapping[str, float | None]
+    run: Recording,
+    events: Sequence[SignalEvent],
+    columns: SignalColumnsByName,
+    compared: Mapping[str, float | None],
 ) -> tuple[int, dict[_Place, ElementEvent]]:
     """Return the number of events of the compared signals, and where each element jumped to."""
     known: dict[tuple[str, int], list[tuple[str, int]]] = {}
@@ -136,7 +153,7 @@ def _jumps(
             known.setdefault((Port.parse(signal).component, column), []).append((signal, element))
     count = 0
     jumps = {}
-    for event in run.events():
+    for event in events:
         is_compared = False
         if event.cause in OF_COMPONENTS:
             continue

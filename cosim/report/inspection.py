@@ -31,6 +31,7 @@ from cosim.scenario.recorded_metadata import (
     recorded_loop_gains,
     recorded_start,
     recorded_substep_counts,
+    recorded_window,
     replay_origin,
     run_metadata,
 )
@@ -55,7 +56,8 @@ def describe_log(path: str) -> Section:
     end = log.end_ns / 1e9
     step = log.step_ns / 1e9
     run = run_metadata(log)
-    start = recorded_start(log)
+    window = recorded_window(log)
+    start = recorded_start(log) if window is None else window[0]
     since = f"{start} s to " if start else ""
     about: Section = {
         "scenario": run.get("scenario", ""),

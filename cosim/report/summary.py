@@ -37,6 +37,7 @@ from cosim.scenario.recorded_metadata import (
     recorded_start,
     recorded_state_changes,
     recorded_substep_counts,
+    recorded_window,
     replay_origin,
     run_metadata,
     truth_of,
@@ -262,9 +263,10 @@ def summarize(recording: Recording) -> Summary:
     last = {} if truth else _last_values(recording)
     came_true = until_came_true(recording)
     substeps = recorded_substep_counts(recording)
+    window = recorded_window(recording)
     return Summary(
         scenario=run.get("scenario", ""),
-        start=recorded_start(recording),
+        start=recorded_start(recording) if window is None else window[0],
         end=recording.end_ns / 1e9,
         steps=recording.steps,
         status=recording.status,

@@ -20,6 +20,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal, TypeAlias
 
+from cosim.core.clock import nanoseconds
 from cosim.core.port import Port
 from cosim.core.recorders import Memory
 from cosim.errors import command, flag, listing
@@ -117,6 +118,8 @@ class Verification:
     environment : mapping of name to (str, str)
         Versions, platform and processor that are others than the log's run had: the recorded one
         and the present one.
+    window : (float, float) or None
+        The part of the log that was compared [s]; None: all of it.
     """
 
     recorded_hash: str
@@ -129,11 +132,14 @@ class Verification:
     scenario: str
     components: tuple[ComponentVerification, ...]
     environment: Mapping[str, tuple[str, str]]
+    window: tuple[float, float] | None = None
 
     @property
     def passed(self) -> bool:
         """Whether the content is what was recorded, and follows by computation where it can."""
         same_rows = self.found_hash == self.recorded_hash and self.difference.same_rows
+        if self.window is not None:
+            return same_rows and self.difference.events.equal
         return same_rows and not self.contradictions
 
     @property
@@ -146,11 +152,16 @@ class Verification:
     @property
     def lines(self) -> list[str]:
         """What has been proven, in words."""
-        lines = [
-            "the content hash is the one that its run recorded",
-            f"the replay equals the log bit for bit: {len(self.computed)} signals computed again",
-            f"what the log says of its run is what the replay computes: {COMPARED}",
-        ]
+        equal = (
+            f"the replay equals the log bit for bit: {len(self.computed)} signals computed again"
+        )
+        lines = ["the content hash is the one that its run recorded"]
+        if self.window is None:
+            lines.append(equal)
+            lines.append(f"what the log says of its run is what the replay computes: {COMPARED}")
+        else:
+            begin, end = self.window
+            lines.append(f"{equal}, and all events, from {begin} s to {end} s")
         if self.code:
             names = ", ".join(self.code)
             lines.append(
@@ -166,8 +177,11 @@ class Verification:
                 f"{command('diff')}"
             )
         lines += map(str, self.substeps)
+        not_compared = NOT_COMPARED
+        if self.window is not None:
+            not_compared = "the rows outside that window, what the log says of its run beside rows"
         lines.append(
-            f"not compared: {NOT_COMPARED}; nor is the log signed: a log of another run, put in "
+            f"not compared: {not_compared}; nor is the log signed: a log of another run, put in "
             "its place as a whole, passes"
         )
         return lines
@@ -184,12 +198,22 @@ class Verification:
         if not self.difference.same_rows:
             problems.append(f"the replay differs from the log; first: {self._first}")
             problems += self._later
+        if self.window is not None and not self.difference.events.equal:
+            problems.append(self._event_problem)
         for contradiction in self.contradictions[:_MOST_SHOWN]:
             problems.append(f"the log contradicts its scenario: {contradiction}")
         further = len(self.contradictions) - _MOST_SHOWN
         if further > 0:
             problems.append(f"the log contradicts its scenario: {further} times more")
         return problems
+
+    @property
+    def _event_problem(self) -> str:
+        first = self.difference.events.first
+        place = ""
+        if first is not None:
+            place = f"; first: {first.signal} at t = {first.time_ns / 1e9} s"
+        return f"the events of the replay differ from those of the log{place}"
 
     @property
     def _first(self) -> str:
@@ -223,6 +247,7 @@ class Verification:
                 "found": self.found_hash,
                 "equal": self.found_hash == self.recorded_hash,
             },
+            "window": None if self.window is None else list(self.window),
             "computed": list(self.computed),
             "copied": list(self.copied),
             "code": list(self.code),
@@ -294,7 +319,7 @@ def verify(source: Log, again: Log | Memory) -> Verification:
     ----------
     source : Log
     again : Log or Memory
-        What :func:`cosim.replay` made of it.
+        What :func:`cosim.replay` made of it: all of it, or a window, which is then compared alone.
 
     Raises
     ------
@@ -312,16 +337,20 @@ def verify(source: Log, again: Log | Memory) -> Verification:
         if component_record(again, name).code is not None:
             code += signals
     computed = again.channels.keys() - set(origin.copied)
-    difference = diff(source, again)
+    window = origin.window
+    span_ns = None if window is None else (nanoseconds(window[0]), nanoseconds(window[1]))
+    difference = diff(source, again, span_ns=span_ns)
+    contradicting = () if window is not None else contradictions(source, again, computed)
     return Verification(
         recorded_hash,
         found_hash,
         difference,
-        contradictions(source, again, computed),
+        contradicting,
         tuple(copied),
         tuple(code),
         _copied_substeps(again, origin.copied),
         recorded_document(source).source,
         _components(again, difference, origin.copied),
         environment_changes(source),
+        window,
     )

@@ -366,11 +366,14 @@ class ReplayOrigin:
         The one that its run recorded.
     copied : tuple of str
         The components whose outputs are copied from it; all others are computed.
+    window : (float, float) or None
+        Where the part of it begins and ends that was recorded [s]; None: all of it was.
     """
 
     log: str
     content_hash: str
     copied: tuple[str, ...]
+    window: tuple[float, float] | None = None
 
 
 class ConnectionRecord(_Record):
@@ -634,6 +637,22 @@ def replay_origin(recording: Recording) -> ReplayOrigin:
     if text is None:
         raise LogError("this is no replay; needed what cosim.replay() returned")
     return _checked(TypeAdapter(ReplayOrigin), _json(text, "replay"), "replay")
+
+
+def recorded_window(recording: Recording) -> tuple[float, float] | None:
+    """Return the window of a replay [s] whose rows are without those before; None: there is none.
+
+    Raises
+    ------
+    LogError
+        If that cannot be understood.
+    """
+    if "replay" not in run_metadata(recording):
+        return None
+    window = replay_origin(recording).window
+    if window is None or window[0] == recorded_start(recording):
+        return None
+    return window
 
 
 def truth_of(recording: Recording) -> dict[str, Any]:

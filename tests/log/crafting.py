@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import numpy as np
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
+from cosim.log.layout import copy_values, record_dtype
 from cosim.log.metadata import CHECKSUM, add_checksum
 
 
@@ -64,3 +66,23 @@ def put_together(content, path, **options):
             writer.add_message(ids[number], time_ns, data, time_ns, sequence)
         writer.finish()
     return path
+
+
+def change_rows(content, component, change):
+    """Change the rows of a component in place, with ``change(number, values)`` of each."""
+    (own,) = [n for n, channel in content.channels.items() if channel[0] == f"/{component}"]
+    rows = []
+    count = 0
+    for number, time_ns, sequence, data in content.messages:
+        if number == own:
+            size = len(data) // 9
+            record = np.zeros(1, record_dtype(size))
+            record.view("u1")[-len(data) :] = np.frombuffer(data, "u1")
+            values = np.empty((1, size))
+            copy_values(record, values)
+            change(count, values[0])
+            record["short"]["value"] = values
+            data = record.tobytes()[-len(data) :]
+            count += 1
+        rows.append((number, time_ns, sequence, data))
+    content.messages = rows

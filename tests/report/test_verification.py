@@ -10,9 +10,8 @@ from cosim.cli import main
 from cosim.errors import LogError
 from cosim.log import open_log
 from cosim.log.diff import ElementDifference
-from cosim.log.layout import copy_values, record_dtype
 from cosim.report.verification import verify
-from tests.log.crafting import put_together, take_apart
+from tests.log.crafting import change_rows, put_together, take_apart
 
 COPIED = ("plant.y", "plant.x_a", "plant.x_b")
 
@@ -25,26 +24,6 @@ def valid(tmp_path_factory):
     return path
 
 
-def with_rows(content, component, change):
-    """Change the rows of a component in place, with ``change(number, values)`` of each."""
-    (own,) = [n for n, channel in content.channels.items() if channel[0] == f"/{component}"]
-    rows = []
-    count = 0
-    for number, time_ns, sequence, data in content.messages:
-        if number == own:
-            size = len(data) // 9
-            record = np.zeros(1, record_dtype(size))
-            record.view("u1")[-len(data) :] = np.frombuffer(data, "u1")
-            values = np.empty((1, size))
-            copy_values(record, values)
-            change(count, values[0])
-            record["short"]["value"] = values
-            data = record.tobytes()[-len(data) :]
-            count += 1
-        rows.append((number, time_ns, sequence, data))
-    content.messages = rows
-
-
 def scaled(valid, path, columns, factor, *, forged=False):
     """Multiply some columns of the recorded plant, all checksums right; return the path.
 
@@ -55,7 +34,7 @@ def scaled(valid, path, columns, factor, *, forged=False):
     def scale(_, values):
         values[columns] *= factor
 
-    with_rows(content, "plant", scale)
+    change_rows(content, "plant", scale)
     put_together(content, path)
     if forged:
         found = open_log(path).content_hash()
@@ -137,7 +116,7 @@ def test_one_flipped_bit_is_shown_with_all_that_belongs_to_it(valid, tmp_path, c
         if number == 20:
             values.view(np.uint64)[column] ^= np.uint64(1 << 17)
 
-    with_rows(content, "observer", flip)
+    change_rows(content, "observer", flip)
     environment = next(items for name, items in content.metadata if name == "cosim.env")
     environment["numpy"] = "0.1.2"
     path = put_together(content, tmp_path / "b.mcap")

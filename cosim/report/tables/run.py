@@ -33,8 +33,10 @@ from cosim.scenario.kinds.initial_states import change_text
 from cosim.scenario.recorded_metadata import (
     Lateness,
     component_record,
+    recorded_start,
     recorded_state_changes,
     recorded_warnings,
+    recorded_window,
 )
 
 if TYPE_CHECKING:
@@ -127,7 +129,7 @@ def _summary_table(summary: Summary, recording: Recording) -> Table:
         _add_reconstruction(table, reconstruction, single=single)
     for identification in summary.identifications:
         single = len(summary.identifications) == 1
-        _add_identification(table, identification, summary.start, single=single)
+        _add_identification(table, identification, recorded_start(recording), single=single)
     for compensation in summary.compensations:
         _add_compensation(table, compensation)
     _add_loops(table, summary)
@@ -136,6 +138,9 @@ def _summary_table(summary: Summary, recording: Recording) -> Table:
     for component, class_name in summary.copied_code.items():
         text = f"taken from the log; {flag('allow_code')} computes it, which runs {class_name}"
         table.add_row(component, "", "", text)
+    if recorded_window(recording) is not None:
+        text = f"rows from {summary.start:.12g} s on; computed from {recorded_start(recording):g} s"
+        table.add_row("window", "", "", text)
     return table
 
 

@@ -32,6 +32,8 @@ from cosim.scenario.recorded_metadata import (
     CodeRecord,
     component_metadata,
     component_record,
+    recorded_window,
+    replay_origin,
     run_metadata,
 )
 
@@ -179,6 +181,7 @@ def rebuilt(
     ScenarioError
         With every problem of the changed scenario.
     """
+    _check_whole(source)
     changes = replay_changes(source, wanted)
     document = recorded_document(source).with_changes(changes)
     scenario, problems = read(document, parse)
@@ -256,6 +259,22 @@ def _with_code(specs: Mapping[str, Kind], named: Set[str], *, allow_code: bool) 
         is_allowed = spec.code is not None and (allow_code or spec.code in named)
         result[name] = spec.with_code() if is_allowed else spec
     return result
+
+
+def _check_whole(source: CompleteRecording) -> None:
+    """Check that a log is no window of a replay: nothing can be computed without what was before.
+
+    Raises
+    ------
+    LogError
+        If it is.
+    """
+    window = recorded_window(source)
+    if window is not None:
+        raise LogError(
+            f"{source.label}: found a replay from {window[0]} s to {window[1]} s alone; needed a "
+            f"log from the start of its run on, such as {replay_origin(source).log}"
+        )
 
 
 def check_clock(clock: Clock, source: CompleteRecording) -> None:

@@ -39,6 +39,7 @@ from cosim.scenario.recordings.replaying import (
     valid_designs,
     with_setting_designs,
 )
+from cosim.scenario.recordings.window import ReplayWindow, window_of
 
 if TYPE_CHECKING:
     from cosim.scenario.certification.certificate import Certification
@@ -294,6 +295,7 @@ def replay(
     force: bool = False,
     set: Mapping[str, Any] | None = None,
     allow_code: bool = False,
+    window: tuple[float | None, float | None] | None = None,
     block: int | None = None,
     progress: Progress | None = None,
     notice: Notice | None = None,
@@ -319,6 +321,10 @@ def replay(
         Compute the components of users' classes too, which runs the code of the classes that the
         log names. Each is found in the working directory or on sys.path, and has to be the one of
         the run, by the hash of its source.
+    window : (float or None, float or None), optional
+        Record only from one time to another [s], communication points; None: to where the
+        recording begins or ends. All is computed from the start, as components have states that a
+        log has not, so that the rows are those of the whole replay; nothing behind the window is.
 
     Returns
     -------
@@ -346,6 +352,10 @@ def replay(
     if out is not None and os.path.realpath(out) == os.path.realpath(source.path):
         raise UsageError(f"{out} is the log that is replayed; choose another path")
     check_target(out, force=force)
+    recorded = None if window is None else window_of(source, window)
+    gains = () if wanted else recorded_loop_gains(source)
+    if recorded is not None:
+        wanted = _with_end(wanted, recorded)
     with ExitStack() as resources:
         experiment = rebuilt(source, resources, wanted, block, allow_code=allow_code)
         original = recorded_document(source)
@@ -354,8 +364,19 @@ def replay(
         copied = tuple(recorded_components(experiment.scenario))
         experiment.graph.take_solutions(source, copied)
         origin = ReplayOrigin(str(source.path), source.recorded_hash, copied)
-        gains = () if wanted else recorded_loop_gains(source)
+        if recorded is not None:
+            origin = replace(origin, window=(recorded.begin, recorded.end))
         experiment = replace(experiment, origin=origin, designs=designs, gains=gains)
         experiment = with_setting_designs(experiment, source, designs)
         target = Target(out, force, notice=notice)
-        return record(experiment, target, progress=progress, profile=profile)
+        beside = None if recorded is None else recorded.beside
+        return record(experiment, target, progress=progress, profile=profile, beside=beside)
+
+
+def _with_end(wanted: Mapping[str, Any], window: ReplayWindow) -> dict[str, Any]:
+    """Return the changes of a replay that ends where a window does."""
+    if "scenario.stop" in wanted:
+        raise UsageError(
+            f"found both {option('set', 'scenario.stop')} and a window; needed one of them"
+        )
+    return {**wanted, "scenario.stop": window.end}

@@ -1,0 +1,173 @@
+"""A part of a replay: all is computed from the start, and only a window of time is recorded.
+
+Components have states, which a log has not: what happens in a window follows from all that was
+before it. So its rows are those of the whole replay, bit for bit, and nothing behind it is
+computed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, Final, Self
+
+from cosim.arrays import Matrix
+from cosim.core.clock import whole_steps
+from cosim.core.contracts import Block
+from cosim.core.recording import (
+    CompleteRecording,
+    MessageLevel,
+    Plan,
+    Recorder,
+    SignalEvent,
+    Substep,
+)
+from cosim.errors import UsageError, quoted
+
+_ENDS: Final = 2  # of a window
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayWindow:
+    """The part of a replay that is recorded, from one communication point to another.
+
+    Parameters
+    ----------
+    begin_ns, end_ns : int
+        Both included [ns].
+    index : int
+        Number of the communication point where it begins.
+    """
+
+    begin_ns: int
+    end_ns: int
+    index: int
+
+    @property
+    def begin(self) -> float:
+        """Where it begins [s]."""
+        return self.begin_ns / 1e9
+
+    @property
+    def end(self) -> float:
+        """Where it ends [s]."""
+        return self.end_ns / 1e9
+
+    def beside(self, recorder: Recorder) -> Recorder:
+        """Return a recorder that passes on what is in the window."""
+        return WindowRecorder(recorder, self) if self.index else recorder
+
+
+def window_of(source: CompleteRecording, ends: object) -> ReplayWindow:
+    """Return a window of a recording.
+
+    Parameters
+    ----------
+    source : CompleteRecording
+    ends : (float or None, float or None)
+        Where it begins and ends [s]; None: where the recording does.
+
+    Raises
+    ------
+    UsageError
+        If it is no window, or not within the recording; a ClockError if it is not on the grid of
+        the communication points, or begins where a component has no row.
+    """
+    if not isinstance(ends, tuple | list) or len(ends) != _ENDS:
+        raise UsageError(
+            f"window: found {quoted(ends)}; needed where it begins and ends [s], such as (2.0, 4.0)"
+        )
+    step_ns = source.step_ns
+    last_ns = source.end_ns
+    first_ns = last_ns - source.steps * step_ns
+    begin, end = ends
+    index = 0 if begin is None else _point(source, begin, "begins")
+    last = source.steps if end is None else _point(source, end, "ends")
+    if index >= last:
+        raise UsageError(
+            f"the window from {(first_ns + index * step_ns) / 1e9} s to "
+            f"{(first_ns + last * step_ns) / 1e9} s: needed at least one communication step, "
+            f"{step_ns / 1e9} s"
+        )
+    for name, channel in source.channels.items():
+        if index % channel.period:
+            before = index - index % channel.period
+            raise UsageError(
+                f"the window begins at {begin} s, where {name!r} has no row: it has one in "
+                f"{channel.period} communication steps; nearest before: "
+                f"{(first_ns + before * step_ns) / 1e9} s"
+            )
+    return ReplayWindow(first_ns + index * step_ns, first_ns + last * step_ns, index)
+
+
+def _point(source: CompleteRecording, time: object, verb: str) -> int:
+    """Return the number of a communication point of a recording."""
+    if isinstance(time, bool) or not isinstance(time, int | float):
+        raise UsageError(f"the window {verb} at {quoted(time)}; needed a time [s]")
+    first_ns = source.end_ns - source.steps * source.step_ns
+    if not first_ns / 1e9 <= time <= source.end_ns / 1e9:
+        raise UsageError(
+            f"the window {verb} at {time} s, the recording is from {first_ns / 1e9} s to "
+            f"{source.end_ns / 1e9} s; needed a time within it"
+        )
+    return whole_steps(time, source.step_ns, f"where the window {verb}", start_ns=first_ns)
+
+
+class WindowRecorder:
+    """Passes on what is in a window; its first communication point is number 0.
+
+    Parameters
+    ----------
+    recorder : Recorder
+    window : ReplayWindow
+    """
+
+    def __init__(self, recorder: Recorder, window: ReplayWindow) -> None:
+        self._recorder = recorder
+        self._index = window.index
+        self._begin_ns = window.begin_ns
+
+    def __enter__(self) -> Self:
+        self._recorder.__enter__()
+        return self
+
+    def __exit__(
+        self,
+        error_type: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._recorder.__exit__(error_type, error, trace)
+
+    def begin(self, plan: Plan) -> None:
+        """Pass on."""
+        self._recorder.begin(plan)
+
+    def write(self, block: Block, signals: Matrix) -> None:
+        """Pass on the rows from the begin of the window on."""
+        left_out = max(0, self._index - block.index)
+        if left_out > block.steps:
+            return
+        part = block.part(left_out, block.steps)
+        shifted = Block(part.index - self._index, part.time_ns, part.time, part.h)
+        self._recorder.write(shifted, signals[left_out:])
+
+    def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
+        """Pass on what is not before the window."""
+        if time_ns >= self._begin_ns:
+            self._recorder.message(time_ns, level, source, text)
+
+    def event(self, event: SignalEvent) -> None:
+        """Pass on what is not before the window."""
+        if event.time_ns >= self._begin_ns:
+            self._recorder.event(event)
+
+    def substep(self, substep: Substep) -> None:
+        """Pass on what does not begin before the window."""
+        if substep.begin_ns >= self._begin_ns:
+            self._recorder.substep(substep)
+
+    def result(self, values: Mapping[str, Any]) -> None:
+        """Pass on."""
+        self._recorder.result(values)
