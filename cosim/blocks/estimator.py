@@ -21,6 +21,19 @@ _PROBLEMS: Final = MappingProxyType(
         "communication point before; needed the samples of that step",
     }
 )
+_TEXTS: Final = MappingProxyType(
+    {
+        "regressor": "signals mu of the regression",
+        "delta": "reconstructed disturbance",
+        "sample_times": "instants of the samples of a step",
+        "samples": "measured outputs at these instants",
+        "theta": "estimated parameters of the disturbance",
+        "standard_error": "standard errors of theta",
+        "deviation": "standard deviation of the noise of y",
+        "amplitude": "estimated amplitudes of the disturbance",
+        "eta": "estimated coefficients of the regression",
+    }
+)
 
 
 class EstimatorKernel(Protocol[State]):
@@ -130,9 +143,9 @@ class Estimator(Generic[State]):
 
 def optional_input(name: str, size: int) -> Signal:
     """Return an input that may have no value yet."""
-    return Signal(name, size, optional=True, role="input")
+    return Signal(name, size, optional=True, role="input", description=_TEXTS[name])
 
 
 def estimate(name: str, size: int) -> Signal:
     """Return an output that has no value until the data determine it."""
-    return Signal(name, size, optional=True, role="estimate")
+    return Signal(name, size, optional=True, role="estimate", description=_TEXTS[name])

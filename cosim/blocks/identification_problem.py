@@ -166,12 +166,12 @@ class IdentificationProblem:
 
     def y_signal(self) -> Signal:
         """Return the input y."""
-        return Signal("y", len(self.plant.D), role="input")
+        return Signal("y", len(self.plant.D), role="input", description="measured output")
 
     def u_signals(self) -> tuple[Signal, ...]:
         """Return the input u, where the plant has one; it stands last of all inputs."""
         n_u = self.plant.D.shape[1]
-        return (Signal("u", n_u, role="input"),) if n_u else ()
+        return (Signal("u", n_u, role="input", description="known input"),) if n_u else ()
 
     def theta_signals(self, *names: str) -> tuple[Signal, ...]:
         """Return outputs as long as theta; none where the terms have no parameters."""

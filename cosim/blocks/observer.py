@@ -56,10 +56,11 @@ def observer_model(
     n_y, n_d = reduced.C5.shape
     inputs = _inputs(reduced)
     first, *others = [_estimate(state) for state in state_maps(reduced)]
-    delta = Signal("delta", n_d, role="estimate")
+    delta = _delta(n_d)
     own_states = [_observer_state(reduced)]
     if design.filter_rate is not None:
-        own_states.append(Signal("q", n_y, role="state"))
+        q = Signal("q", n_y, role="state", description="state of the derivative filter")
+        own_states.append(q)
     outputs = (first, delta, *others, *own_states)
     states = tuple(chain.from_iterable(signal.elements for signal in own_states))
     n = len(states)
@@ -87,7 +88,7 @@ def averaged_observer(
     n_a = len(reduced.A_a)
     X0, Xu = initial_state_map(reduced, design, x_a0=x_a0)
     z = _observer_state(reduced)
-    lagging = [Signal("delta", len(design.G), role="estimate")]
+    lagging = [_delta(len(design.G))]
     direct: list[Signal] = []
     for state in state_maps(reduced):
         signals = lagging if state.of_delta.any() else direct
@@ -136,16 +137,23 @@ def consistent_observer(model: AveragedModel, reduced: ReducedSystem, rate: floa
 def _inputs(reduced: ReducedSystem) -> tuple[Signal, ...]:
     """Return u and y; only y where there is no u."""
     n_y, n_u = reduced.C4.shape
-    y = Signal("y", n_y, role="input")
-    return (Signal("u", n_u, role="input"), y) if n_u else (y,)
+    y = Signal("y", n_y, role="input", description="measured output")
+    u = (Signal("u", n_u, role="input", description="known input"),) if n_u else ()
+    return (*u, y)
+
+
+def _delta(size: int) -> Signal:
+    return Signal("delta", size, role="estimate", description="reconstructed disturbance")
 
 
 def _estimate(state: StateMap) -> Signal:
-    return Signal(state.name, len(state.of_x_a), role="estimate")
+    text = f"estimate of {state.name}"
+    return Signal(state.name, len(state.of_x_a), role="estimate", description=text)
 
 
 def _observer_state(reduced: ReducedSystem) -> Signal:
-    return Signal("z", len(reduced.A_a), role="state")
+    text = "state of the observer"
+    return Signal("z", len(reduced.A_a), role="state", description=text)
 
 
 def _with_constant_state(model: LinearModel) -> LinearModel:

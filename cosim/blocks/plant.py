@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,6 +14,17 @@ from cosim.core.linear import DescriptorModel, LinearModel, feedthrough_of, init
 from cosim.core.signals import Interface, Role, Signal
 from cosim.errors import AssumptionError
 from cosim.theory.plants.descriptor import DescriptorSystem, ReducedSystem, reduce, state_maps
+
+_TEXTS: Final = MappingProxyType(
+    {
+        "u": "known input",
+        "delta": "unknown disturbance",
+        "y": "measured output",
+        "x": "state",
+        "x_a": "dynamic states",
+        "x_b": "algebraic states",
+    }
+)
 
 
 def descriptor_model(system: DescriptorSystem, initial: ArrayLike) -> LinearModel:
@@ -46,7 +59,7 @@ def descriptor_model(system: DescriptorSystem, initial: ArrayLike) -> LinearMode
     D_y = np.hstack([reduced.C4, reduced.C5])
     return linear_model(
         _signals({"u": n_u, "delta": n_d}, "input"),
-        (Signal("y", n_y), *_signals(sizes, "state")),
+        (Signal("y", n_y, description=_TEXTS["y"]), *_signals(sizes, "state")),
         states=_state_names(reduced),
         A=reduced.A_a,
         B=np.hstack([reduced.B_1a, reduced.B_2a]),
@@ -65,7 +78,11 @@ def _state_names(reduced: ReducedSystem) -> tuple[str, ...]:
 
 def _signals(sizes: Mapping[str, int], role: Role) -> tuple[Signal, ...]:
     """Return signals by their sizes; there is none without elements."""
-    return tuple(Signal(name, size, role=role) for name, size in sizes.items() if size)
+    signals = []
+    for name, size in sizes.items():
+        if size:
+            signals.append(Signal(name, size, role=role, description=_TEXTS[name]))
+    return tuple(signals)
 
 
 def initial_vector(name: str, values: ArrayLike, size: int, needed: str) -> Vector:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from itertools import chain
+from typing import Final
 
 import numpy as np
 
@@ -15,6 +16,9 @@ from cosim.native.estimation.alphas import Alpha, AlphaSignal, PastAlphas, signa
 from cosim.native.estimation.regression import RegressorConstants, RegressorStep
 from cosim.native.step import LARGEST_MEMORY, NativeStep
 from cosim.theory.disturbances.regression import Term
+
+_DELTA: Final = "reconstructed disturbance"
+_MU: Final = "signals of the regression"
 
 
 class Regressor:
@@ -70,9 +74,9 @@ class Regressor:
         self.constants = RegressorConstants(past, steps, row, factor, sign)
         self._kernel = RegressorStep(self.constants)
         # what lags has no value at the start
-        delta = Signal("delta", role="input", optional=lag > 0.0)
+        delta = Signal("delta", role="input", optional=lag > 0.0, description=_DELTA)
         inputs = (delta, *alpha_signals(alphas))
-        mu = Signal("mu", len(terms), optional=True)
+        mu = Signal("mu", len(terms), optional=True, description=_MU)
         # without a delay of 0 all that mu depends on has passed
         fed = [signal.name for signal in inputs] if 0 in steps else []
         self.interface = Interface(inputs, (mu,), {"mu": tuple(fed)}, rollback=True, native=True)
@@ -121,7 +125,7 @@ class ElementRegressors:
         self._elements = tuple(elements)
         inputs = [element.interface.inputs[0] for element in elements]
         is_optional = any(signal.optional for signal in inputs)
-        delta = Signal("delta", len(inputs), role="input", optional=is_optional)
+        delta = Signal("delta", len(inputs), role="input", optional=is_optional, description=_DELTA)
         alpha = alpha_signals(list(chain.from_iterable(signals)))
         size = sum(element.interface.outputs[0].size for element in elements)
         fed: set[str] = set()
@@ -131,7 +135,7 @@ class ElementRegressors:
             self._columns.append([e, *(len(inputs) + signal.element for signal in own)])
         self.interface = Interface(
             (delta, *alpha),
-            (Signal("mu", size, optional=True),),
+            (Signal("mu", size, optional=True, description=_MU),),
             {"mu": tuple(sorted(fed))},
             rollback=True,
             native=True,
@@ -179,7 +183,8 @@ def alpha_signals(alphas: Sequence[Alpha]) -> tuple[Signal, ...]:
     if not signals:
         return ()
     lags = any(signal.lag > 0.0 for signal in signals)
-    return (Signal("alpha", len(signals), optional=lags, role="input"),)
+    text = "known functions of the terms"
+    return (Signal("alpha", len(signals), optional=lags, role="input", description=text),)
 
 
 def _alpha_rows(term: Term, rows: int) -> list[int]:

@@ -67,6 +67,8 @@ class Signal:
     first : int
         Number of its first element where it comes from, such as 1 for the vector that the variables
         ``x[1]``, ``x[2]`` of an FMU are. Here elements are numbered from 0.
+    description : str
+        What it is, for people (FMI: description); signals that differ in it alone are equal.
 
     Raises
     ------
@@ -86,6 +88,7 @@ class Signal:
     connection: Need = "required"
     nominal: tuple[float, ...] = ()
     first: int = 0
+    description: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name:
@@ -109,6 +112,7 @@ class Signal:
 
     def _check_types(self) -> None:
         self._need("unit", "a string or None", isinstance(self.unit, str | None))
+        self._need("description", "a string", isinstance(self.description, str))
         self._need("optional", "True or False", isinstance(self.optional, bool))
         self._need("base", "a BaseUnit or None", isinstance(self.base, BaseUnit | None))
         self._need("start", "a tuple of numbers, none of them NaN", _are_numbers(self.start))

@@ -496,6 +496,7 @@ class Description:
             start=start,
             connection=connection,
             nominal=_nominal(group),
+            description=_doc(group),
         )
 
     def _need(self, group: Sequence[Variable]) -> Need:
@@ -504,6 +505,11 @@ class Description:
             return "required"
         is_set = any(variable.name in self.set_inputs for variable in group)
         return "forbidden" if is_set else "optional"
+
+
+def _doc(group: Sequence[Variable]) -> str:
+    """Return what the variables of a group are, each text once."""
+    return "; ".join(dict.fromkeys(variable.doc for variable in group if variable.doc))
 
 
 def _nominal(group: Sequence[Variable]) -> tuple[float, ...]:

@@ -48,6 +48,8 @@ _CHECKSUM_NAME = "cosim.channel"  # metadata of channels have no name of their o
 _CACHED_SIZES = 64  # most components have one of few sizes
 # fields of a signal that were there from the first log on
 _ALWAYS_WRITTEN = ("name", "size", "unit", "variability", "optional", "type", "role")
+# one only scales tolerances, the other is for people
+_NOT_HASHED = ("nominal", "description")
 _DOUBLE_WIRE_TYPE = 1  # of protobuf: 64 bits
 
 # Groups of fields whose tags have 1, 2 and 3 bytes: name, first field number, one past the last.
@@ -110,6 +112,9 @@ class Part:
             items["cosim.lagging"] = compact(list(channel.interface.lagging))
         if channel.interface.left_limits:
             items["cosim.left_limits"] = compact(list(channel.interface.left_limits))
+        descriptions = {s.name: s.description for s in channel.signals if s.description}
+        if descriptions:
+            items["cosim.descriptions"] = compact(descriptions)
         # Last: the checksum covers all items, and what came after it would be unprotected.
         return add_checksum(_CHECKSUM_NAME, items)
 
@@ -149,12 +154,13 @@ def read_part(metadata: Mapping[str, str]) -> Part:
             f"period {period_ns} ns, step {step_ns} ns, columns {start}:{stop} do not fit together"
         )
     signals = read_json(items["cosim.signals"])
+    descriptions = json_table(items.get("cosim.descriptions", "{}"))
     initial = json_table(items.get("cosim.initial", "{}"))
     delayed = read_json(items.get("cosim.delayed", "[]"))
     lagging = read_json(items.get("cosim.lagging", "[]"))
     left_limits = read_json(items.get("cosim.left_limits", "[]"))
     interface = replace(
-        _read_interface(signals, initial),
+        _read_interface(signals, initial, descriptions),
         delayed=tuple(delayed),
         lagging=tuple(lagging),
         left_limits=tuple(left_limits),
@@ -188,9 +194,10 @@ def signals_json(interface: Interface) -> str:
     unknown. A field that is not ``_ALWAYS_WRITTEN`` is left out where it has its default, so that
     one added later changes no hash of signals that do without it. What outputs depend on at
     initialization, and which inputs are delayed, only orders calls, which outputs lag
-    only says what the order of the error is, and which have left limits what a jump is: that stands
-    apart, in ``cosim.initial``, ``cosim.delayed``, ``cosim.lagging`` and ``cosim.left_limits``, and
-    changes no hash; so do nominal values, which are not written at all.
+    only says what the order of the error is, which have left limits what a jump is, and a
+    description only what people read: that stands apart, in ``cosim.initial``, ``cosim.delayed``,
+    ``cosim.lagging``, ``cosim.left_limits`` and ``cosim.descriptions``, and changes no hash; so do
+    nominal values, which are not written at all.
     """
     # The hash covers this text byte by byte: neither the order of the signals nor that of the keys
     # in an entry may change, nor _ALWAYS_WRITTEN.
@@ -206,14 +213,16 @@ def _signal_entry(signal: Signal, causality: str) -> dict[str, Any]:
     entry: dict[str, Any] = {"causality": causality}
     values = asdict(signal)
     for field in fields(Signal):
-        if field.name == "nominal":  # it only scales tolerances
+        if field.name in _NOT_HASHED:
             continue
         if field.name in _ALWAYS_WRITTEN or getattr(signal, field.name) != field.default:
             entry[field.name] = values[field.name]
     return entry
 
 
-def _read_interface(entries: Any, initial: Mapping[str, Any]) -> Interface:
+def _read_interface(
+    entries: Any, initial: Mapping[str, Any], descriptions: Mapping[str, Any]
+) -> Interface:
     if not isinstance(entries, list):
         raise ValueError(f"found {quoted(entries)}, needed a list of signals")
     inputs: list[Signal] = []
@@ -228,7 +237,9 @@ def _read_interface(entries: Any, initial: Mapping[str, Any]) -> Interface:
         if "feedthrough" in values:
             feedthrough[values["name"]] = _input_names(values.pop("feedthrough"))
         signals = {"input": inputs, "output": outputs}[causality]
-        signals.append(_read_signal(values))
+        signals.append(
+            _read_signal({**values, "description": descriptions.get(values["name"], "")})
+        )
     initial_dependencies = {output: _input_names(names) for output, names in initial.items()}
     _check_dependencies(feedthrough, inputs, outputs)
     _check_dependencies(initial_dependencies, inputs, outputs)

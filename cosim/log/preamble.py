@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from cosim.core.recording import Plan
+from cosim.log.comments import element_comments, part_comment
 from cosim.log.environment import environment
 from cosim.log.layout import Part
 from cosim.log.messages import EVENT_SCHEMA, LOG_SCHEMA, STEP_SCHEMA, MessageSchema
@@ -28,13 +29,20 @@ class Attachment:
     data: bytes
 
 
+def part_schema(part: Part, message: str) -> bytes:
+    """Return the schema of a part's messages, ``cosim.<message>``."""
+    title = part_comment(part)
+    comments = element_comments(part)
+    return component_schema(message, part.elements, title=title, comments=comments)
+
+
 def write_parts(sink: Sink, parts: Sequence[Part]) -> list[int]:
     """Write schema and channel of every part; return the channels' ids."""
     messages = identifiers([part.title for part in parts])
     channel_ids = []
     for part, message in zip(parts, messages, strict=True):
         topic = f"/{part.title}"
-        schema = (f"cosim.{message}", component_schema(message, part.elements))
+        schema = (f"cosim.{message}", part_schema(part, message))
         channel_id = sink.channel(topic, schema=schema, metadata=part.metadata)
         channel_ids.append(channel_id)
     return channel_ids

@@ -3,7 +3,8 @@
 A protobuf field name is an identifier, and its JSON name drops the underscores and capitalizes the
 letter behind each. Two fields with one JSON name (``x_1`` and ``x1``, ``a_b`` and ``aB``) make the
 stock decoders refuse the whole channel. So no two names differ only by underscores and case here;
-the original names stand in the channel's metadata.
+the original names stand in the channel's metadata, and in the comments of the schema
+(``source_code_info``), with what else people want to know of a field. Decoders skip these.
 """
 
 from __future__ import annotations
@@ -16,6 +17,10 @@ from google.protobuf import descriptor_pb2
 _LEGAL = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _ILLEGAL = re.compile(r"[^A-Za-z0-9_]+")
 _FIELD = descriptor_pb2.FieldDescriptorProto
+# Where the one message of a file is, by the numbers of the descriptors' fields, and on which line.
+_MESSAGE_PATH = (descriptor_pb2.FileDescriptorProto.MESSAGE_TYPE_FIELD_NUMBER, 0)
+_FIELDS = descriptor_pb2.DescriptorProto.FIELD_FIELD_NUMBER
+_MESSAGE_LINE = 3
 
 
 def identifiers(names: Sequence[str]) -> list[str]:
@@ -57,11 +62,23 @@ def _comparable(identifier: str) -> str:
     return identifier.replace("_", "").lower()
 
 
-def component_schema(message: str, elements: Sequence[str]) -> bytes:
+def component_schema(
+    message: str, elements: Sequence[str], *, title: str = "", comments: Sequence[str] = ()
+) -> bytes:
     """Return the FileDescriptorSet of the message ``cosim.<message>``, one double per element.
 
     Field numbers are 1 to ``len(elements)``: a channel has at most 4096, so the reserved 19000 to
     19999 are never reached.
+
+    Parameters
+    ----------
+    message : str
+    elements : sequence of str
+        Their names.
+    title : str
+        The comment of the message.
+    comments : sequence of str
+        Those of the fields, one for each element, or none.
     """
     file = descriptor_pb2.FileDescriptorProto(
         name=f"cosim/{message}.proto", package="cosim", syntax="proto3"
@@ -71,4 +88,19 @@ def component_schema(message: str, elements: Sequence[str]) -> bytes:
         field = descriptor.field.add(name=name, number=number)
         field.type = _FIELD.TYPE_DOUBLE
         field.label = _FIELD.LABEL_OPTIONAL
+    if title:
+        _add_comment(file, _MESSAGE_PATH, title, line=_MESSAGE_LINE)
+    for place, comment in enumerate(comments):
+        path = (*_MESSAGE_PATH, _FIELDS, place)
+        _add_comment(file, path, comment, line=_MESSAGE_LINE + 1 + place)
     return bytes(descriptor_pb2.FileDescriptorSet(file=[file]).SerializeToString())
+
+
+def _add_comment(
+    file: descriptor_pb2.FileDescriptorProto, path: Sequence[int], text: str, *, line: int
+) -> None:
+    """Add the comment in front of a declaration, as protoc finds it behind ``//``."""
+    location = file.source_code_info.location.add(path=path, span=(line, 0, 0))
+    # Names and descriptions may have half a character, which protobuf's strings may not.
+    readable = text.encode("utf-8", "replace").decode("utf-8")
+    location.leading_comments = f" {readable}\n"

@@ -456,6 +456,7 @@ def _unknown_row(component: str, kind: str) -> Section:
         "unit": None,
         "variability": None,
         "kind": kind,
+        "description": None,
     }
 
 
@@ -467,4 +468,5 @@ def _signal_row(component: str, kind: str, signal: Signal, *, role: str) -> Sect
         "unit": signal.unit,
         "variability": signal.variability,
         "kind": kind,
+        "description": signal.description or None,
     }

@@ -39,6 +39,20 @@ def test_arrays_of_fmi_3_are_vectors():
     assert outputs("x", size=6) == [("x", 6)]
 
 
+def test_a_signal_is_described_as_its_variables_are():
+    """Each text stands once, in the order of the elements."""
+    variables = (
+        Variable("x[1]", 0, "output", doc="position"),
+        Variable("x[2]", 1, "output", doc="position"),
+        Variable("y[1]", 2, "output", doc="left"),
+        Variable("y[2]", 3, "output"),
+        Variable("y[3]", 4, "output", doc="right"),
+        Variable("z", 5, "output"),
+    )
+    outputs = Description("m", "", "2.0", variables).interface.outputs
+    assert [signal.description for signal in outputs] == ["position", "left; right", ""]
+
+
 def test_feedthrough_is_unknown_where_nothing_is_declared():
     """An output may depend on every input unless its dependencies are listed."""
     variables = (Variable("u", 0, "input"), Variable("y", 1, "output"), Variable("z", 2, "output"))

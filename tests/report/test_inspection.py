@@ -46,6 +46,14 @@ def test_a_connection_shows_all_its_sources_and_one_conversion(tmp_path):
     assert row["conversion"] == "((v * 1.0 + 0.0) - 0.0) / 0.001"
 
 
+def test_signals_are_shown_with_what_they_are():
+    """What the component itself says of a port; nothing where it says nothing."""
+    rows = {row["signal"]: row["description"] for row in describe_scenario("academic")["signals"]}
+    assert rows["observer.delta"] == "reconstructed disturbance"
+    assert rows["identifier.theta"] == "estimated parameters of the disturbance"
+    assert rows["u.y"] is None
+
+
 @pytest.mark.parametrize("interface_type", ["me", "cs"])
 def test_an_fmu_that_saves_its_state_is_shown(interface_type, tmp_path):
     """The description is enough, whatever the FMU could do if it ran."""

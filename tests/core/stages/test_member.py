@@ -372,6 +372,7 @@ def test_declarations_of_what_is_not_there_are_refused(options, text):
         ({"connection": "requierd"}, "connection 'requierd'; did you mean 'required'"),
         ({"first": "x"}, "first 'x', needed a whole number from 0 on"),
         ({"first": -1}, "first -1, needed a whole number from 0 on"),
+        ({"description": 5}, "description 5, needed a string"),
     ],
 )
 def test_signals_that_are_none_are_refused(options, text):
