@@ -9,10 +9,10 @@ from __future__ import annotations
 import json
 import math
 from abc import abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, Final, final
+from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
@@ -23,6 +23,11 @@ from cosim.core.recording import SignalEvent, Substep
 from cosim.core.signals import Channel
 from cosim.errors import LogError, UsageError, quoted
 from cosim.instants import NANOSECONDS, first_nanosecond, last_nanosecond
+
+if TYPE_CHECKING:
+    import pandas
+    import polars
+    import xarray
 
 SCENARIO_FILE: Final = "scenario.toml"
 
@@ -133,6 +138,60 @@ class RecordedRun(RecordedSignals):
             If one is no finite number, or t1 is before t0.
         """
         return RecordedWindow(self, *span_ns(t0, t1))
+
+    def to_pandas(self, signals: Iterable[str] | str | None = None) -> pandas.DataFrame:
+        """Return signals as a frame of pandas: a column an element, the index is the time [s].
+
+        Of components with several rates it has a row at every instant at which one of them has
+        one, and NaN where another has none there; of signals of one rate it has their rows.
+
+        Parameters
+        ----------
+        signals : iterable of str, or str, optional
+            Names and patterns, such as ``plant.*``; None: all.
+
+        Raises
+        ------
+        UsageError
+            If there is no pandas.
+        LogError
+            If a signal is unknown, or the file is damaged.
+        """
+        from cosim.core.frames import to_pandas  # few need it
+
+        return to_pandas(self, signals)
+
+    def to_polars(self, signals: Iterable[str] | str | None = None) -> polars.DataFrame:
+        """Return signals as a frame of polars: a column an element, behind the time ``t`` [s].
+
+        As :meth:`to_pandas`, but null where a component has no row.
+
+        Raises
+        ------
+        UsageError
+            If there is no polars.
+        LogError
+            If a signal is unknown, or the file is damaged.
+        """
+        from cosim.core.frames import to_polars  # few need it
+
+        return to_polars(self, signals)
+
+    def to_xarray(self, signals: Iterable[str] | str | None = None) -> xarray.Dataset:
+        """Return signals as variables over the time ``t`` [s], with units as attributes.
+
+        Signals of several elements have a second dimension; rows as in :meth:`to_pandas`.
+
+        Raises
+        ------
+        UsageError
+            If there is no xarray.
+        LogError
+            If a signal is unknown, or the file is damaged.
+        """
+        from cosim.core.frames import to_xarray  # few need it
+
+        return to_xarray(self, signals)
 
 
 def _read_table(label: str, text: str) -> dict[str, Any]:

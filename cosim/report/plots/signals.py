@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,11 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from cosim.core.recording import Recording
+from cosim.core.selection import split_names
 from cosim.errors import UsageError
 from cosim.report.plots.curves import DASHES, Curve, Style, color_styles, curves_of, draw_curves
 from cosim.report.plots.picture import Picture, PictureOptions, need_plot
 
-_COMMA_OUTSIDE_BRACKETS = re.compile(r",(?![^\[]*\])")
 _STANDARD = PictureOptions()
 
 
@@ -51,7 +50,7 @@ def plot_signals(
     labels = short_labels(runs)
     picture = Picture(len(signals), 1, options)
     for panel, entry in zip(picture.panels, signals, strict=True):
-        ports = [port.strip() for port in _COMMA_OUTSIDE_BRACKETS.split(entry)]
+        ports = split_names(entry)
         curves: list[Curve] = []
         styles: list[Style] = []
         for run, label, line in zip(runs, labels, _lines(len(runs)), strict=True):

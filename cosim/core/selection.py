@@ -1,0 +1,167 @@
+"""Signals chosen by name or by pattern: ``plant.y``, ``plant.x_a[0]``, ``plant.*``, ``*.delta``.
+
+``*`` stands for any characters, also none, and ``?`` for one; all others stand for themselves,
+brackets too. A name that a component really has comes before what it may mean as a pattern, and an
+index behind a pattern takes that element of every signal that the rest of it matches.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from cosim.core.port import Port, split_element
+from cosim.core.recorded import RecordedPort, find_signal
+from cosim.core.signals import Channel, Signal
+from cosim.errors import UnknownSignalError, UsageError, nearest, quoted
+
+_COMMA_OUTSIDE_BRACKETS = re.compile(r",(?![^\[]*\])")
+_WILDCARDS = {"*": ".*", "?": "."}
+
+
+@dataclass(frozen=True, slots=True)
+class SelectedColumn:
+    """An element of a chosen signal.
+
+    Parameters
+    ----------
+    name : str
+        ``component.signal``, with an index where the signal has several elements.
+    component : str
+    column : int
+        Where it stands in the rows of the component.
+    signal : Signal
+    """
+
+    name: str
+    component: str
+    column: int
+    signal: Signal
+
+
+def split_names(text: str) -> list[str]:
+    """Split names with commas between; those in brackets are part of a name."""
+    return [part.strip() for part in _COMMA_OUTSIDE_BRACKETS.split(text)]
+
+
+def is_pattern(text: str) -> bool:
+    """Return whether a text has a character that stands for others."""
+    return any(character in text for character in _WILDCARDS)
+
+
+def matches(pattern: str, name: str) -> bool:
+    """Return whether a pattern stands for a name, as a whole."""
+    return _expression(pattern).fullmatch(name) is not None
+
+
+def _expression(pattern: str) -> re.Pattern[str]:
+    parts = [_WILDCARDS.get(character) or re.escape(character) for character in pattern]
+    return re.compile("".join(parts), re.DOTALL)
+
+
+def select_signals(
+    channels: Mapping[str, Channel], patterns: Iterable[str] | str | None, *, source: str
+) -> dict[str, RecordedPort]:
+    """Return the signals that names and patterns choose, by name; each once, in their order.
+
+    Parameters
+    ----------
+    channels : mapping of component name to Channel
+    patterns : iterable of str, str or None
+        None: all signals.
+    source : str
+        What was recorded to, for messages.
+
+    Raises
+    ------
+    UsageError
+        If a pattern is no text, or there are none.
+    UnknownSignalError
+        If one of them chooses nothing; names the nearest.
+    """
+    names = _names(channels)
+    if patterns is None:
+        return names
+    listed = [patterns] if isinstance(patterns, str) else list(patterns)
+    chosen: dict[str, RecordedPort] = {}
+    for pattern in listed:
+        if not isinstance(pattern, str):
+            raise UsageError(
+                f"signals: found {quoted(pattern)}; needed names such as 'plant.y' or 'plant.*'"
+            )
+        for name, port in _matching(channels, names, pattern, source).items():
+            chosen.setdefault(name, port)
+    if not chosen:
+        raise UsageError("signals: found none; needed at least one, or None for all")
+    return chosen
+
+
+def _names(channels: Mapping[str, Channel]) -> dict[str, RecordedPort]:
+    """Return all signals by name."""
+    names = {}
+    for component, channel in channels.items():
+        for signal in channel.signals:
+            port = Port(component, signal.name)
+            names[str(port)] = _whole(channel, signal)
+    return names
+
+
+def _whole(channel: Channel, signal: Signal) -> RecordedPort:
+    columns = channel.signal_columns[signal.name]
+    return RecordedPort(
+        channel, signal, slice(columns.start - channel.start, columns.stop - channel.start)
+    )
+
+
+def _matching(
+    channels: Mapping[str, Channel],
+    names: Mapping[str, RecordedPort],
+    pattern: str,
+    source: str,
+) -> dict[str, RecordedPort]:
+    """Return the signals, or elements, that one name or pattern chooses."""
+    if pattern in names:
+        return {pattern: names[pattern]}
+    if not is_pattern(pattern):
+        return {pattern: find_signal(channels, pattern, source=source)}
+    whole = _expression(pattern)
+    found = {name: port for name, port in names.items() if whole.fullmatch(name)}
+    if found:
+        return found
+    stem, element = split_element(pattern)
+    if element is not None:
+        suffix = pattern[len(stem) :]
+        expression = _expression(stem)
+        for name in names:
+            if expression.fullmatch(name):
+                found[f"{name}{suffix}"] = find_signal(channels, f"{name}{suffix}", source=source)
+    if not found:
+        raise UnknownSignalError(
+            f"{source}: no signal matches {pattern!r}; {nearest(pattern, names)}"
+        )
+    return found
+
+
+def selected_columns(selection: Mapping[str, RecordedPort]) -> tuple[SelectedColumn, ...]:
+    """Return the elements of chosen signals, each once, in their order.
+
+    Raises
+    ------
+    UsageError
+        If two of them have the same name, as ``x[0]`` and the first of ``x`` would.
+    """
+    columns: dict[tuple[str, int], SelectedColumn] = {}
+    for port in selection.values():
+        component = port.channel.name
+        first = port.channel.signal_columns[port.signal.name].start - port.channel.start
+        for column in range(port.columns.start, port.columns.stop):
+            name = f"{component}.{port.signal.element(column - first)}"
+            selected = SelectedColumn(name, component, column, port.signal)
+            columns.setdefault((component, column), selected)
+    counts = Counter(column.name for column in columns.values())
+    for name, count in counts.items():
+        if count > 1:
+            raise UsageError(f"found {count} columns called {name!r}; choose one of the signals")
+    return tuple(columns.values())

@@ -1,0 +1,122 @@
+"""Runs as tables of pandas, polars and xarray."""
+
+import sys
+
+import numpy as np
+import pandas
+import polars
+import pytest
+import xarray
+
+import cosim
+from cosim.core.recorders import Memory
+from cosim.errors import UnknownSignalError, UsageError
+from tests.log.recordings import STEP_NS, blocks, layout, plan, record, same_bits, table
+
+FAST = ["plant.u", "plant.x_a[0]", "plant.x_a[1]", "plant.der(x)", "plant.n"]
+SLOW = [*(f"identifier.y[{i}]" for i in range(3)), "identifier.theta[0]", "identifier.theta[1]"]
+
+
+@pytest.fixture(params=["memory", "file"])
+def run(request, tmp_path):
+    """Return a run with a component of every fifth step, and its rows."""
+    rows = table(layout(), 100)
+    if request.param == "file":
+        record(tmp_path / "a.mcap", rows=rows)
+        return cosim.open_log(tmp_path / "a.mcap"), rows
+    with Memory() as memory:
+        memory.begin(plan())
+        for block, signals in blocks(rows, 30):
+            memory.write(block, signals)
+    return memory, rows
+
+
+def test_signals_of_one_rate_are_a_frame_of_their_rows(run):
+    """Bit for bit, by the instants of that rate."""
+    log, rows = run
+    frame = log.to_pandas("identifier.*")
+    assert list(frame.columns) == SLOW
+    assert frame.index.name == "t"
+    assert np.array_equal(frame.index, log.time("identifier"))
+    assert same_bits(frame.to_numpy(), rows[::5, 5:10])
+    assert same_bits(log.to_polars("plant.*").drop("t").to_numpy(), rows[:, :5])
+
+
+def test_signals_of_several_rates_are_joined_on_time(run):
+    """With NaN in pandas where the slower one has no row; all its rows are there."""
+    log, rows = run
+    frame = log.to_pandas()
+    assert list(frame.columns) == FAST + SLOW
+    assert np.array_equal(frame.index, log.t)
+    assert same_bits(frame[FAST].to_numpy(), rows[:, :5])
+    assert same_bits(frame[SLOW].to_numpy()[::5], rows[::5, 5:10])
+    between = np.arange(101) % 5 != 0
+    assert frame[SLOW].to_numpy()[between].size == 80 * 5
+    assert np.isnan(frame[SLOW].to_numpy()[between]).all()
+
+
+def test_polars_tells_no_row_from_nan(run):
+    """Null is where there is no row, NaN is what was recorded."""
+    log, rows = run
+    frame = log.to_polars(["identifier.y", "plant.x_a[0]"])
+    assert frame.columns == ["t", *SLOW[:3], "plant.x_a[0]"]
+    assert frame["t"].to_list() == log.t.tolist()
+    nulls = frame["identifier.y[0]"].is_null().to_numpy()
+    assert np.array_equal(nulls, np.arange(101) % 5 != 0)
+    kept = frame["identifier.y[0]"].drop_nulls().to_numpy()
+    assert same_bits(kept, rows[::5, 5])
+    assert frame["plant.x_a[0]"].null_count() == 0
+    assert frame["plant.x_a[0]"].is_nan().any() == np.isnan(rows[:, 1]).any()
+
+
+def test_xarray_has_units_and_elements(run):
+    """A signal of several elements has a dimension of its own."""
+    log, rows = run
+    dataset = log.to_xarray()
+    assert list(dataset.data_vars) == list(log)
+    assert dataset["plant.u"].attrs["units"] == "m/s"
+    assert dataset["plant.n"].attrs == {
+        "role": "output",
+        "variability": "discrete",
+        "type": "integer",
+    }
+    assert dataset["plant.x_a"].dims == ("t", "element of plant.x_a")
+    assert same_bits(dataset["plant.x_a"].to_numpy(), rows[:, 1:3])
+    assert same_bits(dataset["plant.u"].to_numpy(), rows[:, 0])
+    assert same_bits(dataset["identifier.y"][::5].to_numpy(), rows[::5, 5:8])
+    assert np.array_equal(dataset["t"], log.t)
+    assert dataset["t"].attrs["units"] == "s"
+    assert dataset.attrs == {"source": log.label, "status": "complete"}
+    chosen = log.to_xarray(["plant.x_a[1]", "plant.x_a[0:2]"])
+    assert same_bits(chosen["plant.x_a[1]"].to_numpy(), rows[:, 2])
+    assert same_bits(chosen["plant.x_a[0:2]"].to_numpy(), rows[:, 1:3])
+
+
+def test_a_window_is_a_frame_of_its_rows(run):
+    """Also one without rows."""
+    log, rows = run
+    frame = log.window(0.01, 0.02).to_pandas(["plant.u", "plant.n"])
+    assert same_bits(frame.to_numpy(), rows[10:21, [0, 4]])
+    assert frame.index[0] == 10 * STEP_NS / 1e9
+    empty = log.window(5.0, 6.0)
+    assert empty.to_pandas().shape == (0, 10)
+    assert empty.to_polars().shape == (0, 11)
+    assert empty.to_xarray()["plant.x_a"].shape == (0, 2)
+
+
+def test_unknown_signals_are_refused(run):
+    """By all three alike."""
+    log, _ = run
+    for convert in (log.to_pandas, log.to_polars, log.to_xarray):
+        with pytest.raises(UnknownSignalError, match=r"no signal matches 'pant\.\*'"):
+            convert(["pant.*"])
+
+
+@pytest.mark.parametrize("library", [pandas, polars, xarray])
+def test_a_library_that_is_not_there_is_named(run, monkeypatch, library):
+    """With the way out."""
+    log, _ = run
+    name = library.__name__
+    monkeypatch.setitem(sys.modules, name, None)
+    with pytest.raises(UsageError, match=rf"to_{name} needs {name}, .* pip install -e '\.\[{name}"):
+        getattr(log, f"to_{name}")()

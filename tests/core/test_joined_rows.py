@@ -1,0 +1,86 @@
+"""Rows of several components are joined on time."""
+
+from __future__ import annotations
+
+from collections import Counter
+from itertools import pairwise
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cosim.core.joined_rows import joined_rows
+from cosim.core.selection import select_signals, selected_columns
+from cosim.core.signals import Channel, Interface, Signal
+
+
+class Rows:
+    """What components have, in blocks: their instants, and numbers of their rows."""
+
+    def __init__(self, components):
+        self._components = components
+        interface = Interface((), (Signal("x"), Signal("y")))
+        self.channels = {name: Channel(name, interface, 0) for name in components}
+
+    def blocks(self, component):
+        times, cuts = self._components[component]
+        for first, last in pairwise([0, *cuts, len(times)]):
+            numbers = np.arange(first, last, dtype=float)[:, np.newaxis]
+            yield np.array(times[first:last], np.int64), np.hstack([numbers, -numbers - 1.0])
+
+
+@st.composite
+def components(draw):
+    """Draw some components' instants, several rows at some, and where their blocks end."""
+    drawn = {}
+    for name in "abc"[: draw(st.integers(1, 3))]:
+        times = sorted(draw(st.lists(st.integers(0, 8), max_size=15)))
+        drawn[name] = times, sorted(draw(st.lists(st.integers(0, len(times)), max_size=5)))
+    return drawn
+
+
+def numbered(times):
+    """Return (instant, how many rows it had before) of each row."""
+    seen = Counter()
+    instants = []
+    for time in times:
+        instants.append((time, seen[time]))
+        seen[time] += 1
+    return instants
+
+
+@given(components())
+def test_a_table_has_each_row_once_and_nothing_else(drawn):
+    """A dictionary of instants says the same, whatever the blocks are."""
+    run = Rows(drawn)
+    columns = selected_columns(select_signals(run.channels, None, source=""))
+    needed = {}
+    for place, column in enumerate(columns):
+        for row, instant in enumerate(numbered(drawn[column.component][0])):
+            value = float(row) if column.column == 0 else -row - 1.0
+            needed.setdefault(instant, {})[place] = value
+    found = []
+    for part in joined_rows(run, columns):
+        missing = np.zeros(part.values.shape, bool) if part.missing is None else part.missing
+        assert len(part) == len(part.time_ns)
+        for time, values, absent in zip(part.time_ns, part.values, missing, strict=True):
+            assert np.array_equal(np.isnan(values), absent)
+            own = {i: float(values[i]) for i in np.flatnonzero(~absent)}
+            found.append((int(time), own))
+    assert found == [(instant[0], needed[instant]) for instant in sorted(needed)]
+
+
+def test_components_of_one_rate_have_no_missing_values():
+    """And NaN of their own is kept."""
+    times = list(range(100))
+    run = Rows({"a": (times, [3, 50]), "b": (times, [40])})
+    columns = selected_columns(select_signals(run.channels, ["b.y", "a.x"], source=""))
+    parts = list(joined_rows(run, columns))
+    assert all(part.missing is None for part in parts)
+    values = np.concatenate([part.values for part in parts])
+    assert np.array_equal(values[:, 0], -np.arange(100.0) - 1.0)
+    assert np.array_equal(values[:, 1], np.arange(100.0))
+    part = parts[-1].part(1, 3)
+    assert np.array_equal(part.time_ns, parts[-1].time_ns[1:3])
+    assert np.array_equal(part.values, parts[-1].values[1:3])
+    assert len(part) == 2
