@@ -34,6 +34,7 @@ COMMANDS = LazyMapping[Callable[..., None]](
         "run": "running.run",
         "replay": "running.replay",
         "diff": "comparing.diff",
+        "hash": "hashing.hash_",
         "compare": "comparing.compare",
         "identify": "identifying.identify",
         "design": "designing.design",

@@ -5,7 +5,7 @@ A component's rows are read when first asked for, chunk by chunk, with every CRC
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cached_property
 from operator import attrgetter
 from pathlib import Path
@@ -22,6 +22,7 @@ from cosim.core.recorded import RunMessage, find_channel
 from cosim.core.recorded_run import RecordedRun, blocks_within
 from cosim.core.recorders import Memory
 from cosim.core.recording import SignalEvent, Substep
+from cosim.core.selection import select_signals
 from cosim.core.signals import Channel
 from cosim.errors import GraphError, LogError, UsageError, nearest, quoted
 from cosim.log.container import MALFORMED, Container
@@ -33,6 +34,7 @@ from cosim.log.paths import log_path
 from cosim.log.preamble import EVENT_TOPIC, FORMAT, LOG_TOPIC, STEP_TOPIC
 from cosim.log.result import RESULT, RESULT_FILE
 from cosim.log.rows import LogRows
+from cosim.log.signal_hashes import hash_signals
 from cosim.log.stream import TimedRows
 
 _LOG_TIME = slice(6, 14)  # of a message record's content
@@ -369,6 +371,25 @@ class Log(RecordedRun):
             If the file is damaged, or has too many rows to be sorted.
         """
         return self._rows.content_hash()
+
+    def signal_hashes(self, signals: Iterable[str] | str | None = None) -> dict[str, str]:
+        """Compute a hash of the times and bits of each signal, in one pass over each component.
+
+        Signals that have the same bits at the same times have the same hash, in one log or in two.
+
+        Parameters
+        ----------
+        signals : iterable of str, or str, optional
+            Names and patterns, such as ``plant.*``; None: all.
+
+        Raises
+        ------
+        UnknownSignalError
+            If one of them chooses nothing; names the nearest.
+        LogError
+            If the file is damaged.
+        """
+        return hash_signals(self, select_signals(self._channels, signals, source=self.label))
 
     def _times_and_rows(self, component: str) -> TimedRows:
         find_channel(self._channels, component, source=str(self.path))

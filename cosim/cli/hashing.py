@@ -1,0 +1,45 @@
+"""The command that says whether rows are those that a run recorded: hash."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from cosim.cli.options import JsonOption, LogArgument, print_notice
+
+
+def hash_(
+    log: LogArgument,
+    signals: Annotated[
+        bool, typer.Option("--signals", help="A line for each signal too: its times and bits.")
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Print the content hash of a log.
+
+    It covers name, times and bits of every signal; compression and chunks do not change it.
+    Exit 1 where the run recorded another one.
+    """
+    from cosim.log import open_log
+    from cosim.report.tables.console import print_json, print_line
+
+    opened = open_log(log)
+    lines = opened.signal_hashes() if signals else {}
+    found = opened.content_hash()
+    recorded = opened.metadata.get("cosim.result", {}).get("content_hash")
+    if as_json:
+        content = {"content_hash": found, "recorded": recorded, "equal": found == recorded}
+        print_json({**content, "signals": lines} if signals else content)
+    else:
+        print_line(f"{found}  {opened.path}")
+        for name, digest in lines.items():
+            print_line(f"{digest}  {name}")
+    if recorded is None:
+        print_notice(f"{opened.path}: no content hash was recorded to compare this one with")
+    elif found != recorded:
+        print_notice(
+            f"{opened.path}: the content hash differs from {recorded}, which the run recorded: "
+            "its signals are no longer those of the run"
+        )
+        raise typer.Exit(1)
