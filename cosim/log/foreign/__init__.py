@@ -1,0 +1,1 @@
+"""MCAP files of other tools: their topics, and numeric fields of their messages as samples."""

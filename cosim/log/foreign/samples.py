@@ -1,0 +1,289 @@
+"""Numeric fields of the messages in an MCAP file, as samples with their times.
+
+One pass over the file keeps the fields that are asked for, and nothing else. Messages need not be
+in the order of their times: they are sorted, and of several of one instant the last one in the file
+counts. How many there were of either is part of the result.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.arrays import NAN, Matrix
+from cosim.errors import LogError, nearest
+from cosim.log.foreign.field_path import FieldProblem, parse_path, topic_of
+from cosim.log.foreign.formats import format_of
+from cosim.log.foreign.topics import (
+    ForeignChannel,
+    ForeignMessage,
+    read_channels,
+    read_messages,
+)
+from cosim.log.foreign.values import NANOSECONDS, Picker, nanoseconds_in, numbers
+
+LOG_TIME: Final = "log_time"
+PUBLISH_TIME: Final = "publish_time"
+MOST_NUMBERS: Final = 2**25  # that are kept of a file
+
+Instants = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class FieldSamples:
+    """A field of the messages of a topic.
+
+    Parameters
+    ----------
+    field : str
+    topic : str
+    time_ns : Instants, shape (N,)
+        Ascending.
+    values : Matrix, shape (N, size)
+        NaN where a message has none.
+    late : int
+        Messages that stood behind one of a later time.
+    repeated : int
+        Messages of an instant that had another one.
+    """
+
+    field: str
+    topic: str
+    time_ns: Instants
+    values: Matrix
+    late: int
+    repeated: int
+
+
+def read_fields(
+    path: Path, fields: Sequence[str], *, time: str = LOG_TIME, time_unit_ns: int = NANOSECONDS
+) -> list[FieldSamples]:
+    """Read fields of messages, such as ``/drive/state.position`` and ``/joints.effort[0:3]``.
+
+    Parameters
+    ----------
+    path : Path
+    fields : sequence of str
+    time : str
+        ``"log_time"``, ``"publish_time"``, or a field of the same messages, ``"header.stamp"``.
+    time_unit_ns : int
+        What a number that is a time counts, in ns.
+
+    Raises
+    ------
+    LogError
+        If the file cannot be read or is damaged; a field is not there, is no number, or has not
+        always the same number of elements; a time is none.
+    """
+    topics: dict[str, list[ForeignChannel]] = defaultdict(list)
+    for channel in read_channels(path):
+        topics[channel.topic].append(channel)
+    collectors: dict[str, _Collector] = {}
+    for name in dict.fromkeys(fields):
+        topic = topic_of(name, topics)
+        if topic is None:
+            raise LogError(f"{path} has no topic of {name!r}; {_topics_text(name, topics)}")
+        if topic not in collectors:
+            collectors[topic] = _Collector(path, topics[topic], time, time_unit_ns)
+        collectors[topic].ask(name)
+    for collector in collectors.values():
+        collector.begin()
+    kept = 0
+    for message in read_messages(path, lambda channel: channel.topic in collectors):
+        kept += collectors[message.channel.topic].take(message)
+        if kept > MOST_NUMBERS:
+            raise LogError(
+                f"{path} has more than {MOST_NUMBERS} numbers in {len(collectors)} topics; "
+                "needed fewer fields, or a shorter file"
+            )
+    samples = {}
+    for collector in collectors.values():
+        for found in collector.samples():
+            samples[found.field] = found
+    return [samples[name] for name in fields]
+
+
+def _topics_text(name: str, topics: Sequence[str] | dict[str, Any]) -> str:
+    """Return the end of a message about an unknown topic."""
+    return f"needed TOPIC.FIELD; {nearest(name.partition('.')[0], topics)}"
+
+
+class _Column:
+    """What is kept of a field: as many numbers of every message."""
+
+    def __init__(self, field: str) -> None:
+        self.field = field
+        self.size: int | None = None
+        self._numbers = array("d")
+        self._before = 0  # messages before the first that had it
+
+    def add(self, value: Any) -> int:
+        """Keep the value of a message; return how many numbers it has.
+
+        Raises
+        ------
+        FieldProblem
+            If it is no number, or has another number of elements than those before.
+        """
+        if value is None:
+            if self.size is None:
+                self._before += 1
+            else:
+                self._numbers.extend([NAN] * self.size)
+            return self.size or 1
+        row = numbers(value)
+        if self.size is None:
+            self.size = len(row)
+            self._numbers.extend([NAN] * (self.size * self._before))
+        if len(row) != self.size:
+            raise FieldProblem(
+                f"it has {len(row)} elements here and {self.size} in the first message; needed "
+                f"always as many, or elements of it, such as {self.field}[0]"
+            )
+        self._numbers.extend(row)
+        return self.size
+
+    def values(self, count: int) -> Matrix:
+        """Return the numbers of ``count`` messages, shape (count, size)."""
+        size = self.size or 0
+        rows: Matrix = np.array(self._numbers, np.float64).reshape(count, size)
+        return rows
+
+
+class _Collector:
+    """What is kept of the messages of a topic."""
+
+    def __init__(
+        self, path: Path, channels: Sequence[ForeignChannel], time: str, time_unit_ns: int
+    ) -> None:
+        self._path = path
+        self._topic = channels[0].topic
+        self._channels = channels
+        self._time = time
+        self._time_unit_ns = time_unit_ns
+        self._columns: list[_Column] = []
+        self._stamps = array("q")
+        self._pick: Picker
+
+    def ask(self, field: str) -> None:
+        """Have a field of the topic kept."""
+        self._columns.append(_Column(field))
+
+    def begin(self) -> None:
+        """Find the fields in the messages, as far as their schema tells.
+
+        Raises
+        ------
+        LogError
+            If one is not there, or the messages cannot be decoded.
+        """
+        first = self._channels[0]
+        for other in self._channels:
+            if (other.encoding, other.schema) != (first.encoding, first.schema):
+                names = ", ".join(sorted({_schema_text(channel) for channel in self._channels}))
+                raise LogError(
+                    f"{self._path}: topic {self._topic!r} has messages of several schemas: "
+                    f"{names}; needed one, or a topic of its own for each"
+                )
+        paths = []
+        name = self._topic
+        try:
+            message_format = format_of(first)
+            for column in self._columns:
+                name = column.field
+                paths.append(parse_path(name[len(self._topic) + 1 :]))
+                message_format.picker(paths[-1:])
+            if self._is_field_time:
+                name = f"{self._topic}.{self._time}"
+                paths.append(parse_path(self._time))
+            self._pick = message_format.picker(paths)
+        except FieldProblem as error:
+            raise LogError(f"{self._path}: {name!r}: {error}") from error
+
+    @property
+    def _is_field_time(self) -> bool:
+        return self._time not in (LOG_TIME, PUBLISH_TIME)
+
+    def take(self, message: ForeignMessage) -> int:
+        """Keep the fields of a message; return how many numbers were kept.
+
+        Raises
+        ------
+        LogError
+            If one is not there, or no number; names the message.
+        """
+        name = self._topic
+        try:
+            values = self._pick(message.data)
+            kept = 1
+            for column, value in zip(self._columns, values, strict=False):
+                name = column.field
+                kept += column.add(value)
+            if self._is_field_time:
+                name = f"{self._topic}.{self._time}"
+                stamp = nanoseconds_in(values[-1], self._time_unit_ns)
+            else:
+                is_log_time = self._time == LOG_TIME
+                stamp = message.log_time if is_log_time else message.publish_time
+            self._stamps.append(stamp)
+        except FieldProblem as error:
+            raise self._message_error(name, str(error)) from error
+        except OverflowError:
+            reason = f"a time of {stamp} ns; needed one below 2**63, in the year 2262"
+            raise self._message_error(self._topic, reason) from None
+        return kept
+
+    def _message_error(self, name: str, reason: str) -> LogError:
+        number = len(self._stamps) + 1
+        return LogError(f"{self._path}: {name!r}, message {number}: {reason}")
+
+    def samples(self) -> list[FieldSamples]:
+        """Return what was kept, by ascending time.
+
+        Raises
+        ------
+        LogError
+            If no message has a field.
+        """
+        stamps = np.array(self._stamps, np.int64)
+        count = len(stamps)
+        if not count:
+            raise LogError(f"{self._path}: topic {self._topic!r} has no messages; needed samples")
+        late = int(np.count_nonzero(stamps < np.maximum.accumulate(stamps)))
+        order = np.argsort(stamps, kind="stable")
+        ordered = stamps[order]
+        is_last = np.append(ordered[1:] != ordered[:-1], True)
+        kept = order[is_last]
+        repeated = count - len(kept)
+        samples = []
+        for column in self._columns:
+            if not column.size:
+                raise LogError(self._nothing_text(column))
+            values = column.values(count)[kept]
+            found = FieldSamples(column.field, self._topic, stamps[kept], values, late, repeated)
+            samples.append(found)
+        return samples
+
+    def _nothing_text(self, column: _Column) -> str:
+        """Return why there is no value of a field, in all messages."""
+        text = f"{self._path}: {column.field!r}: "
+        if column.size == 0:
+            return f"{text}it has no elements; needed numbers"
+        for message in read_messages(self._path, lambda channel: channel.topic == self._topic):
+            names = [
+                f"{self._topic}.{name}" for name in format_of(message.channel).fields(message.data)
+            ]
+            return f"{text}no message has a value of it; {nearest(column.field, names)}"
+        raise AssertionError("there are messages, or nothing would be asked of them")
+
+
+def _schema_text(channel: ForeignChannel) -> str:
+    name = channel.schema.name if channel.schema is not None else "none"
+    return f"{name!r} in {channel.encoding!r}"

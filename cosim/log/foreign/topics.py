@@ -1,0 +1,202 @@
+"""The topics of an MCAP file of another tool, and its messages in one pass."""
+
+from __future__ import annotations
+
+import io
+import os
+import struct
+import zlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO, Final, NamedTuple
+
+from mcap import records
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+
+from cosim.errors import LogError
+from cosim.log.compression import MOST_BYTES
+from cosim.log.foreign.record_stream import check_magic, read_records, records_in
+from cosim.log.layout import FOOTER_SIZE, HEADER, MAGIC
+from cosim.log.paths import open_file
+
+_MESSAGE: Final = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
+_MALFORMED: Final = (McapError, ValueError, KeyError, TypeError, OverflowError, struct.error)
+
+
+@dataclass(frozen=True, slots=True)
+class ForeignSchema:
+    """What the messages of a channel are made of, as the file says it."""
+
+    name: str
+    encoding: str
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class ForeignChannel:
+    """A channel of messages; several may have one topic.
+
+    Parameters
+    ----------
+    id : int
+    topic : str
+    encoding : str
+        Of the messages.
+    schema : ForeignSchema or None
+    """
+
+    id: int
+    topic: str
+    encoding: str
+    schema: ForeignSchema | None
+
+
+class ForeignMessage(NamedTuple):
+    """A message, and its two times [ns]."""
+
+    channel: ForeignChannel
+    log_time: int
+    publish_time: int
+    data: bytes
+
+
+class _ChannelTable:
+    """Schemas and channels as they are read, each id with one meaning."""
+
+    def __init__(self, path: Path) -> None:
+        self.channels: dict[int, ForeignChannel] = {}
+        self._path = path
+        self._schemas: dict[int, ForeignSchema] = {}
+
+    def add(self, opcode: int, content: bytes) -> None:
+        """Take the content of a schema or channel record.
+
+        Raises
+        ------
+        LogError
+            If it is damaged, or has the id of another one.
+        """
+        stream = ReadDataStream(io.BytesIO(content))
+        try:
+            if opcode == Opcode.SCHEMA:
+                self._add_schema(records.Schema.read(stream))
+            else:
+                self._add_channel(records.Channel.read(stream))
+        except _MALFORMED as error:
+            reason = f"a schema or channel cannot be read: {error}"
+            raise LogError(f"{self._path} is damaged: {reason}") from error
+
+    def _add_schema(self, record: records.Schema) -> None:
+        schema = ForeignSchema(record.name, record.encoding, bytes(record.data))
+        known = self._schemas.setdefault(record.id, schema)
+        if known != schema:
+            raise ValueError(f"schema {record.id} is defined twice")
+
+    def _add_channel(self, record: records.Channel) -> None:
+        schema = None
+        if record.schema_id:
+            if record.schema_id not in self._schemas:
+                raise ValueError(f"there is no schema {record.schema_id} of {record.topic!r}")
+            schema = self._schemas[record.schema_id]
+        channel = ForeignChannel(record.id, record.topic, record.message_encoding, schema)
+        known = self.channels.setdefault(record.id, channel)
+        if known != channel:
+            raise ValueError(f"channel {record.id} is defined twice")
+
+
+def read_channels(path: Path) -> list[ForeignChannel]:
+    """Return the channels of a file: those of its summary, or else of a pass over it.
+
+    Raises
+    ------
+    LogError
+        If it cannot be read, is no MCAP, truncated or damaged.
+    """
+    table = _ChannelTable(path)
+    try:
+        with open_file(path) as stream:
+            check_magic(path, stream, os.fstat(stream.fileno()).st_size)
+            for opcode, content in _summary_records(stream):
+                if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                    table.add(opcode, content)
+    except (LogError, *_MALFORMED):
+        table = _ChannelTable(path)  # the data say what is wrong, or are right without it
+    if not table.channels:
+        with open_file(path) as stream:
+            for opcode, block, begin, stop in read_records(path, stream):
+                if opcode != Opcode.MESSAGE:
+                    table.add(opcode, block[begin:stop])
+    return list(table.channels.values())
+
+
+def metadata_names(path: Path) -> set[str]:
+    """Return the names of the metadata records that the summary of a file lists.
+
+    None where there is no file, no MCAP or no summary.
+    """
+    names = set()
+    try:
+        with open_file(path) as stream:
+            for opcode, content in _summary_records(stream):
+                if opcode == Opcode.METADATA_INDEX:
+                    index = records.MetadataIndex.read(ReadDataStream(io.BytesIO(content)))
+                    names.add(index.name)
+    except (LogError, OSError, *_MALFORMED):
+        return set()
+    return names
+
+
+def read_messages(path: Path, wanted: Callable[[ForeignChannel], bool]) -> Iterator[ForeignMessage]:
+    """Yield the messages of the wanted channels in the order of the file.
+
+    Raises
+    ------
+    LogError
+        If the file cannot be read, is no MCAP, truncated or damaged.
+    """
+    table = _ChannelTable(path)
+    is_wanted: dict[int, bool] = {}
+    with open_file(path) as stream:
+        for opcode, block, begin, stop in read_records(path, stream):
+            if opcode != Opcode.MESSAGE:
+                table.add(opcode, block[begin:stop])
+                continue
+            if stop - begin < _MESSAGE.size:
+                raise LogError(f"{path} is damaged: a message of {stop - begin} bytes")
+            number, _, log_time, publish_time = _MESSAGE.unpack_from(block, begin)
+            if number not in is_wanted:
+                if number not in table.channels:
+                    raise LogError(f"{path} is damaged: a message of no channel ({number})")
+                is_wanted[number] = wanted(table.channels[number])
+            if is_wanted[number]:
+                data = block[begin + _MESSAGE.size : stop]
+                yield ForeignMessage(table.channels[number], log_time, publish_time, data)
+
+
+def _summary_records(stream: BinaryIO) -> list[tuple[int, bytes]]:
+    """Return opcode and content of the records in the summary; none where there is no summary.
+
+    Raises
+    ------
+    ValueError, struct.error
+        If it is damaged.
+    """
+    size = os.fstat(stream.fileno()).st_size
+    footer_start = size - FOOTER_SIZE - len(MAGIC)
+    if footer_start < len(MAGIC):
+        return []
+    stream.seek(footer_start)
+    footer = stream.read(FOOTER_SIZE)
+    start, _, declared = struct.unpack_from("<QQI", footer, HEADER)
+    if footer[0] != Opcode.FOOTER or not start:
+        return []
+    if not len(MAGIC) < start <= footer_start or footer_start - start > MOST_BYTES:
+        raise ValueError(f"the summary is said to begin at byte {start}")
+    stream.seek(start)
+    content = stream.read(footer_start - start)
+    if declared and zlib.crc32(footer[:-4], zlib.crc32(content)) != declared:
+        raise ValueError("the CRC of the summary does not fit its content")
+    return [(opcode, content[begin:stop]) for opcode, begin, stop in records_in(content)]
