@@ -13,6 +13,7 @@ from cosim.log.messages import EVENT_SCHEMA, LOG_SCHEMA, STEP_SCHEMA, MessageSch
 from cosim.log.metadata import add_checksum, compact, encode_design
 from cosim.log.schema import component_schema, identifiers
 from cosim.log.sink import Sink
+from cosim.log.viewer_layout import LAYOUT_FILE, layout_json, output_panels
 
 FORMAT = "2"
 LOG_TOPIC = "/cosim/log"
@@ -69,9 +70,18 @@ def write_preamble(
     channel_id = _write_channel(sink, LOG_TOPIC, LOG_SCHEMA)
     for name, items in _complete_metadata(plan, metadata).items():
         sink.metadata(name, add_checksum(name, items))
-    for attachment in attachments:
+    for attachment in _with_layout(plan, attachments):
         sink.attachment(attachment.name, attachment.media_type, attachment.data)
     return channel_id
+
+
+def _with_layout(plan: Plan, attachments: Sequence[Attachment]) -> list[Attachment]:
+    """Return attachments with a layout for viewers; the caller's, where there is one."""
+    if any(attachment.name == LAYOUT_FILE for attachment in attachments):
+        return list(attachments)
+    channels = {channel.name: channel for channel in plan.layout.channels}
+    layout = layout_json(output_panels(channels))
+    return [*attachments, Attachment(LAYOUT_FILE, "application/json", layout)]
 
 
 def _write_channel(sink: Sink, topic: str, schema: MessageSchema) -> int:

@@ -21,11 +21,13 @@ from cosim.core.stages.substep_control import SUBSTEP_COUNTS, SubstepCounts
 from cosim.errors import Interrupted, RunError, listing
 from cosim.interrupts import uninterrupted
 from cosim.log import Attachment
+from cosim.log.viewer_layout import LAYOUT_FILE, layout_json
 from cosim.scenario.actions.settings import SETTINGS
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.building.fingerprint import fingerprint
 from cosim.scenario.identification.run_verdicts import IDENTIFICATION, Assessor
 from cosim.scenario.kinds.initial_states import INITIAL_STATES, change_text, changed_states
+from cosim.scenario.recordings.viewer_panels import viewer_panels
 from cosim.units import Conversion
 
 if TYPE_CHECKING:
@@ -300,9 +302,16 @@ def _plain(connection: Connection, conversions: tuple[Conversion, ...]) -> dict[
 
 
 def attachments_of(experiment: Experiment) -> list[Attachment]:
-    """Return the files for the log: the scenario's text, and each FMU's modelDescription.xml."""
+    """Return the files for the log.
+
+    The scenario's text, each FMU's modelDescription.xml, and a layout for viewers.
+    """
     text = experiment.scenario.document.text
     attachments = [Attachment(SCENARIO_FILE, "application/toml", text.encode())]
     for name, xml in experiment.attachments.items():
         attachments.append(Attachment(name, "application/xml", xml.encode()))
+    graph = experiment.graph
+    channels = {channel.name: channel for channel in graph.layout.channels}
+    panels = viewer_panels(channels, graph.connections, experiment.truth)
+    attachments.append(Attachment(LAYOUT_FILE, "application/json", layout_json(panels)))
     return attachments
