@@ -264,6 +264,14 @@ def replay(
         float | None,
         typer.Option("--to", metavar="T1", help="And only up to this one; nothing behind is run."),
     ] = None,
+    components: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--component",
+            metavar="NAME",
+            help="Compute this component alone, and take the others from the log. Repeatable.",
+        ),
+    ] = None,
     out: OutOption = None,
     force: ForceOption = False,
     changes: SetOption = None,
@@ -298,6 +306,7 @@ def replay(
             set=edits,
             allow_code=allow_code,
             window=window,
+            components=components or None,
             progress=progress,
             notice=notice,
         )

@@ -29,6 +29,7 @@ from cosim.log.diff import ElementDifference, LogDifference, SignalDifference, d
 from cosim.log.environment import environment_changes
 from cosim.report.statements import COMPARED, NOT_COMPARED, Contradiction, contradictions
 from cosim.scenario.recorded_metadata import (
+    ReplayOrigin,
     component_record,
     recorded_substep_counts,
     replay_origin,
@@ -110,6 +111,8 @@ class Verification:
         Signals that the replay took from the log: the outputs of recorded components.
     code : tuple of str
         Those of them that code of users computes, which was not allowed to run.
+    left_out : tuple of str
+        Those of them whose components could have been computed, but were not chosen.
     substeps : tuple of CopiedSubsteps
     scenario : str
         Where the scenario came from.
@@ -128,6 +131,7 @@ class Verification:
     contradictions: tuple[Contradiction, ...]
     copied: tuple[str, ...]
     code: tuple[str, ...]
+    left_out: tuple[str, ...]
     substeps: tuple[CopiedSubsteps, ...]
     scenario: str
     components: tuple[ComponentVerification, ...]
@@ -168,7 +172,11 @@ class Verification:
                 f"not verified, as nothing computed it: {names}; {flag('allow_code')} does, which "
                 "runs the code of its user"
             )
-        others = [name for name in self.copied if name not in self.code]
+        if self.left_out:
+            names = ", ".join(self.left_out)
+            lines.append(f"not verified, as other components were chosen: {names}")
+        known = {*self.code, *self.left_out}
+        others = [name for name in self.copied if name not in known]
         if others:
             names = ", ".join(others)
             lines.append(
@@ -251,6 +259,7 @@ class Verification:
             "computed": list(self.computed),
             "copied": list(self.copied),
             "code": list(self.code),
+            "left_out": list(self.left_out),
             "components": [entry.to_dict() for entry in self.components],
             "environment": {
                 name: {"recorded": recorded, "present": present}
@@ -277,7 +286,7 @@ def _in_words(row: SignalDifference) -> str:
 
 
 def _components(
-    again: Log | Memory, difference: LogDifference, copied: Collection[str]
+    again: Log | Memory, difference: LogDifference, origin: ReplayOrigin
 ) -> tuple[ComponentVerification, ...]:
     """Return what is proven of every component."""
     rows: dict[str, list[SignalDifference]] = {}
@@ -287,15 +296,17 @@ def _components(
     for name, own_rows in rows.items():
         elements = [row.first for row in own_rows if row.first is not None]
         first = min(elements, key=lambda element: element.time_ns, default=None)
-        status: VerificationStatus = "copied" if name in copied else "equal"
+        status: VerificationStatus = "copied" if name in origin.copied else "equal"
         if any(row.status != "equal" for row in own_rows):
             status = "differs"
-        reason = _why_copied(again, name) if name in copied else ""
+        reason = _why_copied(again, name, origin) if name in origin.copied else ""
         found.append(ComponentVerification(name, status, first, reason))
     return tuple(found)
 
 
-def _why_copied(again: Log | Memory, name: str) -> str:
+def _why_copied(again: Log | Memory, name: str, origin: ReplayOrigin) -> str:
+    if name in origin.left_out:
+        return "other components were chosen"
     code = component_record(again, name).code
     if code is not None:
         return f"{flag('allow_code')} computes it, which runs {code.class_name}"
@@ -331,10 +342,13 @@ def verify(source: Log, again: Log | Memory) -> Verification:
     origin = replay_origin(again)
     copied = []
     code = []
+    left_out = []
     for name in origin.copied:
         signals = [f"{name}.{signal.name}" for signal in again.channels[name].interface.outputs]
         copied += signals
-        if component_record(again, name).code is not None:
+        if name in origin.left_out:
+            left_out += signals
+        elif component_record(again, name).code is not None:
             code += signals
     computed = again.channels.keys() - set(origin.copied)
     window = origin.window
@@ -348,9 +362,10 @@ def verify(source: Log, again: Log | Memory) -> Verification:
         contradicting,
         tuple(copied),
         tuple(code),
+        tuple(left_out),
         _copied_substeps(again, origin.copied),
         recorded_document(source).source,
-        _components(again, difference, origin.copied),
+        _components(again, difference, origin),
         environment_changes(source),
         window,
     )

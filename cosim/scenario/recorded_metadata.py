@@ -368,12 +368,15 @@ class ReplayOrigin:
         The components whose outputs are copied from it; all others are computed.
     window : (float, float) or None
         Where the part of it begins and ends that was recorded [s]; None: all of it was.
+    left_out : tuple of str
+        Those of ``copied`` that could have been computed, but were not chosen.
     """
 
     log: str
     content_hash: str
     copied: tuple[str, ...]
     window: tuple[float, float] | None = None
+    left_out: tuple[str, ...] = ()
 
 
 class ConnectionRecord(_Record):

@@ -19,7 +19,7 @@ from cosim.core.signals import Interface
 from cosim.core.stepping.actions import AT_CONDITION, Action, ConditionalAction, TimedAction
 from cosim.core.structure.connection_checks import check_connections
 from cosim.core.structure.ports import Ports, layout_of
-from cosim.errors import CosimError, RollbackError
+from cosim.errors import CosimError, RollbackError, UsageError
 from cosim.scenario.actions.stopping import check_until, until_warnings
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.building.graph_checks import held_disturbances, jump_problems
@@ -55,6 +55,8 @@ class Builder:
         files.
     named_files : collection of str, optional
         With a recording: the files that may be opened all the same.
+    left_out : collection of str
+        With a recording: components that are taken from it although they could be computed.
     block : int, optional
         Fixed number of communication steps in a block.
     replaced : mapping of component name to Interface, optional
@@ -88,6 +90,7 @@ class Builder:
         problems: Iterable[Problem] = (),
         recording: Recording | None = None,
         named_files: Collection[str] = (),
+        left_out: Collection[str] = (),
         block: int | None = None,
         replaced: Mapping[str, Interface] | None = None,
         describes: bool = False,
@@ -108,6 +111,7 @@ class Builder:
         self.components: dict[str, Component] = {}
         self.port_maps: dict[str, PortMap] = {}
         self._recording = recording
+        self._left_out = frozenset(left_out)
         self._replaced = replaced or {}
         self._periods: dict[str, int] = {}
         self.given_states: dict[str, GivenStates] = {}
@@ -199,6 +203,8 @@ class Builder:
         try:
             component = self._component(name, spec)
             period = spec.period_steps(name, self.context.step_ns)
+            if name in self._left_out:
+                component = self._recording_of(name, spec, component, period)
             self.components[name] = spec.with_period(component, period)
             self._periods[name] = spec.recorded_period(period)
             given = spec.given_states(name, self.context)
@@ -245,6 +251,27 @@ class Builder:
         if entries:
             component = self._renamed(name, spec, component, entries)
         return with_units(component, spec.units)
+
+    def _recording_of(self, name: str, spec: Kind, component: Component, period: int) -> Component:
+        """Return the recording of a component that is left out.
+
+        It was built all the same: others may rest on what it is made of, and the log tells of it.
+
+        Raises
+        ------
+        UsageError
+            If the log has not all of its outputs.
+        """
+        assert self._recording is not None, "only a replay leaves components out"
+        outputs = component.interface.outputs
+        has_samples = any(spec.samples_of(signal.name) for signal in outputs)
+        if has_samples and spec.recorded_period(period) > 1:
+            raise UsageError(
+                f"cannot be taken from the log, which has one of its rows in {period} "
+                "communication steps, and not where it has no samples; choose it, too, as a "
+                "component to compute"
+            )
+        return Replay(self._recording, name)
 
     def _renamed(
         self, name: str, spec: Kind, component: Component, entries: Sequence[MapEntry]
@@ -413,7 +440,15 @@ class Builder:
             reactions=self._reactions,
             until=self.scenario.file.scenario.until,
             settings=self._settings(),
+            recorded=self._recorded_names(),
         )
+
+    def _recorded_names(self) -> tuple[str, ...]:
+        """Return the components that are taken from the recording."""
+        if self._recording is None:
+            return ()
+        specs = self.scenario.specs
+        return tuple(n for n in specs if not specs[n].computable or n in self._left_out)
 
     def _warn(self, graph: Graph) -> None:
         """Record the warnings of the components, knowing what drives them, and of the graph."""

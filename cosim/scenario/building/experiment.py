@@ -88,6 +88,8 @@ class Experiment:
         What sets parameters, by time [ns] and component; those of a replay too.
     setting_designs : mapping of str to str
         The designs of the components that take the places of others, for the log.
+    recorded : tuple of str
+        Of a replay: the components that are taken from the recording.
     """
 
     scenario: Scenario
@@ -114,6 +116,7 @@ class Experiment:
     until: str | None = None
     settings: Mapping[tuple[int, str], Action] = field(default_factory=dict)
     setting_designs: Mapping[str, str] = field(default_factory=dict)
+    recorded: tuple[str, ...] = ()
 
     @property
     def has_events(self) -> bool:

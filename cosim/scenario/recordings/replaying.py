@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Set
+from collections.abc import Collection, Iterable, Mapping, Sequence, Set
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +17,7 @@ from cosim.core.port import Port
 from cosim.core.recorded_run import SCENARIO_FILE
 from cosim.core.recording import CompleteRecording
 from cosim.core.stepping.actions import Action
-from cosim.errors import LogError, UsageError, command, flag, option
+from cosim.errors import LogError, UsageError, command, flag, listing, nearest, option, quoted
 from cosim.log import Log
 from cosim.log.metadata import json_table
 from cosim.scenario.building.build import Builder, parse
@@ -156,6 +156,7 @@ def rebuilt(
     block: int | None = None,
     *,
     allow_code: bool = False,
+    components: Sequence[str] | None = None,
 ) -> Experiment:
     """Build the scenario of a log again, with its recorded components; only the log is needed.
 
@@ -171,13 +172,16 @@ def rebuilt(
     allow_code : bool
         Compute the components of user's classes that the log names, which runs their code. What
         ``wanted`` names may always run.
+    components : sequence of str, optional
+        The only ones to compute; the others are taken from the log. None: all that can be.
 
     Raises
     ------
     LogError
         If the log has no scenario or no steps, or does not fit its scenario.
     UsageError
-        If a change is about the communication points, or goes beyond the recording.
+        If a change is about the communication points, or goes beyond the recording; or one of
+        ``components`` cannot be computed.
     ScenarioError
         With every problem of the changed scenario.
     """
@@ -189,13 +193,15 @@ def rebuilt(
     problems = [(key, text) for key, text in problems if not is_map_key(key)]
     named = texts_in(wanted)
     scenario = replace(scenario, specs=_with_code(scenario.specs, named, allow_code=allow_code))
-    source.load(*recorded_in(source, scenario))  # in one pass over the file
+    left_out = () if components is None else _left_out(scenario, components)
+    source.load(*_recorded_in(source, scenario, left_out))  # in one pass over the file
     builder = Builder(
         scenario,
         resources,
         problems=problems,
         recording=source,
         named_files=named,
+        left_out=left_out,
         block=block,
     )
     experiment = builder.experiment()
@@ -227,8 +233,7 @@ def _with_events(
             resources=resources,
             recording=source,
         )
-        copied = recorded_components(experiment.scenario)
-        settings = recorded_settings(making, events, copied)
+        settings = recorded_settings(making, events, experiment.recorded)
     return replace(experiment, events=events, settings=settings)
 
 
@@ -334,7 +339,7 @@ def check_changes(experiment: Experiment, original: Document, changes: Mapping[s
     UsageError
         If a change reaches a recorded component; names the change.
     """
-    recorded = recorded_components(experiment.scenario)
+    recorded = experiment.recorded
     drivers = _drivers(experiment.scenario)
     document = original
     before, _ = document.tree()
@@ -363,6 +368,8 @@ def check_changes(experiment: Experiment, original: Document, changes: Mapping[s
 
 def _remedy(spec: Kind) -> str:
     """Return the way out where a recorded component would have to change."""
+    if spec.computable:
+        return "choose it, too, as a component to compute"
     code = "" if spec.code is None else f", or allow its code to run with {flag('allow_code')}"
     return f"run the scenario to change it{code}"
 
@@ -419,9 +426,33 @@ def _what_drives(name: str, drivers: Set[str], affected: Set[str], changed: Set[
     return None
 
 
-def recorded_components(scenario: Scenario) -> list[str]:
-    """Return the components that a replay copies from the recording."""
-    return [name for name, spec in scenario.specs.items() if not spec.computable]
+def _left_out(scenario: Scenario, components: Sequence[str]) -> tuple[str, ...]:
+    """Return the components that are copied although they could be computed.
+
+    Raises
+    ------
+    UsageError
+        If there is no component of such a name, or it cannot be computed from a log.
+    """
+    computable = [name for name, spec in scenario.specs.items() if spec.computable]
+    for name in components:
+        if name not in scenario.specs:
+            raise UsageError(
+                f"the log has no component {quoted(name)}; {nearest(name, scenario.specs)}"
+            )
+        if name not in computable:
+            raise UsageError(
+                f"{name!r} cannot be computed, as a replay takes it from the log: "
+                f"{_why_recorded(scenario.specs[name])}; there is: {listing(computable, 100)}"
+            )
+    return tuple(name for name in computable if name not in components)
+
+
+def _why_recorded(spec: Kind) -> str:
+    """Return why a component cannot be computed from a log."""
+    if spec.code is None:
+        return "what computes it, a plant, an FMU or a file, is not part of a log"
+    return f"{flag('allow_code')} allows its code to run"
 
 
 def _drivers(scenario: Scenario) -> dict[str, set[str]]:
@@ -433,9 +464,13 @@ def _drivers(scenario: Scenario) -> dict[str, set[str]]:
     return drivers
 
 
-def recorded_in(source: CompleteRecording, scenario: Scenario) -> list[str]:
+def _recorded_in(
+    source: CompleteRecording, scenario: Scenario, left_out: Collection[str]
+) -> list[str]:
     """Return the components of a scenario that are taken from a log, as far as it has them."""
-    return [name for name in recorded_components(scenario) if name in source.channels]
+    specs = scenario.specs
+    recorded = [name for name in specs if not specs[name].computable or name in left_out]
+    return [name for name in recorded if name in source.channels]
 
 
 def valid_designs(experiment: Experiment, source: Log) -> dict[str, Design]:
@@ -450,7 +485,7 @@ def valid_designs(experiment: Experiment, source: Log) -> dict[str, Design]:
         held = experiment.graph.held[name]
         same_code = spec.code is None or _same_code(experiment, source, name)
         same_hold = name in recorded_masks and np.array_equal(recorded_masks[name], held)
-        if not spec.computable or (same_tables and same_code and same_hold):
+        if name in experiment.recorded or (same_tables and same_code and same_hold):
             designs[name] = recorded_designs[name]
     return designs
 

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, overload
 
-from cosim.arguments import callable_argument, mapping_argument, truth_argument, whole_argument
+from cosim.arguments import (
+    callable_argument,
+    mapping_argument,
+    texts_argument,
+    truth_argument,
+    whole_argument,
+)
 from cosim.core.arguments import check_recorder
 from cosim.core.recorders import Memory
 from cosim.core.recording import Recorder
@@ -34,7 +40,6 @@ from cosim.scenario.recordings.recording import (
 from cosim.scenario.recordings.replaying import (
     check_changes,
     rebuilt,
-    recorded_components,
     recorded_document,
     valid_designs,
     with_setting_designs,
@@ -296,6 +301,7 @@ def replay(
     set: Mapping[str, Any] | None = None,
     allow_code: bool = False,
     window: tuple[float | None, float | None] | None = None,
+    components: Sequence[str] | None = None,
     block: int | None = None,
     progress: Progress | None = None,
     notice: Notice | None = None,
@@ -325,6 +331,8 @@ def replay(
         Record only from one time to another [s], communication points; None: to where the
         recording begins or ends. All is computed from the start, as components have states that a
         log has not, so that the rows are those of the whole replay; nothing behind the window is.
+    components : sequence of str, optional
+        The only components to compute, such as ``["observer"]``; all others are taken from the log.
 
     Returns
     -------
@@ -339,7 +347,8 @@ def replay(
         If a class cannot be imported, or is another one than in the run.
     UsageError
         If ``set`` changes the communication step, a recorded component, or what drives one: its
-        recording cannot follow.
+        recording cannot follow. If there is no such window, or one of ``components`` is not there
+        or cannot be computed.
     """
     force = truth_argument("force", force)
     allow_code = truth_argument("allow_code", allow_code)
@@ -348,6 +357,7 @@ def replay(
     callable_argument("notice", notice)
     _check_profile(profile)
     wanted = mapping_argument("set", set)
+    chosen = _components_argument(components)
     source = log if isinstance(log, Log) else open_log(log)
     if out is not None and os.path.realpath(out) == os.path.realpath(source.path):
         raise UsageError(f"{out} is the log that is replayed; choose another path")
@@ -357,20 +367,36 @@ def replay(
     if recorded is not None:
         wanted = _with_end(wanted, recorded)
     with ExitStack() as resources:
-        experiment = rebuilt(source, resources, wanted, block, allow_code=allow_code)
+        experiment = rebuilt(
+            source, resources, wanted, block, allow_code=allow_code, components=chosen
+        )
         original = recorded_document(source)
         check_changes(experiment, original, wanted)
         designs = valid_designs(experiment, source)
-        copied = tuple(recorded_components(experiment.scenario))
+        copied = experiment.recorded
         experiment.graph.take_solutions(source, copied)
-        origin = ReplayOrigin(str(source.path), source.recorded_hash, copied)
-        if recorded is not None:
-            origin = replace(origin, window=(recorded.begin, recorded.end))
+        specs = experiment.scenario.specs
+        origin = ReplayOrigin(
+            str(source.path),
+            source.recorded_hash,
+            copied,
+            window=None if recorded is None else (recorded.begin, recorded.end),
+            left_out=tuple(name for name in copied if specs[name].computable),
+        )
         experiment = replace(experiment, origin=origin, designs=designs, gains=gains)
         experiment = with_setting_designs(experiment, source, designs)
         target = Target(out, force, notice=notice)
         beside = None if recorded is None else recorded.beside
         return record(experiment, target, progress=progress, profile=profile, beside=beside)
+
+
+def _components_argument(components: Sequence[str] | None) -> tuple[str, ...] | None:
+    chosen = texts_argument("components", components)
+    if chosen == ():
+        raise UsageError(
+            f"{option('components')}: found none; needed at least one to compute, or None for all"
+        )
+    return chosen
 
 
 def _with_end(wanted: Mapping[str, Any], window: ReplayWindow) -> dict[str, Any]:
