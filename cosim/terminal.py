@@ -117,6 +117,19 @@ def keep_stdout() -> TextIO | None:
 
 
 @contextmanager
+def ended_by_reader() -> Iterator[None]:
+    """End what writes to stdout without a word where its reader, such as ``head``, has enough."""
+    try:
+        yield
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # What is still in its buffer would be written at the end of the program.
+        nothing = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nothing, sys.stdout.fileno())
+        os.close(nothing)
+
+
+@contextmanager
 def ended_by_signals() -> Iterator[None]:
     """Turn a request to terminate and a closed terminal into what Ctrl-C does.
 

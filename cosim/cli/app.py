@@ -42,6 +42,8 @@ COMMANDS = LazyMapping[Callable[..., None]](
         "check": "checking.check",
         "cache": "fmus.cache",
         "plot": "contents.plot",
+        "cat": "converting.cat",
+        "convert": "converting.convert",
         "list": "contents.list_",
         "show": "contents.show",
         "export": "fmus.export",

@@ -122,9 +122,9 @@ def _seconds(table: JoinedRows) -> Vector:
 def _attributes(port: RecordedPort) -> dict[str, str]:
     """Return what a signal is, in the names of the CF conventions where these have one."""
     signal = port.signal
-    attributes: dict[str, str] = {} if signal.unit is None else {"units": signal.unit}
+    attributes = {"units": signal.unit or "", "long_name": signal.description}
     attributes |= {"role": signal.role, "variability": signal.variability, "type": signal.type}
-    return attributes
+    return {key: text for key, text in attributes.items() if text}
 
 
 def _library(name: str) -> Any:

@@ -253,9 +253,16 @@ class RecordedSignals(Mapping[str, NDArray[np.float64]]):
 
         rows = []
         for name, signal in self.signals.items():
-            cells = (name, str(signal.size), signal.unit or "", signal.role, signal.variability)
+            cells = (
+                name,
+                str(signal.size),
+                signal.unit or "",
+                signal.role,
+                signal.variability,
+                signal.description,
+            )
             rows.append("".join(f"<td>{escape(cell)}</td>" for cell in cells))
-        names = ("signal", "size", "unit", "role", "variability")
+        names = ("signal", "size", "unit", "role", "variability", "description")
         header = "".join(f"<th>{name}</th>" for name in names)
         body = "".join(f"<tr>{row}</tr>" for row in rows)
         caption = escape(f"{self.label}: {self._overview()}")

@@ -92,6 +92,13 @@ def test_xarray_has_units_and_elements(run):
     assert same_bits(chosen["plant.x_a[0:2]"].to_numpy(), rows[:, 1:3])
 
 
+def test_xarray_has_descriptions():
+    """Of signals that have one."""
+    log = cosim.run("academic", set={"scenario.stop": 0.01})
+    dataset = log.to_xarray("observer.delta")
+    assert dataset["observer.delta"].attrs["long_name"] == log.signals["observer.delta"].description
+
+
 def test_a_window_is_a_frame_of_its_rows(run):
     """Also one without rows."""
     log, rows = run

@@ -73,6 +73,8 @@ def test_a_notebook_shows_a_table_of_signals(recorded):
     page = recorded._repr_html_()
     assert page.count("<tr>") == 1 + len(recorded)
     assert "<td>plant.x_a</td><td>2</td>" in page
+    assert f"<td>{recorded.signals['observer.delta'].description}</td></tr>" in page
+    assert recorded.signals["observer.delta"].description
 
 
 def test_both_have_the_same_signals_times_and_messages(in_memory, from_file):

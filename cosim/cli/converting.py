@@ -1,0 +1,76 @@
+"""The commands that give the signals of a log to other tools: cat and convert."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cosim.cli.options import LogArgument
+from cosim.report.printable import printable
+from cosim.terminal import ended_by_reader
+
+SignalsOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--signals",
+        metavar="NAMES",
+        help="Signals, elements or patterns: 'plant.*,observer.x_a[0]'. All by default. "
+        "Repeatable.",
+    ),
+]
+
+FromOption = Annotated[float | None, typer.Option("--from", metavar="T", help="First time [s].")]
+
+ToOption = Annotated[float | None, typer.Option("--to", metavar="T", help="Last time [s].")]
+
+
+def cat(
+    log: LogArgument,
+    signals: SignalsOption = None,
+    start: FromOption = None,
+    stop: ToOption = None,
+    text_format: Annotated[
+        str, typer.Option("--format", metavar="csv|jsonl", help="CSV or JSON Lines.")
+    ] = "csv",
+) -> None:
+    """Print the rows of a log as CSV or JSON Lines.
+
+    Of components with several rates there is a row at every instant at which one of them has one;
+    where another has none, the cell is empty (in JSON Lines: left out).
+    """
+    from cosim.log.conversion.choice import choose
+    from cosim.log.conversion.text import table_text
+
+    lines = table_text(choose(log, signals, start, stop), text_format)
+    is_terminal = sys.stdout.isatty()
+    with ended_by_reader():
+        for text in lines:
+            shown = printable(text) if is_terminal else text
+            sys.stdout.buffer.write(shown.encode())
+
+
+def convert(
+    log: LogArgument,
+    out: Annotated[
+        Path, typer.Argument(metavar="OUT", help="File to write: .csv, .parquet, .mat or .npz.")
+    ],
+    signals: SignalsOption = None,
+    start: FromOption = None,
+    stop: ToOption = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
+) -> None:
+    """Convert a log to CSV, Parquet, MAT or NumPy's npz.
+
+    CSV and Parquet have the rows that 'cosim cat' prints; .mat and .npz an array for each signal,
+    and one for the times of each component.
+    """
+    from cosim.log.conversion.choice import choose
+    from cosim.log.conversion.files import check_target
+    from cosim.log.conversion.files import convert as convert_log
+
+    check_target(out, force=force)  # before the log is read
+    convert_log(choose(log, signals, start, stop), out, force=force)
+    typer.echo(printable(str(out)))

@@ -1,0 +1,81 @@
+"""What of a log is wanted: some of its signals, in some time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from cosim.core.joined_rows import JoinedRows, joined_rows
+from cosim.core.recorded import RecordedPort
+from cosim.core.recorded_run import RecordedRun, RecordedWindow, span_ns
+from cosim.core.selection import SelectedColumn, select_signals, selected_columns, split_names
+from cosim.core.signals import Signal
+from cosim.log.reader import open_log
+
+
+@dataclass(frozen=True, slots=True)
+class LogChoice:
+    """Some signals of a run, or of a window of it.
+
+    Parameters
+    ----------
+    run : RecordedRun
+    selection : mapping of name to RecordedPort
+    """
+
+    run: RecordedRun
+    selection: Mapping[str, RecordedPort]
+
+    @staticmethod
+    def of(run: RecordedRun, signals: Iterable[str] | str | None = None) -> LogChoice:
+        """Choose signals of a run by names and patterns; None: all.
+
+        Raises
+        ------
+        LogError
+            If one of them chooses nothing.
+        """
+        return LogChoice(run, select_signals(run.channels, signals, source=run.label))
+
+    @property
+    def columns(self) -> tuple[SelectedColumn, ...]:
+        """The elements of the signals, each once."""
+        return selected_columns(self.selection)
+
+    def joined(self) -> Iterator[JoinedRows]:
+        """Yield the signals joined on time, some rows at a time."""
+        return joined_rows(self.run, self.columns)
+
+
+def signal_facts(signal: Signal) -> dict[str, str]:
+    """Return what a signal is, as far as that is declared: texts by what they say."""
+    facts = {"unit": signal.unit or "", "description": signal.description}
+    facts |= {"role": signal.role, "variability": signal.variability, "type": signal.type}
+    return {key: text for key, text in facts.items() if text}
+
+
+def choose(
+    path: Path, names: Iterable[str] | None, start: float | None, stop: float | None
+) -> LogChoice:
+    """Open a log and choose what options of the command line say.
+
+    Parameters
+    ----------
+    path : Path
+    names : iterable of str, or None
+        Names and patterns, several with commas between; None: all.
+    start, stop : float or None
+        First and last time [s].
+
+    Raises
+    ------
+    UsageError
+        If the times are no span.
+    LogError
+        If the log cannot be read, or a signal is unknown.
+    """
+    span = span_ns(start, stop, names=("--from", "--to"))
+    log = open_log(path)
+    run = log if span == (None, None) else RecordedWindow(log, *span)
+    return LogChoice.of(run, None if names is None else split_names(",".join(names)))

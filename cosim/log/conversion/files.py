@@ -1,0 +1,81 @@
+"""A log as a file of another format: written under a hidden name, then moved to its own."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import BinaryIO, Final
+
+from cosim.errors import LogError, UsageError
+from cosim.log.conversion.arrays import write_mat, write_npz
+from cosim.log.conversion.choice import LogChoice
+from cosim.log.conversion.parquet import need_pyarrow, write_parquet
+from cosim.log.conversion.text import csv_text
+from cosim.log.paths import check_new_log, log_path
+from cosim.log.unfinished import UnfinishedLog
+
+ENDINGS: Final = (".csv", ".parquet", ".mat", ".npz")
+
+_BUFFER_BYTES: Final = 2**20
+
+
+def check_target(out: Path, *, force: bool = False) -> None:
+    """Check that a log can be converted to a path, before it is read.
+
+    Raises
+    ------
+    UsageError
+        If its ending is of no known format, or a library for that is missing.
+    LogError
+        If a file stands there and shall not be replaced, or none can.
+    """
+    ending = out.suffix.lower()
+    if ending not in ENDINGS:
+        found = f"the ending {out.suffix!r}" if out.suffix else "no ending"
+        raise UsageError(f"{out}: found {found}; needed one of {', '.join(ENDINGS)}")
+    if ending == ".parquet":
+        need_pyarrow()
+    check_new_log(log_path(out), force=force, numbered=False)
+
+
+def convert(choice: LogChoice, out: Path, *, force: bool = False) -> None:
+    """Write signals to a file, in the format that its ending names.
+
+    Parameters
+    ----------
+    choice : LogChoice
+    out : Path
+        Ends in .csv, .parquet, .mat or .npz.
+    force : bool
+        Replace a file that stands there.
+
+    Raises
+    ------
+    UsageError
+        As :func:`check_target`, or if an array is too large for MAT.
+    LogError
+        If the log is damaged, or the file cannot be written.
+    """
+    check_target(out, force=force)
+    target = UnfinishedLog(out, force=force, numbered=False)
+    try:
+        with io.BufferedWriter(target.create(), _BUFFER_BYTES) as stream:
+            _write(stream, choice, out.suffix.lower())
+        target.publish()
+    except OSError as error:
+        raise LogError(f"{out} cannot be written: {error.strerror or error}") from error
+    finally:
+        target.discard()
+
+
+def _write(stream: BinaryIO, choice: LogChoice, ending: str) -> None:
+    match ending:
+        case ".npz":
+            write_npz(stream, choice)
+        case ".mat":
+            write_mat(stream, choice)
+        case ".parquet":
+            write_parquet(stream, choice)
+        case _:
+            for text in csv_text(choice):
+                stream.write(text.encode())

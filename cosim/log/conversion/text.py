@@ -1,0 +1,108 @@
+"""Tables as text: CSV and JSON Lines, a few rows at a time.
+
+A number is the shortest text that reads back as the same double, a time an exact decimal. CSV has
+the units in its first line, as tables of samples have that cosim reads; an empty cell says that a
+component has no row there. In JSON Lines the name is missing then, and what JSON has no number for
+is text as in the JSON of protobuf: "NaN", "Infinity", "-Infinity".
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections.abc import Callable, Iterator
+from typing import Final, TypeAlias
+
+from cosim.arrays import Nanoseconds
+from cosim.core.frames import TIME
+from cosim.core.joined_rows import JoinedRows
+from cosim.errors import UsageError, nearest
+from cosim.instants import NANOSECONDS
+from cosim.log.conversion.choice import LogChoice
+
+TextFormat: TypeAlias = Callable[[LogChoice], Iterator[str]]
+
+_MOST_ROWS: Final = 4096  # that are text at a time
+
+
+def csv_text(choice: LogChoice) -> Iterator[str]:
+    """Yield a table as CSV, a few rows at a time."""
+    header = [f"{TIME} [s]"]
+    for column in choice.columns:
+        unit = column.signal.unit
+        header.append(column.name if unit is None else f"{column.name} [{unit}]")
+    line = io.StringIO()
+    csv.writer(line, lineterminator="\n").writerow(header)
+    yield line.getvalue()
+    for part in _short(choice):
+        lines = []
+        for time, cells in zip(exact_seconds(part.time_ns), _cells(part), strict=True):
+            lines.append(f"{time},{','.join(cells)}\n")
+        yield "".join(lines)
+
+
+def _cells(part: JoinedRows) -> Iterator[list[str]]:
+    """Yield the cells of each row: numbers, and nothing where there is no value."""
+    rows = part.values.tolist()
+    if part.missing is None:
+        for row in rows:
+            yield list(map(repr, row))
+        return
+    for row, missing in zip(rows, part.missing.tolist(), strict=True):
+        yield ["" if is_missing else repr(v) for v, is_missing in zip(row, missing, strict=True)]
+
+
+def json_lines(choice: LogChoice) -> Iterator[str]:
+    """Yield a table as JSON Lines, a few rows at a time."""
+    keys = [f", {json.dumps(column.name)}: " for column in choice.columns]
+    for part in _short(choice):
+        lines = []
+        absent = None if part.missing is None else part.missing.tolist()
+        times = exact_seconds(part.time_ns)
+        for number, (time, row) in enumerate(zip(times, part.values.tolist(), strict=True)):
+            shown = [key + _json_number(value) for key, value in zip(keys, row, strict=True)]
+            if absent is not None:
+                kept = zip(shown, absent[number], strict=True)
+                shown = [text for text, is_missing in kept if not is_missing]
+            lines.append(f'{{"{TIME}": {time}{"".join(shown)}}}\n')
+        yield "".join(lines)
+
+
+def _json_number(value: float) -> str:
+    if math.isfinite(value):
+        return repr(value)
+    return '"NaN"' if math.isnan(value) else f'"{"-" if value < 0.0 else ""}Infinity"'
+
+
+def exact_seconds(time_ns: Nanoseconds) -> list[str]:
+    """Return times as decimals of seconds, exactly; a double reads back the time [s] of a log."""
+    texts = []
+    for time in time_ns.tolist():
+        whole, fraction = divmod(time, NANOSECONDS)
+        digits = f"{fraction:09d}".rstrip("0") or "0"
+        texts.append(f"{whole}.{digits}")
+    return texts
+
+
+def _short(choice: LogChoice) -> Iterator[JoinedRows]:
+    for part in choice.joined():
+        for begin in range(0, len(part), _MOST_ROWS):
+            yield part.part(begin, begin + _MOST_ROWS)
+
+
+_FORMATS: Final[dict[str, TextFormat]] = {"csv": csv_text, "jsonl": json_lines}
+
+
+def table_text(choice: LogChoice, name: str) -> Iterator[str]:
+    """Return an iterator over a table as text, in the format of a name.
+
+    Raises
+    ------
+    UsageError
+        If there is no such format.
+    """
+    if name not in _FORMATS:
+        raise UsageError(f"--format {name!r}; {nearest(name, _FORMATS)}")
+    return _FORMATS[name](choice)
