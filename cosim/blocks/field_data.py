@@ -1,10 +1,11 @@
 """Recorded samples at times of their own, in the place of a plant.
 
-At the communication points the outputs are on the straight lines between the samples. Beside them
-are the samples themselves, for those who must not take interpolated values for measured ones: of
-every output ``y`` there is ``y_samples``, and ``sample_times`` has their instants. At a
-communication point these are the samples since the point before it; at the start of the run, a
-sample of that instant. As many as can be in one step have a place, NaN where there is none.
+At the communication points the outputs are on the straight lines between the samples, or have the
+last of them (zero-order hold). Beside them are the samples themselves, for those who must not take
+interpolated values for measured ones: of every output ``y`` there is ``y_samples``, and
+``sample_times`` has their instants. At a communication point these are the samples since the point
+before it; at the start of the run, a sample of that instant. As many as can be in one step have a
+place, NaN where there is none.
 """
 
 from __future__ import annotations
@@ -18,13 +19,14 @@ from numpy.typing import NDArray
 
 from cosim.arrays import NAN, Matrix, Vector
 from cosim.core.contracts import Stopped
-from cosim.core.signals import Interface, Signal
+from cosim.core.signals import Interface, Signal, Variability
 from cosim.errors import GraphError, UsageError, nearest
 from cosim.native.blocks.field_data import field_data_step
 from cosim.native.step import NativeStep
 
 SAMPLE_TIMES: Final = "sample_times"
 USUAL_GAP: Final = 10.0  # median distances of samples
+JITTER: Final = 1.1  # communication steps: so far apart are samples that come once in a step
 
 
 def samples_of(output: str) -> str:
@@ -61,11 +63,17 @@ class FieldData:
     t : Vector, shape (N,)
         Ascending times [s].
     signals : tuple of FieldSignal
+    diagnostics : tuple of str
+        What is to be known of the samples, such as how many were out of order.
+    zero_ns : int or None
+        The time in the file that is t = 0 [ns]; None: its times are no whole ns.
     """
 
     source: str
     t: Vector
     signals: tuple[FieldSignal, ...]
+    diagnostics: tuple[str, ...] = ()
+    zero_ns: int | None = None
 
     def __getitem__(self, name: str) -> Matrix:
         """Return the samples of a signal, shape (N, size); NaN: not measured.
@@ -97,14 +105,17 @@ class FieldData:
 
 @dataclass(frozen=True, eq=False)
 class _Line:
-    """The measured values of one element, straight lines between them."""
+    """The measured values of one element, straight lines or a zero-order hold between them."""
 
     t: Vector
     values: Vector
 
-    def at(self, t: Vector) -> Vector:
+    def at(self, t: Vector, *, hold: bool) -> Vector:
         """Return the values at times within the samples."""
         before = np.searchsorted(self.t, t, side="right") - 1
+        if hold:
+            held: Vector = self.values[before]
+            return held
         after = np.minimum(before + 1, len(self.t) - 1)
         is_last = after == before
         distance = np.where(is_last, 1.0, self.t[after] - self.t[before])
@@ -115,13 +126,15 @@ class _Line:
 
 
 class FieldRecording:
-    """Returns recorded samples, and what is on the straight lines between them.
+    """Returns recorded samples, and what is between them at the communication points.
 
     Parameters
     ----------
     data : FieldData
     most : int
         Samples that can be in one step.
+    hold : bool
+        A zero-order hold between samples: the outputs are discrete. Else straight lines.
 
     Raises
     ------
@@ -131,7 +144,7 @@ class FieldRecording:
         From ``advance``, where an output is measured no more.
     """
 
-    def __init__(self, data: FieldData, *, most: int) -> None:
+    def __init__(self, data: FieldData, *, most: int, hold: bool = False) -> None:
         is_measured = data.measured
         self._t = data.t[is_measured]
         self._columns: list[Vector] = []
@@ -139,7 +152,9 @@ class FieldRecording:
         samples = []
         for signal in data.signals:
             size = signal.values.shape[1]
-            outputs.append(Signal(signal.name, size, unit=signal.unit))
+            variability: Variability = "discrete" if hold else "continuous"
+            output = Signal(signal.name, size, unit=signal.unit, variability=variability)
+            outputs.append(output)
             of_signal = Signal(
                 samples_of(signal.name),
                 size * most,
@@ -156,11 +171,12 @@ class FieldRecording:
         self._end = min(line.t[-1] for line in self._lines)
         self._source = data.source
         self._most = most
+        self._hold = hold
         lines = [(line.t, line.values) for line in self._lines]
         columns = np.stack([*self._columns, self._t])
         self._columns = list(columns[:-1])
         self._t = columns[-1]
-        self._step = field_data_step(lines, columns, most=most, end=float(self._end))
+        self._step = field_data_step(lines, columns, most=most, end=float(self._end), hold=hold)
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Begin at ``t``: the samples before it are of no step."""
@@ -168,7 +184,7 @@ class FieldRecording:
         return self.outputs(t, u)
 
     def outputs(self, t: float, u: Vector) -> Vector:
-        """Return what is on the straight lines at ``t``, and the samples of the last step.
+        """Return what is between the samples at ``t``, and the samples of the last step.
 
         Raises
         ------
@@ -236,7 +252,7 @@ class FieldRecording:
         number = first[:, np.newaxis] + np.arange(self._most)
         is_there = number < after[:, np.newaxis]
         number = np.minimum(number, len(self._t) - 1)
-        parts = [line.at(ends)[:, np.newaxis] for line in self._lines]
+        parts = [line.at(ends, hold=self._hold)[:, np.newaxis] for line in self._lines]
         for column in (*self._columns, self._t):
             picked = column[number]
             parts.append(np.where(is_there & np.isfinite(picked), picked, NAN))
@@ -296,6 +312,35 @@ def check_covers(data: FieldData, points: Vector, maximum_gap: float | None) -> 
         _check_gaps(data.source, name, line.t, points, maximum_gap)
 
 
+def check_step(data: FieldData, step: float) -> None:
+    """Check that the communication step is not shorter than the time between two samples.
+
+    Parameters
+    ----------
+    data : FieldData
+    step : float
+        [s].
+
+    Raises
+    ------
+    UsageError
+        If it is, so that most points have a value of no sample; says what can be done.
+    """
+    names = []
+    for signal in data.signals:
+        names += [signal.name] * signal.values.shape[1]
+    for name, line in zip(names, measured_lines(data), strict=True):
+        if len(line.t) < 2:
+            continue
+        median = float(np.median(np.diff(line.t)))
+        if median > JITTER * step:
+            raise UsageError(
+                f"{data.source}: the communication step of {step:g} s is finer than the samples of "
+                f'{name!r}, every {median:g} s; needed interpolation = "linear" or "zero-order", '
+                f"which says what is between two samples, or a step of {median:g} s"
+            )
+
+
 def _check_gaps(
     source: str, name: str, t: Vector, points: Vector, maximum_gap: float | None
 ) -> None:
@@ -315,7 +360,7 @@ def _check_gaps(
         longest = float(gaps[in_run].max())
         raise UsageError(
             f"{source}: {name!r} has no sample between {begin[first]} s and {end[first]} s; needed "
-            f"{needed}; maximum_gap = {longest!r} takes the straight line there, or run before "
+            f"{needed}; maximum_gap = {longest!r} allows that, or run before "
             "or after it"
         )
 

@@ -47,7 +47,8 @@ SwapOption = Annotated[
         metavar="COMPONENT=PATH",
         autocompletion=completion.complete_swap,
         help="Replace a component by an FMU (x.fmu, x.fmu#me, x.fmu#cs), a recorded component "
-        "(.mcap) or samples with their times (.csv, .parquet). Repeatable.",
+        "(.mcap) or samples with their times (.csv, .parquet, an .mcap of another tool). "
+        "Repeatable.",
     ),
 ]
 

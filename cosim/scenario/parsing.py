@@ -17,6 +17,7 @@ from cosim.errors import CosimError, GraphError, nearest, quoted
 from cosim.scenario.document.action_tables import validate_actions
 from cosim.scenario.document.document import Document
 from cosim.scenario.document.problems import Key, Problem, TableProblems, problems_of
+from cosim.scenario.document.recorded_inputs import RecordedInput, with_recorded_inputs
 from cosim.scenario.document.schema import ActionTable, ConnectionTable, File
 from cosim.scenario.document.swap import MapEntry, PortNames, ports_in, resolve_maps
 from cosim.scenario.kinds import KINDS, Kind
@@ -62,6 +63,8 @@ class Scenario:
         values that stand for others; what rests on them cannot be checked.
     actions : mapping of number to ActionTable
         Those of [[actions]] whose tables are right.
+    recorded_inputs : tuple of RecordedInput
+        Inputs of recorded components that their maps name.
     starter : callable or None
         Starts the scenario (:mod:`cosim.scenario.running.starting`); None: it is only read here.
     """
@@ -76,6 +79,7 @@ class Scenario:
     parse: Callable[[Document], Scenario] = field(repr=False, compare=False)
     invalid: frozenset[Key] = frozenset()
     actions: Mapping[int, ActionTable] = field(default_factory=dict)
+    recorded_inputs: tuple[RecordedInput, ...] = ()
     starter: Starter | None = field(default=None, repr=False, compare=False)
 
     def __repr__(self) -> str:
@@ -110,8 +114,11 @@ class Scenario:
     def unfollowed(self) -> dict[str, list[str]]:
         """Inputs that the file connects, by component, of those that follow none."""
         inputs: dict[str, list[str]] = {}
+        recorded = [recorded.port for recorded in self.recorded_inputs]
         for to in ports_in(self.file.connections):
             spec = self.specs.get(to.component)
+            if to in recorded:
+                continue
             if spec is not None and not spec.follows_inputs:
                 inputs.setdefault(to.component, []).append(to.name)
         return inputs
@@ -226,6 +233,12 @@ def read(
     connections, connection_problems = _connections(file)
     followed = _followed(specs, connections)
     connections, implied, given_twice = _with_implied(_replaced(document, specs), followed)
+    written, _ = _connections(file)
+    without_inputs = [name for name, spec in specs.items() if not spec.follows_inputs]
+    maps, connections, recorded_inputs, input_problems = with_recorded_inputs(
+        without_inputs, maps, connections, written
+    )
+    map_problems += input_problems
     connection_problems += given_twice
     for key, _ in connection_problems:
         invalid.add(key)
@@ -243,6 +256,7 @@ def read(
         parse,
         frozenset(invalid),
         actions,
+        recorded_inputs=tuple(recorded_inputs),
     )
     return scenario, problems
 

@@ -65,6 +65,23 @@ def test_at_the_points_its_outputs_are_on_straight_lines_between_measured_sample
         np.testing.assert_allclose(rows[:, column], expected, rtol=1e-13)
 
 
+def test_with_a_hold_its_outputs_are_the_last_samples():
+    """Of each element the last measured one up to the point; the outputs are discrete."""
+    data = jittered()
+    most = data.most_in_a_step(POINTS)
+    component = FieldRecording(data, most=most, hold=True)
+    assert [component.interface.by_name[name].variability for name in "yx"] == ["discrete"] * 2
+    no_inputs = np.zeros((len(POINTS), 0))
+    first = component.initialize(POINTS[0], NONE)
+    rows = np.vstack([first, component.advance(POINTS, H, no_inputs)])
+    for column, values in enumerate((data["y"][:, 0], *data["x"].T)):
+        there = np.isfinite(values)
+        before = np.searchsorted(data.t[there], POINTS, side="right") - 1
+        np.testing.assert_array_equal(rows[:, column], values[there][before])
+    check_component(lambda: FieldRecording(data, most=most, hold=True))
+    check_rollback(lambda: FieldRecording(data, most=most, hold=True))
+
+
 @given(st.integers(0, 100))
 def test_every_sample_of_the_run_is_shown_once_with_its_time(seed):
     """In the step that it belongs to, in the order of time; those before the start are not."""

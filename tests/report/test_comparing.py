@@ -124,7 +124,7 @@ def test_a_path_that_no_plant_has_is_refused_before_the_first_run(call, monkeypa
     assert (code, out) == (2, "")
     assert err.splitlines() == [
         "cosim: --swap plant: found '/dev/zero', needed a path that ends in .fmu (an FMU), .mcap "
-        "(a recorded log) or .csv or .parquet (samples with their times)",
+        "(a recorded log) or .csv, .parquet or .mcap#samples (samples with their times)",
         "cosim: --swap plant: found '#xs' behind the path, needed '#me' (model exchange) or '#cs' "
         "(co-simulation)",
     ]

@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.arrays import NAN, Matrix
 from cosim.errors import LogError, nearest
 from cosim.log.foreign.field_path import FieldProblem, parse_path, topic_of
 from cosim.log.foreign.formats import format_of
+from cosim.log.foreign.spacing import Instants, Spacing, spacing_of
 from cosim.log.foreign.topics import (
     ForeignChannel,
     ForeignMessage,
@@ -32,8 +32,6 @@ from cosim.log.foreign.values import NANOSECONDS, Picker, nanoseconds_in, number
 LOG_TIME: Final = "log_time"
 PUBLISH_TIME: Final = "publish_time"
 MOST_NUMBERS: Final = 2**25  # that are kept of a file
-
-Instants = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,18 +46,15 @@ class FieldSamples:
         Ascending.
     values : Matrix, shape (N, size)
         NaN where a message has none.
-    late : int
-        Messages that stood behind one of a later time.
-    repeated : int
-        Messages of an instant that had another one.
+    spacing : Spacing
+        Of the messages of the topic.
     """
 
     field: str
     topic: str
     time_ns: Instants
     values: Matrix
-    late: int
-    repeated: int
+    spacing: Spacing
 
 
 def read_fields(
@@ -256,19 +251,17 @@ class _Collector:
         count = len(stamps)
         if not count:
             raise LogError(f"{self._path}: topic {self._topic!r} has no messages; needed samples")
-        late = int(np.count_nonzero(stamps < np.maximum.accumulate(stamps)))
+        spacing = spacing_of(stamps)
         order = np.argsort(stamps, kind="stable")
         ordered = stamps[order]
         is_last = np.append(ordered[1:] != ordered[:-1], True)
         kept = order[is_last]
-        repeated = count - len(kept)
         samples = []
         for column in self._columns:
             if not column.size:
                 raise LogError(self._nothing_text(column))
             values = column.values(count)[kept]
-            found = FieldSamples(column.field, self._topic, stamps[kept], values, late, repeated)
-            samples.append(found)
+            samples.append(FieldSamples(column.field, self._topic, stamps[kept], values, spacing))
         return samples
 
     def _nothing_text(self, column: _Column) -> str:

@@ -22,6 +22,8 @@ from cosim.log.foreign.record_stream import check_magic, read_records, records_i
 from cosim.log.layout import FOOTER_SIZE, HEADER, MAGIC
 from cosim.log.paths import open_file
 
+OWN_LIBRARY: Final = "cosim/"
+OWN_METADATA: Final = "cosim.run"
 _MESSAGE: Final = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 _MALFORMED: Final = (McapError, ValueError, KeyError, TypeError, OverflowError, struct.error)
 
@@ -79,7 +81,7 @@ class _ChannelTable:
         LogError
             If it is damaged, or has the id of another one.
         """
-        stream = ReadDataStream(io.BytesIO(content))
+        stream = _stream_of(content)
         try:
             if opcode == Opcode.SCHEMA:
                 self._add_schema(records.Schema.read(stream))
@@ -132,21 +134,36 @@ def read_channels(path: Path) -> list[ForeignChannel]:
     return list(table.channels.values())
 
 
-def metadata_names(path: Path) -> set[str]:
-    """Return the names of the metadata records that the summary of a file lists.
+def is_foreign(path: Path) -> bool:
+    """Return whether a file is an MCAP that another tool has written, as far as can be seen.
 
-    None where there is no file, no MCAP or no summary.
+    A log of a run that another tool has copied still lists the metadata of the run.
     """
-    names = set()
     try:
         with open_file(path) as stream:
+            check_magic(path, stream, os.fstat(stream.fileno()).st_size)
+            if _library(stream).startswith(OWN_LIBRARY):
+                return False
             for opcode, content in _summary_records(stream):
                 if opcode == Opcode.METADATA_INDEX:
-                    index = records.MetadataIndex.read(ReadDataStream(io.BytesIO(content)))
-                    names.add(index.name)
+                    index = records.MetadataIndex.read(_stream_of(content))
+                    if index.name == OWN_METADATA:
+                        return False
     except (LogError, OSError, *_MALFORMED):
-        return set()
-    return names
+        return False  # whoever reads it says what is wrong
+    return True
+
+
+def _library(stream: BinaryIO) -> str:
+    """Return what wrote a file, by the record behind its first bytes."""
+    opcode, length = struct.unpack("<BQ", stream.read(HEADER))
+    if opcode != Opcode.HEADER or length > MOST_BYTES:
+        raise ValueError("the file does not begin with a header")
+    return str(records.Header.read(_stream_of(stream.read(length))).library)
+
+
+def _stream_of(content: bytes) -> ReadDataStream:
+    return ReadDataStream(io.BytesIO(content))
 
 
 def read_messages(path: Path, wanted: Callable[[ForeignChannel], bool]) -> Iterator[ForeignMessage]:

@@ -3,10 +3,10 @@
 
 #include <math.h>
 
-/* The value on the straight lines between samples; the last one stays. */
-static double value_at(cosim_line *line, double t, int64_t before)
+/* The value on the straight lines between samples; the last one stays, with `hold` every one. */
+static double value_at(const cosim_line *line, double t, int64_t before, int32_t hold)
 {
-    const int is_last = before + 1 == line->count;
+    const int is_last = hold || before + 1 == line->count;
     const int64_t after = is_last ? before : before + 1;
     const double distance = is_last ? 1.0 : line->t[after] - line->t[before];
     const double part = (t - line->t[before]) / distance;
@@ -25,7 +25,7 @@ static int32_t write_row(const cosim_field_data *s, double t, int64_t first, int
         const int64_t before = cosim_last_not_after(line->t, line->count, t, &line->near);
         if (before < 0)
             return COSIM_OUTSIDE;
-        *y++ = value_at(line, t, before);
+        *y++ = value_at(line, t, before, s->hold);
     }
     for (int32_t i = 0; i <= s->elements; ++i) {
         const double *column = s->columns + i * s->count;

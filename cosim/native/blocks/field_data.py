@@ -26,7 +26,7 @@ class _FieldDataStruct(Structure):
     """cosim_field_data."""
 
     _fields_ = (
-        *((name, c_int32) for name in ("elements", "most")),
+        *((name, c_int32) for name in ("elements", "most", "hold")),
         ("lines", c_void_p),
         ("count", c_int64),
         ("columns", c_void_p),
@@ -37,9 +37,9 @@ class _FieldDataStruct(Structure):
 
 
 def field_data_step(
-    lines: Sequence[tuple[Vector, Vector]], columns: Matrix, *, most: int, end: float
+    lines: Sequence[tuple[Vector, Vector]], columns: Matrix, *, most: int, end: float, hold: bool
 ) -> NativeStep:
-    """Build the values on the lines between samples, and the samples of each step.
+    """Build the values between samples, and the samples of each step.
 
     Its memory is the communication point before the last; NaN: there is none.
 
@@ -53,6 +53,8 @@ def field_data_step(
         Samples that can be in one step.
     end : float
         The last instant at which all is measured [s].
+    hold : bool
+        A zero-order hold between samples; else straight lines.
     """
     structs = (_LineStruct * len(lines))()
     keep: list[object] = [structs]
@@ -66,6 +68,7 @@ def field_data_step(
     state = _FieldDataStruct(
         elements,
         most,
+        hold,
         addressof(structs),
         rows.shape[1],
         pointer(rows),

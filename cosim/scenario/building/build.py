@@ -459,6 +459,8 @@ class Builder:
                 f"has no inputs: the connections to {', '.join(left_out)} are left out, and what "
                 "[truth] compares with need not be true of the data",
             )
+        for recorded in self.scenario.recorded_inputs:
+            self.context.warn(recorded.port.component, recorded.text())
         for name, spec in self.scenario.specs.items():
             held = {}
             mask = graph.held[name]

@@ -29,7 +29,7 @@ from cosim.scenario.document.problems import Key
 from cosim.scenario.document.swap import ports_in
 from cosim.scenario.identification.model import IdentifiedPlant
 from cosim.scenario.kinds import Kind
-from cosim.scenario.kinds.base import KnownSignal, Spectrum
+from cosim.scenario.kinds.base import AnyKind, KnownSignal, Spectrum
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.recorded_metadata import component_record
 from cosim.theory.plants.descriptor import DescriptorSystem
@@ -254,6 +254,18 @@ class ScenarioBuildContext:
         if name not in self._field_data:
             self._field_data[name] = read()
         return self._field_data[name]
+
+    def mapped(self, name: str) -> list[Port]:
+        """Return the ports of a swapped component that its map names."""
+        ports: list[Port] = []
+        for entry in self._scenario.maps.get(name, []):
+            ports += entry.renaming.sources
+        return ports
+
+    def of_kind(self, kind: type[AnyKind]) -> dict[str, AnyKind]:
+        """Return the tables of all components of a kind."""
+        specs = self._scenario.specs.items()
+        return {name: spec for name, spec in specs if isinstance(spec, kind)}
 
     def recorded(self, name: str) -> Interface | None:
         """Return the interface of a component that is taken from a recording; None: it is not."""

@@ -1,4 +1,4 @@
-"""Field data: tables of samples with times of their own, from CSV and Parquet files.
+"""Field data: samples with times of their own, from CSV, Parquet and MCAP files.
 
 The first line of a CSV file, or the names of the columns of a Parquet file, say what the columns
 are, with their units: ``t [ms]``, ``y [mm]``, ``x_a[0]``, ``x_a[1]``. An empty cell and NaN say
@@ -18,6 +18,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from decimal import Decimal
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final, Literal, Protocol, TypeAlias
 
@@ -28,6 +29,12 @@ from cosim.blocks.field_data import FieldData, FieldSignal, elements_named
 from cosim.errors import UsageError, nearest
 from cosim.files import read_bounded
 from cosim.scenario.data_files.csv_file import LARGEST, MOST_COLUMNS, is_number, read_lines
+from cosim.scenario.data_files.recorded_fields import (
+    MCAP,
+    check_asked,
+    read_samples,
+    recorded_data,
+)
 from cosim.units import base_unit
 
 TimeOffset: TypeAlias = float | Literal["first"]
@@ -44,26 +51,29 @@ def read_field_data(
     *,
     time: str | None = None,
     time_unit: str | None = None,
-    offset: TimeOffset = 0.0,
+    offset: TimeOffset | None = None,
     columns: Mapping[str, str | Sequence[str]] | None = None,
     separator: str | None = None,
     decimal: str = ".",
 ) -> FieldData:
-    """Read samples with times of their own from a CSV or Parquet file.
+    """Read samples with times of their own from a CSV or Parquet file, or an MCAP of another tool.
 
     Parameters
     ----------
     path : str or Path
-        Of a file whose name ends in .parquet, or of a CSV file.
+        Of a file whose name ends in .parquet or .mcap, or of a CSV file.
     time : str, optional
-        Name of the column of the times; by default the first.
+        Name of the column of the times; by default the first. Of an MCAP "log_time", which is the
+        default, "publish_time", or a field of the messages, such as "header.stamp".
     time_unit : str, optional
         Unit of the times; by default the one in the name of their column, or s.
-    offset : float or "first"
-        The time stamp, as the file has it, that is t = 0; "first": the first one.
+    offset : float or "first", optional
+        The time stamp, as the file has it, that is t = 0; of an MCAP in ``time_unit``. "first":
+        the first one, of an MCAP the first by which every field has a sample. By default 0, of an
+        MCAP "first".
     columns : mapping of signal to the name of a column, or names of several, optional
         By default every other column is a signal of its name, and ``x[0]``, ``x[1]``, ... are the
-        elements of ``x``.
+        elements of ``x``. Of an MCAP the fields, such as ``/drive/state.position``; needed there.
     separator : str, optional
         Between the columns of a CSV file; by default what the first line has: tabs, semicolons,
         bars or commas.
@@ -76,6 +86,8 @@ def read_field_data(
         If the file cannot be read, is no such table, or has times that do not ascend.
     """
     path = Path(path)
+    if path.suffix.lower() == MCAP:
+        return _read_recorded(path, time, time_unit, offset=offset, columns=columns or {})
     table: _FieldTable
     if path.suffix.lower() == PARQUET:
         table = _ParquetTable(path)
@@ -84,7 +96,7 @@ def read_field_data(
     headers = _Headers(table)
     clock = headers.named(time) if time is not None else headers.all[0]
     chosen = headers.signals(clock, columns)
-    stamps = _TimeStamps(table, offset, _seconds(table, clock, time_unit))
+    stamps = _TimeStamps(table, offset or 0.0, _seconds(table, clock, time_unit))
     values: dict[int, list[float]] = {}
     for parts in chosen.values():
         for part in parts:
@@ -97,6 +109,37 @@ def read_field_data(
         stacked = np.array([values[part.position] for part in parts]).T
         signals.append(FieldSignal(name, _unit_of(table, name, parts), stacked))
     return FieldData(table.label, np.array(stamps.t), tuple(signals))
+
+
+def _read_recorded(
+    path: Path,
+    time: str | None,
+    time_unit: str | None,
+    *,
+    offset: TimeOffset | None,
+    columns: Mapping[str, str | Sequence[str]],
+) -> FieldData:
+    fields = listed_columns(columns)
+    check_asked(path, fields)
+    names = chain.from_iterable(fields.values())
+    samples = read_samples(path, names, time=time, time_unit=time_unit)
+    return recorded_data(path, fields, samples, offset=offset, time_unit=time_unit)
+
+
+def listed_columns(columns: Mapping[str, str | Sequence[str]]) -> dict[str, list[str]]:
+    """Return the columns of every signal as a list.
+
+    Raises
+    ------
+    UsageError
+        If a signal has none.
+    """
+    listed = {}
+    for name, wanted in columns.items():
+        listed[name] = [wanted] if isinstance(wanted, str) else list(wanted)
+    if not all(listed.values()):
+        raise UsageError(f"columns: found {dict(columns)}; needed a column for each signal")
+    return listed
 
 
 # --- what the columns are ---
@@ -171,10 +214,9 @@ class _Headers:
             for name, parts in elements_named(names).items():
                 signals[name] = [self.named(part) for part in parts]
             return signals
-        for name, wanted in columns.items():
-            parts = [wanted] if isinstance(wanted, str) else list(wanted)
+        for name, parts in listed_columns(columns).items():
             signals[name] = [self.named(part) for part in parts]
-        if not all(signals.values()) or not signals:
+        if not signals:
             raise UsageError(f"columns: found {dict(columns)}; needed a column for each signal")
         return signals
 

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 Tables: TypeAlias = dict[str, Any]
 PortNames: TypeAlias = str | Sequence[str]  # ports of the new component; or as text: "[s1, s2]"
 
+SAMPLES = "#samples"  # behind the path of an MCAP of another tool
 MAP = "(map)"  # first part of the key of a problem with a map from outside
 
 
@@ -115,14 +116,16 @@ def component_table(name: str, path: str) -> Tables:
     name : str
         Of the component that is replaced; it has this name in a recorded log too.
     path : str
-        Of an .fmu, ``x.fmu#me`` or ``x.fmu#cs`` where it is for both, of a log (.mcap), or of a
-        table of samples (.csv, .parquet).
+        Of an .fmu, ``x.fmu#me`` or ``x.fmu#cs`` where it is for both, of a log (.mcap), or of
+        samples: a table (.csv, .parquet), or ``x.mcap#samples``, of another tool.
 
     Raises
     ------
     UsageError
         If the path ends in something else.
     """
+    if re.fullmatch(rf"(?i).*\.mcap{SAMPLES}", path):
+        return {"kind": "field-data", "path": path.removesuffix(SAMPLES)}
     suffix = re.fullmatch(r"(?i)(.*\.fmu)#(.*)", path)
     file = path if suffix is None else suffix[1]
     interface_type = None if suffix is None else suffix[2]
@@ -142,7 +145,7 @@ def component_table(name: str, path: str) -> Tables:
         case _:
             raise UsageError(
                 f"found {path!r}, needed a path that ends in .fmu (an FMU), .mcap (a recorded log) "
-                "or .csv or .parquet (samples with their times)"
+                f"or .csv, .parquet or .mcap{SAMPLES} (samples with their times)"
             )
 
 

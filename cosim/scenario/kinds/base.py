@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from cosim.scenario.user_kinds.user_code import UserClass
 
 T = TypeVar("T")
+AnyKind = TypeVar("AnyKind", bound="Kind")
 
 # a signal at instants of the run (N,) [s]
 KnownSignal: TypeAlias = Callable[[Vector], Vector]
@@ -178,6 +179,14 @@ class BuildContext(Protocol):
 
     def field_data(self, name: str, read: Callable[[], FieldData]) -> FieldData:
         """Return the samples of a component, which are read once."""
+        ...
+
+    def mapped(self, name: str) -> Sequence[Port]:
+        """Return the ports of a swapped component that its map names."""
+        ...
+
+    def of_kind(self, kind: type[AnyKind]) -> Mapping[str, AnyKind]:
+        """Return the tables of all components of a kind."""
         ...
 
     def recorded(self, name: str) -> Interface | None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import chain
+from pathlib import Path
 from typing import ClassVar, Final, Literal
 
 import numpy as np
@@ -15,6 +17,7 @@ from cosim.blocks.field_data import (
     FieldData,
     FieldRecording,
     check_covers,
+    check_step,
     samples_of,
 )
 from cosim.blocks.renaming import Renaming
@@ -25,7 +28,13 @@ from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
 from cosim.instants import NANOSECONDS
 from cosim.native.step import LARGEST_MEMORY
-from cosim.scenario.data_files.field_file import read_field_data
+from cosim.scenario.data_files.field_file import listed_columns, read_field_data
+from cosim.scenario.data_files.recorded_fields import (
+    MCAP,
+    check_asked,
+    read_samples,
+    recorded_data,
+)
 from cosim.scenario.document.schema import Number, UnitName
 from cosim.scenario.kinds.base import BuildContext
 from cosim.scenario.kinds.plants import PlantKind
@@ -35,25 +44,35 @@ FEWEST_SAMPLES: Final = 3  # in a run: fewer are a straight line
 
 
 class FieldDataKind(PlantKind):
-    """Samples of a file (.csv, .parquet) at their own times, straight lines between them."""
+    """Samples of a file (.csv, .parquet, an .mcap of another tool) at their own times."""
 
-    ports: ClassVar[str] = "-> columns of the file, samples of each, sample_times"
+    ports: ClassVar[str] = "-> columns or fields of the file, samples of each, sample_times"
     is_recorded: ClassVar[bool] = True
     kind: Literal["field-data"]
-    path: str = Field(description="path of a CSV file, or of one in Parquet (.parquet)")
+    path: str = Field(
+        description="path of a CSV file, of one in Parquet (.parquet), or of an MCAP (.mcap) with "
+        "messages in protobuf, JSON or CDR (ROS 2)"
+    )
     time: str | None = Field(
-        None, description="name of the column of the times; default: the first"
+        None,
+        description='name of the column of the times; default: the first; of an MCAP "log_time", '
+        'the default, "publish_time", or a field of the messages, "header.stamp"',
     )
     time_unit: UnitName | None = Field(
         None, description="unit of the times; default: as in the name of the column, t [ms], or s"
     )
-    offset: Number | Literal["first"] = Field(
-        0.0, description='time stamp that is t = 0, as the file has it; "first": the first one'
+    offset: Number | Literal["first"] | None = Field(
+        None,
+        description='time stamp that is t = 0, as the file has it; "first": the first one; '
+        'default: 0; of an MCAP in time_unit, "first": the first by which all fields that are '
+        "taken from it have a sample, the default",
     )
     columns: dict[str, StrictStr | list[StrictStr]] | None = Field(
         None,
         description='columns by output, like { y = "level", x_a = ["s1", "s2"] }; default: every '
-        "column is an output of its name, x[0], x[1], ... are the elements of x",
+        "column is an output of its name, x[0], x[1], ... are the elements of x; of an MCAP "
+        'fields, { y = "/drive/state.position", u = ["/cmd.a", "/cmd.b[3]"] }; default: those '
+        "that the map of a swap names",
     )
     separator: str | None = Field(
         None,
@@ -64,6 +83,12 @@ class FieldDataKind(PlantKind):
     maximum_gap: Number | None = Field(
         None,
         description="longest time between two samples [s]; default: ten times the median",
+    )
+    interpolation: Literal["linear", "zero-order"] | None = Field(
+        None,
+        description='between the samples: "linear" interpolation, the default, or "zero-order" '
+        "hold, the last sample; needed of an MCAP where the step is shorter than the time between "
+        "two samples",
     )
 
     @property
@@ -104,9 +129,13 @@ class FieldDataKind(PlantKind):
         return [*given, *added]
 
     def build(self, name: str, context: BuildContext) -> Component:
-        data = context.field_data(name, lambda: self._read(context))
+        data = context.field_data(name, lambda: self._read(name, context))
         points = _points(context.clock)
         check_covers(data, points, self.maximum_gap)
+        if self._is_mcap and self.interpolation is None:
+            check_step(data, context.clock.step_ns / NANOSECONDS)
+        for text in data.diagnostics:
+            context.warn(name, text)
         most = data.most_in_a_step(points)
         if most > MOST_SAMPLES or most * len(points) > LARGEST_MEMORY:
             raise UsageError(
@@ -119,7 +148,9 @@ class FieldDataKind(PlantKind):
         if samples < FEWEST_SAMPLES:
             context.warn(name, self._too_few(data, samples, points))
         context.add_metadata(name, {"samples": samples, "samples_in_a_step": most})
-        return FieldRecording(data, most=most)
+        if data.zero_ns is not None:
+            context.add_metadata(name, {"zero_ns": data.zero_ns})
+        return FieldRecording(data, most=most, hold=self.interpolation == "zero-order")
 
     def _too_few(self, data: FieldData, samples: int, points: Vector) -> str:
         """Return what may be wrong where a run has hardly a sample."""
@@ -137,10 +168,24 @@ class FieldDataKind(PlantKind):
         recorded = context.recorded(name)
         if recorded is not None and SAMPLE_TIMES in recorded.by_name:
             return recorded.by_name[SAMPLE_TIMES].size
-        data = context.field_data(name, lambda: self._read(context))
+        data = context.field_data(name, lambda: self._read(name, context))
         return data.most_in_a_step(_points(context.clock))
 
-    def _read(self, context: BuildContext) -> FieldData:
+    @property
+    def _is_mcap(self) -> bool:
+        return Path(self.path).suffix.lower() == MCAP
+
+    def fields(self, mapped: Sequence[Port]) -> dict[str, list[str]]:
+        """Return the fields of an MCAP by output: those of ``columns``, and what a map names."""
+        fields = listed_columns(self.columns or {})
+        for port in mapped:
+            if fields.keys().isdisjoint({port.name, port.signal}):
+                fields[port.name] = [port.name]
+        return fields
+
+    def _read(self, name: str, context: BuildContext) -> FieldData:
+        if self._is_mcap:
+            return self._read_mcap(name, context)
         return read_field_data(
             context.file(self.path),
             time=self.time,
@@ -150,6 +195,29 @@ class FieldDataKind(PlantKind):
             separator=self.separator,
             decimal=self.decimal,
         )
+
+    def _read_mcap(self, name: str, context: BuildContext) -> FieldData:
+        """Read fields of an MCAP in one pass with those of the components from the same file.
+
+        All of them have a sample at t = 0.
+        """
+        path = context.file(self.path)
+        columns = self.fields(context.mapped(name))
+        check_asked(path, columns)
+        together = list(chain.from_iterable(columns.values()))
+        for other, spec in context.of_kind(FieldDataKind).items():
+            is_beside = (spec.path, spec.time, spec.time_unit) == (
+                self.path,
+                self.time,
+                self.time_unit,
+            )
+            if is_beside:
+                together += chain.from_iterable(spec.fields(context.mapped(other)).values())
+        samples = context.designed(
+            f"samples of {path} by {self.time} in {self.time_unit}",
+            lambda: read_samples(path, together, time=self.time, time_unit=self.time_unit),
+        )
+        return recorded_data(path, columns, samples, offset=self.offset, time_unit=self.time_unit)
 
 
 def _samples_behind(source: Port, outputs: Mapping[str, Signal], most: int) -> Port | None:

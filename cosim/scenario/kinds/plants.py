@@ -300,6 +300,13 @@ class RecordingKind(PlantKind):
     component: str = Field(description="name of the component in the log")
 
     def build(self, name: str, context: BuildContext) -> Component:
+        from cosim.log.foreign.topics import is_foreign  # rarely needed
+
+        if is_foreign(context.file(self.log)):
+            raise UsageError(
+                f"log {self.log!r} is of another tool; needed '{self.log}#samples' as the path of "
+                'a swap, or kind = "field-data" and path instead of log'
+            )
         recording = context.recording(self.log)
         replay = Replay(recording, self.component)
         clock = context.clock

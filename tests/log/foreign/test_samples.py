@@ -442,7 +442,7 @@ def test_files_of_every_form_have_the_same_samples(tmp_path, options):
         expected = [[row["x"]] for _, row in topics[name]]
         assert samples.values.tolist() == expected
         assert samples.time_ns.tolist() == [time_ns for time_ns, _ in topics[name]]
-        assert (samples.late, samples.repeated) == (0, 0)
+        assert (samples.spacing.late, samples.spacing.repeated) == (0, 0)
 
 
 def test_messages_out_of_order_are_sorted_and_counted(tmp_path):
@@ -453,7 +453,10 @@ def test_messages_out_of_order_are_sorted_and_counted(tmp_path):
     (samples,) = read(path, "/t.x")
     assert (samples.time_ns - EPOCH).tolist() == [1, 3, 5, 9, 12]
     assert samples.values[:, 0].tolist() == [1, 4, 0, 5, 6]
-    assert (samples.late, samples.repeated) == (2, 2)
+    spacing = samples.spacing
+    assert (spacing.count, spacing.late, spacing.repeated) == (7, 2, 2)
+    assert (spacing.first_ns - EPOCH, spacing.last_ns - EPOCH) == (1, 12)
+    assert (spacing.median_ns, spacing.largest_ns, spacing.largest_at_ns - EPOCH) == (2, 4, 5)
 
 
 def test_a_topic_of_two_schemas_is_refused(tmp_path):

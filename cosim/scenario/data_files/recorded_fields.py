@@ -1,0 +1,179 @@
+"""Field data from an MCAP file of another tool: fields of its messages as signals.
+
+The times of the messages are whole ns, and stay so until the one that is t = 0 is subtracted. With
+``offset = "first"`` that is the first instant by which every field that is taken has a sample: at
+t = 0 all is measured, and of several components from one file all have the same t = 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from decimal import Decimal
+from pathlib import Path
+from typing import Final, Literal, TypeAlias
+
+import numpy as np
+
+from cosim.arrays import NAN, Matrix, Vector
+from cosim.blocks.field_data import FieldData, FieldSignal
+from cosim.errors import UsageError, option
+from cosim.log.foreign.samples import LOG_TIME, FieldSamples, read_fields
+from cosim.log.foreign.spacing import Instants, Spacing
+from cosim.units import base_unit
+
+MCAP: Final = ".mcap"
+MOST_NS: Final = 2**63
+MOST_VALUES: Final = 2**26  # of all signals at all times
+NANOSECOND: Final = Decimal("1e-9")  # s
+LONG_GAP: Final = 2  # median distances that are worth a word
+
+SamplesByField: TypeAlias = Mapping[str, FieldSamples]
+
+
+def read_samples(
+    path: Path, fields: Iterable[str], *, time: str | None, time_unit: str | None
+) -> SamplesByField:
+    """Read fields of the messages in an MCAP file, in one pass; parameters as of a component.
+
+    Raises
+    ------
+    UsageError
+        If the file or a field cannot be read, or the unit is none of time.
+    """
+    unit = _unit_ns(f"file {str(path)!r}", time_unit)
+    names = list(dict.fromkeys(fields))
+    found = read_fields(path, names, time=time or LOG_TIME, time_unit_ns=unit)
+    return dict(zip(names, found, strict=True))
+
+
+def check_asked(path: Path, columns: Mapping[str, Sequence[str]]) -> None:
+    """Check that some field of a file is asked for.
+
+    Raises
+    ------
+    UsageError
+        If none is.
+    """
+    if columns:
+        return
+    map_option = option("map", "PORT", "/topic.field")
+    raise UsageError(
+        f"file {str(path)!r}: found no field to take; needed a map, {map_option}, or columns = "
+        "{ y = \"/topic.field\" }; 'cosim info' lists the fields"
+    )
+
+
+def recorded_data(
+    path: Path,
+    columns: Mapping[str, Sequence[str]],
+    samples: SamplesByField,
+    *,
+    offset: float | Literal["first"] | None,
+    time_unit: str | None,
+) -> FieldData:
+    """Return fields of messages as signals.
+
+    Parameters
+    ----------
+    path : Path
+    columns : mapping of signal to fields
+        Which are its elements, one behind the other.
+    samples : mapping of field to FieldSamples
+        At least of these; with ``"first"`` all of them have a sample at t = 0.
+    offset : float, "first" or None
+        The time that is t = 0, in ``time_unit``; None: "first".
+    time_unit : str or None
+        None: s.
+
+    Raises
+    ------
+    UsageError
+        If the times are too far from the offset, or there are too many of them.
+    """
+    label = f"file {str(path)!r}"
+    if offset is None or offset == "first":
+        offset_ns = max(_first_measured(found) for found in samples.values())
+    else:
+        offset_ns = round(Decimal(repr(offset)) * _unit_ns(label, time_unit))
+    used: list[FieldSamples] = []
+    for fields in columns.values():
+        used += [samples[name] for name in fields]
+    time_ns = np.unique(np.concatenate([found.time_ns for found in used]))
+    width = sum(found.values.shape[1] for found in used)
+    if len(time_ns) * width > MOST_VALUES:
+        raise UsageError(
+            f"{label}: {width} numbers at {len(time_ns)} times; needed at most {MOST_VALUES} "
+            "numbers, so fewer fields, or a shorter file"
+        )
+    t = _seconds_since(label, time_ns, offset_ns)
+    signals = []
+    for name, fields in columns.items():
+        parts = [_spread(samples[field], time_ns) for field in fields]
+        signals.append(FieldSignal(name, None, np.hstack(parts)))
+    spacings = {found.topic: found.spacing for found in used}
+    notes = [_note(label, topic, spacing, offset_ns) for topic, spacing in spacings.items()]
+    diagnostics = tuple(note for note in notes if note)
+    return FieldData(label, t, tuple(signals), diagnostics, offset_ns)
+
+
+def _unit_ns(label: str, name: str | None) -> int:
+    """Return a unit of time in ns."""
+    meaning = base_unit(name or "s")
+    second = base_unit("s")
+    assert second is not None
+    if meaning is not None and meaning.exponents == second.exponents:
+        unit = Decimal(repr(meaning.factor)) / NANOSECOND
+        if unit >= 1 and unit == unit.to_integral_value():
+            return int(unit)
+    raise UsageError(
+        f"{label}: found time_unit {name!r}; needed a unit of time of whole ns, such as ms"
+    )
+
+
+def _first_measured(found: FieldSamples) -> int:
+    """Return the first time at which every element of a field has had a value."""
+    is_measured = np.isfinite(found.values)
+    if not is_measured.any(axis=0).all():
+        return int(found.time_ns[0])  # who needs that element says that it is never measured
+    return int(found.time_ns[is_measured.argmax(axis=0).max()])
+
+
+def _seconds_since(label: str, time_ns: Instants, offset_ns: int) -> Vector:
+    """Return times since the offset [s].
+
+    Raises
+    ------
+    UsageError
+        If there are too many ns between them.
+    """
+    first = int(time_ns[0]) - offset_ns
+    last = int(time_ns[-1]) - offset_ns
+    if max(map(abs, (first, last, offset_ns))) >= MOST_NS:
+        raise UsageError(
+            f"{label}: its times are from {first} ns to {last} ns after the offset; needed less "
+            'than 2**63 ns: offset = "first" makes the first one 0'
+        )
+    seconds: Vector = (time_ns - offset_ns) / 1e9
+    return seconds
+
+
+def _spread(found: FieldSamples, time_ns: Instants) -> Matrix:
+    """Return the values of a field at all times, NaN where it has none."""
+    values = np.full((len(time_ns), found.values.shape[1]), NAN)
+    values[np.searchsorted(time_ns, found.time_ns)] = found.values
+    return values
+
+
+def _note(label: str, topic: str, spacing: Spacing, offset_ns: int) -> str:
+    """Return what is to be known of the messages of a topic; empty: nothing."""
+    texts = []
+    disorder = spacing.disorder_text()
+    if disorder:
+        texts.append(disorder)
+    if spacing.largest_ns > LONG_GAP * spacing.median_ns:
+        begin = (spacing.largest_at_ns - offset_ns) / 1e9
+        texts.append(
+            f"the largest gap is {spacing.largest_ns / 1e9:g} s, from t = {begin:g} s on, the "
+            f"median distance {spacing.median_ns / 1e9:g} s"
+        )
+    return f"{label}, topic {topic!r}: {'; '.join(texts)}" if texts else ""

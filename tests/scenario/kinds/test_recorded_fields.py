@@ -1,0 +1,278 @@
+"""An MCAP of another tool in the place of the plant, and of what drives it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.errors import ScenarioError
+from cosim.log import open_log
+from cosim.scenario.recorded_metadata import component_table, recorded_warnings
+from tests.log.crafting import put_together, take_apart
+from tests.log.foreign.field_logs import EPOCH, write_json
+
+STEP = 1e-2
+STEP_NS = 10_000_000
+STOP = 3.0
+COUNT = 400
+
+LOOP = """
+[scenario]
+name = "loop"
+stop = 3.0
+step = 1e-2
+
+[components]
+command = { kind = "sine", amplitude = 2.0, rate = 3.0 }
+plant = { kind = "lag", time_constant = 0.5 }
+double = { kind = "gain", K = 2.0 }
+model = { kind = "lag", time_constant = 0.5 }
+error = { kind = "sum", signs = [1, -1] }
+
+[connections]
+"plant.u" = "command.y"
+"model.u" = "command.y"
+"double.u" = "command.y"
+"error.u1" = "plant.y"
+"error.u2" = "model.y"
+"""
+
+
+@pytest.fixture
+def loop(tmp_path):
+    path = tmp_path / "loop.toml"
+    path.write_text(LOOP, encoding="utf-8")
+    return cosim.load(path)
+
+
+def level(t):
+    return np.cos(1.7 * t) + t
+
+
+def command(t):
+    return np.sin(5.0 * t) - 1.0
+
+
+def field_log(folder, *, shift_ns=3_000_000, step_ns=STEP_NS, count=COUNT, name="field.mcap"):
+    """Write two topics on the wall clock, of which the second begins ``shift_ns`` later."""
+    state = []
+    cmd = []
+    for index in range(-50, count):
+        time_ns = index * step_ns
+        state.append((EPOCH + time_ns, {"position": level(time_ns / 1e9), "name": "x"}))
+    for index in range(count):
+        time_ns = shift_ns + index * step_ns
+        row = {"values": [command(time_ns / 1e9), 7.0], "stamp": (EPOCH + time_ns) / 1e9}
+        cmd.append((EPOCH + time_ns, row))
+    return write_json(folder / name, {"/drive/state": state, "/cmd": cmd})
+
+
+PLANT = {"plant.y": "/drive/state.position"}
+BOTH = {**PLANT, "plant.u": "/cmd.values[0]"}
+
+
+def warnings_of(log):
+    return "\n".join(text for _, text in recorded_warnings(log))
+
+
+def test_fields_take_the_place_of_the_plant_and_of_its_input(loop, tmp_path):
+    """By name; t = 0 is the first instant by which all of them have a sample."""
+    swapped = loop.swap(plant=field_log(tmp_path), map=BOTH)
+    log = cosim.run(swapped, out=tmp_path / "run.mcap")
+    t = log.time("plant.y")
+    shift = 3e-3  # the first /cmd
+    samples = np.arange(-50, COUNT) * STEP - shift
+    expected = np.interp(t, samples, level(samples + shift))
+    np.testing.assert_allclose(log["plant.y"], expected, atol=1e-12)
+    np.testing.assert_allclose(log["plant.u"], command(t + shift), atol=1e-12)
+    np.testing.assert_allclose(log["double.y"], 2.0 * log["plant.u"], atol=1e-12)
+    np.testing.assert_array_equal(log["command.y"], cosim.run(loop)["command.y"])
+    text = warnings_of(log)
+    assert "'plant.u' is recorded: model.u, double.u take it in the place of command.y" in text
+    assert "has no inputs" not in text
+    assert component_table(log, "plant")["zero_ns"] == EPOCH + 3_000_000
+
+
+def test_a_log_of_such_a_run_replays_without_the_file(loop, tmp_path):
+    """Bit for bit, and with other parameters of what is computed."""
+    path = field_log(tmp_path)
+    log = cosim.run(loop.swap(plant=path, map=BOTH), out=tmp_path / "run.mcap")
+    path.unlink()
+    again = cosim.replay(tmp_path / "run.mcap")
+    for signal in log:
+        np.testing.assert_array_equal(again[signal], log[signal])
+    other = cosim.replay(tmp_path / "run.mcap", set={"model.time_constant": 0.1})
+    assert not np.array_equal(other["error.y"], log["error.y"])
+    np.testing.assert_array_equal(other["plant.u"], log["plant.u"])
+
+
+def test_components_from_one_file_have_one_time(loop, tmp_path):
+    """The field that begins last decides for both, so that they are not shifted."""
+    path = field_log(tmp_path)
+    names = {"plant.y": "/drive/state.position", "command.y": "/cmd.values[0]"}
+    log = cosim.run(loop.swap(plant=path, command=path, map=names))
+    other = cosim.run(loop.swap(plant=path, map=BOTH))
+    np.testing.assert_array_equal(log["plant.y"], other["plant.y"])
+    np.testing.assert_array_equal(log["command.y"], other["plant.u"])
+
+
+@pytest.mark.parametrize(
+    ("changes", "shift"),
+    [
+        ({"plant.offset": EPOCH / 1e9}, 0.0),
+        ({"plant.offset": EPOCH / 1e6, "plant.time_unit": "ms"}, 0.0),
+        ({"plant.offset": EPOCH / 1e9 + 0.25}, 0.25),
+        ({"plant.offset": "first"}, -0.5),
+        ({"plant.time": "publish_time", "plant.offset": EPOCH / 1e9}, -7e-9),
+    ],
+)
+def test_the_offset_is_the_time_that_is_zero(loop, tmp_path, changes, shift):
+    """In s, or the unit that is given, or the first sample."""
+    log = cosim.run(loop.swap(plant=field_log(tmp_path), map=PLANT).set(changes))
+    t = log.time("plant.y")
+    # straight lines for curves, by the square of the step: 1.7**2 / 8 x 1e-4
+    np.testing.assert_allclose(log["plant.y"], level(t + shift), atol=4e-5)
+
+
+def test_a_time_in_the_messages_is_taken_where_it_is_named(loop, tmp_path):
+    """A number counts s, and the topic needs that field."""
+    swapped = loop.swap(plant=field_log(tmp_path), map={"plant.y": "/cmd.values[0]"})
+    log = cosim.run(swapped.set({"plant.time": "stamp"}))
+    t = log.time("plant.y")
+    # 25 / 8 x 1e-4 by the straight lines, 5 x 3e-7 by times in s since 1970
+    np.testing.assert_allclose(log["plant.y"], command(t + 3e-3), atol=4e-4)
+    with pytest.raises(ScenarioError, match=r"'/drive/state.stampp', message 1: it is missing"):
+        cosim.run(loop.swap(plant=field_log(tmp_path), map=PLANT).set({"plant.time": "stampp"}))
+
+
+def test_what_is_between_samples_has_a_name(loop, tmp_path):
+    """Of a recording that is coarser than the step; a hold is that of numpy's searchsorted."""
+    path = field_log(tmp_path, step_ns=4 * STEP_NS)
+    swapped = loop.swap(plant=path, map=PLANT)
+    with pytest.raises(ScenarioError) as refused:
+        cosim.run(swapped)
+    assert (
+        "the communication step of 0.01 s is finer than the samples of '/drive/state.position', "
+        'every 0.04 s; needed interpolation = "linear" or "zero-order", which says what is between '
+        "two samples, or a step of 0.04 s"
+    ) in str(refused.value)
+    samples = np.arange(-50, COUNT) * 4 * STEP_NS / 1e9
+    t = cosim.run(loop).time("plant.y")
+    offset = {"plant.offset": EPOCH / 1e9}
+    line = cosim.run(swapped.set({**offset, "plant.interpolation": "linear"}))
+    np.testing.assert_allclose(line["plant.y"], np.interp(t, samples, level(samples)), atol=1e-12)
+    held = cosim.run(swapped.set({**offset, "plant.interpolation": "zero-order"}))
+    last = np.searchsorted(samples, t, side="right") - 1
+    np.testing.assert_array_equal(held["plant.y"], level(samples)[last])
+
+
+def test_a_scenario_has_the_same_in_its_file(tmp_path):
+    """As a component of its own, and in the table [swap]."""
+    path = field_log(tmp_path)
+    kind = LOOP.replace(
+        'plant = { kind = "lag", time_constant = 0.5 }',
+        'plant = { kind = "field-data", path = "field.mcap", columns = { '
+        'y = "/drive/state.position", x = ["/cmd.values[0:2]", "/cmd.values[1]"] } }',
+    ).replace('"plant.u" = "command.y"\n', "")
+    file = tmp_path / "own.toml"
+    file.write_text(kind, encoding="utf-8")
+    log = cosim.run(file)
+    np.testing.assert_array_equal(log["plant.x"][:, 1:], np.full((301, 2), 7.0))
+    swap = '\n[swap]\nplant = {{ path = "{}", map = {{ "plant.y" = "/drive/state.position" }} }}\n'
+    file.write_text(LOOP + swap.format("field.mcap#samples"), encoding="utf-8")
+    np.testing.assert_array_equal(
+        cosim.run(file)["plant.y"],
+        cosim.run(cosim.load(file).swap(plant=path, map=PLANT))["plant.y"],
+    )
+    file.write_text(LOOP + swap.format("field.mcap"), encoding="utf-8")
+    with pytest.raises(ScenarioError, match=r"of another tool; needed 'field.mcap#samples'"):
+        cosim.run(file)
+
+
+def test_disorder_and_gaps_are_said(loop, tmp_path):
+    """Behind the run, with where the gap is; and nothing where there is none."""
+    assert "topic" not in warnings_of(
+        cosim.run(loop.swap(plant=field_log(tmp_path), map=PLANT), out=tmp_path / "plain.mcap")
+    )
+    rows = [(EPOCH + i * STEP_NS, {"x": i}) for i in range(COUNT) if not 200 < i < 205]
+    rows[100], rows[101] = rows[101], rows[100]
+    rows.insert(10, (rows[9][0], {"x": 99}))
+    path = write_json(tmp_path / "bad.mcap", {"/t": rows})
+    out = tmp_path / "run.mcap"
+    log = cosim.run(loop.swap(plant=path, map={"plant.y": "/t.x"}), out=out)
+    text = warnings_of(open_log(out))
+    assert (
+        "topic '/t': 1 of 397 messages behind later ones, sorted by time; 1 of 397 messages at an "
+        "instant that another one has, of which the last in the file counts; the largest gap is "
+        "0.05 s, from t = 2 s on, the median distance 0.01 s"
+    ) in text
+    assert log["plant.y"][9] == 99.0
+    assert log["plant.y"][100] == 100.0
+
+
+@pytest.mark.parametrize(
+    ("names", "changes", "text"),
+    [
+        ({}, {}, "found no field to take; needed a map, map={'PORT': '/topic.field'}, or columns"),
+        ({"plant.y": "/drive/state.positio"}, {}, "did you mean '/drive/state.position'?"),
+        ({"plant.y": "/drive/stat.x"}, {}, "has no topic of '/drive/stat.x'"),
+        ({"plant.y": "/drive/state.name"}, {}, "it is text; needed a number"),
+        (PLANT, {"scenario.stop": 5.0}, "needed 0.0 s to 5.0 s, the whole run: start_time = 0.0"),
+        (PLANT, {"plant.offset": 0.0}, "has samples from 1699999999.5 s to 1700000003.99 s; need"),
+        (PLANT, {"plant.maximum_gap": 1e-3}, "needed at most maximum_gap = 0.001 s"),
+        (PLANT, {"plant.time_unit": "m"}, "found time_unit 'm'; needed a unit of time of whole ns"),
+        (PLANT, {"plant.offset": -1e10}, "ns after the offset; needed less than 2**63 ns"),
+        (
+            BOTH,
+            {"connections.plant.u": {"from": "command.y", "gain": 2.0}},
+            "'plant.u' takes command.y with a gain, an offset or a unit, so its recorded values "
+            "are not those of command.y; needed a swap of 'command', too, and a map of 'command.y'",
+        ),
+        (
+            BOTH,
+            {"connections.plant.u": ["command.y", "model.y"]},
+            "'plant.u' takes 2 signals, command.y, model.y; found 1 in its map, needed one for",
+        ),
+        (
+            {**PLANT, "plant.u": "/cmd.values[0]"},
+            {"connections.plant.u[0]": "command.y"},
+            "'plant.u' is not connected as it is mapped; needed the ports of [connections]: plant",
+        ),
+    ],
+)
+def test_what_cannot_be_right_is_refused(loop, tmp_path, names, changes, text):
+    """Before the run, with the way out."""
+    if "connections.plant.u[0]" in changes:
+        document = tmp_path / "parts.toml"
+        document.write_text(LOOP.replace('"plant.u"', '"plant.u[0]"'), encoding="utf-8")
+        loop = cosim.load(document)
+        changes = {}
+    swapped = {"plant": str(field_log(tmp_path))}
+    with pytest.raises(ScenarioError) as refused:
+        cosim.run(loop, swap=swapped, map=names, set=changes)
+    assert text in str(refused.value)
+
+
+def test_several_signals_that_drive_an_input_are_recorded_one_by_one(loop, tmp_path):
+    """Each takes the place of its own."""
+    text = LOOP.replace('"plant.u" = "command.y"', '"plant.u" = ["command.y", "ramp.y"]')
+    text = text.replace("double = {", 'ramp = { kind = "ramp", slope = 1.0 }\ndouble = {')
+    text = text.replace('"double.u" = "command.y"', '"double.u" = "ramp.y"')
+    file = tmp_path / "two.toml"
+    file.write_text(text, encoding="utf-8")
+    names = {**PLANT, "plant.u": ["/cmd.values[0]", "/cmd.values[1]"]}
+    log = cosim.run(cosim.load(file).swap(plant=field_log(tmp_path), map=names))
+    np.testing.assert_array_equal(log["double.y"], np.full(301, 14.0))
+    assert log["plant.u"].shape == (301, 2)
+
+
+def test_an_own_log_is_no_field_recording(loop, tmp_path):
+    """Also where another tool has copied it: its component is taken, at the rows of its run."""
+    own = tmp_path / "own.mcap"
+    log = cosim.run(loop, out=own)
+    copied = tmp_path / "copied.mcap"
+    put_together(take_apart(own), copied)
+    for path in (own, copied):
+        again = cosim.run(loop.set({"command.rate": 1.0}).swap(plant=path))
+        np.testing.assert_array_equal(again["plant.y"], log["plant.y"])
