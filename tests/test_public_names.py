@@ -13,7 +13,15 @@ import pytest
 import cosim
 
 ROOT = Path(cosim.__file__).parent
-PACKAGES = ["cosim", "cosim.core", "cosim.blocks", "cosim.theory", "cosim.fmi", "cosim.log"]
+PACKAGES = [
+    "cosim",
+    "cosim.core",
+    "cosim.blocks",
+    "cosim.theory",
+    "cosim.fmi",
+    "cosim.log",
+    "cosim.live",
+]
 TESTING = {
     "cosim.testing": ["check_component", "check_estimator", "check_rollback"],
     "cosim.gym": ["Env"],

@@ -30,6 +30,15 @@ class Attachment:
     data: bytes
 
 
+def part_schemas(parts: Sequence[Part]) -> list[tuple[str, bytes]]:
+    """Return name and FileDescriptorSet of the messages of all parts of a log."""
+    messages = identifiers([part.title for part in parts])
+    schemas = []
+    for part, message in zip(parts, messages, strict=True):
+        schemas.append((f"cosim.{message}", part_schema(part, message)))
+    return schemas
+
+
 def part_schema(part: Part, message: str) -> bytes:
     """Return the schema of a part's messages, ``cosim.<message>``."""
     title = part_comment(part)
@@ -39,11 +48,9 @@ def part_schema(part: Part, message: str) -> bytes:
 
 def write_parts(sink: Sink, parts: Sequence[Part]) -> list[int]:
     """Write schema and channel of every part; return the channels' ids."""
-    messages = identifiers([part.title for part in parts])
     channel_ids = []
-    for part, message in zip(parts, messages, strict=True):
+    for part, schema in zip(parts, part_schemas(parts), strict=True):
         topic = f"/{part.title}"
-        schema = (f"cosim.{message}", part_schema(part, message))
         channel_id = sink.channel(topic, schema=schema, metadata=part.metadata)
         channel_ids.append(channel_id)
     return channel_ids

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, overload
 
 from cosim.arguments import (
     callable_argument,
@@ -53,6 +53,17 @@ if TYPE_CHECKING:
 OwnRecorder = TypeVar("OwnRecorder", bound=Recorder)
 
 
+class LiveView(Protocol):
+    """What shows a run while it goes on, beside what records it."""
+
+    def beside(self, recorder: Recorder, kinds: Mapping[str, str]) -> Recorder:
+        """Return what takes the run, shows it, and passes it on to its recorder.
+
+        ``kinds`` are those of its components by name.
+        """
+        ...
+
+
 def load(name: str | Path) -> Scenario:
     """Load and validate a scenario: a path, or the name of a shipped one.
 
@@ -95,6 +106,7 @@ def run(
     certify: bool = False,
     find_step: Mapping[str, float] | None = None,
     realtime: float | None = None,
+    live: LiveView | None = None,
     recorder: None = None,
 ) -> Log | Memory: ...
 
@@ -112,6 +124,7 @@ def run(
     certify: bool = False,
     find_step: Mapping[str, float] | None = None,
     realtime: float | None = None,
+    live: LiveView | None = None,
     recorder: OwnRecorder,
 ) -> OwnRecorder: ...
 
@@ -132,6 +145,7 @@ def run(
     certify: bool = False,
     find_step: Mapping[str, float] | None = None,
     realtime: float | None = None,
+    live: LiveView | None = None,
     recorder: Recorder | None = None,
 ) -> Log | Memory | Recorder:
     """Run a scenario.
@@ -175,6 +189,8 @@ def run(
     realtime : float, optional
         Simulated time by wall time: 1.0 keeps the pace of the wall clock, block by block of about
         10 ms. How late the run was is recorded; the rows are the same.
+    live : LiveView, optional
+        A :class:`cosim.live.LiveServer`: shows the run to viewers while it goes on.
     recorder : Recorder, optional
         One's own recorder, instead of ``out`` and what is about it: it takes the rows of the run,
         its messages and its results as they are computed. Nothing else is kept, and nothing is
@@ -216,6 +232,8 @@ def run(
         experiment = build_experiment(edited, resources, block)
         if pace is not None:
             experiment, beside = _paced(experiment, pace, beside)
+        if live is not None:
+            beside = _shown(experiment, live, beside)
 
         def behind() -> None:
             if certification is not None:
@@ -272,6 +290,16 @@ def _paced(
         return pace.beside(recorder if beside is None else beside(recorder))
 
     return replace(experiment, clock=clock), paced
+
+
+def _shown(experiment: Experiment, live: LiveView, beside: Beside | None) -> Beside:
+    """Return what shows a run beside its recorder; the rows of a block when they were recorded."""
+    kinds = {name: spec.kind for name, spec in experiment.scenario.specs.items()}
+
+    def shown(recorder: Recorder) -> Recorder:
+        return live.beside(recorder if beside is None else beside(recorder), kinds)
+
+    return shown
 
 
 def _check_profile(profile: object) -> None:

@@ -67,19 +67,38 @@ class RealTimePace:
         """Take the wall time of now as that of the start."""
         self._began = self._now()
 
+    @property
+    def lateness(self) -> Lateness:
+        """How late it was so far."""
+        return self._lateness
+
     def wait(self, block: Block) -> None:
         """Wait until the time of the end of a block has come; or note that it has passed."""
-        reached = float(block.time[-1])
-        due = self._began + (reached - self._start_time) / self._factor
+        # the first row is there at the start
+        self.reach(float(block.time[-1]), counts=bool(block.steps))
+
+    def reach(self, reached: float, *, later: float = 0.0, counts: bool = True) -> None:
+        """Wait until a time has come; or note that it has passed.
+
+        Parameters
+        ----------
+        reached : float
+            [s].
+        later : float
+            How much simulated time has been passed through before the start [s].
+        counts : bool
+            Whether one can be late.
+        """
+        due = self._began + (reached + later - self._start_time) / self._factor
         early = due - self._now()
         if early > 0.0:
             self._sleep(early)
         before = self._lateness
-        late = max(0.0, -early) if block.steps else 0.0  # the first row is there at the start
+        late = max(0.0, -early) if counts else 0.0
         is_latest = late > before.largest
         self._lateness = Lateness(
             before.factor,
-            before.blocks + bool(block.steps),
+            before.blocks + counts,
             before.late + (late > 0.0),
             late if is_latest else before.largest,
             reached if is_latest else before.time,

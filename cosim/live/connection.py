@@ -1,0 +1,186 @@
+"""The WebSocket connection to viewers, by Foxglove's SDK: the only place that knows it.
+
+A message goes into a queue for every viewer that has subscribed to its topic, and threads of the
+SDK send them. Where the queue of a viewer is full, its oldest messages are dropped; one that takes
+nothing at all is disconnected. So no viewer slows the sender.
+"""
+
+from __future__ import annotations
+
+import re
+import threading
+import time
+from collections.abc import Callable, Mapping
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, Final, final
+
+from cosim.errors import UsageError, option
+
+if TYPE_CHECKING:
+    from foxglove import Channel as SdkChannel
+    from foxglove.websocket import WebSocketServer
+
+BACKLOG: Final = 2**16  # messages that wait for a viewer, before the oldest is dropped
+_LARGEST_PORT: Final = 2**16 - 1
+_QUIET: Final = 0.25  # s in which viewers receive, or subscribe to, what is left
+_PATIENCE: Final = 0.05  # s between two looks at whether the program is to end
+# what the SDK puts around the reason of the system
+_REASON: Final = re.compile(
+    r"(?:FoxgloveError: )?(?:Failed to bind port: )?(.*?)(?: \(os error.*)?"
+)
+
+
+def load_sdk() -> ModuleType:
+    """Import the SDK.
+
+    Raises
+    ------
+    UsageError
+        If it is not installed.
+    """
+    try:
+        import foxglove
+    except ImportError as error:
+        raise UsageError(
+            "viewers need foxglove-sdk, which is not installed: pip install 'cosim[live]', or, in "
+            "a clone of cosim, pip install -e '.[live]'"
+        ) from error
+    return foxglove
+
+
+@final
+class LiveTopic:
+    """A topic that viewers may subscribe to."""
+
+    def __init__(self, channel: SdkChannel) -> None:
+        self._channel = channel
+
+    @property
+    def is_watched(self) -> bool:
+        """Whether a viewer has subscribed to it."""
+        return self._channel.has_sinks()
+
+    def publish(self, time_ns: int, data: bytes) -> None:
+        """Send a message to the viewers that have subscribed; never waits."""
+        self._channel.log(data, log_time=time_ns)
+
+
+class _Listener:
+    """Hears of subscriptions, in threads of the SDK."""
+
+    def __init__(self) -> None:
+        self.subscribed = threading.Event()
+
+    def on_subscribe(self, client: Any, channel: Any) -> None:
+        self.subscribed.set()
+
+    def on_unsubscribe(self, client: Any, channel: Any) -> None:
+        """Do nothing: the SDK sends no more."""
+
+
+@final
+class ViewerConnection:
+    """A WebSocket server at an address.
+
+    Parameters
+    ----------
+    host : str
+    port : int
+        0: any free one.
+    name : str
+        Shown by viewers.
+
+    Raises
+    ------
+    UsageError
+        If the SDK is missing, or the address cannot be listened on.
+    """
+
+    def __init__(self, host: str, port: int, name: str) -> None:
+        self._sdk = load_sdk()
+        if not 0 <= port <= _LARGEST_PORT:
+            raise UsageError(f"{option('port')}: found {port}; needed 0 to {_LARGEST_PORT}")
+        self._context = self._sdk.Context()
+        self._listener = _Listener()
+        self._topics: list[LiveTopic] = []
+        self._last_ns = -1
+        self._server: WebSocketServer = self._started(host, port, name)
+        self.port = self._server.port
+
+    def _started(self, host: str, port: int, name: str) -> Any:
+        try:
+            return self._sdk.start_server(
+                name=name,
+                host=host,
+                port=port,
+                capabilities=[self._sdk.websocket.Capability.Time],
+                server_listener=self._listener,
+                context=self._context,
+                message_backlog_size=BACKLOG,
+            )
+        except RuntimeError as error:
+            match = _REASON.fullmatch(str(error))
+            reason = match[1] if match else str(error)
+            raise UsageError(
+                f"{option('port')}: {host}:{port} cannot be listened on: {reason}; choose another "
+                f"port, or 0 for any free one"
+            ) from error
+
+    def topic(
+        self, name: str, *, schema_name: str, schema: bytes, metadata: Mapping[str, str]
+    ) -> LiveTopic:
+        """Advertise a topic of protobuf messages.
+
+        Parameters
+        ----------
+        name : str
+        schema_name : str
+            Name of the messages' type.
+        schema : bytes
+            Its FileDescriptorSet.
+        metadata : mapping of str to str
+        """
+        declared = self._sdk.Schema(name=schema_name, encoding="protobuf", data=schema)
+        channel = self._sdk.Channel(
+            name,
+            message_encoding="protobuf",
+            schema=declared,
+            context=self._context,
+            metadata=dict(metadata),
+        )
+        topic = LiveTopic(channel)
+        self._topics.append(topic)
+        return topic
+
+    def set_time(self, time_ns: int) -> None:
+        """Tell viewers the time of the messages that follow, where it goes on."""
+        if time_ns > self._last_ns:
+            self._last_ns = time_ns
+            self._server.broadcast_time(time_ns)
+
+    def turn_back(self) -> None:
+        """Let the next time be an earlier one."""
+        self._last_ns = -1
+
+    def wait_for_viewer(self, check: Callable[[], None]) -> None:
+        """Wait until viewers have subscribed, and subscribe to no more.
+
+        Parameters
+        ----------
+        check : callable
+            Called again and again; what it raises ends the waiting.
+        """
+        subscribed = self._listener.subscribed
+        while not subscribed.wait(_PATIENCE):
+            check()
+        # They subscribe to one topic after the other.
+        while subscribed.is_set():
+            subscribed.clear()
+            subscribed.wait(_QUIET)
+            check()
+
+    def close(self) -> None:
+        """Stop the server; first give viewers the time to receive what is on its way."""
+        if any(topic.is_watched for topic in self._topics):
+            time.sleep(_QUIET)
+        self._server.stop()

@@ -1,0 +1,52 @@
+"""Which channels are published."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from cosim.core.recorded import find_channel, find_signal
+from cosim.core.signals import Channel
+from cosim.log.layout import Part
+
+
+def selected(
+    parts: Sequence[Part], names: Sequence[str], channels: Mapping[str, Channel], *, source: str
+) -> list[Part]:
+    """Return the parts of components that hold what is named; no names: all of them.
+
+    Parameters
+    ----------
+    parts : sequence of Part
+    names : sequence of str
+        Components, signals, or elements of signals.
+    channels : mapping of component name to Channel
+    source : str
+        Where they are looked for, for the message.
+
+    Raises
+    ------
+    UnknownSignalError
+        If there is no such component, signal or element; names the nearest.
+    """
+    if not names:
+        return list(parts)
+    wanted: list[tuple[str, slice]] = []
+    for name in names:
+        if name in channels or "." not in name:
+            channel = find_channel(channels, name, source=source)
+            wanted.append((channel.name, slice(0, channel.columns.stop - channel.start)))
+        else:
+            port = find_signal(channels, name, source=source)
+            wanted.append((port.channel.name, port.columns))
+    return [part for part in parts if _holds_any(part, wanted)]
+
+
+def _holds_any(part: Part, wanted: Sequence[tuple[str, slice]]) -> bool:
+    own = part.columns
+    for component, columns in wanted:
+        overlaps = columns.start < own.stop and own.start < columns.stop
+        # A component without elements is wanted as a whole.
+        is_empty = columns.start == columns.stop
+        if component == part.channel.name and (overlaps or is_empty):
+            return True
+    return False

@@ -1,0 +1,95 @@
+"""A server that viewers connect to while a run goes on, or a log is played."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from types import TracebackType
+from typing import Final, Self, final
+
+from cosim.core.recording import Recorder
+from cosim.errors import UsageError
+from cosim.live.connection import ViewerConnection
+from cosim.live.recorder import LiveRecorder
+from cosim.live.two_recorders import TwoRecorders
+
+HOST: Final = "127.0.0.1"
+PORT: Final = 8765  # that viewers suggest
+
+
+@final
+class LiveServer:
+    """A WebSocket server for Foxglove and Lichtblick; it listens inside a ``with`` block.
+
+    Given to :func:`cosim.run` as ``live`` it shows the run, given to :func:`cosim.live.play` a log.
+
+    Parameters
+    ----------
+    host : str
+        Address to listen on; by default viewers on this machine alone can connect.
+    port : int
+        0: any free one.
+    signals : sequence of str
+        Components or signals to publish, with all of the channels that hold them; none: all.
+    """
+
+    def __init__(self, *, host: str = HOST, port: int = PORT, signals: Sequence[str] = ()) -> None:
+        self._host = host
+        self._port = port
+        self.signals = tuple(signals)
+        self._connection: ViewerConnection | None = None
+
+    def __enter__(self) -> Self:
+        """Listen.
+
+        Raises
+        ------
+        UsageError
+            If foxglove-sdk is not installed, or the address cannot be listened on.
+        """
+        self._connection = ViewerConnection(self._host, self._port, "cosim")
+        return self
+
+    def __exit__(
+        self,
+        error_type: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Disconnect viewers; what is on its way to them arrives."""
+        connection = self.connection
+        self._connection = None
+        connection.close()
+
+    @property
+    def connection(self) -> ViewerConnection:
+        """The connection to viewers.
+
+        Raises
+        ------
+        UsageError
+            If the server does not listen.
+        """
+        if self._connection is None:
+            raise UsageError("this LiveServer does not listen; use it inside its 'with' block")
+        return self._connection
+
+    @property
+    def url(self) -> str:
+        """What viewers connect to: ``ws://127.0.0.1:8765``."""
+        host = f"[{self._host}]" if ":" in self._host else self._host
+        return f"ws://{host}:{self.connection.port}"
+
+    def beside(self, recorder: Recorder, kinds: Mapping[str, str]) -> Recorder:
+        """Return what takes a run, shows it, and passes it on to its recorder.
+
+        Parameters
+        ----------
+        recorder : Recorder
+        kinds : mapping of component name to str
+            The kinds of the components.
+        """
+        return TwoRecorders(recorder, LiveRecorder(self.connection, kinds, self.signals))
+
+    def wait_for_viewer(self, check: Callable[[], None] = lambda: None) -> None:
+        """Wait until a viewer has subscribed; what ``check`` raises ends the waiting."""
+        self.connection.wait_for_viewer(check)

@@ -1,0 +1,240 @@
+"""Logs played to viewers: what they receive, and when."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+import cosim
+from cosim.errors import LogError, UnknownSignalError, UsageError
+from cosim.live import LiveServer, play
+from cosim.live.playback import Playback
+from cosim.log import McapRecorder
+
+from ..log.recordings import STEP_NS, blocks, layout, plan, table
+from .viewer import Viewer, fields
+
+
+class WallClock:
+    """A wall clock that goes on by what somebody sleeps; every look at it takes a while."""
+
+    def __init__(self, look=0.0):
+        self.time = 100.0
+        self.look = look
+        self.sleeps = 0
+
+    def now(self):
+        self.time += self.look
+        return self.time
+
+    def sleep(self, seconds):
+        assert 0.0 < seconds <= 0.05
+        self.sleeps += 1
+        self.time += seconds
+
+
+class EnoughError(Exception):
+    """Ends playback."""
+
+
+@pytest.fixture
+def log(tmp_path):
+    """Record 400 steps of a plant and an identifier of every fifth, with odd bits and messages."""
+    rows = table(layout(wide=4100), 400)
+    with McapRecorder(tmp_path / "a.mcap", kinds={"plant": "descriptor"}) as recorder:
+        recorder.begin(plan(layout(wide=4100)))
+        recorder.message(5 * STEP_NS, "warning", "plant", "hot")
+        for block, signals in blocks(rows, 70):
+            recorder.write(block, signals)
+    return cosim.open_log(tmp_path / "a.mcap")
+
+
+@pytest.fixture
+def server():
+    """Listen on any free port."""
+    with LiveServer(port=0) as server:
+        yield server
+
+
+def test_a_viewer_receives_every_value_bit_for_bit(log, server):
+    """Of every component at its own instants, decoded with the schemas that are advertised."""
+    topics = ("/plant", "/identifier", "/wide", "/wide.2", "/cosim/log")
+    wall = WallClock()
+    playback = Playback(log, server, speed=2.0, now=wall.now, sleep=wall.sleep)
+    with Viewer(server.url) as viewer:
+        viewer.subscribe(*topics)
+        server.wait_for_viewer()
+        playback.run()
+        counts = {"/plant": 401, "/identifier": 81, "/wide": 401, "/wide.2": 401, "/cosim/log": 1}
+        found = viewer.messages(counts)
+    assert {topic: len(messages) for topic, messages in found.items()} == counts
+    for topics_of, name in (
+        (["/plant"], "plant"),
+        (["/identifier"], "identifier"),
+        (["/wide", "/wide.2"], "wide"),
+    ):
+        values = []
+        for topic in topics_of:
+            times = np.array([time_ns for time_ns, _ in found[topic]])
+            assert times.tolist() == log.time_ns(name).tolist()
+            values.append(np.array([fields(message) for _, message in found[topic]]))
+        assert np.hstack(values).tobytes() == log.rows(name).tobytes()
+    ((time_ns, text),) = found["/cosim/log"]
+    assert (time_ns, text.message, text.name) == (5 * STEP_NS, "hot", "plant")
+
+
+def test_the_channels_are_those_of_the_log(log, server):
+    """Topics, schemas and metadata, byte for byte."""
+    Playback(log, server)
+    with log.path.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    with Viewer(server.url) as viewer:
+        topics = [channel.topic for channel in summary.channels.values()]
+        viewer.wait_for_channels(*topics)
+        assert sorted(viewer.channels) == sorted(topics)
+        for channel in summary.channels.values():
+            schema = summary.schemas[channel.schema_id]
+            advertised = viewer.channels[channel.topic]
+            assert advertised["schemaName"] == schema.name
+            assert viewer.schema(channel.topic) == schema.data
+            assert advertised.get("metadata", {}) == channel.metadata
+
+
+def test_viewers_are_told_the_time_of_the_log(log, server):
+    """It goes on with the messages; to the end."""
+    wall = WallClock()
+    playback = Playback(log, server, now=wall.now, sleep=wall.sleep)
+    with Viewer(server.url) as viewer:
+        assert "time" in viewer.info["capabilities"]
+        viewer.subscribe("/plant")
+        server.wait_for_viewer()
+        playback.run()
+        viewer.messages({"/plant": 401})
+        for _ in range(1000):
+            if viewer.times and viewer.times[-1] == 400 * STEP_NS:
+                break
+            viewer._take(viewer._received())
+    assert viewer.times == sorted(set(viewer.times))
+    assert viewer.times == [k * STEP_NS for k in range(401)]
+
+
+@pytest.mark.parametrize("speed", [0.5, 1.0, 3.0])
+def test_playback_takes_the_time_of_the_log_by_the_speed(log, server, speed):
+    """It is never behind by more than it takes to look at the clock, and no error adds up."""
+    wall = WallClock()
+    playback = Playback(log, server, speed=speed, now=wall.now, sleep=wall.sleep)
+    playback.run()
+    # The last window ends at most one window, 10 ms, behind the last row.
+    assert 0.4 / speed - 1e-9 <= wall.time - 100.0 <= 0.4 / speed + 0.01 + 1e-9
+    assert playback.lateness.late == 0
+    assert playback.lateness.factor == speed
+    assert playback.lateness.blocks == pytest.approx(1 + 0.4 / (0.01 * speed), abs=1)
+
+
+def test_playback_that_is_too_slow_says_how_late_it_was(log, server):
+    """Each look at the clock takes 20 ms here, and the windows are 10 ms."""
+    wall = WallClock(look=0.02)
+    playback = Playback(log, server, now=wall.now, sleep=wall.sleep)
+    playback.run()
+    lateness = playback.lateness
+    assert wall.sleeps == 0
+    assert lateness.late == lateness.blocks == 41
+    # 41 looks of 20 ms from the first on; the last one is due after 0.4 s
+    assert lateness.largest == pytest.approx(41 * 0.02 - 0.4)
+    assert lateness.time == pytest.approx(0.4)
+
+
+def test_a_loop_begins_again_one_step_behind_the_end(log, server):
+    """Counted from the first start, so that no error adds up either."""
+    wall = WallClock()
+
+    def check():
+        if wall.time >= 100.0 + 10 * 0.401:
+            raise EnoughError
+
+    playback = Playback(log, server, check=check, now=wall.now, sleep=wall.sleep)
+    with Viewer(server.url) as viewer:
+        viewer.subscribe("/identifier")
+        server.wait_for_viewer()
+        with pytest.raises(EnoughError):
+            playback.run(loop=True)
+        found = viewer.messages({"/identifier": 10 * 81})["/identifier"]
+    assert [time_ns for time_ns, _ in found] == 10 * log.time_ns("identifier").tolist()
+    assert 0 in viewer.times[1:]
+    assert playback.lateness.late == 0
+
+
+def test_a_long_wait_is_interrupted(tmp_path, server):
+    """No sleep is longer than the patience of who presses Ctrl-C."""
+    scenario = cosim.load("academic").set({"scenario.stop": 0.001})
+    log = cosim.run(scenario, out=tmp_path / "a.mcap")
+    wall = WallClock()
+    looks = []
+
+    def check():
+        looks.append(wall.time)
+        if wall.time > 101.0:
+            raise EnoughError
+
+    playback = Playback(log, server, speed=1e-6, check=check, now=wall.now, sleep=wall.sleep)
+    with pytest.raises(EnoughError):
+        playback.run()
+    assert max(np.diff(looks)) <= 0.05 + 1e-9
+
+
+def test_selected_channels_alone_are_published(log):
+    """Components, signals, elements: every channel that holds one of them."""
+    expected = {
+        (): ["/cosim/log", "/identifier", "/plant", "/wide", "/wide.2"],
+        ("plant",): ["/cosim/log", "/plant"],
+        ("identifier.theta",): ["/cosim/log", "/identifier"],
+        ("plant.u", "wide.y[4099]"): ["/cosim/log", "/plant", "/wide.2"],
+        ("wide.y[0:2]",): ["/cosim/log", "/wide"],
+        ("wide",): ["/cosim/log", "/wide", "/wide.2"],
+    }
+    for signals, topics in expected.items():
+        with LiveServer(port=0, signals=signals) as server:
+            Playback(log, server)
+            with Viewer(server.url) as viewer:
+                viewer.wait_for_channels(*topics)
+                assert sorted(viewer.channels) == topics
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("plan", "has no component 'plan'; did you mean 'plant'"),
+        ("plant.x", "'plant' has no signal 'x'"),
+        ("plant.x_a[2]", "has 2 elements, numbered from 0"),
+    ],
+)
+def test_what_is_not_in_the_log_cannot_be_selected(log, name, text):
+    """The nearest name is told."""
+    with (
+        LiveServer(port=0, signals=[name]) as server,
+        pytest.raises(UnknownSignalError, match=text.replace("[", r"\[")),
+    ):
+        Playback(log, server)
+
+
+@pytest.mark.parametrize("speed", [0.0, -1.0, float("nan"), float("inf"), "fast"])
+def test_a_speed_that_is_none_is_refused(log, server, speed):
+    """Before anything is played."""
+    with pytest.raises(UsageError, match=r"speed: found .*; needed a"):
+        play(log, server, speed=speed)
+
+
+def test_a_log_without_rows_cannot_be_played(tmp_path, server):
+    """There is nothing to show."""
+    with McapRecorder(tmp_path / "a.mcap") as recorder:
+        recorder.begin(plan())
+    with pytest.raises(LogError, match=r"a\.mcap has no rows to play"):
+        play(cosim.open_log(tmp_path / "a.mcap"), server)
+
+
+def test_play_returns_how_late_it_was(log, server):
+    """At the speed of 100 the start, and one window of 10 ms."""
+    lateness = play(log, server, speed=100.0)
+    assert lateness.factor == 100.0
+    assert lateness.blocks == 2

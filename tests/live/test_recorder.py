@@ -1,0 +1,129 @@
+"""Runs that viewers watch while they go on, beside their logs."""
+
+from __future__ import annotations
+
+import socket
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.core.recorders import Watched
+from cosim.errors import UnknownSignalError
+from cosim.live import LiveServer
+
+from .viewer import Viewer, fields
+
+
+@pytest.fixture
+def server():
+    """Listen on any free port."""
+    with LiveServer(port=0) as server:
+        yield server
+
+
+class Subscribing:
+    """A view of a run in which a viewer subscribes before the first row."""
+
+    def __init__(self, server, viewer, *topics):
+        self._server = server
+        self._viewer = viewer
+        self._topics = topics
+
+    def beside(self, recorder, kinds):
+        """Return what the server does, which waits once all is advertised."""
+
+        def subscribe():
+            self._viewer.subscribe(*self._topics)
+            self._server.wait_for_viewer()
+
+        beside = self._server.beside(recorder, kinds)
+        return Watched(beside, lambda *_: None, began=subscribe)
+
+
+def test_a_viewer_receives_what_the_log_of_the_run_has(server, tmp_path):
+    """Every row of every component bit for bit, also of slower ones, and the messages."""
+    scenario = cosim.load("closed-loop").set({"scenario.stop": 0.5})
+    with Viewer(server.url) as viewer:
+        topics = [f"/{name}" for name in scenario.specs]
+        live = Subscribing(server, viewer, *topics)
+        log = cosim.run(scenario, out=tmp_path / "a.mcap", live=live)
+        counts = {f"/{name}": len(log.time_ns(name)) for name in log.channels}
+        found = viewer.messages(counts)
+    for name in log.channels:
+        messages = found[f"/{name}"]
+        times = [time_ns for time_ns, _ in messages]
+        assert times == log.time_ns(name).tolist()
+        values = np.array([fields(message) for _, message in messages])
+        assert values.tobytes() == log.rows(name).tobytes()
+    assert cosim.diff(log, cosim.run(scenario)).equal
+
+
+def test_a_run_is_watched_at_the_pace_of_the_wall_clock(server):
+    """Without a log, too: the rows are those of any other run."""
+    scenario = cosim.load("academic").set({"scenario.stop": 0.05})
+    with Viewer(server.url) as viewer:
+        live = Subscribing(server, viewer, "/plant")
+        run = cosim.run(scenario, live=live, realtime=1.0)
+        messages = viewer.messages({"/plant": 51})["/plant"]
+    assert [fields(message) for _, message in messages] == run.rows("plant").tolist()
+    assert run.results["real_time"]["blocks"] == 5
+
+
+ACTION = """
+[[actions]]
+at = 0.105
+signal = "plant.u"
+offset = 0.5
+"""
+
+
+def test_events_are_shown(server, tmp_path):
+    """With the schema and in the order that they have in the log."""
+    path = tmp_path / "x.toml"
+    text = cosim.load("academic").document.text
+    path.write_text(text + ACTION)
+    scenario = cosim.load(path).set({"scenario.stop": 0.2})
+    with Viewer(server.url) as viewer:
+        live = Subscribing(server, viewer, "/plant")
+        run = cosim.run(scenario, live=live)
+        viewer.messages({"/plant": 201})
+        viewer.wait_for_channels("/cosim/event")
+        assert viewer.channels["/cosim/event"]["schemaName"] == "cosim_event.SignalEvent"
+    assert run.events()
+
+
+def test_a_viewer_that_takes_nothing_does_not_stop_the_run(server):
+    """The client reads a few messages ahead, and no more unless somebody asks for them."""
+    scenario = cosim.load("academic").set({"scenario.stop": 40.0})
+    with Viewer(server.url) as viewer:
+        live = Subscribing(server, viewer, "/plant", "/observer", "/regressor")
+        run = cosim.run(scenario, live=live)
+    assert (run.status, run.steps) == ("complete", 40_000)
+
+
+def test_a_viewer_that_vanishes_does_not_stop_the_run(server):
+    """Its connection is reset between two blocks."""
+    scenario = cosim.load("academic").set({"scenario.stop": 2.0})
+    vanished = []
+
+    def vanish(time, end):
+        if time > 0.5 and not vanished:
+            vanished.append(time)
+            viewer._socket.socket.shutdown(socket.SHUT_RDWR)
+
+    with Viewer(server.url) as viewer:
+        live = Subscribing(server, viewer, "/plant")
+        run = cosim.run(scenario, live=live, progress=vanish, block=10)
+    assert vanished
+    assert (run.status, run.steps) == ("complete", 2000)
+
+
+def test_signals_that_the_run_has_not_are_refused_before_it_begins(tmp_path):
+    """There is no log then."""
+    with (
+        LiveServer(port=0, signals=["plant.z"]) as server,
+        pytest.raises(UnknownSignalError, match=r"the run has no 'plant\.z'"),
+    ):
+        cosim.run("academic", out=tmp_path / "a.mcap", live=server)
+    assert list(tmp_path.iterdir()) == []
