@@ -9,7 +9,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self, TypeAlias, TypeVar
 
-from pydantic import Field
+from pydantic import Field, PrivateAttr
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.clock import Clock, whole_steps
@@ -319,6 +319,7 @@ class Kind(TomlTable):
     tunable_elsewhere: ClassVar[str] = ""
     kind: str
     unit: PortUnits = Field(None, description=unit_of("y"))
+    _is_allowed: bool = PrivateAttr(False)
 
     @property
     def unit_name(self) -> str | None:
@@ -356,8 +357,13 @@ class Kind(TomlTable):
         return None
 
     def with_code(self) -> Self:
-        """Return the table as that of a component whose code a replay may run."""
-        return self
+        """Return the table as that of a component that a replay computes, by files and code.
+
+        These are no part of a log: that they are there and may be used is for the replay to see to.
+        """
+        allowed = self.model_copy()
+        allowed._is_allowed = True
+        return allowed
 
     @property
     def follows_inputs(self) -> bool:

@@ -45,7 +45,7 @@ class LookUpTableKind(Kind):
     @property
     def computable(self) -> bool:
         """A file is not in the log."""
-        return self.file is None
+        return self.file is None or self._is_allowed
 
     def build(self, name: str, context: BuildContext) -> Component:
         arrays = (self.u, self.u1, self.u2, self.y)

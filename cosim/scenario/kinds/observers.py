@@ -200,7 +200,7 @@ class UnknownInputObserverKind(ExportableKind):
     @property
     def computable(self) -> bool:
         """Designs on the way need the FMU, and linear algebra that is not the same everywhere."""
-        return not self.relinearize
+        return not self.relinearize or self._is_allowed
 
     def build(self, name: str, context: BuildContext) -> Component:
         model, design = self.design(name, context)

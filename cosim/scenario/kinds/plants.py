@@ -44,8 +44,8 @@ class PlantKind(Kind):
 
     @property
     def computable(self) -> bool:
-        """It is not."""
-        return False
+        """It is not, unless a replay is told to compute it."""
+        return self._is_allowed
 
 
 class DescriptorKind(PlantKind, LinearKind):

@@ -285,7 +285,7 @@ class TableKind(Kind):
     @property
     def computable(self) -> bool:
         """A file is not in the log."""
-        return self.file is None
+        return self.file is None or self._is_allowed
 
     def build(self, name: str, context: BuildContext) -> Component:
         if (self.file is None) == (self.t is None or self.y is None):

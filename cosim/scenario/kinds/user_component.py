@@ -12,9 +12,9 @@ a replay takes their components from the recording, unless its caller allows the
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import AfterValidator, ConfigDict, Field, PrivateAttr, StrictStr
+from pydantic import AfterValidator, ConfigDict, Field, StrictStr
 
 from cosim.core.contracts import Component
 from cosim.errors import UsageError
@@ -40,7 +40,6 @@ class UserKind(Kind):
 
     model_config = ConfigDict(extra="allow")
     ports: ClassVar[str] = "those of the class"
-    _is_allowed: bool = PrivateAttr(False)
 
     @property
     def jumps_at_points(self) -> bool:
@@ -50,11 +49,6 @@ class UserKind(Kind):
     def computable(self) -> bool:
         """Whether a replay may run the class."""
         return self._is_allowed
-
-    def with_code(self) -> Self:
-        allowed = self.model_copy()
-        allowed._is_allowed = True
-        return allowed
 
     @property
     def parameters(self) -> Mapping[str, Any]:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence, Set
-from contextlib import ExitStack
-from dataclasses import replace
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence, Set
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
@@ -16,6 +16,7 @@ from cosim.core.contracts import Design
 from cosim.core.port import Port
 from cosim.core.recorded_run import SCENARIO_FILE
 from cosim.core.recording import CompleteRecording
+from cosim.core.signals import Interface
 from cosim.core.stepping.actions import Action
 from cosim.errors import LogError, UsageError, command, flag, listing, nearest, option, quoted
 from cosim.log import Log
@@ -25,7 +26,7 @@ from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.building.fingerprint import fingerprint
 from cosim.scenario.document.document import Document
 from cosim.scenario.document.edits import ACTIONS, short
-from cosim.scenario.document.swap import is_map_key
+from cosim.scenario.document.swap import PortNames, component_table, is_map_key
 from cosim.scenario.kinds import KINDS, Kind
 from cosim.scenario.parsing import Scenario, read
 from cosim.scenario.recorded_metadata import (
@@ -37,6 +38,41 @@ from cosim.scenario.recorded_metadata import (
     run_metadata,
 )
 
+
+@dataclass(frozen=True, slots=True)
+class Swaps:
+    """Components that a replay replaces.
+
+    Parameters
+    ----------
+    paths : mapping of component name to path
+    maps : mapping of port to names
+        Ports that have other names there.
+    """
+
+    paths: Mapping[str, str | Path]
+    maps: Mapping[str, PortNames]
+
+    def applied(self, document: Document) -> Document:
+        """Return a document with them.
+
+        Raises
+        ------
+        UsageError
+            If a path is none, or what a port is mapped to no name.
+        """
+        return document.with_swaps(self.paths, self.maps) if self.paths or self.maps else document
+
+    def tables(self, document: Document) -> dict[str, dict[str, Any]]:
+        """Return the tables of the components that take the places of others in a document."""
+        tables = {}
+        for name in self.paths:
+            with suppress(UsageError):  # a problem of the scenario, which reports it
+                tables[name] = component_table(name, document.swaps[name])
+        return tables
+
+
+NO_SWAPS: Final = Swaps({}, {})
 EVERYWHERE = {  # what matters to all inputs
     "scenario.input_interpolation",
     "scenario.coupling",
@@ -157,6 +193,7 @@ def rebuilt(
     *,
     allow_code: bool = False,
     components: Sequence[str] | None = None,
+    swaps: Swaps = NO_SWAPS,
 ) -> Experiment:
     """Build the scenario of a log again, with its recorded components; only the log is needed.
 
@@ -174,6 +211,8 @@ def rebuilt(
         ``wanted`` names may always run.
     components : sequence of str, optional
         The only ones to compute; the others are taken from the log. None: all that can be.
+    swaps : Swaps
+        Components to replace by others, which are computed.
 
     Raises
     ------
@@ -187,12 +226,15 @@ def rebuilt(
     """
     _check_whole(source)
     changes = replay_changes(source, wanted)
-    document = recorded_document(source).with_changes(changes)
+    document = swaps.applied(recorded_document(source)).with_changes(changes)
     scenario, problems = read(document, parse)
-    # recorded ports have the scenario's names: a map need not fit changed connections
-    problems = [(key, text) for key, text in problems if not is_map_key(key)]
-    named = texts_in(wanted)
-    scenario = replace(scenario, specs=_with_code(scenario.specs, named, allow_code=allow_code))
+    if not swaps.maps:
+        # recorded ports have the scenario's names: a map need not fit changed connections
+        problems = [(key, text) for key, text in problems if not is_map_key(key)]
+    named = texts_in(wanted) | texts_in(swaps.tables(document))
+    specs = _with_code(scenario.specs, named, allow_code=allow_code)
+    specs |= {name: specs[name].with_code() for name in swaps.paths if name in specs}
+    scenario = replace(scenario, specs=specs)
     left_out = () if components is None else _left_out(scenario, components)
     source.load(*_recorded_in(source, scenario, left_out))  # in one pass over the file
     builder = Builder(
@@ -203,12 +245,19 @@ def rebuilt(
         named_files=named,
         left_out=left_out,
         block=block,
+        replaced=_replaced(source, swaps.paths),
     )
     experiment = builder.experiment()
     check_clock(experiment.clock, source)
     if "scenario.until" not in changes:  # it ends where the recording does
         experiment = replace(experiment, until=None)
     return _with_events(experiment, builder, source, resources)
+
+
+def _replaced(source: CompleteRecording, names: Iterable[str]) -> dict[str, Interface]:
+    """Return the interfaces of components that are replaced, as they were recorded."""
+    channels = source.channels
+    return {name: channels[name].interface for name in names if name in channels}
 
 
 def _with_events(
@@ -321,7 +370,12 @@ def _check_end(source: CompleteRecording) -> None:
         )
 
 
-def check_changes(experiment: Experiment, original: Document, changes: Mapping[str, Any]) -> None:
+def check_changes(
+    experiment: Experiment,
+    original: Document,
+    changes: Mapping[str, Any],
+    swaps: Swaps = NO_SWAPS,
+) -> None:
     """Check that no recorded component is changed, or driven by what is changed.
 
     A recording cannot follow: what the rest computed from it would belong to no run of anything.
@@ -333,37 +387,56 @@ def check_changes(experiment: Experiment, original: Document, changes: Mapping[s
     original : Document
         Without them.
     changes : mapping of dotted key to value
+    swaps : Swaps
 
     Raises
     ------
     UsageError
         If a change reaches a recorded component; names the change.
     """
-    recorded = experiment.recorded
     drivers = _drivers(experiment.scenario)
     document = original
     before, _ = document.tree()
+    for change, next_document in _changed_documents(document, changes, swaps):
+        after, _ = next_document.tree()
+        _check_change(experiment, change, _changed_tables(before, after), drivers)
+        before = after
+
+
+def _changed_documents(
+    document: Document, changes: Mapping[str, Any], swaps: Swaps
+) -> Iterator[tuple[str, Document]]:
+    """Yield the name of every change, and the document with it and all before it."""
+    if swaps.paths or swaps.maps:
+        document = swaps.applied(document)
+        yield option("swap", next(iter(swaps.paths), None)), document
     for key, value in changes.items():
         document = document.with_changes({key: value})
-        after, _ = document.tree()
-        changed = _changed_tables(before, after)
-        origins = _origins(experiment, changed)
-        for name in recorded:
-            if name in origins:
-                remedy = _remedy(experiment.scenario.specs[name])
-                raise UsageError(
-                    f"{option('set', short(key))}: {name!r} is taken from the recording; {remedy}"
-                )
-        affected = _reached(origins, drivers, recorded)
-        for name in recorded:
-            what = _what_drives(name, drivers[name], affected, changed)
-            if what:
-                remedy = _remedy(experiment.scenario.specs[name])
-                raise UsageError(
-                    f"{option('set', short(key))}: {what}; {name!r} is taken from the recording "
-                    f"and cannot follow: {remedy}"
-                )
-        before = after
+        yield option("set", short(key)), document
+
+
+def _check_change(
+    experiment: Experiment,
+    change: str,
+    changed: Set[str],
+    drivers: Mapping[str, Set[str]],
+) -> None:
+    """Check that tables that change reach no recorded component; ``change`` names the reason."""
+    recorded = experiment.recorded
+    specs = experiment.scenario.specs
+    origins = _origins(experiment, changed)
+    for name in recorded:
+        if name in origins:
+            remedy = _remedy(specs[name])
+            raise UsageError(f"{change}: {name!r} is taken from the recording; {remedy}")
+    affected = _reached(origins, drivers, recorded)
+    for name in recorded:
+        what = _what_drives(name, drivers[name], affected, changed)
+        if what:
+            raise UsageError(
+                f"{change}: {what}; {name!r} is taken from the recording and cannot follow: "
+                f"{_remedy(specs[name])}"
+            )
 
 
 def _remedy(spec: Kind) -> str:
@@ -473,12 +546,19 @@ def _recorded_in(
     return [name for name in recorded if name in source.channels]
 
 
-def valid_designs(experiment: Experiment, source: Log) -> dict[str, Design]:
-    """Return the recorded designs that still hold: those that rest on nothing that changed."""
+def valid_designs(
+    experiment: Experiment, source: Log, *, replaced: Collection[str] = ()
+) -> dict[str, Design]:
+    """Return the recorded designs that still hold: those that rest on nothing that changed.
+
+    Those of ``replaced`` components do not.
+    """
     designs = {}
     recorded_designs = source.designs
     recorded_masks = source.held
     for name, spec in experiment.scenario.specs.items():
+        if name in replaced:
+            continue
         recorded = component_metadata(source, name)
         current = fingerprint(experiment.scenario, name, experiment.reads[name])
         same_tables = recorded.get("fingerprint") == current

@@ -38,6 +38,7 @@ from cosim.scenario.recordings.recording import (
     run_into,
 )
 from cosim.scenario.recordings.replaying import (
+    Swaps,
     check_changes,
     rebuilt,
     recorded_document,
@@ -327,6 +328,8 @@ def replay(
     out: str | Path | None = None,
     force: bool = False,
     set: Mapping[str, Any] | None = None,
+    swap: Mapping[str, str | Path] | None = None,
+    map: Mapping[str, PortNames] | None = None,
     allow_code: bool = False,
     window: tuple[float | None, float | None] | None = None,
     components: Sequence[str] | None = None,
@@ -351,6 +354,9 @@ def replay(
     set : mapping of dotted key to value, optional
         Such as ``{"observer.filter_rate": 500.0, "scenario.stop": 10.0}``. A class that it names,
         ``{"relay.class": "relay:Relay"}``, is imported as it is now.
+    swap, map
+        As of :func:`run`. What takes the place of a component is computed, which runs the code of
+        an FMU; what it drives must be computed too.
     allow_code : bool
         Compute the components of users' classes too, which runs the code of the classes that the
         log names. Each is found in the working directory or on sys.path, and has to be the one of
@@ -374,9 +380,9 @@ def replay(
     ScenarioError
         If a class cannot be imported, or is another one than in the run.
     UsageError
-        If ``set`` changes the communication step, a recorded component, or what drives one: its
-        recording cannot follow. If there is no such window, or one of ``components`` is not there
-        or cannot be computed.
+        If ``set`` or ``swap`` changes the communication step, a recorded component, or what drives
+        one: its recording cannot follow. If there is no such window, or one of ``components`` is
+        not there or cannot be computed.
     """
     force = truth_argument("force", force)
     allow_code = truth_argument("allow_code", allow_code)
@@ -385,22 +391,29 @@ def replay(
     callable_argument("notice", notice)
     _check_profile(profile)
     wanted = mapping_argument("set", set)
+    swaps = _swaps_argument(swap, map)
     chosen = _components_argument(components)
     source = log if isinstance(log, Log) else open_log(log)
     if out is not None and os.path.realpath(out) == os.path.realpath(source.path):
         raise UsageError(f"{out} is the log that is replayed; choose another path")
     check_target(out, force=force)
     recorded = None if window is None else window_of(source, window)
-    gains = () if wanted else recorded_loop_gains(source)
+    gains = () if wanted or swaps.paths else recorded_loop_gains(source)
     if recorded is not None:
         wanted = _with_end(wanted, recorded)
     with ExitStack() as resources:
         experiment = rebuilt(
-            source, resources, wanted, block, allow_code=allow_code, components=chosen
+            source,
+            resources,
+            wanted,
+            block,
+            allow_code=allow_code,
+            components=chosen,
+            swaps=swaps,
         )
         original = recorded_document(source)
-        check_changes(experiment, original, wanted)
-        designs = valid_designs(experiment, source)
+        check_changes(experiment, original, wanted, swaps)
+        designs = valid_designs(experiment, source, replaced=swaps.paths)
         copied = experiment.recorded
         experiment.graph.take_solutions(source, copied)
         specs = experiment.scenario.specs
@@ -416,6 +429,19 @@ def replay(
         target = Target(out, force, notice=notice)
         beside = None if recorded is None else recorded.beside
         return record(experiment, target, progress=progress, profile=profile, beside=beside)
+
+
+def _swaps_argument(
+    swap: Mapping[str, str | Path] | None, map: Mapping[str, PortNames] | None
+) -> Swaps:
+    paths = mapping_argument("swap", swap)
+    names = mapping_argument("map", map)
+    if names and not paths:
+        raise UsageError(
+            f"found {option('map')} and no {option('swap')}; needed both: only what takes the "
+            "place of a component has other names for its ports"
+        )
+    return Swaps(paths, names)
 
 
 def _components_argument(components: Sequence[str] | None) -> tuple[str, ...] | None:

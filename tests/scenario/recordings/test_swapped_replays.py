@@ -1,0 +1,133 @@
+"""Replays with a component replaced by an FMU or another recording."""
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.errors import ScenarioError, UsageError
+from cosim.report.verification import verify
+from cosim.scenario.exporting import export_component
+from cosim.scenario.recorded_metadata import replay_origin
+from tests.fmi import lag
+
+END = {"scenario.stop": 0.3}
+
+# the plant is one that a replay takes from the log; the filter behind it is computed
+FILTERED = """
+[scenario]
+name = "filtered"
+stop = 0.5
+step = 0.01
+
+[components]
+u = { kind = "sine", rate = 5.0 }
+plant = { kind = "descriptor", model = "lag", x0 = [1.0] }
+filter = { kind = "lag", time_constant = 0.1 }
+
+[models.lag]
+A = [[-1.0]]
+Bu = [[1.0]]
+C = [[1.0]]
+
+[connections]
+"plant.u" = "u.y"
+"filter.u" = "plant.y"
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Make FMUs, and logs of runs."""
+    folder = tmp_path_factory.mktemp("swaps")
+    (folder / "filtered.toml").write_text(FILTERED)
+    export_component("academic", "plant", folder / "plant.fmu")
+    export_component(folder / "filtered.toml", "filter", folder / "filter.fmu")
+    lag.build(folder, "2")
+    cosim.run("academic", out=folder / "a.mcap", set=END)
+    cosim.run(folder / "filtered.toml", out=folder / "f.mcap")
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("scenario", "log", "swap"),
+    [
+        ("academic", "a.mcap", {"plant": "plant.fmu"}),
+        ("academic", "a.mcap", {"plant": "plant.fmu#cs"}),
+        ("academic", "a.mcap", {"plant": "a.mcap"}),
+        ("filtered.toml", "f.mcap", {"filter": "filter.fmu#me"}),
+        ("filtered.toml", "f.mcap", {"filter": "filter.fmu#cs"}),
+    ],
+)
+def test_a_swapped_replay_has_the_rows_of_a_swapped_run(scenario, log, swap, folder):
+    """What is taken from the log, the plant, is what a run computes: bit for bit."""
+    paths = {name: folder / path for name, path in swap.items()}
+    name = folder / scenario if scenario.endswith(".toml") else scenario
+    again = cosim.replay(folder / log, swap=paths)
+    run = cosim.run(name, swap=paths, set=END if scenario == "academic" else {})
+    assert cosim.diff(again, run).equal
+    assert set(replay_origin(again).copied) == {"plant"} - paths.keys()
+
+
+def test_the_log_of_a_swapped_replay_is_replayed_without_what_was_swapped_in(folder, tmp_path):
+    """As the log of a swapped run is: no file is opened but those that are named."""
+    swap = {"filter": folder / "filter.fmu"}
+    log = cosim.replay(folder / "f.mcap", swap=swap, out=tmp_path / "s.mcap")
+    again = cosim.replay(log)
+    assert set(replay_origin(again).copied) == {"plant", "filter"}
+    assert verify(log, again).passed
+
+
+def test_ports_have_the_names_of_a_map(folder, tmp_path, call):
+    """As in a run; a name that the new component does not have is refused."""
+    swap = {"filter": folder / "lag2.fmu"}
+    names = {"filter.y": "x"}  # it has an output y too, which feeds through
+    again = cosim.replay(folder / "f.mcap", swap=swap, map=names)
+    run = cosim.run(folder / "filtered.toml", swap=swap, map=names)
+    assert cosim.diff(again, run).equal
+    assert not np.array_equal(again["filter.y"], cosim.open_log(folder / "f.mcap")["filter.y"])
+    command = ("replay", folder / "f.mcap", "--swap", f"filter={folder / 'lag2.fmu'}")
+    assert call(*command, "--map", "filter.y=x")[0] == 0
+    code, _, err = call(*command, "--map", "filter.y=force")
+    assert code == 2
+    assert "'filter' has no output 'force'" in err
+
+
+def test_a_swap_that_the_recording_cannot_follow_is_refused(folder):
+    """The plant's rows belong to the source that it had."""
+    message = (
+        r"swap\['u'\]: this changes 'u', which drives 'plant'; 'plant' is taken from the recording "
+        "and cannot follow: run the scenario"
+    )
+    with pytest.raises(UsageError, match=message):
+        cosim.replay(folder / "f.mcap", swap={"u": folder / "f.mcap"})
+    paths = {"u": folder / "f.mcap", "plant": folder / "f.mcap"}
+    again = cosim.replay(folder / "f.mcap", swap=paths)
+    assert replay_origin(again).copied == ()
+
+
+@pytest.mark.parametrize(
+    ("swap", "names", "error", "message"),
+    [
+        ({"filtr": "filter.fmu"}, {}, ScenarioError, "there is no component 'filtr'; did you mean"),
+        ({"filter": "none.fmu"}, {}, ScenarioError, r"none\.fmu: there is no such file"),
+        ({"filter": "f.toml"}, {}, ScenarioError, r"needed a path that ends in \.fmu"),
+        ({}, {"filter.u": "force"}, UsageError, "found map and no swap; needed both"),
+        ({"filter": 3}, {}, UsageError, r"swap\['filter'\]: path: found 3; needed a path"),
+    ],
+)
+def test_what_is_no_swap_is_refused(swap, names, error, message, folder):
+    """Unknown components, files that are not there or are something else, a map alone."""
+    paths = {}
+    for name, path in swap.items():
+        paths[name] = folder / path if isinstance(path, str) else path
+    with pytest.raises(error, match=message):
+        cosim.replay(folder / "f.mcap", swap=paths, map=names)
+
+
+def test_a_swapped_replay_is_compared_with_the_log(folder, call):
+    """With --verify: an FMU that has other bits is found, and where."""
+    command = ("replay", folder / "f.mcap", "--swap", f"filter={folder / 'filter.fmu#cs'}")
+    assert call(*command)[0] == 0
+    code, _, err = call(*command, "--verify")
+    assert code == 1
+    assert "kind of 'filter': found 'lag', the replay has 'fmu'" in err
