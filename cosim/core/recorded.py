@@ -155,6 +155,10 @@ class RecordedSignals(Mapping[str, NDArray[np.float64]]):
     def rows(self, component: str) -> Matrix:
         """Return all rows of a component: applied inputs, then outputs; shape (N, width)."""
 
+    def columns(self, component: str, columns: slice) -> Matrix:
+        """Return some columns of :meth:`rows`."""
+        return self.rows(component)[:, columns]
+
     @abstractmethod
     def time_ns(self, component: str) -> Nanoseconds:
         """Return the instants of a component's rows, shape (N,) [ns]."""
@@ -172,7 +176,7 @@ class RecordedSignals(Mapping[str, NDArray[np.float64]]):
         if not isinstance(signal, str | Port):
             return self._stacked(signal)
         port = find_signal(self.channels, signal, source=self.label)
-        values = self.rows(port.channel.name)[:, port.columns]
+        values = self.columns(port.channel.name, port.columns)
         return values[:, 0] if port.size == 1 else values
 
     def _stacked(self, signals: Sequence[str | Port]) -> Matrix:

@@ -16,8 +16,8 @@ MOST_BYTES = 64 * 2**20  # a chunk of ours has about 1 to 32 MiB
 _LEVEL = 1
 
 
-def compress(data: bytes, compression: Compression) -> bytes:
-    """Compress a chunk's records."""
+def compress(data: memoryview, compression: Compression) -> bytes | memoryview:
+    """Compress a chunk's records; without a compression they are returned themselves."""
     if compression == "zstd":
         return zstandard.ZstdCompressor(level=_LEVEL).compress(data)
     if compression == "lz4":

@@ -1,6 +1,7 @@
 """An MCAP file as checked pieces: chunks, metadata, attachments, channels.
 
-Message indexes are not used, chunk indexes only to check the headers of the chunks.
+Where a log's own summary says where they stand, only that is read; else the file is walked. Message
+indexes are not used.
 """
 
 from __future__ import annotations
@@ -8,7 +9,8 @@ from __future__ import annotations
 import os
 import struct
 import zlib
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from io import BytesIO
@@ -23,9 +25,10 @@ from mcap.summary import Summary
 
 from cosim.errors import LogError
 from cosim.log.compression import MOST_BYTES, decompress
-from cosim.log.layout import FOOTER_SIZE, HEADER
+from cosim.log.index import parse_summary, read_index
 from cosim.log.own_file import OwnFile
 from cosim.log.paths import open_file
+from cosim.log.records import FOOTER_SIZE, HEADER, record_header
 from cosim.log.scan import OtherRecord, scan
 from cosim.log.walk import RecordSpan, damage_error, walk
 
@@ -73,15 +76,29 @@ class Container:
         try:
             with self._stream() as stream:
                 self._identity = _identity(os.fstat(stream.fileno()))
-                self.contents = walk(path, stream)
-                self.summary = self._read_summary(stream)
-                chunk_indexes = self.summary.chunk_indexes
-                self._chunk_indexes = {index.chunk_start_offset: index for index in chunk_indexes}
-                self._check_summary()
-                self._check_data(stream)
+                self._index(stream)
         except OSError as error:
             reason = error.strerror or error
             raise LogError(f"{path} cannot be read: {reason}") from error
+
+    def _index(self, stream: BinaryIO) -> None:
+        """Find out where the pieces of the file stand."""
+        try:
+            index = read_index(self.path, stream)
+        except MALFORMED as error:
+            raise LogError(
+                f"{self.path} is damaged: the summary cannot be read: {error}"
+            ) from error
+        if index is None:
+            self.contents = walk(self.path, stream)
+            self.summary = self._read_summary(stream)
+        else:
+            self.summary, self.contents = index
+        chunk_indexes = self.summary.chunk_indexes
+        self._chunk_indexes = {chunk.chunk_start_offset: chunk for chunk in chunk_indexes}
+        self._check_summary()
+        if index is None:
+            self._check_data(stream)
 
     def open(self) -> BinaryIO:
         """Open the file for a pass.
@@ -101,8 +118,22 @@ class Container:
         stream = None if self.own is None else self.own.open()
         return open_file(self.path) if stream is None else stream
 
-    def blocks(self) -> Iterator[bytes]:
+    def blocks(
+        self,
+        channel_ids: Collection[int] | None = None,
+        *,
+        first_ns: int | None = None,
+        last_ns: int | None = None,
+    ) -> Iterator[bytes]:
         """Yield the message records chunk by chunk, decompressed and checked.
+
+        Parameters
+        ----------
+        channel_ids : collection of int, optional
+            Chunks that have no messages of these channels are not read; nor are those before
+            ``first_ns`` or behind ``last_ns``.
+        first_ns, last_ns : int, optional
+            [ns]
 
         Raises
         ------
@@ -111,10 +142,44 @@ class Container:
         """
         with self.open() as stream:
             for span in self.contents.data:
+                if not self._may_have(span, channel_ids, first_ns, last_ns):
+                    continue
                 if span.opcode == Opcode.CHUNK:
                     yield self._chunk(stream, span)
                 else:
                     yield self._record(stream, span)
+
+    def _may_have(
+        self,
+        span: RecordSpan,
+        channel_ids: Collection[int] | None,
+        first_ns: int | None,
+        last_ns: int | None,
+    ) -> bool:
+        """Return whether a chunk may have messages of some channels and time."""
+        index = self._chunk_indexes.get(span.start)
+        if index is None:
+            return True
+        if first_ns is not None and index.message_end_time < first_ns:
+            return False
+        if last_ns is not None and index.message_start_time > last_ns:
+            return False
+        in_chunk = index.message_index_offsets
+        if channel_ids is None or not in_chunk:  # an index may leave out what the chunk has
+            return True
+        return not in_chunk.keys().isdisjoint(channel_ids)
+
+    def shared_with(self, channel_ids: Collection[int]) -> set[int]:
+        """Return the channels that stand in half of the chunks of some channels or more."""
+        counts: Counter[int] = Counter()
+        chunks = 0
+        for index in self.summary.chunk_indexes:
+            in_chunk = index.message_index_offsets.keys()
+            if in_chunk and in_chunk.isdisjoint(channel_ids):
+                continue
+            chunks += 1
+            counts.update(in_chunk or self.summary.channels.keys())
+        return {channel_id for channel_id, count in counts.items() if 2 * count >= chunks}
 
     def channels(self) -> Mapping[int, records.Channel]:
         """Return the channels by id.
@@ -194,7 +259,9 @@ class Container:
         with self.open() as stream:
             for span in self.contents.metadata:
                 try:
-                    yield records.Metadata.read(_content(self._record(stream, span)))
+                    record = self._record(stream, span)
+                    _check_header(record, span)
+                    yield records.Metadata.read(_content(record))
                 except MALFORMED as error:
                     raise self.damage_error(
                         span.start, f"a metadata record cannot be read: {error}"
@@ -221,6 +288,10 @@ class Container:
         """
         with self.open() as stream:
             record = self._record(stream, span, MOST_ATTACHED)
+        try:
+            _check_header(record, span)
+        except MALFORMED as error:
+            raise self.damage_error(span.start, f"an attachment cannot be read: {error}") from error
         checked = record[HEADER:-4]
         crc = int.from_bytes(record[-4:], "little")
         if crc and zlib.crc32(checked) != crc:
@@ -276,24 +347,23 @@ class Container:
         """Read the summary; an empty one if there is none."""
         footer_start = self.contents.footer
         footer_span = RecordSpan(Opcode.FOOTER, footer_start, footer_start + FOOTER_SIZE)
-        summary = Summary()
         try:
             footer = records.Footer.read(_content(_read(stream, footer_span)))
             start = footer.summary_start
             if not start:
-                return summary
+                return Summary()
             # The CRC covers the summary and the footer up to the CRC itself, its last four bytes.
             crc_position = footer_span.stop - 4
             if not self.contents.data_end < start < footer_start:
                 raise ValueError(f"it is said to begin at byte {start}")
             if footer.summary_crc and _crc(stream, start, crc_position) != footer.summary_crc:
                 raise ValueError("the CRC of the summary does not fit its content")
-            for span in self.contents.summary:
-                if span.start >= start:
-                    _add_to_summary(summary, span.opcode, self._record(stream, span))
+            section = [
+                self._record(stream, span) for span in self.contents.summary if span.start >= start
+            ]
+            return parse_summary(b"".join(section))
         except MALFORMED as error:
             raise self.damage_error(footer_start, f"the summary cannot be read: {error}") from error
-        return summary
 
     def _check_summary(self) -> None:
         """Compare the pieces of the file with its summary."""
@@ -328,15 +398,30 @@ class Container:
             raise self.damage_error(contents.data_end, "the CRC of the data does not fit")
 
 
+def _check_header(record: bytes, span: RecordSpan) -> None:
+    """Check that a record is what the summary says of it.
+
+    Raises
+    ------
+    ValueError
+        If it is not.
+    """
+    expected = record_header(span.opcode, span.size - HEADER)
+    if record[:HEADER] != expected or len(record) != span.size:
+        raise ValueError("another record than its index says")
+
+
 def _read_chunk_header(stream: BinaryIO, span: RecordSpan) -> _ChunkHeader:
     """Read a chunk up to its data.
 
     Raises
     ------
     ValueError, struct.error
-        If the record is too short.
+        If the record is too short, or another than its index says.
     """
-    stream.seek(span.start + HEADER)
+    stream.seek(span.start)
+    if stream.read(HEADER) != record_header(span.opcode, span.size - HEADER):
+        raise ValueError("no chunk there, though its index says so")
     fixed = stream.read(_CHUNK_HEADER.size)
     first_ns, last_ns, size, crc = _CHUNK_HEADER.unpack(fixed)
     name_length = int.from_bytes(stream.read(4), "little")
@@ -347,17 +432,6 @@ def _read_chunk_header(stream: BinaryIO, span: RecordSpan) -> _ChunkHeader:
     if data_length > MOST_BYTES:
         raise ValueError(f"a chunk of {data_length} bytes, at most {MOST_BYTES} are read")
     return _ChunkHeader(first_ns, last_ns, size, crc, compression, data_length)
-
-
-def _add_to_summary(summary: Summary, opcode: int, record: bytes) -> None:
-    match opcode:
-        case Opcode.STATISTICS:
-            summary.statistics = records.Statistics.read(_content(record))
-        case Opcode.CHANNEL:
-            channel = records.Channel.read(_content(record))
-            summary.channels[channel.id] = channel
-        case Opcode.CHUNK_INDEX:
-            summary.chunk_indexes.append(records.ChunkIndex.read(_content(record)))
 
 
 def _identity(status: os.stat_result) -> tuple[int, int, int]:

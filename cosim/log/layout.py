@@ -33,13 +33,10 @@ from cosim.log.metadata import (
     read_json,
     verify_checksum,
 )
+from cosim.log.records import HEADER
 from cosim.units import BaseUnit
 
 MOST_ELEMENTS = 4096
-HEADER = 9  # bytes: opcode u1, length u8
-# As in mcap.writer and mcap.reader, which load every compressor that is installed.
-MAGIC = b"\x89MCAP0\r\n"  # at both ends of a file
-FOOTER_SIZE = HEADER + 20  # bytes
 _LARGEST_WHOLE = 2**63 - 1  # of a time in ns, a size
 _MOST_DIGITS = 19  # of that
 Records: TypeAlias = NDArray[np.void]  # shape (n,), of a dtype by record_dtype
@@ -371,12 +368,27 @@ def copy_values(records: Records, target: Matrix) -> None:
         If the records have other fields than ours.
     """
     size = target.shape[1]
+    copy_columns(records, target, size=size, columns=slice(0, size))
+
+
+def copy_columns(records: Records, target: Matrix, *, size: int, columns: slice) -> None:
+    """Copy some doubles of message records of ``size`` doubles to ``target``, shape (n, columns).
+
+    Raises
+    ------
+    ValueError
+        If the records have other fields than ours.
+    """
     tags = field_tags(size)
-    for name, columns in group_columns(size).items():
+    for name, in_group in group_columns(size).items():
         # Before the values: the same bytes behind other tags are other fields, or another type.
         group = records[name]
         if (group["tag"] != tags[name]).any():
             raise ValueError(
                 "messages with other fields than declared: written or re-encoded by another tool"
             )
-        target[:, columns] = group["value"]
+        start = max(columns.start, in_group.start)
+        stop = min(columns.stop, in_group.stop)
+        if start < stop:
+            values = group["value"][:, start - in_group.start : stop - in_group.start]
+            target[:, start - columns.start : stop - columns.start] = values

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from cosim.core.recording import Plan
 from cosim.log.comments import element_comments, part_comment
 from cosim.log.environment import environment
+from cosim.log.head import FileHead
 from cosim.log.layout import Part
 from cosim.log.messages import EVENT_SCHEMA, LOG_SCHEMA, STEP_SCHEMA, MessageSchema
 from cosim.log.metadata import add_checksum, compact, encode_design
 from cosim.log.schema import component_schema, identifiers
-from cosim.log.sink import Sink
 from cosim.log.viewer_layout import LAYOUT_FILE, layout_json, output_panels
 
 FORMAT = "2"
@@ -46,39 +46,39 @@ def part_schema(part: Part, message: str) -> bytes:
     return component_schema(message, part.elements, title=title, comments=comments)
 
 
-def write_parts(sink: Sink, parts: Sequence[Part]) -> list[int]:
-    """Write schema and channel of every part; return the channels' ids."""
+def add_parts(head: FileHead, parts: Sequence[Part]) -> list[int]:
+    """Add schema and channel of every part; return the channels' ids."""
     channel_ids = []
     for part, schema in zip(parts, part_schemas(parts), strict=True):
         topic = f"/{part.title}"
-        channel_id = sink.channel(topic, schema=schema, metadata=part.metadata)
+        channel_id = head.channel(topic, schema=schema, metadata=part.metadata)
         channel_ids.append(channel_id)
     return channel_ids
 
 
-def write_event_channel(sink: Sink) -> int:
-    """Write the channel of the jumps of signals; return its id."""
-    return _write_channel(sink, EVENT_TOPIC, EVENT_SCHEMA)
+def add_event_channel(head: FileHead) -> int:
+    """Add the channel of the jumps of signals; return its id."""
+    return _add_channel(head, EVENT_TOPIC, EVENT_SCHEMA)
 
 
-def write_step_channel(sink: Sink) -> int:
-    """Write the channel of the substeps of loops; return its id."""
-    return _write_channel(sink, STEP_TOPIC, STEP_SCHEMA)
+def add_step_channel(head: FileHead) -> int:
+    """Add the channel of the substeps of loops; return its id."""
+    return _add_channel(head, STEP_TOPIC, STEP_SCHEMA)
 
 
-def write_preamble(
-    sink: Sink,
+def add_preamble(
+    head: FileHead,
     plan: Plan,
     *,
     metadata: Mapping[str, Mapping[str, str]],
     attachments: Sequence[Attachment],
 ) -> int:
-    """Write the channel of messages, the metadata and the attachments; return the channel's id."""
-    channel_id = _write_channel(sink, LOG_TOPIC, LOG_SCHEMA)
+    """Add the channel of messages, the metadata and the attachments; return the channel's id."""
+    channel_id = _add_channel(head, LOG_TOPIC, LOG_SCHEMA)
     for name, items in _complete_metadata(plan, metadata).items():
-        sink.metadata(name, add_checksum(name, items))
+        head.metadata(name, add_checksum(name, items))
     for attachment in _with_layout(plan, attachments):
-        sink.attachment(attachment.name, attachment.media_type, attachment.data)
+        head.attachment(attachment.name, attachment.media_type, attachment.data)
     return channel_id
 
 
@@ -91,8 +91,8 @@ def _with_layout(plan: Plan, attachments: Sequence[Attachment]) -> list[Attachme
     return [*attachments, Attachment(LAYOUT_FILE, "application/json", layout)]
 
 
-def _write_channel(sink: Sink, topic: str, schema: MessageSchema) -> int:
-    return sink.channel(topic, schema=(schema.name, schema.serialized), metadata={})
+def _add_channel(head: FileHead, topic: str, schema: MessageSchema) -> int:
+    return head.channel(topic, schema=(schema.name, schema.serialized), metadata={})
 
 
 def _complete_metadata(

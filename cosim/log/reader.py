@@ -230,7 +230,8 @@ class Log(RecordedRun):
         LogError
             If the file is damaged.
         """
-        return self._times_and_rows(component)[1]
+        find_channel(self._channels, component, source=str(self.path))
+        return self._rows.of(component)[1]
 
     def time_ns(self, component: str) -> Nanoseconds:
         """Return the instants of a component's rows, shape (N,) [ns]; read-only.
@@ -242,7 +243,12 @@ class Log(RecordedRun):
         LogError
             If the file is damaged.
         """
-        return self._times_and_rows(component)[0]
+        find_channel(self._channels, component, source=str(self.path))
+        return self._rows.times(component)
+
+    def columns(self, component: str, columns: slice) -> Matrix:
+        """Return some columns of a component's rows, shape (N, columns); read-only."""
+        return self._rows.columns(component, columns)
 
     def blocks(
         self, component: str, *, first_ns: int | None = None, last_ns: int | None = None
@@ -265,7 +271,8 @@ class Log(RecordedRun):
             If the file is damaged.
         """
         find_channel(self._channels, component, source=str(self.path))
-        yield from blocks_within(self._rows.blocks(component), first_ns, last_ns)
+        blocks = self._rows.blocks(component, first_ns=first_ns, last_ns=last_ns)
+        yield from blocks_within(blocks, first_ns, last_ns)
 
     def load(self, *components: str) -> None:
         """Read several components in one pass over the file; none named: all.
@@ -355,7 +362,7 @@ class Log(RecordedRun):
                 channel_ids.add(number)
         if not channel_ids:
             return
-        for record in self._rows.other_records():
+        for record in self._rows.other_records(channel_ids):
             if record.opcode == Opcode.MESSAGE and record.channel_id in channel_ids:
                 time_ns = int.from_bytes(record.content[_LOG_TIME], "little")
                 yield time_ns, bytes(record.content[_DATA])
@@ -390,10 +397,6 @@ class Log(RecordedRun):
             If the file is damaged.
         """
         return hash_signals(self, select_signals(self._channels, signals, source=self.label))
-
-    def _times_and_rows(self, component: str) -> TimedRows:
-        find_channel(self._channels, component, source=str(self.path))
-        return self._rows.of(component)
 
     def _check_rows_of_run(self) -> None:
         """Check that the summary counts the rows of as many steps as the run has recorded.

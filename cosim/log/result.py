@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from cosim.core.recorders import EndOfRun
+from cosim.log.head import attachment_group, metadata_group
 from cosim.log.metadata import add_checksum
-from cosim.log.sink import Sink
+from cosim.log.summary import RecordGroup
 
 RESULT = "cosim.result"
 RESULT_FILE = "result.json"
@@ -28,27 +29,18 @@ class LastRow:
     end_ns: int = 0
 
 
-def write_result(
-    sink: Sink,
-    end: EndOfRun,
-    last_row: LastRow,
-    *,
-    content_hash: str,
-    values: Mapping[str, Any],
-) -> None:
-    """Write the record and the attachment; ``values`` go to the attachment only.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be written to.
-    """
+def result_group(
+    end: EndOfRun, last_row: LastRow, *, content_hash: str, values: Mapping[str, Any]
+) -> RecordGroup:
+    """Return the record and the attachment; ``values`` go to the attachment only."""
     items = {**asdict(end), **asdict(last_row), "content_hash": content_hash}
-    record = {key: str(value) for key, value in items.items()}
-    sink.metadata(RESULT, add_checksum(RESULT, record))
+    texts = {key: str(value) for key, value in items.items()}
+    record = metadata_group(RESULT, add_checksum(RESULT, texts))
     # Ours after the caller's: no caller may overwrite how the run ended.
     text = json.dumps({**values, **items}, default=_to_json, indent=2)
-    sink.attachment(RESULT_FILE, "application/json", text.encode())
+    attachment = attachment_group(RESULT_FILE, "application/json", text.encode())
+    entries = [*record.entries, *attachment.placed(len(record.data))]
+    return RecordGroup(record.data + attachment.data, entries)
 
 
 def _to_json(value: object) -> object:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import final
@@ -12,15 +12,15 @@ import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Channel as DeclaredChannel
 
-from cosim.arrays import Matrix, Nanoseconds
+from cosim.arrays import Matrix, Nanoseconds, read_only
 from cosim.core.signals import Channel
 from cosim.errors import LogError
 from cosim.log.columns import SignalRows
 from cosim.log.container import MALFORMED, Container
 from cosim.log.content import combine_hashes, hash_input
-from cosim.log.layout import Part, record_dtype
+from cosim.log.layout import Part, Records, copy_columns, record_dtype
 from cosim.log.scan import OtherRecord, scan
-from cosim.log.stream import RowStream, TimedRows
+from cosim.log.stream import RowStream, TimedRows, check_grid, record_times
 
 _DOUBLE_BYTES = 8
 _MOST_AHEAD = 2**26  # bytes of rows that are read ahead, or that a block has
@@ -70,14 +70,37 @@ class LogRows:
             self._rows[component] = self._read_ahead(component)
         return self._rows[component]
 
-    def blocks(self, component: str) -> Iterator[TimedRows]:
-        """Yield times and rows of a component; nothing is kept."""
+    def times(self, component: str) -> Nanoseconds:
+        """Return the times of a component's rows; of one with many nothing else is kept."""
+        if self._is_small(component):
+            return self.of(component)[0]
+        time_ns = np.concatenate([times for times, _ in self._stream(component)])
+        time_ns.setflags(write=False)
+        return time_ns
+
+    def columns(self, component: str, columns: slice) -> Matrix:
+        """Return some columns of a component's rows; of one with many nothing else is kept."""
+        if not self._is_small(component):
+            for number, part in self._parts_of[component].items():
+                if part.columns.start <= columns.start and columns.stop <= part.columns.stop:
+                    values = self._read_columns(number, columns)
+                    if values is not None:
+                        return values
+        return self.of(component)[1][:, columns]
+
+    def blocks(
+        self, component: str, *, first_ns: int | None = None, last_ns: int | None = None
+    ) -> Iterator[TimedRows]:
+        """Yield times and rows of a component; nothing is kept.
+
+        Chunks without rows in ``first_ns <= time <= last_ns`` are not read.
+        """
         if component in self._rows:
             yield self._rows[component]
-        elif self._row_bytes(component) <= _MOST_AHEAD:
+        elif first_ns is None and last_ns is None and self._is_small(component):
             yield self._read_ahead(component)
         else:
-            yield from self._stream(component)
+            yield from self._stream(component, first_ns=first_ns, last_ns=last_ns)
 
     def load(self, components: Sequence[str]) -> None:
         """Read several components in one pass over the file; none named: all."""
@@ -85,9 +108,9 @@ class LogRows:
         missing = [name for name in dict.fromkeys(wanted) if name not in self._rows]
         self._rows.update(self._read_rows(missing))
 
-    def other_records(self) -> Iterator[OtherRecord]:
-        """Yield the records that are no rows of a component."""
-        for block in self._file.blocks():
+    def other_records(self, channel_ids: Collection[int]) -> Iterator[OtherRecord]:
+        """Yield the records of some channels that are no rows of a component."""
+        for block in self._file.blocks(channel_ids):
             for record in scan(block, self._dtypes):
                 if isinstance(record, OtherRecord):
                     yield record
@@ -134,12 +157,67 @@ class LogRows:
             digests[name].update(hash_input(time_ns, rows))
         return [name for name, stream in streams.items() if not stream.ordered]
 
-    def _stream(self, component: str) -> Iterator[TimedRows]:
+    def _is_small(self, component: str) -> bool:
+        """Return whether all rows of a component are in memory, or may be at any time."""
+        return component in self._rows or self._row_bytes(component) <= _MOST_AHEAD
+
+    def _read_columns(self, number: int, columns: slice) -> Matrix | None:
+        """Read some columns of a part; None: its rows are not in order of time."""
+        part = self._parts[number]
+        dtype = self._dtypes[number]
+        in_part = slice(columns.start - part.columns.start, columns.stop - part.columns.start)
+        values = np.empty((self._file.expected_messages(number, dtype.itemsize), _size(columns)))
+        count = 0
+        first_ns: int | None = None
+        last_ns = 0
+        try:
+            for records in self._records_of(number):
+                stop = count + len(records)
+                if stop > len(values):
+                    raise ValueError(f"more rows of {part.channel.name!r} than its summary says")
+                time_ns = record_times(records)
+                first_ns = int(time_ns[0]) if first_ns is None else first_ns
+                check_grid(time_ns, first_ns, part)
+                if int(time_ns[0]) < last_ns or (time_ns[1:] < time_ns[:-1]).any():
+                    return None
+                last_ns = int(time_ns[-1])
+                copy_columns(records, values[count:stop], size=part.size, columns=in_part)
+                count = stop
+            self._check_counts({number: count})
+        except MALFORMED as error:
+            raise LogError(f"{self.path} is damaged: {error}") from error
+        return read_only(values[:count])
+
+    def _records_of(self, number: int) -> Iterator[Records]:
+        """Yield the message records of a channel."""
+        for block in self._file.blocks([number]):
+            for record in scan(block, self._dtypes):
+                if isinstance(record, OtherRecord):
+                    self._check_declared(record)
+                elif record[0] == number:
+                    yield record[1]
+
+    def _blocks_of(
+        self,
+        components: Iterable[str],
+        *,
+        first_ns: int | None = None,
+        last_ns: int | None = None,
+    ) -> Iterator[bytes]:
+        """Yield the chunks that have rows of some components and time."""
+        channel_ids: set[int] = set()
+        for name in components:
+            channel_ids |= self._parts_of[name].keys()
+        yield from self._file.blocks(channel_ids, first_ns=first_ns, last_ns=last_ns)
+
+    def _stream(
+        self, component: str, *, first_ns: int | None = None, last_ns: int | None = None
+    ) -> Iterator[TimedRows]:
         """Yield the rows of a component in one pass over the file."""
         streams = self._streams([component])
         width = self._channels[component].columns
         yield np.empty(0, np.int64), np.empty((0, width.stop - width.start))
-        for _, time_ns, rows in self._streamed(streams):
+        for _, time_ns, rows in self._streamed(streams, first_ns=first_ns, last_ns=last_ns):
             yield time_ns, rows
         if not streams[component].ordered:
             raise self._unordered(component)
@@ -155,12 +233,17 @@ class LogRows:
         return {name: RowStream(self._parts_of[name]) for name in components}
 
     def _streamed(
-        self, streams: Mapping[str, RowStream]
+        self,
+        streams: Mapping[str, RowStream],
+        *,
+        first_ns: int | None = None,
+        last_ns: int | None = None,
     ) -> Iterator[tuple[str, Nanoseconds, Matrix]]:
-        """Yield the rows of components as they come."""
+        """Yield the rows of components as they come, in a window of time."""
+        is_whole = first_ns is None and last_ns is None
         dtypes = self._dtypes
         try:
-            for block in self._file.blocks():
+            for block in self._blocks_of(streams, first_ns=first_ns, last_ns=last_ns):
                 for record in scan(block, dtypes):
                     if isinstance(record, OtherRecord):
                         self._check_declared(record)
@@ -168,16 +251,18 @@ class LogRows:
                     number, records = record
                     name = self._parts[number].channel.name
                     if name in streams:
+                        records = _within(records, first_ns, last_ns)
                         for time_ns, rows in streams[name].append(number, records):
                             yield name, time_ns, rows
             for stream in streams.values():
                 stream.finish()
-                self._check_counts(stream.counts)
+                if is_whole:
+                    self._check_counts(stream.counts)
         except MALFORMED as error:
             raise LogError(f"{self.path} is damaged: {error}") from error
 
     def _read_ahead(self, component: str) -> TimedRows:
-        """Return the rows of a component; read those behind it in the same pass.
+        """Return the rows of a component; read those in the same chunks in the same pass.
 
         The first pass reads one component, the second 64, those behind it 4096, as far as they
         fit, and each as many more as are small: whoever asks for one component after another needs
@@ -187,7 +272,11 @@ class LogRows:
         if component not in self._ahead:
             names = list(self._channels)
             first = names.index(component)
-            others = [*names[first + 1 :], *names[:first]]
+            shared = self._file.shared_with(self._parts_of[component].keys())
+            others = []
+            for name in [*names[first + 1 :], *names[:first]]:
+                if not shared.isdisjoint(self._parts_of[name]):
+                    others.append(name)
             batch = [component]
             size = self._row_bytes(component)
             most_others = _AHEAD_GROWTH ** min(self._passes, 2) - 1
@@ -237,7 +326,7 @@ class LogRows:
             for number, part in self._parts_of[name].items():
                 expected = self._file.expected_messages(number, dtypes[number].itemsize)
                 rows[number] = SignalRows(part, expected if has_counts else 0)
-        for block in self._file.blocks():
+        for block in self._blocks_of(components):
             for record in scan(block, dtypes):
                 if isinstance(record, OtherRecord):
                     self._check_declared(record)
@@ -310,3 +399,19 @@ def _side_by_side(parts: list[SignalRows]) -> tuple[Nanoseconds, Matrix]:
     time_ns.setflags(write=False)
     values.setflags(write=False)
     return time_ns, values
+
+
+def _size(columns: slice) -> int:
+    return int(columns.stop - columns.start)
+
+
+def _within(records: Records, first_ns: int | None, last_ns: int | None) -> Records:
+    """Return the records in a window of time.
+
+    The parts of a component may have chunks of other lengths: here their rows are the same.
+    """
+    if first_ns is not None:
+        records = records[records["log_time"] >= max(first_ns, 0)]
+    if last_ns is not None:
+        records = records[records["log_time"] <= max(last_ns, 0)]
+    return records

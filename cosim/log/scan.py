@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from mcap.opcode import Opcode
 
-from cosim.log.layout import HEADER, Records
+from cosim.log.layout import Records
+from cosim.log.records import HEADER
 
 _RECORD_HEADER = struct.Struct("<BQ")
 _MESSAGE_KEY = 11  # bytes: opcode, length, channel id; equal in all messages of a channel

@@ -13,7 +13,7 @@ from typing import BinaryIO
 from mcap.opcode import Opcode
 
 from cosim.errors import LogError
-from cosim.log.layout import HEADER, MAGIC
+from cosim.log.records import HEADER, MAGIC
 
 _SPAN_BYTES = 2**22  # of messages outside chunks that are read as one piece
 

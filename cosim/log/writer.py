@@ -2,29 +2,25 @@
 
 from __future__ import annotations
 
-import hashlib
-import time
-from collections import deque
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass
 from io import RawIOBase
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self, final
+from typing import Any, Final, Self, final
 
 from cosim.arrays import Matrix
 from cosim.core.contracts import Block
 from cosim.core.recorders import EndOfRun, end_of_run
 from cosim.core.recording import MessageLevel, Plan, SignalEvent, Substep
-from cosim.core.signals import Interface
 from cosim.errors import LogError, LogWriteError, RunError
 from cosim.interrupts import uninterrupted
-from cosim.log.buffer import RowBuffer, message_batch
+from cosim.log.background import BackgroundWriter
+from cosim.log.buffer import RunContent, WaitingMessage
 from cosim.log.compression import Compression
-from cosim.log.content import combine_hashes
 from cosim.log.environment import library_name
-from cosim.log.layout import Part, signals_json, split_channel
+from cosim.log.head import FileHead
+from cosim.log.layout import Part, split_channel
+from cosim.log.live_file import LiveFile
 from cosim.log.messages import encode_event, encode_log, encode_substep
 from cosim.log.paths import check_new_log, log_path
 from cosim.log.preamble import (
@@ -32,29 +28,17 @@ from cosim.log.preamble import (
     LOG_TOPIC,
     STEP_TOPIC,
     Attachment,
-    write_event_channel,
-    write_parts,
-    write_preamble,
-    write_step_channel,
+    add_event_channel,
+    add_parts,
+    add_preamble,
+    add_step_channel,
 )
 from cosim.log.reader import Log
-from cosim.log.result import LastRow, write_result
-from cosim.log.sink import Mark, Sink
 from cosim.log.size import size_bound
+from cosim.log.store import LogStore
 from cosim.log.unfinished import UnfinishedLog
 
-_FLUSH_AFTER = 1.0  # s of wall time
-_MOST_WAITING = 10_000  # substeps, before they are written
-_CHECKPOINTS = 16  # chunks that may be given up to make room for the file's end on a full disk
-
-
-@dataclass(frozen=True, slots=True)
-class _Checkpoint:
-    """What the file held at a mark: to close it there after a failed write."""
-
-    mark: Mark
-    hashes: dict[str, hashlib._Hash]
-    last_row: LastRow
+FLUSH_INTERVAL: Final = 1.0  # s of wall time
 
 
 @final
@@ -62,9 +46,10 @@ class McapRecorder:
     """Record a run to an MCAP file.
 
     The file is created by :meth:`begin` under a hidden name, stands at its path from the first
-    :meth:`write` on, and is completed when the ``with`` block ends, however it ends. A run that is
-    refused before its first row leaves nothing, and an existing log as it was; one that failed at
-    its start, or had no rows, leaves a log without rows.
+    :meth:`write` on, and is completed when the ``with`` block ends, however it ends. It can be
+    opened at any instant; where the process is killed it has all but the last flush interval. A
+    run that is refused before its first row leaves nothing, and an existing log as it was; one
+    that failed at its start, or had no rows, leaves a log without rows.
 
     Parameters
     ----------
@@ -86,6 +71,10 @@ class McapRecorder:
         Signals may jump at communication points: there is a channel ``/cosim/event`` for that.
     substeps : bool
         Loops take substeps: there is a channel ``/cosim/step`` for them.
+    flush : float
+        After how much wall time a row is in the file at the latest [s].
+    sync : bool
+        Wait for the disk at every flush: a loss of power leaves what was flushed, too.
     """
 
     def __init__(
@@ -100,6 +89,8 @@ class McapRecorder:
         attachments: Sequence[Attachment] = (),
         events: bool = False,
         substeps: bool = False,
+        flush: float = FLUSH_INTERVAL,
+        sync: bool = False,
     ) -> None:
         self._force = force
         self._numbered = numbered
@@ -111,12 +102,10 @@ class McapRecorder:
         self._has_events = events
         self._has_substeps = substeps
         self._channel_ids: dict[str, int] = {}  # of what is no signal, by topic
-        # what is to be written there: time [ns] and data
-        self._waiting: dict[str, list[tuple[int, bytes]]] = {LOG_TOPIC: []}
-        self._last_row = LastRow()
+        self._flush = flush
+        self._sync = sync
         self._file = UnfinishedLog(log_path(path), force=force, numbered=numbered)
-        self._sink: Sink | None = None
-        self._checkpoints: deque[_Checkpoint] = deque(maxlen=_CHECKPOINTS)
+        self._writer: BackgroundWriter | None = None
 
     @property
     def path(self) -> Path:
@@ -163,13 +152,15 @@ class McapRecorder:
         """
         with uninterrupted():
             try:
-                if self._sink is not None and self._is_worth_keeping(error):
+                if self._writer is not None and self._is_worth_keeping(error):
                     # First: if the end cannot be written, what could be is at its path.
                     self._file.publish()
-                    self._complete(self._sink, end_of_run(error))
+                    self._complete(self._writer, end_of_run(error))
             finally:
+                if self._writer is not None:
+                    self._writer.stop()
+                self._writer = None
                 self._file.discard()
-                self._sink = None
 
     def _is_worth_keeping(self, error: BaseException | None) -> bool:
         """Return whether the log has rows, or must record why it has none."""
@@ -187,43 +178,39 @@ class McapRecorder:
             self._begin(plan, self._file.create())
 
     def _begin(self, plan: Plan, stream: RawIOBase) -> None:
+        head = FileHead(library=library_name())
         parts = self._parts(plan)
+        numbered_parts = list(zip(add_parts(head, parts), parts, strict=True))
+        self._channel_ids[LOG_TOPIC] = add_preamble(
+            head, plan, metadata=self._metadata, attachments=self._attachments
+        )
+        if self._has_events:
+            self._channel_ids[EVENT_TOPIC] = add_event_channel(head)
+        if self._has_substeps:
+            self._channel_ids[STEP_TOPIC] = add_step_channel(head)
         try:
-            sink = Sink(stream, library=library_name())
-            channel_ids = write_parts(sink, parts)
-            self._channel_ids[LOG_TOPIC] = write_preamble(
-                sink, plan, metadata=self._metadata, attachments=self._attachments
-            )
-            if self._has_events:
-                self._channel_ids[EVENT_TOPIC] = write_event_channel(sink)
-            if self._has_substeps:
-                self._channel_ids[STEP_TOPIC] = write_step_channel(sink)
+            file = LiveFile(stream, head.data, head.summary(), sync=self._sync)
         except OSError as error:
             reason = error.strerror or error
             raise LogError(f"{self.path} cannot be written: {reason}") from error
-        self._interfaces: dict[str, Interface] = {}
-        self._hashes: dict[str, hashlib._Hash] = {}
-        for channel in plan.layout.channels:
-            self._interfaces[channel.name] = channel.interface
-            self._hashes[channel.name] = hashlib.sha256()
-        numbered_parts = list(zip(channel_ids, parts, strict=True))
-        self._buffer = RowBuffer(plan.layout, numbered_parts)
+        self._store = LogStore(file, plan, numbered_parts, compression=self._compression)
         self._plan = plan
-        self._step_ns = plan.step_ns
-        self._start_ns = 0  # the first row says it
-        # Last: with a sink the file is completed, and that needs everything above.
-        self._sink = sink
-        self._add_checkpoint()
+        self._head_bytes = len(head.data)
+        # Last: with a writer the file is completed, and that needs everything above.
+        self._writer = BackgroundWriter(
+            self._add,
+            capacity=self._store.capacity,
+            width=plan.layout.width,
+            interval=self._flush,
+        )
 
     def size_bound(self, steps: int) -> int:
         """Return how large the file can become in a run of so many steps [bytes].
 
         An upper bound without the messages, of any compression; known once the run has begun.
         """
-        assert self._sink is not None
-        start = self._sink.mark().position
         parts = self._parts(self._plan)
-        return size_bound(parts, steps, start=start, capacity=self._buffer.capacity)
+        return size_bound(parts, steps, start=self._head_bytes, capacity=self._store.capacity)
 
     def _parts(self, plan: Plan) -> list[Part]:
         parts = []
@@ -248,35 +235,36 @@ class McapRecorder:
             )
         is_first = not self._file.published
         if is_first:
-            self._start_ns = int(block.time_ns[0]) - block.index * self._step_ns
+            start_ns = int(block.time_ns[0]) - block.index * self._plan.step_ns
             with uninterrupted():
+                self._store.begin(start_ns)
                 self._file.publish()
         row = 0 if is_first and block.index == 0 else 1
-        while row <= block.steps:
-            row = self._buffer.append(block, signals, row)
-            if self._buffer.full or time.monotonic() - self._flushed >= _FLUSH_AFTER:
-                self._write_chunk()
+        try:
+            self._open_writer().write(block, signals, row)
+        except OSError as error:
+            self._fail(error)
 
     def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
-        """Record a message of the run or of a component at a simulation time [ns].
-
-        It goes to ``/cosim/log`` with the next chunk.
-        """
-        data = encode_log(time_ns, level, source, text)
-        self._waiting[LOG_TOPIC].append((time_ns, data))
+        """Record a message of the run or of a component at a simulation time [ns]."""
+        self._write_message(LOG_TOPIC, time_ns, encode_log(time_ns, level, source, text))
 
     def event(self, event: SignalEvent) -> None:
-        """Record a jump of a signal; it goes to ``/cosim/event`` with the next chunk."""
+        """Record a jump of a signal."""
         assert self._has_events
-        self._waiting.setdefault(EVENT_TOPIC, []).append((event.time_ns, encode_event(event)))
+        self._write_message(EVENT_TOPIC, event.time_ns, encode_event(event))
 
     def substep(self, substep: Substep) -> None:
-        """Record a substep of a loop; it goes to ``/cosim/step`` with the next chunk."""
+        """Record a substep of a loop."""
         assert self._has_substeps
-        waiting = self._waiting.setdefault(STEP_TOPIC, [])
-        waiting.append((substep.begin_ns, encode_substep(substep)))
-        if len(waiting) >= _MOST_WAITING:
-            self._write_chunk()
+        self._write_message(STEP_TOPIC, substep.begin_ns, encode_substep(substep))
+
+    def _write_message(self, topic: str, time_ns: int, data: bytes) -> None:
+        message = WaitingMessage(self._channel_ids[topic], time_ns, data)
+        try:
+            self._open_writer().message(message)
+        except OSError as error:
+            self._fail(error)
 
     def result(self, values: Mapping[str, Any]) -> None:
         """Add values to ``result.json``, which is written at the end.
@@ -288,100 +276,39 @@ class McapRecorder:
         """
         self._result.update(values)
 
-    def _write_chunk(self) -> None:
-        # Between the checkpoint and the cleared buffer, an interrupt would write the rows twice.
-        with uninterrupted():
-            try:
-                self._flush()
-            except OSError as error:
-                self._fail(error)
+    def _open_writer(self) -> BackgroundWriter:
+        assert self._writer is not None
+        return self._writer
 
-    def _flush(self) -> None:
-        """Write what is buffered as one chunk."""
-        assert self._sink is not None
-        batches = self._buffer.message_batches()
-        for topic, messages in self._waiting.items():
-            if not messages:
-                continue
-            batch = message_batch(
-                messages,
-                channel_id=self._channel_ids[topic],
-                start_ns=self._start_ns,
-                step_ns=self._step_ns,
-            )
-            batches.append(batch)
-        if batches:
-            self._sink.chunk(batches, self._compression)
-        # Before the checkpoint: it takes the hashes and the last row of what the file holds now.
-        self._buffer.hash_into(self._hashes)
-        self._last_row = self._buffer.last_row or self._last_row
-        self._add_checkpoint()
-        # After the checkpoint: until then the rows are needed, to be written again.
-        self._buffer.clear()
-        for messages in self._waiting.values():
-            messages.clear()
+    def _add(self, content: RunContent) -> None:
+        """Write a content; called in the writer's thread."""
+        self._store.add(content)
 
-    def _add_checkpoint(self) -> None:
-        """Store what the file holds now, and when."""
-        assert self._sink is not None
-        mark = self._sink.mark()
-        hashes = _copied(self._hashes)  # the originals go on
-        self._checkpoints.append(_Checkpoint(mark, hashes, self._last_row))
-        self._flushed = time.monotonic()
+    def _complete(self, writer: BackgroundWriter, end: EndOfRun) -> None:
+        """Write the rest and the end of the file."""
+        try:
+            rest = writer.close()
+            self._store.finish(rest, end, self._result)
+        except OSError as error:
+            self._fail(error)
 
     def _fail(self, error: OSError) -> None:
-        """Close the file where it was last whole.
-
-        Where the disk has no room for the file's end, chunks are given up, the latest first.
+        """Close the file with what it holds; where even that fails it is left as it is, whole.
 
         Raises
         ------
         LogWriteError
             Always.
         """
-        sink = self._sink
-        assert sink is not None
-        self._sink = None  # whatever happens now, nothing more is written after the end
+        self._writer = None  # whatever happens now, nothing more is written after the end
         reason = error.strerror or str(error)
         end = EndOfRun("failed", f"the log could not be written further: {reason}")
-        self._result.pop("last", None)  # of rows that may have to be given up
-        outcome = "it has no end"
-        while self._checkpoints:
-            checkpoint = self._checkpoints.pop()
-            with suppress(OSError):  # no room here: make more at the checkpoint before
-                sink.rewind(checkpoint.mark)
-                self._close(sink, checkpoint, end)
-                outcome = f"up to t = {checkpoint.last_row.end_ns / 1e9} s it is a valid file"
-                break
-        else:
-            sink.abandon()
-        raise LogWriteError(
-            f"{self.path} cannot be written further: {reason}; {outcome}"
-        ) from error
-
-    def _complete(self, sink: Sink, end: EndOfRun) -> None:
-        """Write the rest and the end of the file, from its last checkpoint on."""
+        self._result.pop("last", None)  # of rows that are not in the file
         try:
-            # A write that was interrupted left half a chunk, and its rows are in the buffer still:
-            # file and hashes go back to the checkpoint before the rows are written again.
-            checkpoint = self._checkpoints[-1]
-            sink.rewind(checkpoint.mark)
-            self._hashes = _copied(checkpoint.hashes)
-            self._flush()
-            self._close(sink, self._checkpoints[-1], end)
-        except OSError as failure:
-            self._fail(failure)
-
-    def _close(self, sink: Sink, checkpoint: _Checkpoint, end: EndOfRun) -> None:
-        """Write the result and the end of the file."""
-        components = []
-        for name, digest in checkpoint.hashes.items():
-            declaration = signals_json(self._interfaces[name])
-            components.append((name, declaration, digest.hexdigest()))
-        content_hash = combine_hashes(components)
-        write_result(sink, end, checkpoint.last_row, content_hash=content_hash, values=self._result)
-        sink.close()
-
-
-def _copied(hashes: Mapping[str, hashlib._Hash]) -> dict[str, hashlib._Hash]:
-    return {name: digest.copy() for name, digest in hashes.items()}
+            self._store.close(end, self._result)
+        except OSError:
+            self._store.abandon()
+        raise LogWriteError(
+            f"{self.path} cannot be written further: {reason}; up to "
+            f"t = {self._store.last_row.end_ns / 1e9} s it is a valid file"
+        ) from error

@@ -7,7 +7,7 @@ import numpy as np
 from cosim.core.contracts import Block
 from cosim.core.recording import Plan
 from cosim.core.signals import Channel, Interface, Layout, Signal
-from cosim.log import McapRecorder
+from cosim.log import McapRecorder, chunks, encoding, store
 
 STEP_NS = 1_000_000
 
@@ -93,6 +93,13 @@ def record(path, *, steps=1000, size=100, lay=None, rows=None, messages=(), **op
             recorder.write(block, signals)
         recorder.result({"rms": np.float64(0.25)})
     return rows
+
+
+def make_chunks_small(monkeypatch, size):
+    """Let chunks, and flushes that are full, have about ``size`` bytes of records."""
+    for module in (chunks, encoding, store):
+        monkeypatch.setattr(module, "CHUNK_BYTES", size)
+    monkeypatch.setattr(encoding, "_CHANNEL_BYTES", 0)
 
 
 def same_bits(a, b):

@@ -13,14 +13,14 @@ import pytest
 import cosim.log
 from cosim.interrupts import uninterrupted
 from cosim.log import McapRecorder, open_log
-from cosim.log import buffer as row_buffer
 
-from .recordings import STEP_NS, blocks, layout, plan, same_bits, table
+from .recordings import STEP_NS, blocks, layout, make_chunks_small, plan, same_bits, table
 
 FOLDER = Path(cosim.log.__file__).parent
-BY_BYTECODE = {str(FOLDER / name) for name in ("writer.py", "interrupts.py", "unfinished.py")}
+WRITTEN_BY_MAIN = ("background.py", "buffer.py", "interrupts.py", "unfinished.py")
+BY_BYTECODE = {str(FOLDER / name) for name in WRITTEN_BY_MAIN}
 TRACED = {str(path) for path in FOLDER.glob("*.py")} | {contextlib.__file__}
-SWITCH = {"_write_chunk", "_flush", "_add_checkpoint", "clear", "uninterrupted"}
+SWITCH = {"write", "append", "_room", "_hand_over", "uninterrupted"}
 
 
 @pytest.fixture(autouse=True)
@@ -93,7 +93,7 @@ def test_an_interrupt_at_any_instant_keeps_every_row_once(tmp_path, monkeypatch,
 
     Ctrl-C comes at some of the instants around the writing of a chunk, and at some of all others.
     """
-    monkeypatch.setattr(row_buffer, "CHUNK_BYTES", 700)
+    make_chunks_small(monkeypatch, 700)
     rows = table(layout(), 12)
     path = tmp_path / "a.mcap"
     instant = 1

@@ -18,8 +18,6 @@ from mcap.writer import MCAP0_MAGIC
 from cosim.core.signals import Channel, Interface, Signal
 from cosim.errors import GraphError
 from cosim.log.layout import (
-    FOOTER_SIZE,
-    MAGIC,
     blank_records,
     copy_values,
     group_columns,
@@ -30,6 +28,7 @@ from cosim.log.layout import (
 )
 from cosim.log.messages import decode_log, encode_log
 from cosim.log.metadata import add_checksum, decode_design, encode_design, verify_checksum
+from cosim.log.records import FOOTER_SIZE, MAGIC
 from cosim.log.schema import component_schema, identifiers
 from cosim.units import BASE, BaseUnit
 

@@ -23,11 +23,10 @@ from cosim.core.recording import Recording
 from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.errors import LogError, UsageError
 from cosim.log import McapRecorder, open_log, preamble
-from cosim.log import buffer as row_buffer
 from cosim.log import rows as log_rows
 from tests.log.crafting import put_together, take_apart
 
-from .recordings import STEP_NS, blocks, layout, plan, record, same_bits, table
+from .recordings import STEP_NS, blocks, layout, make_chunks_small, plan, record, same_bits, table
 
 
 def rewrite(source, target, *, order=lambda messages: messages, **options):
@@ -259,7 +258,7 @@ def test_the_error_of_a_truncated_file_names_the_time_up_to_which_it_is_whole(
     path, monkeypatch, whole, more
 ):
     """The end of its last whole chunk."""
-    monkeypatch.setattr(row_buffer, "CHUNK_BYTES", 5000)
+    make_chunks_small(monkeypatch, 5000)
     record(path)
     with path.open("rb") as stream:
         chunks = make_reader(stream).get_summary().chunk_indexes
@@ -384,7 +383,7 @@ def test_reading_a_component_takes_little_more_memory_than_it_has(tmp_path, monk
 
     Other components are read ahead in the first pass only where all are small.
     """
-    monkeypatch.setattr(row_buffer, "CHUNK_BYTES", 50_000)
+    make_chunks_small(monkeypatch, 50_000)
     monkeypatch.setattr(log_rows, "_ALWAYS_AHEAD", 2**20)
     record(tmp_path / "a.mcap", steps=2000, lay=layout(wide=500))
     log = open_log(tmp_path / "a.mcap")
@@ -456,11 +455,12 @@ def test_an_index_without_its_chunk_is_damage(path):
     found = index.chunk_start_offset.to_bytes(8, "little")
     position = data.rindex(found)
     data[position : position + 8] = (index.chunk_start_offset + 1).to_bytes(8, "little")
-    data[-12:-8] = bytes(4)  # no CRC of the summary
+    summary_start = int.from_bytes(data[-28:-20], "little")
+    data[-12:-8] = zlib.crc32(data[summary_start:-12]).to_bytes(4, "little")
     path.write_bytes(data)
     start = index.chunk_start_offset + 1
     with pytest.raises(LogError, match=rf"damaged at byte {start}: no chunk there, though its"):
-        open_log(path)
+        open_log(path).rows("plant")
 
 
 def test_a_chunk_without_crc_is_read(path, tmp_path):

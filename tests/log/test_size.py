@@ -8,20 +8,22 @@ import pytest
 import cosim
 from cosim.log import McapRecorder
 
-from .recordings import blocks, layout, plan, table
+from .recordings import blocks, layout, make_chunks_small, plan, table
 
 
 @pytest.mark.parametrize("compression", ["none", "zstd", "lz4"])
 @pytest.mark.parametrize("flushed", [False, True])
 @pytest.mark.parametrize(("wide", "steps"), [(0, 0), (0, 3000), (40, 2000), (9000, 30)])
 def test_no_log_is_larger_than_its_bound(tmp_path, monkeypatch, compression, flushed, wide, steps):
-    """Also where every block of one step is a chunk, as of a run with a second of work a step."""
+    """Also with a flush after every step, as of a run with a second of work a step."""
     if flushed:
-        monkeypatch.setattr("cosim.log.writer._FLUSH_AFTER", 0.0)
+        make_chunks_small(monkeypatch, 2000)
+        monkeypatch.setattr("cosim.log.size.CHUNK_BYTES", 2000)
         steps = min(steps, 300)
     path = tmp_path / "a.mcap"
     lay = layout(wide=wide)
-    with McapRecorder(path, compression=compression) as recorder:
+    flush = 0.0 if flushed else 1.0
+    with McapRecorder(path, compression=compression, flush=flush) as recorder:
         recorder.begin(plan(lay))
         bound = recorder.size_bound(steps)
         if steps:

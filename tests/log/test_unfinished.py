@@ -151,7 +151,9 @@ def test_a_folder_lost_before_the_first_row_is_an_error(tmp_path):
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), MemoryError()])
-@pytest.mark.parametrize("function", ["write_parts", "write_preamble", "RowBuffer", "library_name"])
+@pytest.mark.parametrize(
+    "function", ["add_parts", "add_preamble", "LiveFile", "BackgroundWriter", "library_name"]
+)
 def test_an_interrupt_in_begin_leaves_no_trace(path, force, monkeypatch, function, error):
     """Wherever it comes."""
 
@@ -166,7 +168,7 @@ def test_an_interrupt_in_begin_leaves_no_trace(path, force, monkeypatch, functio
 
 def test_a_disk_full_from_the_start_leaves_the_old_log(path, force, monkeypatch):
     """What cannot even begin replaces nothing."""
-    monkeypatch.setattr(unfinished, "create", lambda path: FullDisk(path, 1000))
+    monkeypatch.setattr(unfinished, "create", lambda path: FullDisk(path, 1))
     with pytest.raises(LogError, match=r"a\.mcap cannot be written: No space left"):
         attempt(path, force)
     assert untouched(path, force)

@@ -23,7 +23,7 @@ from mcap.opcode import Opcode
 
 from cosim.errors import LogError
 from cosim.log.compression import MOST_BYTES, decompress
-from cosim.log.layout import HEADER, MAGIC
+from cosim.log.records import HEADER, MAGIC
 from cosim.log.walk import damage_error
 
 RecordBounds = tuple[int, bytes, int, int]  # opcode; bytes, and where in them the content stands
