@@ -15,14 +15,19 @@ from cosim.cli.options import (
     ScenarioArgument,
     SetOption,
     check_plot,
+    print_notice,
     prints_to_stderr,
     read_edits,
+    read_numbers,
     read_pairs,
     read_unique_pairs,
 )
 from cosim.errors import UsageError
+from cosim.report.printable import printable
 
 if TYPE_CHECKING:
+    from cosim.log import Log
+    from cosim.log.diff import LogDifference
     from cosim.report.comparing import Comparison
     from cosim.report.estimator_comparison import EstimatorComparison
 
@@ -71,13 +76,27 @@ def diff(
         list[str] | None,
         typer.Argument(
             metavar="[SIGNAL]...",
-            help="Signals to compare, or elements: plant.y plant.x_a[0:2]. All by default.",
+            help="Signals to compare, elements or patterns: plant.y plant.x_a[0:2] '*.delta'. "
+            "All by default.",
         ),
     ] = None,
     atol: Annotated[float, typer.Option(min=0.0, help="Absolute tolerance.")] = 0.0,
     rtol: Annotated[
         float, typer.Option(min=0.0, help="Tolerance relative to each signal's largest value.")
     ] = 0.0,
+    tol: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--tol",
+            metavar="SIGNAL=VALUE",
+            help="Absolute tolerance of a signal, or of all that match a pattern, in the place of "
+            "both: '*.delta=1e-3'. The last that matches counts. Repeatable.",
+        ),
+    ] = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Plot the signal that is farthest apart."),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Compare two logs signal by signal, or only the SIGNALs given.
@@ -88,11 +107,29 @@ def diff(
     from cosim.log.diff import diff as compare_logs
     from cosim.report.tables.comparison import print_difference
 
+    check_plot(plot, None)
+    tolerances = read_numbers(tol, "tol")
     logs = open_log(a), open_log(b)
-    difference = compare_logs(*logs, atol=atol, rtol=rtol, signals=signals or ())
+    difference = compare_logs(*logs, atol=atol, rtol=rtol, tol=tolerances, signals=signals or ())
     print_difference(difference, as_json=as_json)
+    if plot is not None:
+        _draw_worst(difference, logs, plot, as_json=as_json)
     if not difference.within:
         raise typer.Exit(1)
+
+
+def _draw_worst(
+    difference: LogDifference, logs: tuple[Log, Log], out: Path, *, as_json: bool
+) -> None:
+    """Draw the signal that is farthest apart, and name the picture, unless stdout is for JSON."""
+    from cosim.report.plots import plot_difference
+
+    if difference.worst is None:
+        print_notice(f"{out}: not drawn, as no signal is apart")
+        return
+    plot_difference(difference, logs, out)
+    if not as_json:
+        typer.echo(printable(str(out)))
 
 
 def compare(

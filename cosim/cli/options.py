@@ -109,19 +109,19 @@ def read_unique_pairs(texts: list[str] | None, name: str) -> dict[str, str]:
     return pairs
 
 
-def read_tolerances(texts: list[str] | None) -> dict[str, float] | None:
-    """Read the pairs of --find-step; None: there are none."""
+def read_numbers(texts: list[str] | None, name: str) -> dict[str, float] | None:
+    """Read pairs of a signal and a number, each signal once; None: there are none."""
     if not texts:
         return None
-    tolerances = {}
-    for signal, text in read_unique_pairs(texts, "find-step").items():
+    numbers = {}
+    for signal, text in read_unique_pairs(texts, name).items():
         try:
-            tolerances[signal] = float(text)
+            numbers[signal] = float(text)
         except ValueError as error:
             raise UsageError(
-                f"{option('find-step', signal)}: found {quoted(text)}, needed a number"
+                f"{option(name, signal)}: found {quoted(text)}, needed a number"
             ) from error
-    return tolerances
+    return numbers
 
 
 def read_edits(

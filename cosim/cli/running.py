@@ -28,7 +28,7 @@ from cosim.cli.options import (
     print_notice,
     prints_to_stderr,
     read_edits,
-    read_tolerances,
+    read_numbers,
     read_unique_pairs,
 )
 from cosim.errors import UsageError
@@ -163,7 +163,7 @@ def run(
         raise UsageError("--force replaces the log at --out; needed both, or neither")
     path = out or Path("logs") / f"{edited.name}.mcap"
     check_plot(plot, out)
-    tolerances = read_tolerances(find_step)
+    tolerances = read_numbers(find_step, "find-step")
     seconds: dict[str, float] | None = {} if profile else None
     with show_progress(quiet or as_json) as progress, prints_to_stderr():
         log = run_scenario(

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from typing import Any, Literal, TypeAlias, final
 
@@ -21,9 +21,11 @@ from cosim.arrays import Mask, Matrix, Nanoseconds
 from cosim.core.port import Port
 from cosim.core.recorded import find_signal
 from cosim.core.recording import Recording
-from cosim.errors import LogError, UsageError
+from cosim.core.selection import is_pattern, matches
+from cosim.errors import LogError, UnknownSignalError, nearest
 from cosim.log.event_difference import EventsDifference, compare_events
 from cosim.log.pairing import Window, windows
+from cosim.log.tolerances import Tolerances
 
 DifferenceStatus: TypeAlias = Literal[
     "equal", "within", "outside", "other times", "other size", "only in a", "only in b"
@@ -118,12 +120,15 @@ class LogDifference:
         The tolerances of :func:`diff`.
     events : EventsDifference
         How the jumps compare.
+    tol : mapping of name or pattern to float
+        The signals' own tolerances.
     """
 
     rows: tuple[SignalDifference, ...]
     atol: float
     rtol: float
     events: EventsDifference
+    tol: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def equal(self) -> bool:
@@ -147,6 +152,15 @@ class LogDifference:
         candidates = [row.first for row in self.rows if row.first]
         return min(candidates, key=lambda element: element.time_ns, default=None)
 
+    @property
+    def worst(self) -> SignalDifference | None:
+        """The signal that is farthest apart, measured by its tolerance; None: none is apart.
+
+        Of those without a tolerance it is the one that is farthest apart as a part of its scale.
+        """
+        apart = [row for row in self.rows if row.largest > 0.0]
+        return max(apart, key=_badness, default=None)
+
     def to_dict(self) -> dict[str, Any]:
         """Return everything as JSON values."""
         first = self.first
@@ -159,10 +173,18 @@ class LogDifference:
             "within": self.within,
             "atol": self.atol,
             "rtol": self.rtol,
+            "tol": dict(self.tol),
             "first": None if first is None else first.to_dict(),
             "signals": signals,
             "events": asdict(self.events),
         }
+
+
+def _badness(row: SignalDifference) -> tuple[bool, float, float]:
+    """Return what orders signals by how far they are apart."""
+    is_outside = row.status == "outside"
+    excess = row.largest / row.tolerance if row.tolerance else math.inf
+    return is_outside, excess, row.ratio
 
 
 def diff(
@@ -171,6 +193,7 @@ def diff(
     *,
     atol: float = 0.0,
     rtol: float = 0.0,
+    tol: Mapping[str, float] | None = None,
     signals: Sequence[str] = (),
     span_ns: tuple[int, int] | None = None,
 ) -> LogDifference:
@@ -184,8 +207,11 @@ def diff(
         In the unit of each signal.
     rtol : float
         As a part of each signal's largest |a|.
+    tol : mapping of signal or pattern to float, optional
+        Absolute tolerances in the place of both, for signals of a name or pattern (``*.delta``); of
+        several that match the last. 0: the bits are compared.
     signals : sequence of str
-        The signals to compare, or elements of them, ``plant.x_a[0:2]``; none: all.
+        The signals to compare, elements of them, ``plant.x_a[0:2]``, or patterns; none: all.
     span_ns : (int, int), optional
         The first and the last instant [ns] that are compared.
 
@@ -195,24 +221,23 @@ def diff(
         If a or b is no recording, or one of ``signals`` is in neither; names the nearest. If an
         event is of no signal.
     UsageError
-        If a tolerance is no number from 0 on.
+        If a tolerance is no number from 0 on, or is of no signal that is compared.
     """
     _check_recording("a", a)
     _check_recording("b", b)
-    _check_tolerance("atol", atol)
-    _check_tolerance("rtol", rtol)
+    tolerance = Tolerances(atol, rtol, tol or {})
     if signals:
-        chosen = [signals] if isinstance(signals, str) else signals
-        columns_a, columns_b = _chosen(a, b, chosen)
-        names = list(dict.fromkeys(chosen))
+        names = _expanded(a, b, [signals] if isinstance(signals, str) else signals)
+        columns_a, columns_b = _chosen(a, b, names)
     else:
         columns_a = _all_columns(a)
         columns_b = _all_columns(b)
         names = list(dict.fromkeys([*columns_a, *columns_b]))
+    tolerance.check_used(names)
     rows: dict[str, SignalDifference] = {}
     for component, pairs in _pairs_by_component(names, columns_a, columns_b).items():
         blocks = [partial(_blocks, run, component, span_ns) for run in (a, b)]
-        rows.update(_compare(pairs, blocks[0], blocks[1], atol=atol, rtol=rtol))
+        rows.update(_compare(pairs, blocks[0], blocks[1], tolerance))
     for name in names:
         if name not in rows:
             run_a = a if name in columns_a else None
@@ -221,9 +246,9 @@ def diff(
     tolerances: dict[str, float | None] = {}
     for name, row in rows.items():
         if row.status not in {"other size", "only in a", "only in b"}:
-            tolerances[name] = row.tolerance if atol or rtol else None
+            tolerances[name] = row.tolerance if any(tolerance.of(name)) else None
     events = compare_events((a, b), (columns_a, columns_b), tolerances, span_ns)
-    return LogDifference(tuple(rows[name] for name in names), atol, rtol, events)
+    return LogDifference(tuple(rows[name] for name in names), atol, rtol, events, tolerance.own)
 
 
 def _pairs_by_component(
@@ -247,11 +272,6 @@ def _check_recording(name: str, run: object) -> None:
         )
 
 
-def _check_tolerance(name: str, value: object) -> None:
-    if not isinstance(value, int | float | np.number) or not 0.0 <= value < math.inf:
-        raise UsageError(f"{name}: found {value!r}, needed a finite number from 0 on")
-
-
 def _all_columns(run: Recording) -> dict[str, slice]:
     """Return the columns of all signals by ``component.signal``."""
     columns = {}
@@ -260,6 +280,22 @@ def _all_columns(run: Recording) -> dict[str, slice]:
             own = slice(whole_row.start - channel.start, whole_row.stop - channel.start)
             columns[f"{channel.name}.{name}"] = own
     return columns
+
+
+def _expanded(a: Recording, b: Recording, signals: Sequence[str]) -> list[str]:
+    """Return the chosen signals, each once, with those that patterns stand for, of a and of b."""
+    names: dict[str, None] = {}
+    known = dict.fromkeys([*_all_columns(a), *_all_columns(b)])
+    for signal in signals:
+        own = [signal]
+        if isinstance(signal, str) and is_pattern(signal) and signal not in known:
+            own = [name for name in known if matches(signal, name)]
+            if not own:
+                raise UnknownSignalError(
+                    f"no signal of the two runs matches {signal!r}; {nearest(signal, known)}"
+                )
+        names |= dict.fromkeys(own)
+    return list(names)
 
 
 def _chosen(
@@ -329,9 +365,7 @@ def _compare(
     comparisons: Sequence[_Comparison],
     a: Callable[[], Iterator[tuple[Nanoseconds, Matrix]]],
     b: Callable[[], Iterator[tuple[Nanoseconds, Matrix]]],
-    *,
-    atol: float,
-    rtol: float,
+    tolerances: Tolerances,
 ) -> dict[str, SignalDifference]:
     """Compare the signals of a component; leave out those whose sizes differ.
 
@@ -340,12 +374,12 @@ def _compare(
     same_size = [comparison for comparison in comparisons if comparison.same_size]
     if not same_size:
         return {}
-    if rtol:  # the tolerance is a part of the scale, which is that of the whole signal
+    if tolerances.rtol:  # the tolerance is a part of the scale, which is that of the whole signal
         for _, rows in a():
             for comparison in same_size:
                 comparison.extend_scale(rows)
     for comparison in same_size:
-        comparison.set_tolerance(atol, rtol)
+        comparison.set_tolerance(*tolerances.of(comparison.name))
     for window in windows(a(), b()):
         for comparison in same_size:
             comparison.add(window)

@@ -33,7 +33,9 @@ def print_difference(difference: LogDifference, *, as_json: bool) -> None:
     if as_json:
         print_json(difference.to_dict())
         return
-    columns = ("signal", "", "largest |a - b|", "largest |a|", "ratio", "first outside")
+    columns = ["signal", "", "largest |a - b|", "largest |a|", "ratio", "first outside"]
+    if difference.tol:
+        columns.insert(2, "tolerance")
     table = new_table("", columns)
     for row in difference.rows:
         outside = ""
@@ -42,6 +44,8 @@ def print_difference(difference: LogDifference, *, as_json: bool) -> None:
             values = ", ".join(row.first.texts)
             outside = f"{row.first.signal} at {time} s: {values}"
         numbers = [f"{value:.3g}" for value in (row.largest, row.scale, row.ratio)]
+        if difference.tol:
+            numbers.insert(0, f"{row.tolerance:.3g}")
         table.add_row(row.signal, row.status, *numbers, outside)
     print_table(table)
     if any(difference.events.events):
