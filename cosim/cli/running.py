@@ -273,6 +273,15 @@ def replay(
             help="Compute this component alone, and take the others from the log. Repeatable.",
         ),
     ] = None,
+    scenario: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SCENARIO",
+            help="Of a recording of another tool, which carries none: a shipped scenario by name, "
+            "or a .toml file. The components that --map names are taken from the recording.",
+            autocompletion=completion.complete_scenario,
+        ),
+    ] = None,
     out: OutOption = None,
     force: ForceOption = False,
     changes: SetOption = None,
@@ -285,16 +294,19 @@ def replay(
 ) -> None:
     """Run a log's scenario again on its recorded plant.
 
-    The log is all that is needed.
+    The log is all that is needed; of another tool's, --scenario and --map, too.
     """
     from cosim.log import open_log
+    from cosim.log.foreign.topics import is_foreign
     from cosim.report.tables.run import print_summary, print_verification
     from cosim.report.verification import verify as verify_replay
     from cosim.scenario.running.execution import replay as replay_log
 
     start_collecting()
     imported = perf_counter()
-    source = open_log(log)
+    source = log if is_foreign(log) else open_log(log)
+    if verify and isinstance(source, Path):
+        raise UsageError(f"--verify compares with a log of cosim; {log} is of another tool")
     if verify and stop is not None:
         raise UsageError("--verify compares the whole log; leave out --stop")
     window = None if begin is None and end is None else (begin, end)
@@ -312,6 +324,7 @@ def replay(
             allow_code=allow_code,
             window=window,
             components=components or None,
+            scenario=scenario,
             progress=progress,
             notice=notice,
         )
@@ -319,7 +332,7 @@ def replay(
         from cosim.report.plots import plot_run
 
         plot_run(again, plot)
-    if verify:
+    if verify and not isinstance(source, Path):
         verification = verify_replay(source, again)
         print_verification(verification, source, path=log, as_json=as_json, quiet=quiet)
         if not verification.passed:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar, overload
 from cosim.arguments import (
     callable_argument,
     mapping_argument,
+    path_argument,
     texts_argument,
     truth_argument,
     whole_argument,
@@ -21,6 +22,7 @@ from cosim.core.recorders import Memory
 from cosim.core.recording import Recorder
 from cosim.errors import UsageError, option, quoted
 from cosim.log import Log, open_log
+from cosim.log.foreign.topics import is_foreign
 from cosim.scenario.building.build import parse
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.document.document import Document, find
@@ -46,6 +48,7 @@ from cosim.scenario.recordings.replaying import (
     with_setting_designs,
 )
 from cosim.scenario.recordings.window import ReplayWindow, window_of
+from cosim.scenario.running.field_replay import check_field_options, with_recorded_components
 
 if TYPE_CHECKING:
     from cosim.scenario.certification.certificate import Certification
@@ -333,6 +336,7 @@ def replay(
     allow_code: bool = False,
     window: tuple[float | None, float | None] | None = None,
     components: Sequence[str] | None = None,
+    scenario: str | Path | Scenario | None = None,
     block: int | None = None,
     progress: Progress | None = None,
     notice: Notice | None = None,
@@ -367,6 +371,10 @@ def replay(
         log has not, so that the rows are those of the whole replay; nothing behind the window is.
     components : sequence of str, optional
         The only components to compute, such as ``["observer"]``; all others are taken from the log.
+    scenario : str, Path or Scenario, optional
+        That of a recording of another tool, which carries none: the mapped components are taken
+        from the recording, all others are computed. ``map`` names fields of the recording, such as
+        ``{"plant.y": "/drive/state.position"}``.
 
     Returns
     -------
@@ -391,9 +399,27 @@ def replay(
     callable_argument("notice", notice)
     _check_profile(profile)
     wanted = mapping_argument("set", set)
-    swaps = _swaps_argument(swap, map)
     chosen = _components_argument(components)
+    if not isinstance(log, Log) and is_foreign(path_argument("log", log)):
+        check_field_options(allow_code=allow_code, window=window, components=components)
+        loaded = scenario if isinstance(scenario, Scenario) or scenario is None else load(scenario)
+        return run(
+            with_recorded_components(loaded, path_argument("log", log), swaps=swap, maps=map),
+            out=out,
+            force=force,
+            set=wanted,
+            block=block,
+            progress=progress,
+            notice=notice,
+            profile=profile,
+        )
+    swaps = _swaps_argument(swap, map)
     source = log if isinstance(log, Log) else open_log(log)
+    if scenario is not None:
+        raise UsageError(
+            f"{source.label} carries its own scenario; leave out {option('scenario')}, which is "
+            "for recordings of other tools"
+        )
     if out is not None and os.path.realpath(out) == os.path.realpath(source.path):
         raise UsageError(f"{out} is the log that is replayed; choose another path")
     check_target(out, force=force)

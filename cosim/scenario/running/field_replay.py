@@ -1,0 +1,94 @@
+"""Replay of a recording of another tool: a scenario, with the mapped components recorded in it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from cosim.arguments import mapping_argument
+from cosim.errors import UsageError, flag, option
+from cosim.scenario.document.swap import PortNames, WrittenPorts, ports_in
+from cosim.scenario.parsing import Scenario
+
+
+def with_recorded_components(
+    scenario: Scenario | None,
+    log: Path,
+    *,
+    swaps: Mapping[str, str | Path] | None,
+    maps: Mapping[str, PortNames] | None,
+) -> Scenario:
+    """Return a scenario whose mapped components come from a recording of another tool.
+
+    Parameters
+    ----------
+    scenario : Scenario or None
+        None: none was given.
+    log : Path
+    swaps : mapping of component name to path or None
+        Of other components, or of these, to take them from elsewhere.
+    maps : mapping of port to names or None
+        Fields of the recording; see :mod:`cosim.scenario.document.swap`.
+
+    Raises
+    ------
+    UsageError
+        If there is no scenario, or nothing is mapped.
+    ScenarioError
+        With every problem of the scenario and the maps.
+    """
+    paths = mapping_argument("swap", swaps)
+    names = mapping_argument("map", maps)
+    needed_map = option("map", "plant.y", "/topic.field")
+    if scenario is None:
+        raise UsageError(
+            f"{log} is of another tool and carries no scenario; needed {option('scenario')}, the "
+            f"one whose components it has recorded, and a map of these, {needed_map}"
+        )
+    if not names:
+        raise UsageError(
+            f"{log} is of another tool: nothing says what it has recorded of the scenario "
+            f"{scenario.name!r}; needed a map, {needed_map}; 'cosim info' lists the fields"
+        )
+    recorded = {name: log for name in _recorded(scenario, names)}
+    return scenario.edit(swap={**recorded, **paths}, map=names)
+
+
+def check_field_options(*, allow_code: bool, window: object, components: object) -> None:
+    """Check that nothing is given that a replay of another tool's recording does not have.
+
+    Raises
+    ------
+    UsageError
+        If something is.
+    """
+    given = {
+        flag("allow_code"): allow_code,
+        "a window of time": window is not None,
+        "components to compute": components is not None,
+    }
+    for name, is_given in given.items():
+        if is_given:
+            raise UsageError(
+                f"found {name} and a recording of another tool, of which the mapped components are "
+                "taken and all others computed; leave it out"
+            )
+
+
+def _recorded(scenario: Scenario, names: Mapping[str, PortNames]) -> list[str]:
+    """Return the components that are recorded: those with a mapped output.
+
+    A mapped input belongs to them, or else to the components that drive it.
+    """
+    ports = WrittenPorts(scenario.tree)
+    recorded: dict[str, None] = {}
+    inputs = []
+    for port in ports_in(names):
+        if ports.causality(port) == "input":
+            inputs.append(port)
+        else:
+            recorded[port.component] = None
+    for port in inputs:
+        if port.component not in recorded:
+            recorded |= dict.fromkeys(scenario.sources(port.whole) or [port.component])
+    return list(recorded)

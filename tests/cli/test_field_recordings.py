@@ -1,0 +1,43 @@
+"""Recordings of other tools from the command line: swapped in, replayed, shown."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.scenario.field_recordings import LOOP, field_log
+
+MAPS = ("--map", "plant.y=/drive/state.position", "--map", "plant.u=[/cmd.values[0]]")
+
+
+@pytest.fixture
+def files(tmp_path):
+    """Write a scenario and a recording to the working directory."""
+    (tmp_path / "loop.toml").write_text(LOOP, encoding="utf-8")
+    field_log(tmp_path)
+
+
+@pytest.mark.usefixtures("files")
+def test_a_recording_takes_the_place_of_the_plant(call, tmp_path):
+    """As any file does, and says what that means."""
+    code, out, err = call("run", "loop.toml", "--swap", "plant=field.mcap", *MAPS)
+    assert code == 0, err
+    assert "plant.u" in out
+    assert "take it in the place of command.y" in err
+    code, out, err = call("run", "loop.toml", "--swap", "plant=field.mcap", *MAPS, "--dry-run")
+    assert code == 0, err
+    assert "plant.y -> /drive/state.position" in out
+
+
+@pytest.mark.usefixtures("files")
+def test_a_recording_is_replayed_with_its_scenario(call):
+    """--scenario and --map; without them, and with --verify, the way out is said."""
+    names = ("--scenario", "loop.toml", *MAPS)
+    code, out, err = call("replay", "field.mcap", *names, "--set", "model.time_constant=0.1")
+    assert code == 0, err
+    assert "model.y" in out
+    code, _, err = call("replay", "field.mcap", *MAPS)
+    assert code == 2
+    assert "is of another tool and carries no scenario; needed --scenario" in err
+    code, _, err = call("replay", "field.mcap", *names, "--verify")
+    assert code == 2
+    assert "--verify compares with a log of cosim; field.mcap is of another tool" in err
