@@ -20,7 +20,8 @@ def info(
         str,
         typer.Argument(
             metavar="LOG|FMU|SCENARIO",
-            help="A log (.mcap), an FMU (.fmu), samples (.csv, .parquet) or a scenario.",
+            help="A log (.mcap, of another tool, too), an FMU (.fmu), samples (.csv, .parquet) or "
+            "a scenario.",
             autocompletion=completion.complete_source,
         ),
     ],

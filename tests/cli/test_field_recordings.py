@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 
 from tests.scenario.field_recordings import LOOP, field_log
@@ -41,3 +43,15 @@ def test_a_recording_is_replayed_with_its_scenario(call):
     code, _, err = call("replay", "field.mcap", *names, "--verify")
     assert code == 2
     assert "--verify compares with a log of cosim; field.mcap is of another tool" in err
+
+
+@pytest.mark.usefixtures("files")
+def test_info_shows_topics_and_fields(call):
+    """Of a recording of another tool, as tables and as JSON."""
+    code, out, err = call("info", "field.mcap")
+    assert code == 0, err
+    assert "/drive/state.position" in out
+    assert "100 Hz" in out
+    code, out, _ = call("info", "field.mcap", "--json")
+    assert code == 0
+    assert {"field": "/cmd.values[0:2]", "type": "number"} in json.loads(out)["fields"]

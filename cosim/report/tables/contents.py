@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from cosim.arguments import path_argument
@@ -31,7 +32,7 @@ def print_contents(source: str, *, as_json: bool) -> None:
     source_type = file_type(path)
     match source_type:
         case "log":
-            content = inspection.describe_log(source)
+            content = _describe_mcap(source)
         case "FMU":
             content = inspection.describe_fmu(source)
         case "table":
@@ -48,6 +49,19 @@ def print_contents(source: str, *, as_json: bool) -> None:
                 _print_differences(section)
             else:
                 print_section(title, section)
+
+
+def _describe_mcap(source: str) -> dict[str, Any]:
+    """Describe a log of a run, or a recording of another tool."""
+    from cosim.log.foreign.topics import is_foreign
+
+    if is_foreign(Path(source)):
+        from cosim.report.field_recording import describe_recording
+
+        return describe_recording(source)
+    from cosim.report.inspection import describe_log
+
+    return describe_log(source)
 
 
 def _print_differences(differences: Mapping[str, Sequence[Mapping[str, Any]]]) -> None:

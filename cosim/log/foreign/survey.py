@@ -1,0 +1,107 @@
+"""What an MCAP file of another tool has: topics, their messages in time, their numeric fields."""
+
+from __future__ import annotations
+
+from array import array
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from cosim.errors import LogError
+from cosim.log.foreign.field_path import FieldProblem
+from cosim.log.foreign.formats import format_of
+from cosim.log.foreign.spacing import Spacing, spacing_of
+from cosim.log.foreign.topics import ForeignChannel, read_channels, read_messages
+
+
+@dataclass(frozen=True, slots=True)
+class TopicSurvey:
+    """A topic, or the part of it that has one schema.
+
+    Parameters
+    ----------
+    topic : str
+    encoding : str
+        Of the messages.
+    schema, schema_encoding : str
+        Empty: there is none.
+    spacing : Spacing or None
+        Of the messages by their log times; None: there are none.
+    fields : mapping of name to type
+        The numeric ones, ``/topic.a.b``; of JSON those of the first message.
+    problem : str
+        Why there are none; empty: nothing is wrong.
+    """
+
+    topic: str
+    encoding: str
+    schema: str
+    schema_encoding: str
+    spacing: Spacing | None
+    fields: dict[str, str]
+    problem: str
+
+
+@dataclass(slots=True)
+class _KeptMessages:
+    """What is kept of the messages of a topic and schema."""
+
+    channel: ForeignChannel
+    stamps: array[int] = field(default_factory=lambda: array("q"))
+    first: bytes = b""
+
+
+def survey(path: Path) -> list[TopicSurvey]:
+    """Read all of a file once; of the messages only the first of every topic is decoded.
+
+    Raises
+    ------
+    LogError
+        If it cannot be read, is no MCAP, truncated or damaged, or has a time beyond 63 bits.
+    """
+    kept: dict[tuple[object, ...], _KeptMessages] = {}
+    for channel in read_channels(path):
+        kept.setdefault(_key(channel), _KeptMessages(channel))
+    for message in read_messages(path, lambda channel: True):
+        key = _key(message.channel)
+        if key not in kept:  # a summary need not list every channel
+            kept[key] = _KeptMessages(message.channel)
+        messages = kept[key]
+        if not messages.stamps:
+            messages.first = message.data
+        try:
+            messages.stamps.append(message.log_time)
+        except OverflowError:
+            raise LogError(
+                f"{path}: topic {message.channel.topic!r} has a message at {message.log_time} ns; "
+                "needed times below 2**63, in the year 2262"
+            ) from None
+    topics = [_surveyed(messages) for messages in kept.values()]
+    return sorted(topics, key=lambda topic: topic.topic)
+
+
+def _key(channel: ForeignChannel) -> tuple[object, ...]:
+    return channel.topic, channel.encoding, channel.schema
+
+
+def _surveyed(messages: _KeptMessages) -> TopicSurvey:
+    channel = messages.channel
+    fields: dict[str, str] = {}
+    problem = ""
+    try:
+        for name, type_name in format_of(channel).fields(messages.first).items():
+            fields[f"{channel.topic}.{name}"] = type_name
+    except FieldProblem as error:
+        problem = str(error)
+    schema = channel.schema
+    stamps = np.array(messages.stamps, np.int64)
+    return TopicSurvey(
+        channel.topic,
+        channel.encoding,
+        "" if schema is None else schema.name,
+        "" if schema is None else schema.encoding,
+        spacing_of(stamps) if len(stamps) else None,
+        fields,
+        problem,
+    )
