@@ -6,7 +6,7 @@ from cosim.log.foreign.field_path import FieldProblem
 from cosim.log.foreign.topics import ForeignChannel, ForeignSchema
 from cosim.log.foreign.values import MessageFormat
 
-READABLE = "protobuf, json, and cdr with a schema in ros2msg"
+READABLE = "protobuf, json, and cdr with a schema in ros2msg or ros2idl"
 
 
 def format_of(channel: ForeignChannel) -> MessageFormat:
@@ -33,6 +33,13 @@ def format_of(channel: ForeignChannel) -> MessageFormat:
 
             text = _text(schema)
             return CdrFormat(short_name(schema.name), read_ros2msg(schema.name, text))
+        case "cdr", "ros2idl":
+            from cosim.log.foreign.cdr_format import CdrFormat
+            from cosim.log.foreign.ros_definitions import short_name
+            from cosim.log.foreign.ros_idl import read_ros2idl
+
+            text = _text(schema)
+            return CdrFormat(short_name(schema.name), read_ros2idl(schema.name, text))
     found = f"a schema in {schema.encoding!r}" if channel.schema is not None else "no schema"
     raise FieldProblem(f"its messages are in {channel.encoding!r} with {found}; needed {READABLE}")
 

@@ -72,7 +72,7 @@ class RosField:
 
 RosMessages = Mapping[str, tuple[RosField, ...]]  # fields by the names of messages
 
-_TIME_FIELDS: Final = {
+TIME_FIELDS: Final = {
     "builtin_interfaces/Time": (
         RosField("sec", "int32", None),
         RosField("nanosec", "uint32", None),
@@ -98,7 +98,7 @@ def read_ros2msg(name: str, text: str) -> RosMessages:
     FieldProblem
         If it cannot be understood; says the line.
     """
-    messages: dict[str, tuple[RosField, ...]] = dict(_TIME_FIELDS)
+    messages: dict[str, tuple[RosField, ...]] = dict(TIME_FIELDS)
     current = short_name(name)
     for number, part in enumerate(_SEPARATOR.split(text)):
         title = _TITLE.match(part)
