@@ -42,6 +42,7 @@ COMMANDS = LazyMapping[Callable[..., None]](
         "check": "checking.check",
         "cache": "fmus.cache",
         "plot": "contents.plot",
+        "play": "playing.play",
         "cat": "converting.cat",
         "convert": "converting.convert",
         "list": "contents.list_",

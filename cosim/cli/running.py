@@ -31,6 +31,7 @@ from cosim.cli.options import (
     read_numbers,
     read_unique_pairs,
 )
+from cosim.cli.playing import HostOption, LiveOption, PortOption, ShowOption, shown_live
 from cosim.errors import UsageError
 from cosim.terminal import show_progress
 
@@ -129,6 +130,10 @@ def run(
     certify: CertifyOption = False,
     find_step: FindStepOption = None,
     realtime: RealTimeOption = None,
+    live: LiveOption = False,
+    host: HostOption = None,
+    port: PortOption = None,
+    show: ShowOption = None,
     dry_run: DryRunOption = False,
 ) -> None:
     """Run a scenario and record every signal to an MCAP log."""
@@ -165,7 +170,11 @@ def run(
     check_plot(plot, out)
     tolerances = read_numbers(find_step, "find-step")
     seconds: dict[str, float] | None = {} if profile else None
-    with show_progress(quiet or as_json) as progress, prints_to_stderr():
+    with (
+        shown_live(live, host, port, show) as server,
+        show_progress(quiet or as_json) as progress,
+        prints_to_stderr(),
+    ):
         log = run_scenario(
             edited,
             out=path,
@@ -177,6 +186,7 @@ def run(
             certify=certify,
             find_step=tolerances,
             realtime=realtime,
+            live=server,
         )
     wall = {"imports": imported - BEGAN, "run": perf_counter() - imported}
     if plot is not None:

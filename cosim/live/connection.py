@@ -7,27 +7,23 @@ nothing at all is disconnected. So no viewer slows the sender.
 
 from __future__ import annotations
 
-import re
+import logging
 import threading
 import time
 from collections.abc import Callable, Mapping
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, Final, final
 
-from cosim.errors import UsageError, option
+from cosim.errors import UsageError
+from cosim.live.address import ReservedAddress
 
 if TYPE_CHECKING:
     from foxglove import Channel as SdkChannel
     from foxglove.websocket import WebSocketServer
 
 BACKLOG: Final = 2**16  # messages that wait for a viewer, before the oldest is dropped
-_LARGEST_PORT: Final = 2**16 - 1
 _QUIET: Final = 0.25  # s in which viewers receive, or subscribe to, what is left
 _PATIENCE: Final = 0.05  # s between two looks at whether the program is to end
-# what the SDK puts around the reason of the system
-_REASON: Final = re.compile(
-    r"(?:FoxgloveError: )?(?:Failed to bind port: )?(.*?)(?: \(os error.*)?"
-)
 
 
 def load_sdk() -> ModuleType:
@@ -45,6 +41,8 @@ def load_sdk() -> ModuleType:
             "viewers need foxglove-sdk, which is not installed: pip install 'cosim[live]', or, in "
             "a clone of cosim, pip install -e '.[live]'"
         ) from error
+    # What it says of viewers is for those who ask for it; else Python would print some of it.
+    logging.getLogger("foxglove").addHandler(logging.NullHandler())
     return foxglove
 
 
@@ -80,7 +78,7 @@ class _Listener:
 
 @final
 class ViewerConnection:
-    """A WebSocket server at an address.
+    """A WebSocket server at an address: first it gets its topics, then it listens.
 
     Parameters
     ----------
@@ -98,38 +96,28 @@ class ViewerConnection:
 
     def __init__(self, host: str, port: int, name: str) -> None:
         self._sdk = load_sdk()
-        if not 0 <= port <= _LARGEST_PORT:
-            raise UsageError(f"{option('port')}: found {port}; needed 0 to {_LARGEST_PORT}")
+        self._name = name
+        self._address = ReservedAddress(host, port)
         self._context = self._sdk.Context()
         self._listener = _Listener()
         self._topics: list[LiveTopic] = []
         self._last_ns = -1
-        self._server: WebSocketServer = self._started(host, port, name)
-        self.port = self._server.port
+        self._server: WebSocketServer | None = None
 
-    def _started(self, host: str, port: int, name: str) -> Any:
-        try:
-            return self._sdk.start_server(
-                name=name,
-                host=host,
-                port=port,
-                capabilities=[self._sdk.websocket.Capability.Time],
-                server_listener=self._listener,
-                context=self._context,
-                message_backlog_size=BACKLOG,
-            )
-        except RuntimeError as error:
-            match = _REASON.fullmatch(str(error))
-            reason = match[1] if match else str(error)
-            raise UsageError(
-                f"{option('port')}: {host}:{port} cannot be listened on: {reason}; choose another "
-                f"port, or 0 for any free one"
-            ) from error
+    @property
+    def url(self) -> str:
+        """What viewers connect to: ``ws://127.0.0.1:8765``."""
+        return f"ws://{self._address.host}:{self._address.port}"
+
+    @property
+    def listens(self) -> bool:
+        """Whether viewers can connect."""
+        return self._server is not None
 
     def topic(
         self, name: str, *, schema_name: str, schema: bytes, metadata: Mapping[str, str]
     ) -> LiveTopic:
-        """Advertise a topic of protobuf messages.
+        """Add a topic of protobuf messages.
 
         Parameters
         ----------
@@ -140,6 +128,9 @@ class ViewerConnection:
             Its FileDescriptorSet.
         metadata : mapping of str to str
         """
+        # The SDK tells connected viewers of a topic before it takes subscriptions to it: one that
+        # subscribes at once may be refused for good.
+        assert not self.listens
         declared = self._sdk.Schema(name=schema_name, encoding="protobuf", data=schema)
         channel = self._sdk.Channel(
             name,
@@ -152,8 +143,31 @@ class ViewerConnection:
         self._topics.append(topic)
         return topic
 
+    def listen(self) -> None:
+        """Let viewers connect.
+
+        Raises
+        ------
+        UsageError
+            If somebody else has taken the address.
+        """
+        self._address.release()
+        try:
+            self._server = self._sdk.start_server(
+                name=self._name,
+                host=self._address.host,
+                port=self._address.port,
+                capabilities=[self._sdk.websocket.Capability.Time],
+                server_listener=self._listener,
+                context=self._context,
+                message_backlog_size=BACKLOG,
+            )
+        except RuntimeError as error:
+            raise self._address.refusal(str(error)) from error
+
     def set_time(self, time_ns: int) -> None:
         """Tell viewers the time of the messages that follow, where it goes on."""
+        assert self._server is not None
         if time_ns > self._last_ns:
             self._last_ns = time_ns
             self._server.broadcast_time(time_ns)
@@ -181,6 +195,9 @@ class ViewerConnection:
 
     def close(self) -> None:
         """Stop the server; first give viewers the time to receive what is on its way."""
+        self._address.release()
+        if self._server is None:
+            return
         if any(topic.is_watched for topic in self._topics):
             time.sleep(_QUIET)
         self._server.stop()

@@ -86,14 +86,14 @@ class Playback:
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         self._log = log
-        self._connection = server.connection
+        self._connection = server.free_connection()
         self._check = check
         self._now = now
         self._sleep = sleep
         factor = _speed(speed)
         self._window_ns = max(1, round(BLOCK * factor * _NANOSECONDS))
         self._publisher = Publisher(
-            server.connection,
+            self._connection,
             log.channels,
             kinds=log.kinds,
             step_ns=log.step_ns,
@@ -110,6 +110,7 @@ class Playback:
         self._start_ns = min(known)
         start = self._start_ns / _NANOSECONDS
         self._pace = RealTimePace(factor, start, now=now, sleep=self._sleep_watched)
+        server.listen()
 
     @property
     def lateness(self) -> Lateness:

@@ -93,17 +93,15 @@ class Publisher:
                     self._waiting.append((instant, topic, data))
 
     def add_message(self, topic: str, time_ns: int, data: bytes) -> None:
-        """Add a message beside the rows; its topic is advertised when there is a first one."""
-        self.advertise(topic)
+        """Add a message beside the rows, of a topic that is advertised."""
         self._waiting.append((time_ns, self._topics[topic], data))
 
     def advertise(self, topic: str) -> None:
         """Let viewers subscribe to a topic beside the rows."""
-        if topic not in self._topics:
-            schema = _SCHEMAS[topic]
-            self._topics[topic] = self._connection.topic(
-                topic, schema_name=schema.name, schema=schema.serialized, metadata={}
-            )
+        schema = _SCHEMAS[topic]
+        self._topics[topic] = self._connection.topic(
+            topic, schema_name=schema.name, schema=schema.serialized, metadata={}
+        )
 
     def send(self) -> None:
         """Send what was added, in the order of time; of one instant in the order of the calls."""

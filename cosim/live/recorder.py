@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
 from typing import Any, Self, final
 
@@ -27,14 +27,21 @@ class LiveRecorder:
     kinds : mapping of component name to str
     signals : sequence of str
         Components or signals to publish; none: all.
+    listen : callable
+        Called when all topics are there.
     """
 
     def __init__(
-        self, connection: ViewerConnection, kinds: Mapping[str, str], signals: Sequence[str]
+        self,
+        connection: ViewerConnection,
+        kinds: Mapping[str, str],
+        signals: Sequence[str],
+        listen: Callable[[], None],
     ) -> None:
         self._connection = connection
         self._kinds = kinds
         self._signals = signals
+        self._listen = listen
         self._publisher: Publisher | None = None  # until the run begins
         self._has_rows = False
 
@@ -58,6 +65,8 @@ class LiveRecorder:
         ------
         UnknownSignalError
             If a component or signal to publish is not there.
+        UsageError
+            If somebody else has taken the address.
         """
         self._channels = {channel.name: channel for channel in plan.layout.channels}
         self._publisher = Publisher(
@@ -68,7 +77,10 @@ class LiveRecorder:
             names=self._signals,
             source="the run",
         )
-        self._publisher.advertise(LOG_TOPIC)
+        # Whether there will be events and substeps is not known.
+        for topic in (LOG_TOPIC, EVENT_TOPIC, STEP_TOPIC):
+            self._publisher.advertise(topic)
+        self._listen()
 
     def write(self, block: Block, signals: Matrix) -> None:
         """Publish the new rows, of each component those that its log has."""

@@ -18,9 +18,10 @@ PORT: Final = 8765  # that viewers suggest
 
 @final
 class LiveServer:
-    """A WebSocket server for Foxglove and Lichtblick; it listens inside a ``with`` block.
+    """A WebSocket server for Foxglove and Lichtblick, inside a ``with`` block.
 
-    Given to :func:`cosim.run` as ``live`` it shows the run, given to :func:`cosim.live.play` a log.
+    Given to :func:`cosim.run` as ``live`` it shows the run, given to :func:`cosim.live.play` a log:
+    one of them. Viewers can connect from when that begins.
 
     Parameters
     ----------
@@ -30,16 +31,26 @@ class LiveServer:
         0: any free one.
     signals : sequence of str
         Components or signals to publish, with all of the channels that hold them; none: all.
+    notice : callable, optional
+        Called with the address of the server when viewers can connect.
     """
 
-    def __init__(self, *, host: str = HOST, port: int = PORT, signals: Sequence[str] = ()) -> None:
+    def __init__(
+        self,
+        *,
+        host: str = HOST,
+        port: int = PORT,
+        signals: Sequence[str] = (),
+        notice: Callable[[str], None] | None = None,
+    ) -> None:
         self._host = host
         self._port = port
         self.signals = tuple(signals)
+        self._notice = notice
         self._connection: ViewerConnection | None = None
 
     def __enter__(self) -> Self:
-        """Listen.
+        """Take the address.
 
         Raises
         ------
@@ -67,17 +78,40 @@ class LiveServer:
         Raises
         ------
         UsageError
-            If the server does not listen.
+            If the server is outside its ``with`` block.
         """
         if self._connection is None:
-            raise UsageError("this LiveServer does not listen; use it inside its 'with' block")
+            raise UsageError("this LiveServer has no address; use it inside its 'with' block")
         return self._connection
+
+    def free_connection(self) -> ViewerConnection:
+        """Return the connection to viewers for one run, or for one log.
+
+        Raises
+        ------
+        UsageError
+            If the server is outside its ``with`` block, or shows something already.
+        """
+        if self.connection.listens:
+            raise UsageError("this LiveServer has shown something already; needed another one")
+        return self.connection
+
+    def listen(self) -> None:
+        """Let viewers connect, when all topics are there.
+
+        Raises
+        ------
+        UsageError
+            If somebody else has taken the address.
+        """
+        self.connection.listen()
+        if self._notice is not None:
+            self._notice(self.url)
 
     @property
     def url(self) -> str:
         """What viewers connect to: ``ws://127.0.0.1:8765``."""
-        host = f"[{self._host}]" if ":" in self._host else self._host
-        return f"ws://{host}:{self.connection.port}"
+        return self.connection.url
 
     def beside(self, recorder: Recorder, kinds: Mapping[str, str]) -> Recorder:
         """Return what takes a run, shows it, and passes it on to its recorder.
@@ -88,7 +122,8 @@ class LiveServer:
         kinds : mapping of component name to str
             The kinds of the components.
         """
-        return TwoRecorders(recorder, LiveRecorder(self.connection, kinds, self.signals))
+        live = LiveRecorder(self.free_connection(), kinds, self.signals, self.listen)
+        return TwoRecorders(recorder, live)
 
     def wait_for_viewer(self, check: Callable[[], None] = lambda: None) -> None:
         """Wait until a viewer has subscribed; what ``check`` raises ends the waiting."""

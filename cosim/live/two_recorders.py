@@ -46,9 +46,9 @@ class TwoRecorders:
             self._second.__exit__(error_type, error, trace)
 
     def begin(self, plan: Plan) -> None:
-        """Pass on; first to the second, which may refuse what the first would begin to write."""
-        self._second.begin(plan)
+        """Pass on."""
         self._first.begin(plan)
+        self._second.begin(plan)
 
     def memory_for(self, block: Block, steps: int) -> Matrix | None:
         """Return the memory of the first."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+from contextlib import ExitStack
 
 import numpy as np
 import pytest
@@ -23,18 +24,25 @@ def server():
 
 
 class Subscribing:
-    """A view of a run in which a viewer subscribes before the first row."""
+    """A view of a run to which a viewer connects, and subscribes, before the first row."""
 
-    def __init__(self, server, viewer, *topics):
+    def __init__(self, server, *topics):
         self._server = server
-        self._viewer = viewer
         self._topics = topics
+        self._opened = ExitStack()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self._opened.close()
 
     def beside(self, recorder, kinds):
         """Return what the server does, which waits once all is advertised."""
 
         def subscribe():
-            self._viewer.subscribe(*self._topics)
+            self.viewer = self._opened.enter_context(Viewer(self._server.url))
+            self.viewer.subscribe(*self._topics)
             self._server.wait_for_viewer()
 
         beside = self._server.beside(recorder, kinds)
@@ -44,12 +52,10 @@ class Subscribing:
 def test_a_viewer_receives_what_the_log_of_the_run_has(server, tmp_path):
     """Every row of every component bit for bit, also of slower ones, and the messages."""
     scenario = cosim.load("closed-loop").set({"scenario.stop": 0.5})
-    with Viewer(server.url) as viewer:
-        topics = [f"/{name}" for name in scenario.specs]
-        live = Subscribing(server, viewer, *topics)
+    with Subscribing(server, *(f"/{name}" for name in scenario.specs)) as live:
         log = cosim.run(scenario, out=tmp_path / "a.mcap", live=live)
         counts = {f"/{name}": len(log.time_ns(name)) for name in log.channels}
-        found = viewer.messages(counts)
+        found = live.viewer.messages(counts)
     for name in log.channels:
         messages = found[f"/{name}"]
         times = [time_ns for time_ns, _ in messages]
@@ -62,10 +68,9 @@ def test_a_viewer_receives_what_the_log_of_the_run_has(server, tmp_path):
 def test_a_run_is_watched_at_the_pace_of_the_wall_clock(server):
     """Without a log, too: the rows are those of any other run."""
     scenario = cosim.load("academic").set({"scenario.stop": 0.05})
-    with Viewer(server.url) as viewer:
-        live = Subscribing(server, viewer, "/plant")
+    with Subscribing(server, "/plant") as live:
         run = cosim.run(scenario, live=live, realtime=1.0)
-        messages = viewer.messages({"/plant": 51})["/plant"]
+        messages = live.viewer.messages({"/plant": 51})["/plant"]
     assert [fields(message) for _, message in messages] == run.rows("plant").tolist()
     assert run.results["real_time"]["blocks"] == 5
 
@@ -84,20 +89,18 @@ def test_events_are_shown(server, tmp_path):
     text = cosim.load("academic").document.text
     path.write_text(text + ACTION)
     scenario = cosim.load(path).set({"scenario.stop": 0.2})
-    with Viewer(server.url) as viewer:
-        live = Subscribing(server, viewer, "/plant")
+    with Subscribing(server, "/cosim/event") as live:
         run = cosim.run(scenario, live=live)
-        viewer.messages({"/plant": 201})
-        viewer.wait_for_channels("/cosim/event")
-        assert viewer.channels["/cosim/event"]["schemaName"] == "cosim_event.SignalEvent"
-    assert run.events()
+        messages = live.viewer.messages({"/cosim/event": len(run.events())})["/cosim/event"]
+    events = [(time_ns, message.cause, message.signal) for time_ns, message in messages]
+    assert events == [(event.time_ns, event.cause, event.signal) for event in run.events()]
+    assert events
 
 
 def test_a_viewer_that_takes_nothing_does_not_stop_the_run(server):
     """The client reads a few messages ahead, and no more unless somebody asks for them."""
     scenario = cosim.load("academic").set({"scenario.stop": 40.0})
-    with Viewer(server.url) as viewer:
-        live = Subscribing(server, viewer, "/plant", "/observer", "/regressor")
+    with Subscribing(server, "/plant", "/observer", "/regressor") as live:
         run = cosim.run(scenario, live=live)
     assert (run.status, run.steps) == ("complete", 40_000)
 
@@ -110,10 +113,9 @@ def test_a_viewer_that_vanishes_does_not_stop_the_run(server):
     def vanish(time, end):
         if time > 0.5 and not vanished:
             vanished.append(time)
-            viewer._socket.socket.shutdown(socket.SHUT_RDWR)
+            live.viewer._socket.socket.shutdown(socket.SHUT_RDWR)
 
-    with Viewer(server.url) as viewer:
-        live = Subscribing(server, viewer, "/plant")
+    with Subscribing(server, "/plant") as live:
         run = cosim.run(scenario, live=live, progress=vanish, block=10)
     assert vanished
     assert (run.status, run.steps) == ("complete", 2000)

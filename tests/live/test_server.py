@@ -19,6 +19,7 @@ def test_any_free_port_is_found():
     with LiveServer(port=0) as first, LiveServer(port=0) as second:
         assert first.url != second.url
         assert first.url.startswith("ws://127.0.0.1:")
+        first.listen()
         with Viewer(first.url) as viewer:
             assert viewer.info["name"] == "cosim"
 
@@ -61,11 +62,11 @@ def test_a_missing_sdk_is_one_clear_error(monkeypatch):
 def test_a_server_works_inside_its_with_block_only():
     """Outside nothing listens."""
     server = LiveServer(port=0)
-    with pytest.raises(UsageError, match="does not listen; use it inside its 'with' block"):
+    with pytest.raises(UsageError, match="has no address; use it inside its 'with' block"):
         _ = server.url
     with server:
         assert server.url
-    with pytest.raises(UsageError, match="does not listen"):
+    with pytest.raises(UsageError, match="has no address"):
         server.beside(Memory(), {})
 
 
@@ -73,6 +74,61 @@ def test_the_port_is_free_again_behind_the_block():
     """Viewers are disconnected."""
     with LiveServer(port=0) as server:
         url = server.url
+        server.listen()
+        with Viewer(url):
+            pass
     port = int(url.rpartition(":")[2])
     with LiveServer(port=port) as again:
+        again.listen()
         assert again.url == url
+
+
+def test_an_address_of_ip_version_6_has_brackets():
+    """As addresses of the web write it."""
+    try:
+        server = LiveServer(host="::1", port=0).__enter__()
+    except UsageError:
+        pytest.skip("no loopback of IPv6 here")
+    try:
+        server.listen()
+        assert server.url.startswith("ws://[::1]:")
+        with Viewer(server.url) as viewer:
+            assert viewer.info["name"] == "cosim"
+    finally:
+        server.__exit__(None, None, None)
+
+
+def test_what_viewers_connect_to_is_told_when_they_can():
+    """Not before the topics are there."""
+    told = []
+    with LiveServer(port=0, notice=told.append) as server:
+        assert told == []
+        server.listen()
+        assert told == [server.url]
+
+
+def test_a_port_that_was_taken_meanwhile_is_the_same_error():
+    """Between the question and the answer, another may listen there."""
+    with LiveServer(port=0) as server:
+        port = int(server.url.rpartition(":")[2])
+        with socket.socket() as other:
+            other.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            other.bind(("127.0.0.1", port))
+            other.listen()
+            with pytest.raises(UsageError, match=r"cannot be listened on: .*Address already in"):
+                server.listen()
+
+
+def test_a_name_that_is_none_is_refused():
+    """A label of a name has 63 characters at most."""
+    with pytest.raises(UsageError, match="cannot be listened on: "):
+        LiveServer(host="a" * 70 + ".b", port=0).__enter__()
+
+
+def test_a_server_shows_one_thing():
+    """Its topics are those of the first."""
+    with LiveServer(port=0) as server:
+        server.beside(Memory(), {})
+        server.listen()
+        with pytest.raises(UsageError, match="has shown something already; needed another one"):
+            server.beside(Memory(), {})

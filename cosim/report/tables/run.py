@@ -28,10 +28,10 @@ from cosim.report.summary import (
 )
 from cosim.report.tables.certificate import certificate_tables
 from cosim.report.tables.console import new_table, print_json, print_line, print_table
+from cosim.report.tables.lateness import lateness_text
 from cosim.scenario.building.coupling_check import gain_text
 from cosim.scenario.kinds.initial_states import change_text
 from cosim.scenario.recorded_metadata import (
-    Lateness,
     component_record,
     recorded_start,
     recorded_state_changes,
@@ -134,7 +134,7 @@ def _summary_table(summary: Summary, recording: Recording) -> Table:
         _add_compensation(table, compensation)
     _add_loops(table, summary)
     if summary.lateness is not None:
-        table.add_row("real time", "", "", _lateness_text(summary.lateness))
+        table.add_row("real time", "", "", lateness_text(summary.lateness))
     for component, class_name in summary.copied_code.items():
         text = f"taken from the log; {flag('allow_code')} computes it, which runs {class_name}"
         table.add_row(component, "", "", text)
@@ -177,17 +177,6 @@ def _substeps_text(counts: SubstepCounts, interpolated: Sequence[str]) -> str:
         names = listing(interpolated)
         text += f"; interpolated over a step, an error that is not estimated: {names}"
     return text
-
-
-def _lateness_text(lateness: Lateness) -> str:
-    """Return how late a run was that kept the pace of the wall clock."""
-    pace = f"{lateness.factor:g} x the wall clock"
-    if not lateness.late:
-        return f"{pace}; never late in {lateness.blocks} blocks"
-    return (
-        f"{pace}; late in {lateness.late} of {lateness.blocks} blocks, at most by "
-        f"{lateness.largest:.3g} s, at t = {lateness.time:g} s"
-    )
 
 
 def _add_conditions(table: Table, summary: Summary) -> None:

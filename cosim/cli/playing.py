@@ -1,0 +1,159 @@
+"""What viewers watch: the command play, and the options of a run that is shown."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cosim.cli.options import LogArgument, print_notice
+from cosim.errors import UsageError
+from cosim.report.printable import printable
+
+if TYPE_CHECKING:
+    from cosim.live import LiveServer
+    from cosim.log import Log
+
+HostOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS",
+        help="Address that viewers connect to; default: 127.0.0.1, this machine alone.",
+    ),
+]
+
+PortOption = Annotated[
+    int | None,
+    typer.Option(metavar="NUMBER", help="Its port; default: 8765. 0: any free one."),
+]
+
+LiveOption = Annotated[
+    bool,
+    typer.Option(
+        "--live",
+        help="Show the run to Foxglove or Lichtblick while it goes on, beside the log; with "
+        "--realtime at the pace of the wall clock.",
+    ),
+]
+
+ShowOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--show",
+        metavar="SIGNAL",
+        help="With --live: a component or signal to show; default: all. Repeatable.",
+    ),
+]
+
+
+def play(
+    log: LogArgument,
+    signals: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[SIGNAL]...",
+            help="Components or signals to show, with all of the channels that hold them; "
+            "default: all.",
+        ),
+    ] = None,
+    speed: Annotated[
+        float, typer.Option(metavar="FACTOR", help="Simulated time by wall time.")
+    ] = 1.0,
+    loop: Annotated[
+        bool, typer.Option("--loop", help="Begin again at the end, until Ctrl-C.")
+    ] = False,
+    wait: Annotated[
+        bool, typer.Option("--wait", help="Begin when a viewer has subscribed.")
+    ] = False,
+    host: HostOption = None,
+    port: PortOption = None,
+    layout: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Write the log's layout of plots, for viewers to import (.json)."
+        ),
+    ] = None,
+) -> None:
+    """Play a log to Foxglove or Lichtblick in real time.
+
+    Both open the address that is printed as a Foxglove WebSocket. How late it was is printed at the
+    end.
+    """
+    from cosim.live.playback import Playback
+    from cosim.log import open_log
+    from cosim.report.tables.lateness import lateness_text
+    from cosim.scenario.recordings.interrupting import interruptible
+
+    source = open_log(log)
+    if layout is not None:
+        _write_layout(source, layout)
+    with interruptible() as check, _server(host, port, signals) as server:
+        playback = Playback(source, server, speed=speed, check=check)
+        typer.echo(f"{server.url}: {printable(str(log))}, {speed:g} x the wall clock")
+        try:
+            if wait:
+                server.wait_for_viewer(check)
+            playback.run(loop=loop)
+        finally:
+            typer.echo(lateness_text(playback.lateness))
+
+
+@contextmanager
+def shown_live(
+    wanted: bool, host: str | None, port: int | None, signals: list[str] | None
+) -> Iterator[LiveServer | None]:
+    """Yield the server that shows a run; None: it is not shown.
+
+    Raises
+    ------
+    UsageError
+        If there are options of it without it, or it cannot listen.
+    """
+    if not wanted:
+        for name, value in (("--host", host), ("--port", port), ("--show", signals)):
+            if value is not None and value != []:
+                raise UsageError(f"{name} is about --live; needed both, or neither")
+        yield None
+        return
+    with _server(host, port, signals, notice=print_notice) as server:
+        yield server
+
+
+def _server(
+    host: str | None,
+    port: int | None,
+    signals: list[str] | None,
+    *,
+    notice: Callable[[str], None] | None = None,
+) -> LiveServer:
+    from cosim.live.server import HOST, PORT, LiveServer
+
+    return LiveServer(
+        host=HOST if host is None else host,
+        port=PORT if port is None else port,
+        signals=signals or (),
+        notice=notice,
+    )
+
+
+def _write_layout(log: Log, path: Path) -> None:
+    """Write the layout of a log to a new file.
+
+    Raises
+    ------
+    LogError
+        If the log has none.
+    UsageError
+        If there is a file, which may be somebody's own layout.
+    """
+    from cosim.log.viewer_layout import LAYOUT_FILE
+
+    content = log.attachment(LAYOUT_FILE)
+    try:
+        with path.open("xb") as file:
+            file.write(content)
+    except FileExistsError as error:
+        raise UsageError(f"--layout {path}: exists; choose another path") from error

@@ -1,0 +1,67 @@
+"""The address of a server, from when it is asked for until the server listens there.
+
+An address that cannot be listened on is so refused at once, and port 0 becomes a number, before
+anything is there that viewers could connect to.
+"""
+
+from __future__ import annotations
+
+import socket
+import sys
+from typing import Final, final
+
+from cosim.errors import UsageError, option
+
+_LARGEST_PORT: Final = 2**16 - 1
+
+
+@final
+class ReservedAddress:
+    """A socket that is bound to an address, but does not listen.
+
+    Parameters
+    ----------
+    host : str
+    port : int
+        0: any free one.
+
+    Raises
+    ------
+    UsageError
+        If the port is none, or the address cannot be listened on.
+    """
+
+    def __init__(self, host: str, port: int) -> None:
+        if not 0 <= port <= _LARGEST_PORT:
+            raise UsageError(f"{option('port')}: found {port}; needed 0 to {_LARGEST_PORT}")
+        self._host = host
+        self._port = port
+        try:
+            family, kind, protocol, _, address = socket.getaddrinfo(
+                host, port, type=socket.SOCK_STREAM
+            )[0]
+            self._socket = socket.socket(family, kind, protocol)
+            try:
+                # as the server will do: connections that have just ended keep nobody away
+                if sys.platform != "win32":
+                    self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                self._socket.bind(address)
+            except BaseException:
+                self._socket.close()
+                raise
+        except (OSError, ValueError) as error:  # names that are none are ValueErrors
+            reason = getattr(error, "strerror", None) or str(error)
+            raise self.refusal(reason) from error
+        number, self.port = self._socket.getsockname()[:2]
+        self.host = f"[{number}]" if family == socket.AF_INET6 else number
+
+    def release(self) -> None:
+        """Leave the address to the server; nothing where it was left already."""
+        self._socket.close()
+
+    def refusal(self, reason: str) -> UsageError:
+        """Return the error of an address that cannot be listened on."""
+        return UsageError(
+            f"{option('port')}: {self._host}:{self._port} cannot be listened on: {reason}; choose "
+            f"another port, or 0 for any free one"
+        )
