@@ -26,10 +26,10 @@ from cosim.log.foreign.field_path import FieldPath, FieldProblem, Step, path_tex
 from cosim.log.foreign.ros_definitions import (
     PRIMITIVES,
     STRINGS,
-    TIMES,
     VARIABLE,
     RosField,
     RosMessages,
+    is_time,
 )
 from cosim.log.foreign.values import NANOSECONDS, Picker, StampNs
 
@@ -111,7 +111,7 @@ class CdrFormat:
             name = f"{prefix}{item.name}"
             if item.type_name in PRIMITIVES:
                 yield name + _brackets(item.count), item.type_name
-            elif item.type_name in TIMES:
+            elif is_time(item.type_name, self._messages):
                 yield name + ("" if item.count is None else "[]"), "time"
             if item.type_name in self._messages:
                 inside = "" if item.count is None else "[]"
@@ -192,7 +192,7 @@ class CdrFormat:
         place = path_text(path)
         if item.type_name in PRIMITIVES:
             return False
-        if item.type_name in TIMES and is_element:
+        if is_element and is_time(item.type_name, self._messages):
             return True
         if item.type_name in STRINGS:
             raise FieldProblem(f"{place!r} is text; needed a number")

@@ -11,6 +11,7 @@ from cosim.log.foreign.field_path import FieldPath, FieldProblem, Step, path_tex
 from cosim.log.foreign.values import NANOSECONDS, Picker, StampNs
 
 MOST_LISTED: Final = 10_000  # fields of a message
+_DEEPEST: Final = 50  # levels of objects and lists in which fields are listed
 _STAMPS: Final = (
     ("sec", "nsec"),
     ("sec", "nanosec"),
@@ -52,6 +53,8 @@ def _decoded(data: bytes) -> Any:
 
 def _leaves(path: FieldPath, value: Any) -> Iterator[tuple[FieldPath, str]]:
     """Yield the paths of numbers, lists of numbers and times, with their types."""
+    if len(path) > _DEEPEST:
+        return
     match value:
         case bool():
             yield path, "bool"

@@ -141,11 +141,22 @@ def _leaves(descriptor: Any, prefix: str, above: tuple[str, ...]) -> Iterator[tu
             if proto.type in _TYPES:
                 yield full + brackets, _TYPES[proto.type]
             continue
-        if nested.full_name in _STAMPS:
+        if _is_stamp(nested):
             yield full + brackets, "time"
         is_map = nested.GetOptions().map_entry
         if not is_map and nested.full_name not in above and len(above) < _DEEPEST:
             yield from _leaves(nested, f"{full}{brackets}.", (*above, nested.full_name))
+
+
+def _is_stamp(descriptor: Any) -> bool:
+    """Return whether a message is a time, by its name and by what the file says is in it."""
+    if descriptor.full_name not in _STAMPS:
+        return False
+    fields = {name: (proto.type, proto.label) for name, proto in _protos(descriptor).items()}
+    return fields == {
+        "seconds": (_Field.TYPE_INT64, _Field.LABEL_OPTIONAL),
+        "nanos": (_Field.TYPE_INT32, _Field.LABEL_OPTIONAL),
+    }
 
 
 def _getter(descriptor: Any, path: FieldPath, before: FieldPath) -> Getter:
@@ -190,7 +201,7 @@ def _value_getter(field: Any, proto: Any, rest: FieldPath, place: FieldPath) -> 
     if nested is not None and rest:
         return _getter(nested, rest, place)
     if nested is not None:
-        if nested.full_name in _STAMPS:
+        if _is_stamp(nested):
             return lambda value: StampNs(value.seconds * NANOSECONDS + value.nanos)
         names = [name for name, _ in _leaves(nested, f"{text}.", (nested.full_name,))]
         raise FieldProblem(

@@ -23,6 +23,7 @@ from typing import Final
 from cosim.log.foreign.field_path import FieldProblem
 
 VARIABLE: Final = -1  # number of elements of a sequence
+MOST_LEVELS: Final = 50  # of messages inside each other
 MOST_FIELDS: Final = 10_000  # of a message and all inside it
 MOST_ELEMENTS: Final = 2**24  # of an array of fixed length
 TIMES: Final = ("builtin_interfaces/Time", "builtin_interfaces/Duration")
@@ -82,6 +83,15 @@ TIME_FIELDS: Final = {
         RosField("nanosec", "uint32", None),
     ),
 }
+
+
+def is_time(name: str, messages: RosMessages) -> bool:
+    """Return whether a message is a time, by its name and by what the schema says is in it."""
+    if name not in TIMES:
+        return False
+    fields = {field.name: field.count for field in messages[name]}
+    types = {field.type_name for field in messages[name]}
+    return fields == {"sec": None, "nanosec": None} and types <= {"int32", "uint32"}
 
 
 def short_name(name: str) -> str:
@@ -149,6 +159,8 @@ def check_messages(name: str, messages: RosMessages) -> None:
             raise FieldProblem(f"its schema has {current} inside itself")
         if current in sizes:
             return sizes[current]
+        if len(above) > MOST_LEVELS:
+            raise FieldProblem(f"its schema has messages inside each other, {MOST_LEVELS} deep")
         if current not in messages:
             raise FieldProblem(f"its schema does not define {current}")
         total = 1

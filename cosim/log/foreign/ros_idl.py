@@ -27,6 +27,7 @@ from typing import Final
 
 from cosim.log.foreign.field_path import FieldProblem
 from cosim.log.foreign.ros_definitions import (
+    MOST_LEVELS,
     PRIMITIVES,
     STRINGS,
     TIME_FIELDS,
@@ -37,7 +38,6 @@ from cosim.log.foreign.ros_definitions import (
     short_name,
 )
 
-_MOST_LEVELS: Final = 50
 _TITLES: Final = re.compile(r"^(?:={3,}|IDL:.*)\s*$", re.MULTILINE)
 _TOKEN: Final = re.compile(
     r"""(?P<skipped>\s+|//[^\n]*|/\*.*?\*/|^\#[^\n]*)
@@ -129,8 +129,8 @@ class _IdlReader:
 
     def definitions(self, scope: tuple[str, ...]) -> None:
         """Read definitions up to the end of a module, or of the text."""
-        if len(scope) > _MOST_LEVELS:
-            raise FieldProblem(f"its schema has more than {_MOST_LEVELS} modules in each other")
+        if len(scope) > MOST_LEVELS:
+            raise FieldProblem(f"its schema has more than {MOST_LEVELS} modules in each other")
         while True:
             self._skip_annotations()
             if self._position == len(self._tokens) and not scope:
@@ -204,7 +204,8 @@ class _IdlReader:
         word = self._next()
         if word == "sequence":
             self._expect("<")
-            name, count = self._type(scope)
+            is_nested = self._peek() == "sequence"
+            name, count = ("", VARIABLE) if is_nested else self._type(scope)
             if count is not None:
                 raise FieldProblem("its schema has a sequence of arrays or sequences")
             if self._expect(",", ">") == ",":

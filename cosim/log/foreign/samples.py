@@ -160,7 +160,8 @@ class _Collector:
     ) -> None:
         self._path = path
         self._topic = channels[0].topic
-        self._channels = channels
+        self._channels = list(channels)
+        self._checked: set[int] = set()
         self._time = time
         self._time_unit_ns = time_unit_ns
         self._columns: list[_Column] = []
@@ -180,13 +181,7 @@ class _Collector:
             If one is not there, or the messages cannot be decoded.
         """
         first = self._channels[0]
-        for other in self._channels:
-            if (other.encoding, other.schema) != (first.encoding, first.schema):
-                names = ", ".join(sorted({_schema_text(channel) for channel in self._channels}))
-                raise LogError(
-                    f"{self._path}: topic {self._topic!r} has messages of several schemas: "
-                    f"{names}; needed one, or a topic of its own for each"
-                )
+        self._check_one_schema()
         paths = []
         name = self._topic
         try:
@@ -202,6 +197,16 @@ class _Collector:
         except FieldProblem as error:
             raise LogError(f"{self._path}: {name!r}: {error}") from error
 
+    def _check_one_schema(self) -> None:
+        first = self._channels[0]
+        for other in self._channels:
+            if (other.encoding, other.schema) != (first.encoding, first.schema):
+                names = ", ".join(sorted({_schema_text(channel) for channel in self._channels}))
+                raise LogError(
+                    f"{self._path}: topic {self._topic!r} has messages of several schemas: "
+                    f"{names}; needed one, or a topic of its own for each"
+                )
+
     @property
     def _is_field_time(self) -> bool:
         return self._time not in (LOG_TIME, PUBLISH_TIME)
@@ -215,6 +220,10 @@ class _Collector:
             If one is not there, or no number; names the message.
         """
         name = self._topic
+        if message.channel.id not in self._checked:  # a summary need not list every channel
+            self._channels.append(message.channel)
+            self._check_one_schema()
+            self._checked.add(message.channel.id)
         try:
             values = self._pick(message.data)
             kept = 1
@@ -270,9 +279,8 @@ class _Collector:
         if column.size == 0:
             return f"{text}it has no elements; needed numbers"
         for message in read_messages(self._path, lambda channel: channel.topic == self._topic):
-            names = [
-                f"{self._topic}.{name}" for name in format_of(message.channel).fields(message.data)
-            ]
+            fields = format_of(message.channel).fields(message.data)
+            names = [f"{self._topic}.{name}" for name in fields]
             return f"{text}no message has a value of it; {nearest(column.field, names)}"
         raise AssertionError("there are messages, or nothing would be asked of them")
 

@@ -6,6 +6,7 @@ import struct
 
 import numpy as np
 import pytest
+from google.protobuf import descriptor_pb2
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoders
@@ -14,6 +15,7 @@ from mcap_ros2.decoder import DecoderFactory as RosDecoders
 from mcap_ros2.writer import Writer as RosWriter
 
 from cosim.errors import LogError
+from cosim.log.foreign.json_format import JsonFormat
 from cosim.log.foreign.samples import read_fields
 from tests.log.foreign.field_logs import COMPRESSIONS, EPOCH, state_class, write_json
 
@@ -395,6 +397,20 @@ def test_definitions_that_multiply_are_refused(tmp_path):
         read(ros_file(tmp_path, "\n===\n".join(parts), b""), "/topic.x0")
 
 
+def test_definitions_and_values_inside_each_other_are_bounded(tmp_path):
+    """A thousand levels are no error of Python."""
+    parts = ["M1 x", *(f"MSG: demo_msgs/M{i}\nM{i + 1} x" for i in range(1, 1000))]
+    with pytest.raises(LogError, match="its schema has messages inside each other, 50 deep"):
+        read(ros_file(tmp_path, "\n===\n".join(parts), b""), "/topic.x")
+    schema = ("Demo", "ros2idl", b"struct Demo { " + b"sequence<" * 5000)
+    with pytest.raises(LogError, match="its schema has a sequence of arrays or sequences"):
+        read(raw_file(tmp_path, "cdr", schema, [b""]), "/topic.x")
+    deep = b'{"x": 1, "a": ' + b'{"a": ' * 400 + b"1" + b"}" * 401
+    assert JsonFormat().fields(deep) == {"x": "number"}
+    with pytest.raises(LogError, match="message 1: the message is no JSON"):
+        read(raw_file(tmp_path, "json", None, [b"[" * 100_000]), "/topic.x")
+
+
 # --- files ---
 
 
@@ -663,3 +679,39 @@ def test_only_the_asked_topics_are_decoded(tmp_path):
             writer.add_message(channel, EPOCH, data, EPOCH)
         writer.finish()
     assert read(path, "/a.x")[0].values.tolist() == [[1.0]]
+
+
+# --- schemas that say something else than their names ---
+
+
+def test_a_time_is_one_by_what_is_in_it(tmp_path):
+    """A message of that name with other fields is a message."""
+    parts = ("builtin_interfaces/Time stamp", "===", "MSG: builtin_interfaces/Time")
+    definition = "\n".join([*parts, "int32 sec", "string nanosec"])
+    path = ros_file(tmp_path, definition, struct.pack("<iI", 5, 0))
+    assert read(path, "/topic.stamp.sec")[0].values.tolist() == [[5.0]]
+    with pytest.raises(LogError, match="'stamp' is a message; needed a field of it"):
+        read(path, "/topic.stamp")
+    files = descriptor_pb2.FileDescriptorSet()
+    file = files.file.add(name="t.proto", package="google.protobuf", syntax="proto3")
+    stamp = file.message_type.add(name="Timestamp")
+    stamp.field.add(name="seconds", number=1, type=9, label=1)  # a string
+    state = file.message_type.add(name="State")
+    state.field.add(
+        name="stamp", number=1, type=11, label=1, type_name=".google.protobuf.Timestamp"
+    )
+    schema = ("google.protobuf.State", "protobuf", files.SerializeToString())
+    with pytest.raises(LogError, match="'stamp' is a message; needed a field of it"):
+        read(raw_file(tmp_path, "protobuf", schema, [b""]), "/topic.stamp")
+
+
+def test_a_summary_that_lists_another_schema_is_refused(tmp_path):
+    """What the data say counts: the messages are not what the summary says."""
+    path = raw_file(tmp_path, "json", ("one", "jsonschema", b"{}"), [b'{"x": 1}'])
+    data = path.read_bytes()
+    place = data.rindex(b"one")
+    changed = data[:place] + b"two" + data[place + 3 :]
+    footer = len(changed) - 8 - 4
+    path.write_bytes(changed[:footer] + bytes(4) + changed[footer + 4 :])  # without a CRC
+    with pytest.raises(LogError, match="several schemas: 'one' in 'json', 'two' in 'json'"):
+        read(path, "/topic.x")
