@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from cosim.report.certificate import certificate
     from cosim.report.comparing import compare
     from cosim.report.estimator_comparison import compare_estimators
+    from cosim.report.sweep import replay_sweep
     from cosim.scenario.assumptions.report import check_assumptions
     from cosim.scenario.context.models import model_table
     from cosim.scenario.data_files.field_file import read_field_data
@@ -38,6 +39,7 @@ _HOMES = {
     "model_table": "cosim.scenario.context.models",
     "open_log": "cosim.log.reader",
     "read_field_data": "cosim.scenario.data_files.field_file",
+    "replay_sweep": "cosim.report.sweep",
     "replay": "cosim.scenario.running.execution",
     "run": "cosim.scenario.running.execution",
 }
@@ -57,6 +59,7 @@ __all__ = [
     "open_log",
     "read_field_data",
     "replay",
+    "replay_sweep",
     "run",
 ]
 

@@ -295,6 +295,16 @@ def replay(
     out: OutOption = None,
     force: ForceOption = False,
     changes: SetOption = None,
+    vary: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--vary",
+            metavar="COMPONENT.PARAMETER=V1,V2,...",
+            help="Replay with each of these values, and show what the results say as a table. "
+            "Repeatable: every combination, at most 1000. All are checked before the first is run. "
+            "Nothing is written, unless --out names a folder for their logs.",
+        ),
+    ] = None,
     swaps: SwapOption = None,
     maps: MapOption = None,
     stop: StopOption = None,
@@ -321,6 +331,37 @@ def replay(
         raise UsageError("--verify compares the whole log; leave out --stop")
     window = None if begin is None and end is None else (begin, end)
     edits = read_edits(changes, {"scenario.stop": stop})
+    swap = read_unique_pairs(swaps, "swap")
+    names = read_unique_pairs(maps, "map")
+    if vary:
+        if verify or plot is not None:
+            name = "--verify" if verify else "--plot"
+            raise UsageError(f"found --vary, many replays, and {name} of one; needed one of them")
+        if isinstance(source, Path):
+            raise UsageError(f"--vary replays a log of cosim; {log} is of another tool")
+        from cosim.cli.sweeping import read_variations
+        from cosim.report.sweep import replay_sweep
+        from cosim.report.tables.sweep import print_sweep
+
+        values = read_variations(vary)
+        with show_progress(quiet or as_json) as progress, prints_to_stderr():
+            sweep = replay_sweep(
+                source,
+                vary=values,
+                set=edits,
+                swap=swap,
+                map=names,
+                allow_code=allow_code,
+                window=window,
+                components=components or None,
+                out=out,
+                force=force,
+                progress=progress,
+            )
+        print_sweep(sweep, as_json=as_json, quiet=quiet)
+        if not sweep.passed:
+            raise typer.Exit(1)
+        return
     check_plot(plot, out)
     with show_progress(quiet or as_json) as progress, prints_to_stderr():
         notice = None if quiet else print_notice
@@ -329,8 +370,8 @@ def replay(
             out=out,
             force=force,
             set=edits,
-            swap=read_unique_pairs(swaps, "swap"),
-            map=read_unique_pairs(maps, "map"),
+            swap=swap,
+            map=names,
             allow_code=allow_code,
             window=window,
             components=components or None,

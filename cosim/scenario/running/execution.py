@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
@@ -13,7 +12,6 @@ from cosim.arguments import (
     callable_argument,
     mapping_argument,
     path_argument,
-    texts_argument,
     truth_argument,
     whole_argument,
 )
@@ -29,7 +27,6 @@ from cosim.scenario.document.document import Document, find
 from cosim.scenario.document.swap import PortNames
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.preparing import build_experiment
-from cosim.scenario.recorded_metadata import ReplayOrigin, recorded_loop_gains
 from cosim.scenario.recordings.recording import (
     Beside,
     Notice,
@@ -39,15 +36,11 @@ from cosim.scenario.recordings.recording import (
     record,
     run_into,
 )
-from cosim.scenario.recordings.replaying import (
-    Swaps,
-    check_changes,
-    rebuilt,
-    recorded_document,
-    valid_designs,
-    with_setting_designs,
+from cosim.scenario.recordings.replay_request import (
+    check_replay_target,
+    record_replay,
+    replay_request,
 )
-from cosim.scenario.recordings.window import ReplayWindow, window_of
 from cosim.scenario.running.field_replay import check_field_options, with_recorded_components
 
 if TYPE_CHECKING:
@@ -393,13 +386,9 @@ def replay(
         not there or cannot be computed.
     """
     force = truth_argument("force", force)
-    allow_code = truth_argument("allow_code", allow_code)
-    block = whole_argument("block", block)
     callable_argument("progress", progress)
     callable_argument("notice", notice)
     _check_profile(profile)
-    wanted = mapping_argument("set", set)
-    chosen = _components_argument(components)
     if not isinstance(log, Log) and is_foreign(path_argument("log", log)):
         check_field_options(allow_code=allow_code, window=window, components=components)
         loaded = scenario if isinstance(scenario, Scenario) or scenario is None else load(scenario)
@@ -407,82 +396,28 @@ def replay(
             with_recorded_components(loaded, path_argument("log", log), swaps=swap, maps=map),
             out=out,
             force=force,
-            set=wanted,
+            set=set,
             block=block,
             progress=progress,
             notice=notice,
             profile=profile,
         )
-    swaps = _swaps_argument(swap, map)
     source = log if isinstance(log, Log) else open_log(log)
     if scenario is not None:
         raise UsageError(
             f"{source.label} carries its own scenario; leave out {option('scenario')}, which is "
             "for recordings of other tools"
         )
-    if out is not None and os.path.realpath(out) == os.path.realpath(source.path):
-        raise UsageError(f"{out} is the log that is replayed; choose another path")
-    check_target(out, force=force)
-    recorded = None if window is None else window_of(source, window)
-    gains = () if wanted or swaps.paths else recorded_loop_gains(source)
-    if recorded is not None:
-        wanted = _with_end(wanted, recorded)
-    with ExitStack() as resources:
-        experiment = rebuilt(
-            source,
-            resources,
-            wanted,
-            block,
-            allow_code=allow_code,
-            components=chosen,
-            swaps=swaps,
-        )
-        original = recorded_document(source)
-        check_changes(experiment, original, wanted, swaps)
-        designs = valid_designs(experiment, source, replaced=swaps.paths)
-        copied = experiment.recorded
-        experiment.graph.take_solutions(source, copied)
-        specs = experiment.scenario.specs
-        origin = ReplayOrigin(
-            str(source.path),
-            source.recorded_hash,
-            copied,
-            window=None if recorded is None else (recorded.begin, recorded.end),
-            left_out=tuple(name for name in copied if specs[name].computable),
-        )
-        experiment = replace(experiment, origin=origin, designs=designs, gains=gains)
-        experiment = with_setting_designs(experiment, source, designs)
-        target = Target(out, force, notice=notice)
-        beside = None if recorded is None else recorded.beside
-        return record(experiment, target, progress=progress, profile=profile, beside=beside)
-
-
-def _swaps_argument(
-    swap: Mapping[str, str | Path] | None, map: Mapping[str, PortNames] | None
-) -> Swaps:
-    paths = mapping_argument("swap", swap)
-    names = mapping_argument("map", map)
-    if names and not paths:
-        raise UsageError(
-            f"found {option('map')} and no {option('swap')}; needed both: only what takes the "
-            "place of a component has other names for its ports"
-        )
-    return Swaps(paths, names)
-
-
-def _components_argument(components: Sequence[str] | None) -> tuple[str, ...] | None:
-    chosen = texts_argument("components", components)
-    if chosen == ():
-        raise UsageError(
-            f"{option('components')}: found none; needed at least one to compute, or None for all"
-        )
-    return chosen
-
-
-def _with_end(wanted: Mapping[str, Any], window: ReplayWindow) -> dict[str, Any]:
-    """Return the changes of a replay that ends where a window does."""
-    if "scenario.stop" in wanted:
-        raise UsageError(
-            f"found both {option('set', 'scenario.stop')} and a window; needed one of them"
-        )
-    return {**wanted, "scenario.stop": window.end}
+    request = replay_request(
+        source,
+        set=set,
+        swap=swap,
+        map=map,
+        allow_code=allow_code,
+        window=window,
+        components=components,
+        block=block,
+    )
+    check_replay_target(source, out, force=force)
+    target = Target(out, force, notice=notice)
+    return record_replay(source, request, target, progress=progress, profile=profile)

@@ -1,0 +1,192 @@
+"""What a replay is asked for, checked, and the experiment that follows from it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from cosim.arguments import mapping_argument, texts_argument, truth_argument, whole_argument
+from cosim.core.recorders import Memory
+from cosim.errors import UsageError, option
+from cosim.log import Log
+from cosim.scenario.building.experiment import Experiment
+from cosim.scenario.document.swap import PortNames
+from cosim.scenario.recorded_metadata import ReplayOrigin, recorded_loop_gains
+from cosim.scenario.recordings.recording import Progress, Target, check_target, record
+from cosim.scenario.recordings.replaying import (
+    Swaps,
+    check_changes,
+    rebuilt,
+    recorded_document,
+    valid_designs,
+    with_setting_designs,
+)
+from cosim.scenario.recordings.window import ReplayWindow, window_of
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayRequest:
+    """How a log is to be replayed.
+
+    Parameters
+    ----------
+    changes : mapping of dotted key to value
+    swaps : Swaps
+    components : tuple of str or None
+        The only ones to compute; None: all that can be.
+    window : ReplayWindow or None
+        What is recorded of it; None: all.
+    allow_code : bool
+        Whether the code of users' classes may run that the log names.
+    block : int or None
+        Communication steps in a block.
+    """
+
+    changes: Mapping[str, Any]
+    swaps: Swaps
+    components: tuple[str, ...] | None = None
+    window: ReplayWindow | None = None
+    allow_code: bool = False
+    block: int | None = None
+
+    @property
+    def all_changes(self) -> Mapping[str, Any]:
+        """The changes, and the end of the window.
+
+        Raises
+        ------
+        UsageError
+            If both say where the replay ends.
+        """
+        if self.window is None:
+            return self.changes
+        if "scenario.stop" in self.changes:
+            raise UsageError(
+                f"found both {option('set', 'scenario.stop')} and a window; needed one of them"
+            )
+        return {**self.changes, "scenario.stop": self.window.end}
+
+
+def replay_request(
+    source: Log,
+    *,
+    set: Mapping[str, Any] | None = None,
+    swap: Mapping[str, str | Path] | None = None,
+    map: Mapping[str, PortNames] | None = None,
+    allow_code: bool = False,
+    window: tuple[float | None, float | None] | None = None,
+    components: Sequence[str] | None = None,
+    block: int | None = None,
+) -> ReplayRequest:
+    """Return what is asked for; parameters as of :func:`cosim.replay`.
+
+    Raises
+    ------
+    UsageError
+        If one of them is of another type, or does not go with the others or with the log.
+    """
+    chosen = texts_argument("components", components)
+    if chosen == ():
+        raise UsageError(
+            f"{option('components')}: found none; needed at least one to compute, or None for all"
+        )
+    return ReplayRequest(
+        mapping_argument("set", set),
+        _swaps_argument(swap, map),
+        chosen,
+        None if window is None else window_of(source, window),
+        truth_argument("allow_code", allow_code),
+        whole_argument("block", block),
+    )
+
+
+def _swaps_argument(
+    swap: Mapping[str, str | Path] | None, map: Mapping[str, PortNames] | None
+) -> Swaps:
+    paths = mapping_argument("swap", swap)
+    names = mapping_argument("map", map)
+    if names and not paths:
+        raise UsageError(
+            f"found {option('map')} and no {option('swap')}; needed both: only what takes the "
+            "place of a component has other names for its ports"
+        )
+    return Swaps(paths, names)
+
+
+def check_replay_target(source: Log, out: str | Path | None, *, force: bool) -> None:
+    """Refuse a path that the log of a replay cannot be written to.
+
+    Raises
+    ------
+    UsageError
+        If it is the log that is replayed, or as from ``check_target``.
+    """
+    if out is not None and os.path.realpath(out) == os.path.realpath(source.path):
+        raise UsageError(f"{out} is the log that is replayed; choose another path")
+    check_target(out, force=force)
+
+
+def prepared_replay(source: Log, request: ReplayRequest, resources: ExitStack) -> Experiment:
+    """Build the replay of a log.
+
+    Raises
+    ------
+    LogError
+        If the log is no log of a scenario, or does not fit its scenario.
+    ScenarioError
+        With every problem of the changed scenario.
+    UsageError
+        If the recording cannot follow what is changed.
+    """
+    changes = request.all_changes
+    swaps = request.swaps
+    experiment = rebuilt(
+        source,
+        resources,
+        changes,
+        request.block,
+        allow_code=request.allow_code,
+        components=request.components,
+        swaps=swaps,
+    )
+    check_changes(experiment, recorded_document(source), changes, swaps)
+    designs = valid_designs(experiment, source, replaced=swaps.paths)
+    copied = experiment.recorded
+    experiment.graph.take_solutions(source, copied)
+    specs = experiment.scenario.specs
+    window = request.window
+    origin = ReplayOrigin(
+        str(source.path),
+        source.recorded_hash,
+        copied,
+        window=None if window is None else (window.begin, window.end),
+        left_out=tuple(name for name in copied if specs[name].computable),
+    )
+    gains = () if request.changes or swaps.paths else recorded_loop_gains(source)
+    experiment = replace(experiment, origin=origin, designs=designs, gains=gains)
+    return with_setting_designs(experiment, source, designs)
+
+
+def record_replay(
+    source: Log,
+    request: ReplayRequest,
+    target: Target,
+    *,
+    progress: Progress | None,
+    profile: dict[str, float] | None = None,
+) -> Log | Memory:
+    """Replay a log and return the recording: the log file if the target has a path.
+
+    Raises
+    ------
+    CosimError
+        As from :func:`prepared_replay`; RunError where it cannot go on.
+    """
+    beside = None if request.window is None else request.window.beside
+    with ExitStack() as resources:
+        experiment = prepared_replay(source, request, resources)
+        return record(experiment, target, progress=progress, profile=profile, beside=beside)

@@ -1,0 +1,65 @@
+"""What is varied in a sweep: every combination of the values of several keys."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from cosim.arguments import mapping_argument
+from cosim.errors import UsageError, option, quoted
+from cosim.scenario.document.edits import plain
+
+MOST_COMBINATIONS: Final = 1000
+
+
+def combinations(vary: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
+    """Return every combination of values by key; that of the last key changes first.
+
+    Parameters
+    ----------
+    vary : mapping of dotted key to sequence of values
+        Such as ``{"identifier.P0": [1e3, 1e6]}``.
+
+    Raises
+    ------
+    UsageError
+        If a key has no values or something else than a list of them, there is no key, or there
+        are more than ``MOST_COMBINATIONS`` combinations.
+    """
+    given = mapping_argument("vary", vary)
+    if not given:
+        raise UsageError(f"{option('vary')}: found nothing; needed a key and its values")
+    values_of = {key: _values(key, values) for key, values in given.items()}
+    counts = [len(values) for values in values_of.values()]
+    total = math.prod(counts)
+    if total > MOST_COMBINATIONS:
+        product = " x ".join(map(str, counts))
+        raise UsageError(
+            f"{option('vary')}: found {product} = {total} combinations; needed at most "
+            f"{MOST_COMBINATIONS}"
+        )
+    return [
+        dict(zip(values_of, chosen, strict=True))
+        for chosen in itertools.product(*values_of.values())
+    ]
+
+
+def _values(key: str, values: object) -> list[Any]:
+    """Return the values of a key as TOML has them."""
+    if isinstance(values, str) or not isinstance(values, Sequence | np.ndarray):
+        raise UsageError(f"{option('vary', key)}: found {quoted(values)}; needed a list")
+    if not len(values):
+        raise UsageError(f"{option('vary', key)}: found no value; needed at least one")
+    try:
+        return [plain(value) for value in values]
+    except UsageError as error:
+        raise UsageError(f"{option('vary', key)}: {error}") from error
+
+
+def combination_text(values: Mapping[str, Any]) -> str:
+    """Return a combination in words: ``identifier.P0 = 1000.0, observer.L = [8.0]``."""
+    return ", ".join(f"{key} = {quoted(value)}" for key, value in values.items())

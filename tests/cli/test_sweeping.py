@@ -1,0 +1,46 @@
+"""The values of --vary."""
+
+import pytest
+
+from cosim.cli.sweeping import read_variations, split_values
+from cosim.errors import UsageError, shell_language
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("1e3,1e6", ["1e3", "1e6"]),
+        ("1", ["1"]),
+        ("[0,2,4],[0,2]", ["[0,2,4]", "[0,2]"]),
+        ("{a=1,b=[2,3]},4", ["{a=1,b=[2,3]}", "4"]),
+        ("'a,b',\"c,]\",d", ["'a,b'", '"c,]"', "d"]),
+        ("abs(min(u.y,2)),3", ["abs(min(u.y,2))", "3"]),
+        ("1,,2", ["1", "", "2"]),
+        ("a], b", ["a]", "b"]),
+    ],
+)
+def test_values_are_split_at_their_own_commas(text, parts):
+    """Not at those inside lists, tables, calls and strings."""
+    assert split_values(text) == parts
+
+
+def test_values_are_toml_where_they_can_be():
+    """As those of --set."""
+    found = read_variations(["a.x = 1e3, 2", "a.kind=sine,step", "a.L=[[1.0]],[[2.0]]"])
+    assert found == {"a.x": [1e3, 2], "a.kind": ["sine", "step"], "a.L": [[[1.0]], [[2.0]]]}
+
+
+@pytest.mark.parametrize(
+    ("texts", "message"),
+    [
+        (["a.x"], "--vary 'a.x': found no '=', needed NAME=VALUE"),
+        (["a.x=1,,2"], "--vary a.x: found an empty value in '1,,2'; needed values with a comma"),
+        (["a.x="], "--vary a.x: found an empty value in ''"),
+        (["a.x=1", "a.x=2"], "--vary a.x: given 2 times, needed once"),
+        (["a.x=" + 200 * "[" + 200 * "]"], "--vary a.x: .*nested"),
+    ],
+)
+def test_what_are_no_values_is_refused(texts, message):
+    """The message names the key."""
+    with shell_language(), pytest.raises(UsageError, match=message):
+        read_variations(texts)

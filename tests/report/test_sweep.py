@@ -1,0 +1,202 @@
+"""Sweeps: what-if replays of one log."""
+
+import json
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.errors import ScenarioError, UsageError
+from cosim.report.summary import summarize
+from cosim.report.sweep import results_of
+from cosim.scenario.recordings import replay_request
+
+END = {"scenario.stop": 8.0}  # past the start of the identification at 6.461 s
+FAILING = """
+[scenario]
+name = "failing"
+stop = 0.2
+step = 0.01
+
+[components]
+u = { kind = "sine", rate = 5.0 }
+v = { kind = "expression", y = "2 * u.y" }
+w = { kind = "expression", y = "t" }
+"""
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    """Record a run past the start of its identification."""
+    path = tmp_path_factory.mktemp("logs") / "a.mcap"
+    return cosim.run("academic-as-printed", out=path, set=END)
+
+
+@pytest.fixture(scope="module")
+def failing(tmp_path_factory):
+    """Record a run whose replays fail with other expressions."""
+    folder = tmp_path_factory.mktemp("failing")
+    (folder / "failing.toml").write_text(FAILING)
+    return cosim.run(folder / "failing.toml", out=folder / "f.mcap")
+
+
+def test_each_row_is_a_replay_of_its_own(log):
+    """With the values of its row and those that all have; in the order of the product."""
+    common = {"observer.filter_rate": 500.0}
+    vary = {"identifier.P0": [1e3, 1e9], "identifier.start": [7.0, 7.5]}
+    sweep = cosim.replay_sweep(log, vary=vary, set=common)
+    assert sweep.varied == ("identifier.P0", "identifier.start")
+    assert [tuple(row.values.values()) for row in sweep.rows] == [
+        (1e3, 7.0),
+        (1e3, 7.5),
+        (1e9, 7.0),
+        (1e9, 7.5),
+    ]
+    for row in sweep.rows:
+        again = cosim.replay(log, set={**common, **row.values})
+        assert row.summary == summarize(again)
+        theta = [row.results[f"identifier.theta[{number}]"] for number in (0, 1)]
+        assert theta == again["identifier.theta"][-1].tolist()
+    assert len(set(sweep["identifier.theta[0]"])) == 4
+    assert sweep.passed
+    assert not list(log.path.parent.glob("*[0-9].mcap"))
+
+
+def test_results_are_estimates_errors_verdicts_and_noise(log):
+    """By the names of the table; a column that no row has is empty."""
+    sweep = cosim.replay_sweep(log, vary={"identifier.P0": [1e9]})
+    (row,) = sweep.rows
+    results = row.results
+    assert results == results_of(summarize(cosim.replay(log, set={"identifier.P0": 1e9})))
+    assert set(sweep.columns) == set(results)
+    errors = [results[f"identifier.theta[{number}] error"] for number in (0, 1)]
+    theta = [results[f"identifier.theta[{number}]"] for number in (0, 1)]
+    assert errors == np.abs(np.array(theta) - [-0.1, -0.3]).tolist()
+    assert isinstance(results["identifier verdict"], str)
+    assert results["identifier noise"] > 0.0
+    assert results["observer.x_a rms error"] <= results["observer.x_a largest error"]
+    assert sweep["nothing"] == [None]
+
+
+def test_without_a_truth_the_results_are_the_last_values(failing):
+    """Of all outputs."""
+    sweep = cosim.replay_sweep(failing, vary={"u.amplitude": [1.0, 3.0]})
+    assert sweep.columns == ("u.y", "v.y", "w.y")
+    first, second = sweep["u.y"]
+    assert second == pytest.approx(3.0 * first)
+
+
+def test_the_log_is_opened_and_read_once(log, monkeypatch):
+    """All replays have the same log in memory."""
+    sources = []
+    rows = []
+
+    def recorded(source, *arguments, **options):
+        sources.append(source)
+        rows.append(source.rows("plant"))
+        return record_replay(source, *arguments, **options)
+
+    record_replay = replay_request.record_replay
+    monkeypatch.setattr("cosim.report.sweep.record_replay", recorded)
+    cosim.replay_sweep(log.path, vary={"identifier.P0": [1e3, 1e6, 1e9]})
+    assert len({id(source) for source in sources}) == 1
+    assert all(np.shares_memory(rows[0], other) for other in rows[1:])
+
+
+def test_all_combinations_are_checked_before_the_first_runs(log, tmp_path):
+    """The message names the one that is wrong, and nothing was written."""
+    folder = tmp_path / "out"
+    message = r"identifier.P0 = -1.0: .*P0: found -1.0, needed a positive finite number"
+    with pytest.raises(UsageError, match=message):
+        cosim.replay_sweep(log, vary={"identifier.P0": [1e3, -1.0]}, out=folder)
+    with pytest.raises(UsageError, match=r"plant.solver = 'RK45': .*'plant' is taken from the rec"):
+        cosim.replay_sweep(log, vary={"plant.solver": ["RK45"]}, out=folder)
+    with pytest.raises(UsageError, match=r"identifer.P0 = 1.0: .*there is no component 'identifer"):
+        cosim.replay_sweep(log, vary={"identifer.P0": [1.0]}, out=folder)
+    with pytest.raises(UsageError, match=r"observer.L = \[-50.0, 0.0\]: .*Hurwitz"):
+        cosim.replay_sweep(log, vary={"observer.L": [[8.0, 0.0], [-50.0, 0.0]]}, out=folder)
+    assert not list(folder.glob("*"))
+
+
+def test_what_is_varied_cannot_be_set_too(log):
+    """In whichever spelling."""
+    message = r"found both set\['identifier.P0'\] and vary\['identifier.P0'\]; needed one of them"
+    with pytest.raises(UsageError, match=message):
+        cosim.replay_sweep(
+            log, vary={"components.identifier.P0": [1.0]}, set={"identifier.P0": 2.0}
+        )
+
+
+def test_a_replay_that_fails_is_a_row(failing, call):
+    """The others go on; the exit code says that one failed."""
+    sweep = cosim.replay_sweep(failing, vary={"w.y": ["t", "1/(t - 0.1)", "2*t"]})
+    assert [bool(row.problem) for row in sweep.rows] == [False, True, False]
+    assert "'w.y' became inf at t = 0.1 s" in sweep.rows[1].problem
+    assert sweep.rows[1].results == {}
+    assert sweep["w.y"] == [0.2, None, 0.4]
+    assert not sweep.passed
+    code, out, err = call("replay", failing.path, "--vary", "w.y=t,1/(t - 0.1)")
+    assert code == 1
+    assert "'1/(t - 0.1)'\tfailed" in out
+    assert "row 2: failed: 'w.y' became inf at t = 0.1 s" in err
+
+
+def test_logs_are_written_to_a_folder_that_is_named(failing, tmp_path):
+    """In the order of the rows; those that are there are not replaced."""
+    vary = {"u.amplitude": [1.0, 3.0]}
+    sweep = cosim.replay_sweep(failing, vary=vary, out=tmp_path / "new" / "logs")
+    paths = [row.path for row in sweep.rows]
+    assert [path.name for path in paths] == ["1.mcap", "2.mcap"]
+    assert cosim.open_log(paths[1])["u.y"][-1] == sweep["u.y"][1]
+    with pytest.raises(UsageError, match="exists"):
+        cosim.replay_sweep(failing, vary=vary, out=tmp_path / "new" / "logs")
+    assert cosim.replay_sweep(failing, vary=vary, out=tmp_path / "new" / "logs", force=True).passed
+    with pytest.raises(UsageError, match=r"out: found '.*x\.mcap'; needed a folder for 2 logs"):
+        cosim.replay_sweep(failing, vary=vary, out=tmp_path / "x.mcap")
+    with pytest.raises(UsageError, match="found force=True, which is about the log at out"):
+        cosim.replay_sweep(failing, vary=vary, force=True)
+
+
+def test_progress_is_that_of_all_replays(failing):
+    """From the first to the last, as one."""
+    seen = []
+    cosim.replay_sweep(
+        failing, vary={"u.amplitude": [1.0, 3.0]}, progress=lambda *at: seen.append(at)
+    )
+    times = [time for time, _ in seen]
+    assert times == sorted(times)
+    assert seen[-1] == (0.4, 0.4)
+
+
+def test_the_command_line_shows_a_table(log, call):
+    """Rows are the varied values, columns what the results say; --json has all of each."""
+    command = ("replay", log.path, "--vary", "identifier.P0=1e3,1e9")
+    code, out, err = call(*command, "--set", "observer.filter_rate=500")
+    assert (code, err) == (0, "")
+    title, header, *rows = out.splitlines()
+    assert title == str(log.path)
+    names = header.split("\t")
+    assert names[:3] == ["identifier.P0", "identifier.theta[0]", "identifier.theta[1]"]
+    assert "identifier.theta[0] error" not in names
+    assert ", error " in rows[0].split("\t")[1]
+    assert [row.split("\t")[0] for row in rows] == ["1000.0", "1000000000.0"]
+    assert all(len(row.split("\t")) == len(names) for row in rows)
+    code, out, _ = call(*command, "--json")
+    found = json.loads(out)
+    assert found["varied"] == ["identifier.P0"]
+    assert [row["values"]["identifier.P0"] for row in found["rows"]] == [1e3, 1e9]
+    assert found["rows"][0]["summary"]["scenario"] == "academic-as-printed"
+    assert found["columns"] == list(found["rows"][0]["results"])
+    assert call(*command, "--quiet") == (0, "", "")
+    for option, value in (("--verify", ()), ("--plot", ("x.png",))):
+        code, _, err = call(*command, option, *value)
+        assert code == 2
+        assert f"found --vary, many replays, and {option} of one" in err
+
+
+def test_a_scenario_problem_keeps_its_place(failing):
+    """What is wrong with the value is said as for --set."""
+    with pytest.raises(UsageError, match=r"v.y = '2 \*': .*components.v"):
+        cosim.replay_sweep(failing, vary={"v.y": ["2 *"]})
+    with pytest.raises(ScenarioError, match=r"components.v"):
+        cosim.replay(failing, set={"v.y": "2 *"})

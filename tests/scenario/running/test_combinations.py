@@ -1,0 +1,44 @@
+"""The combinations of a sweep."""
+
+import numpy as np
+import pytest
+
+from cosim.errors import UsageError
+from cosim.scenario.running.combinations import combination_text, combinations
+
+
+def test_combinations_are_the_full_product_in_order():
+    """The last key changes first; values are those that TOML has."""
+    found = combinations({"a.x": np.array([1.0, 2.0]), "b.y": [[0, 2], "z"]})
+    assert found == [
+        {"a.x": 1.0, "b.y": [0, 2]},
+        {"a.x": 1.0, "b.y": "z"},
+        {"a.x": 2.0, "b.y": [0, 2]},
+        {"a.x": 2.0, "b.y": "z"},
+    ]
+    assert combination_text(found[1]) == "a.x = 1.0, b.y = 'z'"
+
+
+def test_a_thousand_combinations_are_the_most():
+    """One more is refused before anything is built."""
+    assert len(combinations({"a.x": range(10), "a.y": range(100)})) == 1000
+    with pytest.raises(UsageError, match=r"vary: found 7 x 143 = 1001 combinations; needed at mos"):
+        combinations({"a.x": range(7), "a.y": range(143)})
+
+
+@pytest.mark.parametrize(
+    ("vary", "message"),
+    [
+        ({}, "vary: found nothing; needed a key and its values"),
+        ({"a.x": []}, r"vary\['a.x'\]: found no value; needed at least one"),
+        ({"a.x": "12"}, r"vary\['a.x'\]: found '12'; needed a list"),
+        ({"a.x": 3.0}, r"vary\['a.x'\]: found 3.0; needed a list"),
+        ({"a.x": [object]}, r"vary\['a.x'\]: found <class 'object'>; needed a number, true or"),
+        ([1.0], r"vary: found \[1.0\]; needed a mapping"),
+        ({1: [1.0]}, "vary: found the key 1; needed a string"),
+    ],
+)
+def test_what_is_no_list_of_values_is_refused(vary, message):
+    """The message names the key."""
+    with pytest.raises(UsageError, match=message):
+        combinations(vary)
