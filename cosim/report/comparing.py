@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,12 @@ from cosim.log import Log
 from cosim.report.recorded_rows import difference, has_signal
 from cosim.report.summary import Summary, summarize
 from cosim.scenario.document.edits import short
-from cosim.scenario.document.swap import PortNames, component_table, port_names
+from cosim.scenario.document.swap import (
+    PortNames,
+    component_table,
+    marked_path,
+    port_names,
+)
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.recorded_metadata import truth_of
 from cosim.scenario.recordings.recording import check_target
@@ -296,7 +302,7 @@ def _paths(
             f"{option('swap', component)}: found one plant, needed two to compare; "
             f"give another, or leave out {flag('base', False)}"
         )
-    listed = [str(path_argument("swap", path)) for path in paths]
+    listed = [marked_path(str(path_argument("swap", path))) for path in paths]
     _check_paths(component, listed)
     return component, listed
 
@@ -335,7 +341,7 @@ def _maps_by_path(
     maps_by_path: dict[str, dict[str, PortNames]] = {}
     known: dict[str, None] = {}
     for path in paths:
-        names = _port_names(component, path)
+        names = _port_names(component, path, maps)
         known |= dict.fromkeys(names)
         used = [port for port, listed in maps.items() if not _unknown_names(names, listed)]
         maps_by_path[path] = {port: maps[port] for port in used}
@@ -367,20 +373,37 @@ def _unknown_names(known: Collection[str], listed: PortNames) -> list[str]:
     return unknown
 
 
-def _port_names(component: str, path: str) -> list[str]:
-    """Return the ports of an alternative; none where it cannot be read: its run says why."""
+def _port_names(component: str, path: str, maps: Mapping[str, PortNames]) -> list[str]:
+    """Return the ports of an alternative; none where it cannot be read: its run says why.
+
+    Of an MCAP of another tool these are the mapped fields of its topics.
+    """
+    table = component_table(component, path)
     try:
-        interface = _interface(component, path)
+        if table["kind"] == "field-data":
+            return _sample_names(Path(table["path"]), maps)
+        interface = _interface(component, table)
     except CosimError:
         return []
     return [signal.name for signal in interface.signals]
 
 
-def _interface(component: str, path: str) -> Interface:
+def _sample_names(path: Path, maps: Mapping[str, PortNames]) -> list[str]:
+    from cosim.log.foreign.field_path import topic_of
+    from cosim.log.foreign.topics import read_channels
+    from cosim.scenario.data_files.field_file import read_field_data
+
+    if file_type(path) != "log":
+        return [signal.name for signal in read_field_data(path).signals]
+    topics = [channel.topic for channel in read_channels(path)]
+    names = chain.from_iterable(port_names(listed) for listed in maps.values())
+    return [name for name in names if topic_of(name, topics) is not None]
+
+
+def _interface(component: str, table: Mapping[str, Any]) -> Interface:
     from cosim.fmi.reading.model_description import read
     from cosim.log import open_log
 
-    table = component_table(component, path)
     if table["kind"] == "fmu":
         return read(table["path"]).description.interface
     channels = open_log(table["log"]).channels

@@ -55,3 +55,20 @@ def test_info_shows_topics_and_fields(call):
     code, out, _ = call("info", "field.mcap", "--json")
     assert code == 0
     assert {"field": "/cmd.values[0:2]", "type": "number"} in json.loads(out)["fields"]
+
+
+@pytest.mark.usefixtures("files")
+def test_recordings_are_compared_as_plants_are(call, tmp_path):
+    """Each takes the entries of the map that are its own: fields, and columns of a table."""
+    rows = [f"{0.01 * i},{0.5 * i}" for i in range(320)]
+    (tmp_path / "field.csv").write_text("\n".join(["t,level", *rows]), encoding="utf-8")
+    text = LOOP + '\n[truth]\n"error.y" = "model.y"\n'
+    (tmp_path / "loop.toml").write_text(text, encoding="utf-8")
+    swaps = ("--swap", "plant=field.mcap", "--swap", "plant=field.csv")
+    names = ("--map", "plant.y=/drive/state.position", "--map", "error.u1=level")
+    code, out, err = call("compare", "loop.toml", *swaps, *names)
+    assert code == 0, err
+    assert "field.csv" in out or "field-2" in out
+    code, _, err = call("compare", "loop.toml", *swaps, "--map", "plant.y=/other.position")
+    assert code == 2
+    assert "no alternative has a port '/other.position'" in err

@@ -31,9 +31,9 @@ from cosim.scenario.document.lines import key_lines
 from cosim.scenario.document.places import Places
 from cosim.scenario.document.problems import Problem
 from cosim.scenario.document.swap import (
-    SAMPLES,
     PortNames,
     is_port_names,
+    marked_path,
     owner_of,
     replace_components,
     swapped_components,
@@ -92,7 +92,7 @@ class Document:
         paths = dict(self.swaps)
         for name, path in swaps.items():
             try:
-                paths[name] = _marked(str(path_argument("path", path).absolute()))
+                paths[name] = marked_path(str(path_argument("path", path).absolute()))
             except UsageError as error:
                 raise UsageError(f"{option('swap', name)}: {error}") from error
         kept = dict(self.maps)
@@ -249,19 +249,6 @@ def _read_edits(text: str) -> dict[str, Any]:
         if not is_port_names(names):
             raise ValueError(f"found {quoted(names)} for {port!r}")
     return edits
-
-
-def _marked(path: str) -> str:
-    """Return the path of an MCAP of another tool as that of samples.
-
-    Behind a run its log has the mark: a replay does not look into the file.
-    """
-    if file_type(path) == "log":
-        from cosim.log.foreign.topics import is_foreign  # rarely needed
-
-        if is_foreign(Path(path)):
-            return path + SAMPLES
-    return path
 
 
 def _checked_maps(maps: Mapping[str, PortNames]) -> dict[str, PortNames]:

@@ -7,6 +7,7 @@ A swap replaces the component's whole table. Its map says what the ports of the 
     plant.y = "out[2]"            the output plant.y is one element of its output out
     plant.x_a = ["s1", "s2"]      a vector is made of several, or is a part of one: "s[0:2]"
     observer.y = "out1"           the output that drives observer.y, plant.y, is its output out1
+    plant.y = "/drive/state.a"    a field of the messages in an MCAP of another tool
 
 The new component is shown under the scenario's names (:mod:`cosim.blocks.port_map`), so that its
 connections, truths and log do not know of the map.
@@ -19,6 +20,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import chain
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from cosim.core.port import Port
@@ -147,6 +149,19 @@ def component_table(name: str, path: str) -> Tables:
                 f"found {path!r}, needed a path that ends in .fmu (an FMU), .mcap (a recorded log) "
                 f"or .csv, .parquet or .mcap{SAMPLES} (samples with their times)"
             )
+
+
+def marked_path(path: str) -> str:
+    """Return the path of an MCAP of another tool as that of samples.
+
+    Behind a run its log has the mark: a replay does not look into the file.
+    """
+    if file_type(path) == "log":
+        from cosim.log.foreign.topics import is_foreign  # rarely needed
+
+        if is_foreign(Path(path)):
+            return path + SAMPLES
+    return path
 
 
 # --- maps ---
