@@ -1,5 +1,6 @@
 """README and its pages are true: their commands run and print what is shown, their Python runs."""
 
+import contextlib
 import json
 import math
 import re
@@ -21,6 +22,7 @@ PAGES = {
     "fmus": (ROOT / ".readme" / "fmus.md").read_text(encoding="utf-8"),
     "identification": (ROOT / ".readme" / "identification.md").read_text(encoding="utf-8"),
     "plants": (ROOT / ".readme" / "plants.md").read_text(encoding="utf-8"),
+    "recordings": (ROOT / ".readme" / "recordings.md").read_text(encoding="utf-8"),
 }
 EXIT_CODES = {
     "--atol": 1,
@@ -59,6 +61,8 @@ def run_command(command, capsys):
 
 def expected_code(command):
     """Return the exit code that a command should have."""
+    if command.startswith("cosim replay field.mcap --map"):
+        return 2
     return next((code for word, code in EXIT_CODES.items() if word in command.split()), 0)
 
 
@@ -71,12 +75,15 @@ def comparable(text):
 def write_scenario(folder):
     """Save the scenarios and the module that the pages show, as they tell their reader to."""
     shown_in = {"pair": "README", "faults": "README", "fall": "README", "drive": "plants"}
-    shown_in["loop"] = "coupling"
+    shown_in |= {"loop": "coupling", "tank": "recordings"}
     for name, page in shown_in.items():
         shown = [block for block in blocks(page, "toml") if f'name = "{name}"' in block]
         (folder / f"{name}.toml").write_text(shown[0], encoding="utf-8")
     (drag,) = [block for block in blocks("README", "python") if "class Drag" in block]
     (folder / "drag.py").write_text(drag, encoding="utf-8")
+    (recording,) = blocks("recordings", "python")
+    with contextlib.chdir(folder):
+        exec(compile(recording, "recording", "exec"), {"__name__": "readme"})
 
 
 @pytest.mark.parametrize("page", PAGES)
