@@ -32,7 +32,7 @@ from cosim.log.metadata import decode_design, json_table, json_texts, read_json,
 from cosim.log.own_file import OwnFile
 from cosim.log.paths import log_path
 from cosim.log.preamble import EVENT_TOPIC, FORMAT, LOG_TOPIC, STEP_TOPIC
-from cosim.log.result import RESULT, RESULT_FILE
+from cosim.log.result import PARTIAL_STATUS, RESULT, RESULT_FILE
 from cosim.log.rows import LogRows
 from cosim.log.signal_hashes import hash_signals
 from cosim.log.stream import TimedRows
@@ -129,7 +129,8 @@ class Log(RecordedRun):
     def status(self) -> str:
         """How the run ended: ``complete``, ``failed`` or ``interrupted``.
 
-        ``unknown`` if another tool left that out.
+        ``partial`` if this is a part of its log, see :mod:`cosim.log.partial`; ``unknown`` if
+        another tool left that out.
         """
         return self._metadata.get(RESULT, {}).get("status", "unknown")
 
@@ -408,6 +409,8 @@ class Log(RecordedRun):
         """
         statistics = self._file.summary.statistics
         text = self._metadata.get(RESULT, {}).get("steps", "")
+        if self.status == PARTIAL_STATUS:
+            return
         if statistics is None or not text.isdecimal():
             return  # what is no number is refused where it is asked for
         steps = self.steps

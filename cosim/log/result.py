@@ -19,6 +19,7 @@ from cosim.log.summary import RecordGroup
 
 RESULT = "cosim.result"
 RESULT_FILE = "result.json"
+PARTIAL_STATUS = "partial"  # of a log that has not all rows of its run
 
 
 @dataclass(frozen=True, slots=True)

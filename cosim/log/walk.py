@@ -142,7 +142,9 @@ def _rescue(stream: BinaryIO, contents: FileContents) -> str:
     last = chunks[-1]
     stream.seek(last.start + HEADER + 8)  # behind the time of its first message
     end_ns = int.from_bytes(stream.read(8), "little")
-    return f"it is whole up to t = {end_ns / 1e9} s: run it again, or save that with 'mcap recover'"
+    return (
+        f"it is whole up to t = {end_ns / 1e9} s: run it again, or save that with 'cosim recover'"
+    )
 
 
 def damage_error(path: Path, offset: int, reason: str) -> LogError:

@@ -21,6 +21,7 @@ from cosim.core.stepping.actions import Action
 from cosim.errors import LogError, UsageError, command, flag, listing, nearest, option, quoted
 from cosim.log import Log
 from cosim.log.metadata import json_table
+from cosim.log.result import PARTIAL_STATUS
 from cosim.scenario.building.build import Builder, parse
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.building.fingerprint import fingerprint
@@ -316,19 +317,34 @@ def _with_code(specs: Mapping[str, Kind], named: Set[str], *, allow_code: bool) 
 
 
 def _check_whole(source: CompleteRecording) -> None:
-    """Check that a log is no window of a replay: nothing can be computed without what was before.
+    """Check that a log has all rows up to its end: nothing can be computed without those before.
 
     Raises
     ------
     LogError
-        If it is.
+        If it is a window of a replay, or a part of a log that leaves rows out.
     """
+    if source.status == PARTIAL_STATUS and not _has_all_rows(source):
+        raise LogError(
+            f"{source.label} is partial, {source.reason}; a replay needs all rows from the start "
+            "of the run on: 'cosim merge' joins parts, 'cosim cut --to' keeps what is whole"
+        )
     window = recorded_window(source)
     if window is not None:
         raise LogError(
             f"{source.label}: found a replay from {window[0]} s to {window[1]} s alone; needed a "
             f"log from the start of its run on, such as {replay_origin(source).log}"
         )
+
+
+def _has_all_rows(source: CompleteRecording) -> bool:
+    """Return whether every component has its rows from the start of the run to the end here."""
+    start_ns = source.end_ns - source.steps * source.step_ns
+    for name, channel in source.channels.items():
+        times = source.time_ns(name)
+        if len(times) != source.steps // channel.period + 1 or int(times[0]) != start_ns:
+            return False
+    return True
 
 
 def check_clock(clock: Clock, source: CompleteRecording) -> None:
