@@ -170,7 +170,8 @@ def _derivative(state: str) -> str:
 
 
 def _doc(signal: Signal) -> str:
-    return NO_VALUE if signal.optional else ""
+    marker = NO_VALUE if signal.optional else ""
+    return "; ".join(text for text in (marker, signal.description) if text)
 
 
 def _variability(signal: Signal) -> str:

@@ -509,7 +509,8 @@ class Description:
 
 def _doc(group: Sequence[Variable]) -> str:
     """Return what the variables of a group are, each text once."""
-    return "; ".join(dict.fromkeys(variable.doc for variable in group if variable.doc))
+    texts = (variable.doc.removeprefix(NO_VALUE).removeprefix("; ") for variable in group)
+    return "; ".join(dict.fromkeys(text for text in texts if text))
 
 
 def _nominal(group: Sequence[Variable]) -> tuple[float, ...]:

@@ -6,7 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cosim.core.signals import Interface, Signal
 from cosim.errors import FmuError
+from cosim.fmi.describing import describe
 from cosim.fmi.description import Description
 from cosim.fmi.reading.model_description import read
 from cosim.fmi.references import ReferenceMap, VectorElement
@@ -51,6 +53,30 @@ def test_a_signal_is_described_as_its_variables_are():
     )
     outputs = Description("m", "", "2.0", variables).interface.outputs
     assert [signal.description for signal in outputs] == ["position", "left; right", ""]
+
+
+class Ports:
+    """A model of which only the ports are described."""
+
+    states = ()
+
+    def __init__(self, interface):
+        self.interface = interface
+
+
+def test_an_exported_component_keeps_its_descriptions():
+    """Also where an output may have no value, which its variable says first."""
+    described = Interface(
+        (Signal("u", description="force"),),
+        (Signal("y", 2, description="positions"), Signal("z", optional=True, description="guess")),
+    )
+    undescribed = Interface((), (Signal("q", optional=True),))
+    for interface in (described, undescribed):
+        variables = describe(Ports(interface), "m", None).variables
+        back = Description("m", "", "2.0", variables).interface
+        texts = {signal.name: (signal.description, signal.optional) for signal in back.signals}
+        expected = interface.signals
+        assert texts == {signal.name: (signal.description, signal.optional) for signal in expected}
 
 
 def test_feedthrough_is_unknown_where_nothing_is_declared():
