@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import chain
+
 import numpy as np
 import pytest
 from mcap.reader import make_reader
@@ -102,7 +104,7 @@ def test_the_channels_are_those_of_the_log(log, server):
 
 
 def test_viewers_are_told_the_time_of_the_log(log, server):
-    """It goes on with the messages; to the end."""
+    """It goes on with the messages, one step of 1 ms after the other; to the end."""
     wall = WallClock()
     playback = Playback(log, server, now=wall.now, sleep=wall.sleep)
     with Viewer(server.url) as viewer:
@@ -117,6 +119,24 @@ def test_viewers_are_told_the_time_of_the_log(log, server):
             viewer._take(viewer._received())
     assert viewer.times == sorted(set(viewer.times))
     assert viewer.times == [k * STEP_NS for k in range(401)]
+
+
+def test_viewers_are_told_of_some_instants_of_many(log, server):
+    """Of a window of 200 steps the first, every twentieth, and the last."""
+    wall = WallClock()
+    playback = Playback(log, server, speed=20.0, now=wall.now, sleep=wall.sleep)
+    with Viewer(server.url) as viewer:
+        viewer.subscribe("/plant")
+        server.wait_for_viewer()
+        playback.run()
+        found = viewer.messages({"/plant": 401})["/plant"]
+        for _ in range(1000):
+            if viewer.times and viewer.times[-1] == 400 * STEP_NS:
+                break
+            viewer._take(viewer._received())
+    assert [time_ns for time_ns, _ in found] == [k * STEP_NS for k in range(401)]
+    windows = [range(1, 201, 20), [200], range(201, 401, 20), [400]]
+    assert viewer.times == [0, *(k * STEP_NS for k in chain(*windows))]
 
 
 @pytest.mark.parametrize("speed", [0.5, 1.0, 3.0])
