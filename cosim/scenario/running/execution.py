@@ -389,7 +389,7 @@ def replay(
     callable_argument("progress", progress)
     callable_argument("notice", notice)
     _check_profile(profile)
-    if not isinstance(log, Log) and is_foreign(path_argument("log", log)):
+    if isinstance(log, str | Path) and is_foreign(path_argument("log", log)):
         check_field_options(allow_code=allow_code, window=window, components=components)
         loaded = scenario if isinstance(scenario, Scenario) or scenario is None else load(scenario)
         return run(
