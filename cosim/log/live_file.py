@@ -137,6 +137,7 @@ class LiveFile:
         self._summary = summary
         self._sync = sync
         self._tail: _Tail | None = None
+        self._is_switching = False
         head += _padding(len(head))
         self._crc = zlib.crc32(head)
         self._end = len(head)
@@ -155,12 +156,8 @@ class LiveFile:
 
     def commit(self, group: RecordGroup) -> None:
         """Add records for good, in place of the tail if there is one."""
-        if self._tail is not None and not self._fits_before(self._tail, group):
-            # Twice as far into the hole as it is long: behind that there is room for it.
-            self.replace_tail(group)
-        padding = _padding(self._end + len(group.data))
-        self._put(self._end, group)
-        self._keep(group, padding)
+        self.replace_tail(group)
+        self.keep_tail()
 
     def replace_tail(self, group: RecordGroup) -> None:
         """Put records in place of the tail, or begin one."""
@@ -169,6 +166,7 @@ class LiveFile:
             self._put(self._end, group)
             return
         behind_tail = tail.hole + HEADER
+        # Twice as far into the hole as it is long: before that there is room for it, to be kept.
         with_room = self._end + 2 * (len(group.data) + 2 * HEADER)
         self._put(max(behind_tail, with_room), group)
 
@@ -177,14 +175,18 @@ class LiveFile:
         tail = self._tail
         if tail is None:
             return
-        if tail.start == self._end:
-            padding = _padding(self._end + len(tail.group.data))
-            self._keep(tail.group, padding)
-        else:
-            self.commit(tail.group)
+        group = tail.group
+        if tail.start != self._end:
+            self._put(self._end, group)
+        padding = _padding(self._end + len(group.data))
+        self._summary.add(group.placed(self._end))
+        self._crc = zlib.crc32(padding, zlib.crc32(group.data, self._crc))
+        self._end += len(group.data) + len(padding)
+        self._tail = None
 
     def close(self) -> None:
         """Write the end of an ordinary, compact file."""
+        self._check_switched()
         self.keep_tail()
         start = self._end + DATA_END_SIZE
         encoded = self._summary.encoded(start)
@@ -210,15 +212,9 @@ class LiveFile:
     def _fits_before(self, tail: _Tail, group: RecordGroup) -> bool:
         return self._end + len(group.data) + 2 * HEADER <= tail.start
 
-    def _keep(self, group: RecordGroup, padding: bytes) -> None:
-        """Count records that stand at the end of the data as part of it."""
-        self._summary.add(group.placed(self._end))
-        self._crc = zlib.crc32(padding, zlib.crc32(group.data, self._crc))
-        self._end += len(group.data) + len(padding)
-        self._tail = None
-
     def _put(self, position: int, group: RecordGroup) -> None:
         """Write records into the hole and switch to them; they are the tail then."""
+        self._check_switched()
         padding = _padding(position + len(group.data))
         hole = position + len(group.data) + len(padding)
         entries = group.placed(position)
@@ -238,6 +234,7 @@ class LiveFile:
         place = self._write_slot(self._frame, other, encoded, footer_start=self._frame.footer)
         self._synchronize()
         # Then the switches. Where the footer leads, a whole record has to stand before and after.
+        self._is_switching = True
         if is_at_end:
             self._write(self._end, group.data[:HEADER])
             self._write(self._frame.footer, footer(*place))
@@ -245,6 +242,7 @@ class LiveFile:
             self._write(self._frame.footer, footer(*place))
             self._write(self._end, record_header(PAD, position - self._end - HEADER))
         self._synchronize()
+        self._is_switching = False
         self._active = other
         self._tail = _Tail(position, group, hole)
 
@@ -259,13 +257,15 @@ class LiveFile:
         Where the file may not become that long, only as far as needed.
         """
         footer_before = self._frame.footer
+        # What readers see now stands up to here, and must not be written over.
+        old_end = footer_before + END_SIZE
         generous = min(max(needed, _SMALLEST_HOLE), LARGEST_HOLE)
         try:
-            self._extend(_frame(needed + generous, summary))
+            self._extend(_frame(max(needed + generous, old_end), summary))
         except OSError:
             if self._frame.footer != footer_before:
                 raise
-            self._extend(_frame(needed + _RESERVE, summary))
+            self._extend(_frame(max(needed + _RESERVE, old_end), summary))
 
     def _extend(self, frame: _Frame) -> None:
         _check_limit(frame.footer + END_SIZE)
@@ -311,6 +311,17 @@ class LiveFile:
 
     def _write_hole(self, position: int, frame: _Frame) -> None:
         self._write(position, record_header(HOLE, frame.data_end - position - HEADER))
+
+    def _check_switched(self) -> None:
+        """Check that no switch has failed: one way of reading is at what would be written next.
+
+        Raises
+        ------
+        OSError
+            If one has. That takes a defect of the disk: a switch needs no space.
+        """
+        if self._is_switching:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
 
     def _write(self, position: int, data: bytes | memoryview) -> None:
         self._stream.seek(position)
