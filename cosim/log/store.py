@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final, final
 
 from cosim.core.recorders import EndOfRun
 from cosim.core.recording import Plan
 from cosim.log.buffer import RunContent, joined
-from cosim.log.chunks import CHUNK_BYTES, MessageBatch, one_chunk, separate_chunks
+from cosim.log.chunks import CHUNK_BYTES, one_chunk, separate_chunks
 from cosim.log.compression import Compression
 from cosim.log.content import combine_hashes
 from cosim.log.encoding import MessageEncoder
@@ -74,30 +74,24 @@ class LogStore:
         each other, until they are large together.
         """
         size = self._size(content)
-        if size >= CHUNK_BYTES / 2:
-            if self._tail:
-                self._keep_tail()
-            self._commit(self._separate(content))
-        elif self._tail_bytes + size >= CHUNK_BYTES:
-            self._commit(self._separate(joined([*self._tail, content])))
-            self._forget_tail()
+        is_large = size >= CHUNK_BYTES / 2
+        if is_large:
+            self._keep_tail()
         else:
             content = joined([content])  # a copy, to be kept
-            group = self._one(joined([*self._tail, content]))
-            if group.entries:
-                self._file.replace_tail(group)
+        is_full = is_large or self._tail_bytes + size >= CHUNK_BYTES
+        self._write(content, is_separate=is_full)
+        if is_full:
+            self._keep_tail()
+        else:
             self._tail.append(content)
             self._tail_bytes += size
-        self._count(content)
 
     def finish(self, last: RunContent | None, end: EndOfRun, values: Mapping[str, Any]) -> None:
         """Write the last flush, the result and the end of the file."""
         if last is not None and not last.is_empty:
-            content = joined([*self._tail, last])
-            is_large = self._size(content) >= CHUNK_BYTES / 2
-            self._commit(self._separate(content) if is_large else self._one(content))
-            self._forget_tail()
-            self._count(last)
+            size = self._tail_bytes + self._size(last)
+            self._write(last, is_separate=size >= CHUNK_BYTES / 2)
         self.close(end, values)
 
     def close(self, end: EndOfRun, values: Mapping[str, Any]) -> None:
@@ -118,9 +112,14 @@ class LogStore:
         """Close the file as it is."""
         self._file.abandon()
 
-    def _commit(self, group: RecordGroup) -> None:
+    def _write(self, content: RunContent, *, is_separate: bool) -> None:
+        """Write the tail again, with a content behind it."""
+        whole = joined([*self._tail, content]) if self._tail else content
+        group = self._group(whole, is_separate=is_separate)
         if group.entries:  # no component may have a row in the steps of a flush
-            self._file.commit(group)
+            self._file.replace_tail(group)
+        # Before anything else may fail: the file has these rows now.
+        self._count(content)
 
     def _count(self, content: RunContent) -> None:
         """Hash the rows that were written."""
@@ -130,9 +129,6 @@ class LogStore:
 
     def _keep_tail(self) -> None:
         self._file.keep_tail()
-        self._forget_tail()
-
-    def _forget_tail(self) -> None:
         self._tail = []
         self._tail_bytes = 0.0
 
@@ -141,19 +137,12 @@ class LogStore:
         size = len(content.rows.steps) * self._encoder.row_bytes
         return size + sum(len(message.data) for message in content.messages)
 
-    def _separate(self, content: RunContent) -> RecordGroup:
-        make = separate_chunks if self._has_few_channels else one_chunk
-        return self._group(content, make)
-
-    def _one(self, content: RunContent) -> RecordGroup:
-        return self._group(content, one_chunk)
-
-    def _group(
-        self,
-        content: RunContent,
-        make: Callable[[Sequence[MessageBatch], Compression], RecordGroup],
-    ) -> RecordGroup:
+    def _group(self, content: RunContent, *, is_separate: bool) -> RecordGroup:
+        """Return a content as chunks, where asked for with one for every channel."""
         batches = self._encoder.batches(
             content, start_ns=self._start_ns, step_ns=self._plan.step_ns
         )
-        return make(batches, self._compression) if batches else RecordGroup(b"", ())
+        if not batches:
+            return RecordGroup(b"", ())
+        make = separate_chunks if is_separate and self._has_few_channels else one_chunk
+        return make(batches, self._compression)

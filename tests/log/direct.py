@@ -1,0 +1,34 @@
+"""The store of a log, driven flush by flush, without a thread and without waiting."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cosim.log.buffer import RunContent, RunRows
+from cosim.log.head import FileHead
+from cosim.log.layout import split_channel
+from cosim.log.live_file import LiveFile
+from cosim.log.preamble import add_parts, add_preamble
+from cosim.log.store import LogStore
+
+from .recordings import STEP_NS
+
+
+def open_store(stream, plan, *, compression="none"):
+    """Return the store of a new log, written to a stream."""
+    head = FileHead(library="cosim/test")
+    parts = []
+    for channel in plan.layout.channels:
+        parts += split_channel(channel, kind="", step_ns=plan.step_ns)
+    numbered = list(zip(add_parts(head, parts), parts, strict=True))
+    add_preamble(head, plan, metadata={}, attachments=())
+    file = LiveFile(stream, head.data, head.summary())
+    store = LogStore(file, plan, numbered, compression=compression)
+    store.begin(0)
+    return store
+
+
+def content(rows, start, stop):
+    """Return rows ``start`` to ``stop`` of a run."""
+    steps = np.arange(start, stop, dtype=np.int64)
+    return RunContent(RunRows(steps, steps * STEP_NS, rows[start:stop]))

@@ -1,0 +1,63 @@
+"""What a log says of itself is true of what it holds, wherever the disk failed."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+
+from cosim.core.recorders import EndOfRun
+from cosim.log import open_log
+
+from .direct import content, open_store
+from .paged import PagedStream
+from .recordings import STEP_NS, layout, make_chunks_small, plan, same_bits, table
+
+ROWS = table(layout(), 700)
+
+
+def write(failing):
+    """Write a log, of which some writes fail; return the stream and the rows of all flushes."""
+    stream = PagedStream()
+    store = open_store(stream, plan())
+    stream.failing = failing
+    sizes = random.Random(1)
+    written = 0
+    try:
+        while written < 600:
+            count = sizes.choice([1, 3, 10, 40])
+            store.add(content(ROWS, written, written + count))
+            written += count
+        store.finish(content(ROWS, written, written + 5), EndOfRun("complete", ""), {})
+    except OSError:
+        try:
+            store.close(EndOfRun("failed", "the disk"), {})
+        except OSError:
+            store.abandon()
+        return stream, written
+    return stream, written + 5
+
+
+@pytest.mark.parametrize("lasting", [False, True], ids=["once", "from then on"])
+def test_a_failed_write_leaves_all_flushed_rows_and_their_hash(tmp_path, monkeypatch, lasting):
+    """Whichever it is; and the rows that were being flushed are there whole, or not at all."""
+    make_chunks_small(monkeypatch, 6000)
+    begun = PagedStream()
+    open_store(begun, plan())
+    whole, _ = write(range(0))
+    assert whole.writes > begun.writes + 100
+    path = tmp_path / "a.mcap"
+    closed = 0
+    for number in range(begun.writes, whole.writes, 2):
+        stream, written = write(range(number, 10**9 if lasting else number + 1))
+        path.write_bytes(stream.content)
+        log = open_log(path)
+        count = len(log.rows("plant"))
+        assert count >= written, number
+        assert same_bits(log.rows("plant"), ROWS[:count, :5]), number
+        assert same_bits(log.rows("identifier"), ROWS[:count:5, 5:]), number
+        if log.status != "unknown":
+            assert (log.steps, log.end_ns) == (count - 1, (count - 1) * STEP_NS) or not count
+            assert log.recorded_hash == log.content_hash(), number
+            closed += 1
+    assert lasting or closed > 20
