@@ -67,6 +67,8 @@ class FieldData:
         What is to be known of the samples, such as how many were out of order.
     zero_ns : int or None
         The time in the file that is t = 0 [ns]; None: its times are no whole ns.
+    discrete : tuple of str
+        Signals that are known to have nothing between two samples.
     """
 
     source: str
@@ -74,6 +76,7 @@ class FieldData:
     signals: tuple[FieldSignal, ...]
     diagnostics: tuple[str, ...] = ()
     zero_ns: int | None = None
+    discrete: tuple[str, ...] = ()
 
     def __getitem__(self, name: str) -> Matrix:
         """Return the samples of a signal, shape (N, size); NaN: not measured.

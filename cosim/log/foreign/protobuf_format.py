@@ -9,7 +9,7 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message, message_fa
 
 from cosim.errors import nearest
 from cosim.log.foreign.field_path import FieldPath, FieldProblem, path_text
-from cosim.log.foreign.values import NANOSECONDS, Picker, StampNs
+from cosim.log.foreign.values import NANOSECONDS, EnumNumber, Picker, StampNs
 
 Getter: TypeAlias = Callable[[Any], Any]
 
@@ -212,6 +212,8 @@ def _value_getter(field: Any, proto: Any, rest: FieldPath, place: FieldPath) -> 
         raise FieldProblem(f"{text!r} is {what}; needed a number")
     if rest:
         raise FieldProblem(f"{text!r} is a number, so there is no {path_text(rest)!r} in it")
+    if proto.type == _Field.TYPE_ENUM:
+        return EnumNumber
     return lambda value: value
 
 

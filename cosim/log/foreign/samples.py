@@ -27,7 +27,7 @@ from cosim.log.foreign.topics import (
     read_channels,
     read_messages,
 )
-from cosim.log.foreign.values import NANOSECONDS, Picker, nanoseconds_in, numbers
+from cosim.log.foreign.values import NANOSECONDS, EnumNumber, Picker, nanoseconds_in, numbers
 
 LOG_TIME: Final = "log_time"
 PUBLISH_TIME: Final = "publish_time"
@@ -48,6 +48,8 @@ class FieldSamples:
         NaN where a message has none.
     spacing : Spacing
         Of the messages of the topic.
+    is_discrete : bool
+        All are truth values or enumerations: there is nothing between two of them.
     """
 
     field: str
@@ -55,6 +57,7 @@ class FieldSamples:
     time_ns: Instants
     values: Matrix
     spacing: Spacing
+    is_discrete: bool
 
 
 def read_fields(
@@ -110,6 +113,11 @@ def _topics_text(name: str, topics: Sequence[str] | dict[str, Any]) -> str:
     return f"needed TOPIC.FIELD; {nearest(name.partition('.')[0], topics)}"
 
 
+def _is_discrete(value: Any) -> bool:
+    items = value if isinstance(value, list | tuple) else (value,)
+    return all(isinstance(item, bool | EnumNumber) for item in items)
+
+
 class _Column:
     """What is kept of a field: as many numbers of every message."""
 
@@ -118,6 +126,7 @@ class _Column:
         self.size: int | None = None
         self._numbers = array("d")
         self._before = 0  # messages before the first that had it
+        self.is_discrete = True  # as far as it has been seen
 
     def add(self, value: Any) -> int:
         """Keep the value of a message; return how many numbers it has.
@@ -134,6 +143,7 @@ class _Column:
                 self._numbers.extend([NAN] * self.size)
             return self.size or 1
         row = numbers(value)
+        self.is_discrete = self.is_discrete and _is_discrete(value)
         if self.size is None:
             self.size = len(row)
             self._numbers.extend([NAN] * (self.size * self._before))
@@ -270,7 +280,10 @@ class _Collector:
             if not column.size:
                 raise LogError(self._nothing_text(column))
             values = column.values(count)[kept]
-            samples.append(FieldSamples(column.field, self._topic, stamps[kept], values, spacing))
+            found = FieldSamples(
+                column.field, self._topic, stamps[kept], values, spacing, column.is_discrete
+            )
+            samples.append(found)
         return samples
 
     def _nothing_text(self, column: _Column) -> str:

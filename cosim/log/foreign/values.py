@@ -15,6 +15,10 @@ class StampNs(int):
     """A time or duration in ns, which is s as a value of a field."""
 
 
+class EnumNumber(int):
+    """The number of an enumeration: there is nothing between two of them."""
+
+
 class Picker(Protocol):
     """Takes the values of some fields out of a message.
 

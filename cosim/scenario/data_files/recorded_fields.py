@@ -113,7 +113,11 @@ def recorded_data(
     spacings = {found.topic: found.spacing for found in used}
     notes = [_note(label, topic, spacing, offset_ns) for topic, spacing in spacings.items()]
     diagnostics = tuple(note for note in notes if note)
-    return FieldData(label, t, tuple(signals), diagnostics, offset_ns)
+    discrete = []
+    for name, fields in columns.items():
+        if any(samples[field].is_discrete for field in fields):
+            discrete.append(name)
+    return FieldData(label, t, tuple(signals), diagnostics, offset_ns, tuple(discrete))
 
 
 def _unit_ns(label: str, name: str | None) -> int:

@@ -136,6 +136,13 @@ class FieldDataKind(PlantKind):
             check_step(data, context.clock.step_ns / NANOSECONDS)
         for text in data.diagnostics:
             context.warn(name, text)
+        if data.discrete and self.interpolation != "zero-order":
+            context.warn(
+                name,
+                f"{data.source}: straight lines between truth values or enumerations, "
+                f"{', '.join(data.discrete)}: between two samples they are neither; "
+                'interpolation = "zero-order" keeps the last one',
+            )
         most = data.most_in_a_step(points)
         if most > MOST_SAMPLES or most * len(points) > LARGEST_MEMORY:
             raise UsageError(

@@ -89,6 +89,7 @@ def test_fields_in_protobuf_are_what_the_stock_decoder_reads(states, field, valu
     expected = np.array([value(message) for message in messages], np.float64)
     np.testing.assert_array_equal(samples.values, expected.reshape(COUNT, -1))
     np.testing.assert_array_equal(samples.time_ns, EPOCH + STEP * np.arange(COUNT))
+    assert samples.is_discrete == (field in ("mode", "on"))
 
 
 @pytest.mark.parametrize(("time", "shift"), [("log_time", 0), ("publish_time", 5), ("stamp", 3)])

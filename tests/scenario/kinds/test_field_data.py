@@ -214,6 +214,18 @@ def test_the_samples_reach_the_identifier_as_they_are(experiment, tmp_path):
 
 
 @pytest.mark.usefixtures("without_verdicts")
+def test_samples_may_be_held(experiment, tmp_path):
+    """The last one at a communication point; those of the identifier stay what they are."""
+    y = experiment.measured(3)
+    path = experiment.written(tmp_path, y)
+    log = experiment.run(path, {"plant.interpolation": "zero-order"})
+    last = np.searchsorted(experiment.t, log.time("plant.y"), side="right") - 1
+    np.testing.assert_array_equal(log["plant.y"], y[last])
+    samples = log["plant.y_samples"]
+    np.testing.assert_array_equal(samples[np.isfinite(samples)], y)
+
+
+@pytest.mark.usefixtures("without_verdicts")
 def test_a_log_replays_without_the_file(experiment, tmp_path):
     """Bit for bit: the samples are signals, and nothing else of the file is needed."""
     path = experiment.written(tmp_path, experiment.measured(4))

@@ -149,6 +149,20 @@ def test_a_scenario_has_the_same_in_its_file(tmp_path):
         cosim.run(file)
 
 
+def test_straight_lines_between_truth_values_are_said(loop, tmp_path):
+    """What is half of a truth value is none; a hold keeps it."""
+    rows = [(EPOCH + i * STEP_NS, {"on": i % 2 == 0}) for i in range(COUNT)]
+    path = write_json(tmp_path / "on.mcap", {"/t": rows})
+    swapped = loop.swap(plant=path, map={"plant.y": "/t.on"})
+    shifted = swapped.set({"plant.offset": (EPOCH + STEP_NS // 2) / 1e9})
+    log = cosim.run(shifted, out=tmp_path / "line.mcap")
+    assert "straight lines between truth values or enumerations, /t.on: between" in warnings_of(log)
+    held = cosim.run(shifted.set({"plant.interpolation": "zero-order"}), out=tmp_path / "h.mcap")
+    assert "truth values" not in warnings_of(held)
+    assert set(held["plant.y"].tolist()) == {0.0, 1.0}
+    assert not set(log["plant.y"].tolist()) & {0.0, 1.0}
+
+
 def test_disorder_and_gaps_are_said(loop, tmp_path):
     """Behind the run, with where the gap is; and nothing where there is none."""
     assert "topic" not in warnings_of(
