@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Nanoseconds, Vector, as_columns
+from cosim.core.partial import PartialRecord, partial_of
 from cosim.core.port import Port
 from cosim.core.recording import MessageLevel, SignalNames
 from cosim.core.signals import Channel, Signal
@@ -73,6 +74,7 @@ def find_signal(
     except GraphError as error:
         raise UnknownSignalError(f"{source}: {error}") from error
     if match is None:
+        _check_declared(channels, port, source)
         suggestion = nearest(port.signal, [known.name for known in channel.signals])
         raise UnknownSignalError(
             f"{source} has no '{port}': {port.component!r} has no signal {port.signal!r}; "
@@ -95,9 +97,32 @@ def find_channel(channels: Mapping[str, Channel], component: str, *, source: str
     if not isinstance(component, str):
         raise UnknownSignalError(f"{source}: found {component!r}, needed a component's name")
     if component not in channels:
+        partial = partial_of(channels)
+        if partial is not None and component in partial.declared:
+            raise _not_recorded(f"no signal of {component!r}", channels, partial, source)
         suggestion = nearest(component, channels)
         raise UnknownSignalError(f"{source} has no component {component!r}; {suggestion}")
     return channels[component]
+
+
+def _check_declared(channels: Mapping[str, Channel], port: Port, source: str) -> None:
+    """Check that a signal that was not recorded was none of the run.
+
+    Raises
+    ------
+    UnknownSignalError
+        If it was, which a partial log knows; says what was recorded.
+    """
+    partial = partial_of(channels)
+    if partial is not None and port.find(partial.declared[port.component].by_name) is not None:
+        raise _not_recorded(f"no '{port}'", channels, partial, source)
+
+
+def _not_recorded(
+    what: str, channels: Mapping[str, Channel], partial: PartialRecord, source: str
+) -> UnknownSignalError:
+    """Return the error of what a run had, and did not record."""
+    return UnknownSignalError(f"{source} has {what}: {partial.reason(channels)}")
 
 
 def _component_of(signal: str | Port) -> str:
@@ -121,6 +146,14 @@ class RecordedSignals(Mapping[str, NDArray[np.float64]]):
     @abstractmethod
     def channels(self) -> Mapping[str, Channel]:
         """The recorded components by name, in the order of the row."""
+
+    @property
+    def partial(self) -> PartialRecord | None:
+        """What was recorded of what the run computed; None: all signals at all of their steps.
+
+        Rows of a span of time may be missing all the same: that says ``status``.
+        """
+        return partial_of(self.channels)
 
     @property
     @abstractmethod
@@ -277,7 +310,8 @@ class RecordedSignals(Mapping[str, NDArray[np.float64]]):
 
     def _overview(self) -> str:
         end = self.end_ns / 1e9
-        return (
-            f"{self.status}, {self.steps} steps to {end:g} s, {len(self)} signals of "
-            f"{len(self.channels)} components"
-        )
+        overview = f"{self.status}, {self.steps} steps to {end:g} s"
+        partial = self.partial
+        if partial is not None:
+            return f"{overview}, partial: {partial.text(self.channels)}"
+        return f"{overview}, {len(self)} signals of {len(self.channels)} components"

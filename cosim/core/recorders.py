@@ -83,7 +83,7 @@ class Memory(RecordedRun):
             check_type("attachments", attachments, Mapping, UsageError)
         self._metadata: Mapping[str, Any] = metadata or {}
         self._attachments: Mapping[str, bytes] = attachments or {}
-        self._channels: dict[str, Channel] = {}
+        self._channels: Mapping[str, Channel] = {}
         self._messages: list[RunMessage] = []
         self._events: list[SignalEvent] = []
         self._substeps: list[Substep] = []
@@ -108,7 +108,7 @@ class Memory(RecordedRun):
         """Keep the layout."""
         self.plan = plan
         self._rows = GrowingRows(plan.layout.width)
-        self._channels = {channel.name: channel for channel in plan.layout.channels}
+        self._channels = plan.channels
 
     def memory_for(self, block: Block, steps: int) -> Matrix:
         """Return the memory where the rows of a block will stay; see :class:`RowMemory`."""

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Nanoseconds
 from cosim.core.contracts import Block, Design
+from cosim.core.partial import PartialChannels, PartialRecord
 from cosim.core.port import Port
 from cosim.core.signals import Channel, FaultKind, Layout
 from cosim.instants import duration, last_nanosecond
@@ -37,6 +38,8 @@ class Plan:
     schedule : tuple of str
         The stages in order, readable: ``"cascade plant"``, ``"gauss-seidel controller plant
         observer"``.
+    partial : PartialRecord or None
+        What the layout is a part of; None: it has all that the run computes.
     """
 
     layout: Layout
@@ -44,6 +47,18 @@ class Plan:
     designs: Mapping[str, Design]
     held: Mapping[str, Mask]
     schedule: tuple[str, ...]
+    partial: PartialRecord | None = None
+
+    @property
+    def channels(self) -> Mapping[str, Channel]:
+        """The recorded components by name."""
+        channels = {channel.name: channel for channel in self.layout.channels}
+        return channels if self.partial is None else PartialChannels(channels, self.partial)
+
+    @property
+    def declared(self) -> Mapping[str, Channel]:
+        """All components of the run, with all their signals."""
+        return self.channels if self.partial is None else self.partial.declared
 
 
 class SignalEvent(NamedTuple):

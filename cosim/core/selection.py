@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
+from cosim.core.partial import partial_of
 from cosim.core.port import Port, split_element
 from cosim.core.recorded import RecordedPort, find_signal
 from cosim.core.signals import Channel, Signal
@@ -138,10 +139,18 @@ def _matching(
             if expression.fullmatch(name):
                 found[f"{name}{suffix}"] = find_signal(channels, f"{name}{suffix}", source=source)
     if not found:
+        partial = partial_of(channels)
+        if partial is not None and _matches_any(whole, partial.declared):
+            reason = partial.reason(channels)
+            raise UnknownSignalError(f"{source}: no recorded signal matches {pattern!r}: {reason}")
         raise UnknownSignalError(
             f"{source}: no signal matches {pattern!r}; {nearest(pattern, names)}"
         )
     return found
+
+
+def _matches_any(expression: re.Pattern[str], channels: Mapping[str, Channel]) -> bool:
+    return any(expression.fullmatch(name) for name in _names(channels))
 
 
 def selected_columns(selection: Mapping[str, RecordedPort]) -> tuple[SelectedColumn, ...]:

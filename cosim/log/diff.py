@@ -1,5 +1,8 @@
 """Two recorded runs compared, signal by signal, at the times they share, and event by event.
 
+Of a partial log there is what it has: signals that it did not record are left out, and where it has
+not every row, the other run's rows there.
+
 Without tolerances the comparison is of bits: 0.0 and -0.0 differ. With tolerances a pair of values
 agrees where ``|a - b| <= atol + rtol * max|a|``, the maximum over all the signal's rows and
 elements, or where both are NaN.
@@ -10,14 +13,15 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
-from typing import Any, Literal, TypeAlias, final
+from typing import Any, Final, Literal, TypeAlias, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Nanoseconds
+from cosim.core.partial import partial_of
 from cosim.core.port import Port
 from cosim.core.recorded import find_signal
 from cosim.core.recording import Recording
@@ -28,8 +32,19 @@ from cosim.log.pairing import Window, windows
 from cosim.log.tolerances import Tolerances
 
 DifferenceStatus: TypeAlias = Literal[
-    "equal", "within", "outside", "other times", "other size", "only in a", "only in b"
+    "equal",
+    "within",
+    "outside",
+    "other times",
+    "other size",
+    "only in a",
+    "only in b",
+    "not recorded in a",
+    "not recorded in b",
 ]
+# what a partial log does not have says nothing about its run
+_LEFT_OUT: Final = frozenset({"not recorded in a", "not recorded in b"})
+_NOT_COMPARED: Final = _LEFT_OUT | {"other size", "only in a", "only in b"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +94,8 @@ class SignalDifference:
     status : str
         ``equal``: the same bits at the same times; ``within`` or ``outside`` the tolerance;
         ``other times``: within it where both have values, but they have not the same instants;
-        ``other size``, ``only in a``, ``only in b``: not compared.
+        ``other size``, ``only in a``, ``only in b``: not compared; ``not recorded in a`` or
+        ``b``: neither, as that log is partial, which is no difference.
     rows : tuple of int
         Numbers of rows in a and in b, and at times they share.
     largest : float
@@ -138,12 +154,16 @@ class LogDifference:
     @property
     def same_rows(self) -> bool:
         """Whether all signals have the same bits at the same times."""
-        return all(row.status == "equal" for row in self.rows)
+        return all(row.status == "equal" for row in self._compared)
+
+    @property
+    def _compared(self) -> list[SignalDifference]:
+        return [row for row in self.rows if row.status not in _LEFT_OUT]
 
     @property
     def within(self) -> bool:
         """Whether both runs have all signals and events at the same times, within the tolerance."""
-        same_rows = all(row.status in {"equal", "within"} for row in self.rows)
+        same_rows = all(row.status in {"equal", "within"} for row in self._compared)
         return same_rows and not self.events.outside
 
     @property
@@ -237,18 +257,47 @@ def diff(
     rows: dict[str, SignalDifference] = {}
     for component, pairs in _pairs_by_component(names, columns_a, columns_b).items():
         blocks = [partial(_blocks, run, component, span_ns) for run in (a, b)]
-        rows.update(_compare(pairs, blocks[0], blocks[1], tolerance))
+        thinned = (_is_thinned(a, component), _is_thinned(b, component))
+        rows.update(_compare(pairs, blocks[0], blocks[1], tolerance, thinned=thinned))
     for name in names:
         if name not in rows:
             run_a = a if name in columns_a else None
             run_b = b if name in columns_b else None
             rows[name] = _not_compared(name, run_a, run_b, span_ns)
+            if run_a is None and _was_left_out(a, name):
+                rows[name] = replace(rows[name], status="not recorded in a")
+            elif run_b is None and _was_left_out(b, name):
+                rows[name] = replace(rows[name], status="not recorded in b")
+    if rows and all(row.status in _LEFT_OUT for row in rows.values()):
+        raise LogError(
+            f"{a.label} and {b.label} have no recorded signal in common: one of them is partial"
+        )
     tolerances: dict[str, float | None] = {}
     for name, row in rows.items():
-        if row.status not in {"other size", "only in a", "only in b"}:
+        if row.status not in _NOT_COMPARED:
             tolerances[name] = row.tolerance if any(tolerance.of(name)) else None
     events = compare_events((a, b), (columns_a, columns_b), tolerances, span_ns)
     return LogDifference(tuple(rows[name] for name in names), atol, rtol, events, tolerance.own)
+
+
+def _is_thinned(run: Recording, component: str) -> bool:
+    """Return whether a run has not every row of a component."""
+    recorded = partial_of(run.channels)
+    if recorded is None:
+        return False
+    return run.channels[component].period > recorded.declared[component].period
+
+
+def _was_left_out(run: Recording, name: str) -> bool:
+    """Return whether a run had a signal that it did not record."""
+    recorded = partial_of(run.channels)
+    if recorded is None:
+        return False
+    try:
+        find_signal(recorded.declared, name, source=run.label)
+    except UnknownSignalError:
+        return False
+    return True
 
 
 def _pairs_by_component(
@@ -288,6 +337,9 @@ def _expanded(a: Recording, b: Recording, signals: Sequence[str]) -> list[str]:
     known = dict.fromkeys([*_all_columns(a), *_all_columns(b)])
     for signal in signals:
         own = [signal]
+        for run in (a, b):
+            if isinstance(signal, str) and not is_pattern(signal) and _was_left_out(run, signal):
+                find_signal(run.channels, signal, source=run.label)
         if isinstance(signal, str) and is_pattern(signal) and signal not in known:
             own = [name for name in known if matches(signal, name)]
             if not own:
@@ -366,10 +418,13 @@ def _compare(
     a: Callable[[], Iterator[tuple[Nanoseconds, Matrix]]],
     b: Callable[[], Iterator[tuple[Nanoseconds, Matrix]]],
     tolerances: Tolerances,
+    *,
+    thinned: tuple[bool, bool],
 ) -> dict[str, SignalDifference]:
     """Compare the signals of a component; leave out those whose sizes differ.
 
-    ``a`` and ``b`` return the blocks of its rows in both runs.
+    ``a`` and ``b`` return the blocks of its rows in both runs, which need not have them all where
+    they are ``thinned``.
     """
     same_size = [comparison for comparison in comparisons if comparison.same_size]
     if not same_size:
@@ -383,7 +438,7 @@ def _compare(
     for window in windows(a(), b()):
         for comparison in same_size:
             comparison.add(window)
-    return {comparison.name: comparison.result() for comparison in same_size}
+    return {comparison.name: comparison.result(thinned) for comparison in same_size}
 
 
 @final
@@ -400,7 +455,6 @@ class _Comparison:
         self._tolerance = 0.0
         self._exact = True
         self._same_bits = True
-        self._same_times = True
         self._first: ElementDifference | None = None
 
     @property
@@ -433,7 +487,6 @@ class _Comparison:
             times = times[shared_a]
             values_a = values_a[shared_a]
             values_b = values_b[shared_b]
-            self._same_times = False
         counts = (len(rows_a), len(rows_b), len(times))
         count_a, count_b, count_shared = map(sum, zip(self._rows, counts, strict=True))
         self._rows = (count_a, count_b, count_shared)
@@ -447,11 +500,11 @@ class _Comparison:
         if self._first is None:
             self._first = _first_outside(self.name, outside, times, values_a, values_b)
 
-    def result(self) -> SignalDifference:
-        """Return how the signal compares."""
+    def result(self, thinned: tuple[bool, bool]) -> SignalDifference:
+        """Return how the signal compares in two runs, of which some have not every row."""
         return SignalDifference(
             self.name,
-            self._status(),
+            self._status(*thinned),
             self._rows,
             self._largest,
             self._scale,
@@ -459,10 +512,14 @@ class _Comparison:
             self._first,
         )
 
-    def _status(self) -> DifferenceStatus:
+    def _status(self, a_thinned: bool, b_thinned: bool) -> DifferenceStatus:
         if self._first is not None:
             return "outside"
-        if not self._same_times:
+        count_a, count_b, count_shared = self._rows
+        others = (count_a > count_shared and not b_thinned) or (
+            count_b > count_shared and not a_thinned
+        )
+        if others or (count_a and count_b and not count_shared):
             return "other times"
         return "equal" if self._same_bits else "within"
 

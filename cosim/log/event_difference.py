@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from struct import pack
 from typing import NamedTuple, TypeAlias
 
+from cosim.core.partial import partial_of
 from cosim.core.port import Port
 from cosim.core.recorded import find_signal
 from cosim.core.recording import EventCause, Recording, SignalEvent
@@ -155,7 +156,7 @@ def _jumps(
     jumps = {}
     for event in events:
         is_compared = False
-        if event.cause in OF_COMPONENTS:
+        if event.cause in OF_COMPONENTS or _is_left_out(run, event):
             continue
         for column, value in _elements(run, event):
             for signal, element in known.get((Port.parse(event.signal).component, column), ()):
@@ -164,6 +165,22 @@ def _jumps(
                 is_compared = True
         count += is_compared
     return count, jumps
+
+
+def _is_left_out(run: Recording, event: SignalEvent) -> bool:
+    """Return whether an event is of a signal that a partial run did not record.
+
+    Raises
+    ------
+    UnknownSignalError
+        If the run does not have it.
+    """
+    partial = partial_of(run.channels)
+    if partial is None:
+        return False
+    port = find_signal(partial.declared, event.signal, source="the run")
+    channel = run.channels.get(port.channel.name)
+    return channel is None or port.signal.name not in channel.by_name
 
 
 def _elements(run: Recording, event: SignalEvent) -> list[tuple[int, float]]:

@@ -12,6 +12,7 @@ from cosim.log.head import FileHead
 from cosim.log.layout import Part
 from cosim.log.messages import EVENT_SCHEMA, LOG_SCHEMA, STEP_SCHEMA, MessageSchema
 from cosim.log.metadata import add_checksum, compact, encode_design
+from cosim.log.record_selection import DECLARED, RECORD, declaration_json, partial_metadata
 from cosim.log.schema import component_schema, identifiers
 from cosim.log.viewer_layout import LAYOUT_FILE, layout_json, output_panels
 
@@ -72,10 +73,11 @@ def add_preamble(
     *,
     metadata: Mapping[str, Mapping[str, str]],
     attachments: Sequence[Attachment],
+    kinds: Mapping[str, str],
 ) -> int:
     """Add the channel of messages, the metadata and the attachments; return the channel's id."""
     channel_id = _add_channel(head, LOG_TOPIC, LOG_SCHEMA)
-    for name, items in _complete_metadata(plan, metadata).items():
+    for name, items in _complete_metadata(plan, metadata, kinds).items():
         head.metadata(name, add_checksum(name, items))
     for attachment in _with_layout(plan, attachments):
         head.attachment(attachment.name, attachment.media_type, attachment.data)
@@ -86,8 +88,7 @@ def _with_layout(plan: Plan, attachments: Sequence[Attachment]) -> list[Attachme
     """Return attachments with a layout for viewers; the caller's, where there is one."""
     if any(attachment.name == LAYOUT_FILE for attachment in attachments):
         return list(attachments)
-    channels = {channel.name: channel for channel in plan.layout.channels}
-    layout = layout_json(output_panels(channels))
+    layout = layout_json(output_panels(plan.channels))
     return [*attachments, Attachment(LAYOUT_FILE, "application/json", layout)]
 
 
@@ -96,29 +97,33 @@ def _add_channel(head: FileHead, topic: str, schema: MessageSchema) -> int:
 
 
 def _complete_metadata(
-    plan: Plan, metadata: Mapping[str, Mapping[str, str]]
+    plan: Plan, metadata: Mapping[str, Mapping[str, str]], kinds: Mapping[str, str]
 ) -> dict[str, dict[str, str]]:
     """Return all metadata records: the caller's, completed by the recorder's own."""
     completed = {name: dict(items) for name, items in metadata.items()}
-    for name, items in _own_metadata(plan).items():
+    for name, items in _own_metadata(plan, kinds).items():
         # Ours after the caller's: no caller may overwrite what a replay rests on.
         completed[name] = {**completed.get(name, {}), **items}
     return completed
 
 
-def _own_metadata(plan: Plan) -> dict[str, dict[str, str]]:
+def _own_metadata(plan: Plan, kinds: Mapping[str, str]) -> dict[str, dict[str, str]]:
     stages = compact(list(plan.schedule))
     records = {
         "cosim.run": {"format": FORMAT},
         "cosim.env": environment(),
         "cosim.schedule": {"step_ns": str(plan.step_ns), "stages": stages},
     }
-    for channel in plan.layout.channels:
-        name = channel.name
+    if plan.partial is not None:
+        records[RECORD] = partial_metadata(plan.partial)
+    for name, channel in plan.declared.items():
         design = plan.designs.get(name, {})
         held = [bool(value) for value in plan.held.get(name, ())]
         records[f"cosim.component.{name}"] = {
             "cosim.design": encode_design(design),
             "cosim.held": compact(held),
         }
+        if plan.partial is not None:
+            items = records[f"cosim.component.{name}"]
+            items[DECLARED] = declaration_json(channel, kinds.get(name, ""), plan.step_ns)
     return records

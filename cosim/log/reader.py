@@ -18,6 +18,7 @@ from mcap.opcode import Opcode
 from cosim.arguments import log_argument
 from cosim.arrays import Mask, Matrix, Nanoseconds
 from cosim.core.contracts import Design
+from cosim.core.partial import PartialChannels, declared_channels
 from cosim.core.recorded import RunMessage, find_channel
 from cosim.core.recorded_run import RecordedRun, blocks_within
 from cosim.core.recorders import Memory
@@ -32,6 +33,7 @@ from cosim.log.metadata import decode_design, json_table, json_texts, read_json,
 from cosim.log.own_file import OwnFile
 from cosim.log.paths import log_path
 from cosim.log.preamble import EVENT_TOPIC, FORMAT, LOG_TOPIC, STEP_TOPIC
+from cosim.log.record_selection import read_partial
 from cosim.log.result import PARTIAL_STATUS, RESULT, RESULT_FILE
 from cosim.log.rows import LogRows
 from cosim.log.signal_hashes import hash_signals
@@ -83,8 +85,9 @@ class Log(RecordedRun):
         self._metadata = self._read_metadata()
         self._check_format()
         self._parts = self._read_parts()
-        self._channels = self._read_channels()
+        self._channels: Mapping[str, Channel] = MappingProxyType(self._read_channels())
         self._kinds = {part.channel.name: part.kind for part in self._parts.values()}
+        self._recognize_partial()
         self._attachments = self._file.attachments()
         self._rows = LogRows(self._file, self._declared, self._parts, self._channels)
         self._check_rows_of_run()
@@ -103,7 +106,7 @@ class Log(RecordedRun):
     @property
     def channels(self) -> Mapping[str, Channel]:
         """The recorded components by name, in the order of the row."""
-        return MappingProxyType(self._channels)
+        return self._channels
 
     @property
     def kinds(self) -> Mapping[str, str]:
@@ -200,7 +203,7 @@ class Log(RecordedRun):
     def designs(self) -> Mapping[str, Design]:
         """The design-time arrays of every component, bit for bit."""
         designs: dict[str, Design] = {}
-        for name in self._channels:
+        for name in declared_channels(self._channels):
             designs[name] = self._component_metadata(name, "cosim.design", decode_design, {})
         return MappingProxyType(designs)
 
@@ -208,7 +211,7 @@ class Log(RecordedRun):
     def held(self) -> Mapping[str, Mask]:
         """Which input elements of every component had a zero-order hold."""
         held: dict[str, Mask] = {}
-        for name, channel in self._channels.items():
+        for name, channel in declared_channels(self._channels).items():
             none_held = np.zeros(channel.interface.n_u, dtype=np.bool_)
             mask = self._component_metadata(name, "cosim.held", _read_mask, none_held)
             if len(mask) != len(none_held):
@@ -489,6 +492,24 @@ class Log(RecordedRun):
                 f"{self.path}: component {channel.name!r} is not complete: its channels hold"
                 f" columns {spans}, needed 0 to {width} once"
             )
+
+    def _recognize_partial(self) -> None:
+        """Read what the log is a part of, and the kinds of what it has not, where it is partial.
+
+        Raises
+        ------
+        LogError
+            If that cannot be understood.
+        """
+        try:
+            found = read_partial(self._metadata, self._channels)
+        except (*MALFORMED, GraphError) as error:
+            raise LogError(
+                f"{self.path}: what is recorded of the run cannot be understood: {error}"
+            ) from error
+        if found is not None:
+            partial, self._kinds = found
+            self._channels = PartialChannels(self._channels, partial)
 
     def _read_metadata(self) -> dict[str, Mapping[str, str]]:
         metadata: dict[str, Mapping[str, str]] = {}

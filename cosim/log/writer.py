@@ -182,7 +182,11 @@ class McapRecorder:
         parts = self._parts(plan)
         numbered_parts = list(zip(add_parts(head, parts), parts, strict=True))
         self._channel_ids[LOG_TOPIC] = add_preamble(
-            head, plan, metadata=self._metadata, attachments=self._attachments
+            head,
+            plan,
+            metadata=self._metadata,
+            attachments=self._attachments,
+            kinds=self._kinds,
         )
         if self._has_events:
             self._channel_ids[EVENT_TOPIC] = add_event_channel(head)

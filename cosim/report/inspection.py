@@ -12,6 +12,7 @@ import numpy as np
 
 from cosim.core.connections import Connection, unit_reached
 from cosim.core.graph import Graph
+from cosim.core.partial import declared_channels
 from cosim.core.port import Port
 from cosim.core.recorded import RunMessage
 from cosim.core.recording import SignalEvent
@@ -79,7 +80,7 @@ def describe_log(path: str) -> Section:
         signals += _signal_rows(channel, log.kinds.get(name, ""))
     metadata = {}
     differences = {}
-    for name in log.channels:
+    for name in declared_channels(log.channels):
         entry = component_table(log, name)
         report = entry.pop("swap_report", {})
         if report:
@@ -88,6 +89,7 @@ def describe_log(path: str) -> Section:
             metadata[name] = entry
     content = {
         "run": about,
+        **_partial(log),
         "loops": [gain_values(gain) for gain in recorded_loop_gains(log)],
         **_substeps(log),
         "signals": signals,
@@ -102,6 +104,16 @@ def describe_log(path: str) -> Section:
     if more:
         content["more messages"] = {"not shown": more}
     return content
+
+
+def _partial(log: Log) -> Section:
+    """Return what is recorded of what, where that is not all."""
+    partial = log.partial
+    if partial is None:
+        return {}
+    overview = partial.overview(log.channels)
+    overview["not recorded"] = partial.missing(log.channels)
+    return {"partial": overview}
 
 
 def _substeps(log: Log) -> Section:

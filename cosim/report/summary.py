@@ -13,6 +13,7 @@ import numpy as np
 
 from cosim.arrays import Matrix, Vector, as_columns
 from cosim.core.gain.loop_gain import LoopGain
+from cosim.core.partial import declared_channels, is_recorded_whole
 from cosim.core.recorded import find_signal
 from cosim.core.recording import Recording
 from cosim.core.stages.substep_control import SubstepCounts
@@ -234,13 +235,13 @@ def summarize(recording: Recording) -> Summary:
     identifiers: dict[str, ComponentRecord] = {}
     reconstructions = []
     compensations = []
-    for name in recording.channels:
+    for name in declared_channels(recording.channels):
         record = component_record(recording, name)
         if record.is_identifier:
             identifiers[name] = record
         if record.reconstruction is not None:
             reconstructions.append(_reconstruction(recording, name, record, record.reconstruction))
-        if record.compensation is not None:
+        if record.compensation is not None and is_recorded_whole(recording.channels, name):
             from cosim.report.compensation import summarize_compensation  # rarely needed
 
             compensations.append(summarize_compensation(recording, name, record.compensation))
@@ -293,11 +294,12 @@ def summarize(recording: Recording) -> Summary:
 def _interpolated(recording: Recording, loop: Collection[str]) -> tuple[str, ...]:
     """Return the outputs from outside a loop that are interpolated over a communication step."""
     found: dict[str, None] = {}
+    declared = declared_channels(recording.channels)
     for to, sources in connected_sources(recording).items():
         name, _, _ = to.partition(".")
         if name not in loop:
             continue
-        port = find_signal(recording.channels, to, source="connections")
+        port = find_signal(declared, to, source="connections")
         if recording.held[name][port.columns].all():
             continue
         for source in sources:
@@ -309,7 +311,8 @@ def _interpolated(recording: Recording, loop: Collection[str]) -> tuple[str, ...
 
 def _is_constant(recording: Recording, source: str) -> bool:
     """Whether an output inherits how it changes from inputs, and there are none."""
-    port = find_signal(recording.channels, source, source="connections")
+    declared = declared_channels(recording.channels)
+    port = find_signal(declared, source, source="connections")
     return port.signal.variability == "inherited" and not port.channel.interface.inputs
 
 
@@ -370,7 +373,7 @@ def _reconstruction(
     recording: Recording, name: str, record: ComponentRecord, design: ReconstructionRecord
 ) -> DeltaReconstruction:
     """Return what the delta of an observer costs, with its inputs held or interpolated."""
-    channel = recording.channels[name]
+    channel = declared_channels(recording.channels)[name]
     columns = channel.interface.input_columns().get("y", slice(0, 0))
     held = recording.held[name][columns]
     shape = (-1, len(held)) if len(held) else (0, 0)
@@ -428,7 +431,9 @@ def _identification(
     """Summarize what is known of an identifier."""
     eigenvalues: tuple[float, ...] = ()
     sentence = ""
-    if record.unknowns is not None:
+    if record.unknowns is not None and is_recorded_whole(
+        recording.channels, component, "regressor"
+    ):
         eigenvalues, sentence = _information(recording, component, record)
     amplitudes = []
     for of_data in identification.amplitudes:

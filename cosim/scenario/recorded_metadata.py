@@ -5,6 +5,7 @@ A log may come from anywhere: what is read here has the types that the reports r
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Final, TypeVar
 
@@ -13,8 +14,10 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter,
 
 from cosim.arrays import Matrix
 from cosim.core.gain.loop_gain import LoopGain
+from cosim.core.partial import partial_of
 from cosim.core.recorded import find_signal
 from cosim.core.recording import Recording
+from cosim.core.signals import Channel
 from cosim.core.simulation import NEVER_TRUE
 from cosim.core.stages.substep_control import SUBSTEP_COUNTS, SubstepCounts
 from cosim.errors import LogError
@@ -661,6 +664,8 @@ def recorded_window(recording: Recording) -> tuple[float, float] | None:
 def truth_of(recording: Recording) -> dict[str, Any]:
     """Return what each estimate of a run should equal: a port, a list of ports, or values.
 
+    What was not recorded, or is to be compared with what was not, is left out.
+
     Raises
     ------
     LogError
@@ -668,9 +673,34 @@ def truth_of(recording: Recording) -> dict[str, Any]:
     """
     table = _json(run_metadata(recording).get("truth", "{}"), "truth")
     _checked(_TRUTH, table, "truth")
+    partial = partial_of(recording.channels)
+    kept = {}
     for estimate, truth in table.items():
+        names = [estimate, *truth_ports(truth)]
+        if partial is not None and not _are_recorded(names, recording.channels, partial.declared):
+            continue
         _check_truth(recording, estimate, truth)
-    return dict(table)
+        kept[estimate] = truth
+    return kept
+
+
+def _are_recorded(
+    names: Iterable[str], channels: Mapping[str, Channel], declared: Mapping[str, Channel]
+) -> bool:
+    """Return whether all of some signals of a run are recorded.
+
+    Raises
+    ------
+    LogError
+        If one of them is none of the run.
+    """
+    found = []
+    for name in names:
+        port = find_signal(declared, name, source="truth")
+        component = port.channel.name
+        is_there = component in channels and port.signal.name in channels[component].by_name
+        found.append(is_there)
+    return all(found)
 
 
 def _check_truth(recording: Recording, estimate: str, truth: Any) -> None:

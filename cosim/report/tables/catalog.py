@@ -24,7 +24,7 @@ KINDS_TITLE = "component kinds; [optional parameters]; 'cosim list KIND' explain
 def print_catalog(*, as_json: bool) -> None:
     """Print the shipped scenarios and the component kinds with their parameters."""
     from cosim.scenario.document.document import find, shipped
-    from cosim.scenario.document.schema import ActionTable, ModelTable, Settings
+    from cosim.scenario.document.schema import ActionTable, ModelTable, RecordTable, Settings
     from cosim.scenario.kinds import KINDS
     from cosim.scenario.kinds.parameters import parameters_of
     from cosim.scenario.user_kinds.installed_kinds import installed_classes
@@ -43,6 +43,7 @@ def print_catalog(*, as_json: bool) -> None:
             "settings": settings,
             "models": models,
             "actions": actions,
+            "record": _plain_parameters(parameters_of(RecordTable)),
             "kinds": kinds,
             "installed": _plain_installed(),
         }
@@ -55,6 +56,7 @@ def print_catalog(*, as_json: bool) -> None:
     print_table(_parameters_table("keys of [scenario]", parameters_of(Settings)))
     print_table(_parameters_table("keys of a table of [models]", parameters_of(ModelTable)))
     print_table(_parameters_table("keys of an entry of [[actions]]", parameters_of(ActionTable)))
+    print_table(_parameters_table("keys of [record]", parameters_of(RecordTable)))
     table = new_table(KINDS_TITLE, ("kind", "ports", "parameters", "description"))
     for name, kind in KINDS.items():
         table.add_row(name, kind.ports, _names(parameters_of(kind)), _description(kind))

@@ -13,9 +13,11 @@ from cosim.blocks.replay import Replay
 from cosim.core.clock import Clock, start_nanoseconds
 from cosim.core.contracts import Component
 from cosim.core.graph import Graph
+from cosim.core.partial import declared_channels
+from cosim.core.partial_recorder import chosen_signals
 from cosim.core.port import Port
 from cosim.core.recording import Recording
-from cosim.core.signals import Interface
+from cosim.core.signals import Channel, Interface
 from cosim.core.stepping.actions import AT_CONDITION, Action, ConditionalAction, TimedAction
 from cosim.core.structure.connection_checks import check_connections
 from cosim.core.structure.ports import Ports, layout_of
@@ -135,6 +137,7 @@ class Builder:
         self._reactions: tuple[ConditionalAction, ...] = ()
         self._check_actions()
         self._check_until()
+        self._check_record()
 
     def _check_times(self) -> set[Key]:
         """Add the problems of the times; return the settings that are then not known."""
@@ -335,6 +338,22 @@ class Builder:
             return
         self.problems += check_until(until, known, unknown, step_ns)
 
+    def _check_record(self) -> None:
+        """Add the problem of what is chosen to be recorded, where all components are known."""
+        selection = self.scenario.file.record.selection
+        key = ("record", "signals")
+        if selection.signals is None or self._invalid or not self.components:
+            return
+        channels = {c.name: c for c in layout_of(self.components).channels}
+        try:
+            chosen_signals(channels, selection, beside=self._declared)
+        except UsageError as error:
+            self.problems.append((key, str(error).removeprefix("the run: ")))
+
+    @property
+    def _declared(self) -> Mapping[str, Channel]:
+        return {} if self._recording is None else declared_channels(self._recording.channels)
+
     def _settings(self) -> dict[tuple[int, str], Action]:
         """Return what sets parameters, by time [ns] and component."""
         settings: dict[tuple[int, str], Action] = {}
@@ -441,6 +460,7 @@ class Builder:
             until=self.scenario.file.scenario.until,
             settings=self._settings(),
             recorded=self._recorded_names(),
+            declared=self._declared,
         )
 
     def _recorded_names(self) -> tuple[str, ...]:

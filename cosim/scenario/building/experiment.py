@@ -12,6 +12,7 @@ from cosim.core.contracts import Design
 from cosim.core.gain.loop_gain import LoopGain
 from cosim.core.graph import Graph
 from cosim.core.recording import Plan, SignalEvent
+from cosim.core.signals import Channel
 from cosim.core.stepping.actions import Action, ConditionalAction, TimedAction
 from cosim.scenario.identification.model import IdentifiedPlant
 from cosim.scenario.kinds.initial_states import GivenStates
@@ -90,6 +91,8 @@ class Experiment:
         The designs of the components that take the places of others, for the log.
     recorded : tuple of str
         Of a replay: the components that are taken from the recording.
+    declared : mapping of component name to Channel
+        Of a replay: all that the recorded run had, some of which need not be here.
     """
 
     scenario: Scenario
@@ -117,6 +120,7 @@ class Experiment:
     settings: Mapping[tuple[int, str], Action] = field(default_factory=dict)
     setting_designs: Mapping[str, str] = field(default_factory=dict)
     recorded: tuple[str, ...] = ()
+    declared: Mapping[str, Channel] = field(default_factory=dict)
 
     @property
     def has_events(self) -> bool:

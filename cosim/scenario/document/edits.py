@@ -22,6 +22,7 @@ TABLES = (
     "models",
     *FLAT,
     ACTIONS,
+    "record",
 )  # what a dotted key may begin with, beside a component
 
 

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Final, Literal
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator
 
+from cosim.core.partial import RecordSelection
 from cosim.errors import quoted
 from cosim.units import base_unit, unknown_unit
 
@@ -269,6 +270,26 @@ class ActionTable(TomlTable):
     )
 
 
+class RecordTable(TomlTable):
+    """The table [record]: which signals are recorded, and how often."""
+
+    signals: Annotated[tuple[str, ...], Field(min_length=1)] | None = Field(
+        None,
+        description='names of signals and patterns, such as ["plant.*", "observer.delta"]; left '
+        "out: all",
+    )
+    every: Annotated[Whole, Field(ge=1)] = Field(
+        1,
+        description="communication steps between rows; a component with a period of several steps "
+        "has rows at the multiples of both",
+    )
+
+    @property
+    def selection(self) -> RecordSelection:
+        """The same for a recorder."""
+        return RecordSelection(self.signals, self.every)
+
+
 class File(TomlTable):
     """The content of a scenario file; components and actions are validated each on its own."""
 
@@ -279,6 +300,7 @@ class File(TomlTable):
     truth: dict[str, str | tuple[str, ...] | Number | NumberRow] = {}
     swap: dict[str, SwapTable] = {}
     actions: tuple[dict[str, Any], ...] = ()
+    record: RecordTable = RecordTable(signals=None, every=1)
 
 
 def truth_ports(truth: Any) -> list[str]:

@@ -13,6 +13,8 @@ from time import perf_counter
 from cosim.arrays import Matrix
 from cosim.core.contracts import Block
 from cosim.core.master import run as run_graph
+from cosim.core.partial import RecordSelection
+from cosim.core.partial_recorder import PartialRecorder
 from cosim.core.recorders import Memory, Watched
 from cosim.core.recording import Recorder
 from cosim.errors import LogError, RunError, UsageError, flag, option
@@ -93,7 +95,8 @@ def record(
     if out is None:
         attachments = {file.name: file.data for file in attachments_of(experiment)}
         memory = Memory(metadata_of(experiment), attachments)
-        taking = memory if beside is None else beside(memory)
+        taking = chosen_of(experiment, memory)
+        taking = taking if beside is None else beside(taking)
         run_into(taking, experiment, progress=progress, profile=profile)
         behind()
         return memory
@@ -106,7 +109,8 @@ def record(
         if target.notice is not None:
             announce_size(log, experiment.clock.steps, target.notice)
 
-    taking = log if beside is None else beside(log)
+    taking = chosen_of(experiment, log)
+    taking = taking if beside is None else beside(taking)
     try:
         run_into(taking, experiment, progress=progress, profile=profile, began=began)
         behind()
@@ -117,6 +121,14 @@ def record(
                 error.add_note(f"{recorded.path} {_recorded_part(recorded)}")
         raise
     return log.recorded()
+
+
+def chosen_of(experiment: Experiment, recorder: Recorder) -> Recorder:
+    """Return what passes on to a recorder what the scenario has it record."""
+    selection = experiment.scenario.file.record.selection
+    if selection == RecordSelection():
+        return recorder
+    return PartialRecorder(recorder, selection, beside=experiment.declared)
 
 
 def _recorded_part(log: Log) -> str:

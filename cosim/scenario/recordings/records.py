@@ -14,9 +14,12 @@ from cosim.core.conditions import until_text
 from cosim.core.connections import Connection
 from cosim.core.contracts import Block, Stopped
 from cosim.core.gain.loop_gain import LoopGain
+from cosim.core.partial import partial_layout
+from cosim.core.partial_recorder import chosen_signals
 from cosim.core.recorded_run import SCENARIO_FILE
 from cosim.core.recorders import close, end_of_run, error_text
 from cosim.core.recording import MessageLevel, Plan, Recorder, SignalEvent, Substep
+from cosim.core.signals import Channel
 from cosim.core.stages.substep_control import SUBSTEP_COUNTS, SubstepCounts
 from cosim.errors import Interrupted, RunError, listing
 from cosim.interrupts import uninterrupted
@@ -301,6 +304,16 @@ def _plain(connection: Connection, conversions: tuple[Conversion, ...]) -> dict[
     return values
 
 
+def recorded_channels(experiment: Experiment) -> dict[str, Channel]:
+    """Return what a run records of its components."""
+    layout = experiment.graph.layout
+    selection = experiment.scenario.file.record.selection
+    channels = {channel.name: channel for channel in layout.channels}
+    signals = chosen_signals(channels, selection, beside=experiment.declared)
+    chosen, _ = partial_layout(layout, signals, selection.every)
+    return {channel.name: channel for channel in chosen.channels}
+
+
 def attachments_of(experiment: Experiment) -> list[Attachment]:
     """Return the files for the log.
 
@@ -311,7 +324,7 @@ def attachments_of(experiment: Experiment) -> list[Attachment]:
     for name, xml in experiment.attachments.items():
         attachments.append(Attachment(name, "application/xml", xml.encode()))
     graph = experiment.graph
-    channels = {channel.name: channel for channel in graph.layout.channels}
+    channels = recorded_channels(experiment)
     panels = viewer_panels(channels, graph.connections, experiment.truth)
     attachments.append(Attachment(LAYOUT_FILE, "application/json", layout_json(panels)))
     return attachments

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from typing import Any, Final
 
 import numpy as np
@@ -11,6 +12,7 @@ from cosim.core.connections import Connection
 from cosim.core.port import Port
 from cosim.core.recorded import RecordedPort, find_signal
 from cosim.core.signals import Channel
+from cosim.errors import UnknownSignalError
 from cosim.log.viewer_layout import ViewerPanel, output_panels
 from cosim.scenario.document.schema import truth_ports
 
@@ -41,7 +43,9 @@ def viewer_panels(
             if estimate in _SHOWN and not is_known:
                 shown[port] = None
     for estimate in shown:
-        panels.append(_estimate_panel(channels, estimate, truth.get(estimate)))
+        panel = _estimate_panel(channels, estimate, truth.get(estimate))
+        if panel.signals:
+            panels.append(panel)
     return panels
 
 
@@ -60,13 +64,20 @@ def _measured(
     for to, connection in connections.items():
         if to.component in estimators and to.signal == _MEASURED:
             sources |= dict.fromkeys(map(str, connection.sources))
-    return tuple(find_signal(channels, source, source=_SOURCE) for source in sources)
+    return tuple(_recorded(channels, sources))
+
+
+def _recorded(channels: Mapping[str, Channel], names: Iterable[str]) -> Iterator[RecordedPort]:
+    """Yield the signals that are recorded, in their order."""
+    for name in names:
+        with suppress(UnknownSignalError):
+            yield find_signal(channels, name, source=_SOURCE)
 
 
 def _estimate_panel(channels: Mapping[str, Channel], estimate: str, truth: Any) -> ViewerPanel:
     """Return an estimate with the signals, or the values, that it should have."""
     names = [estimate, *truth_ports(truth)]
-    signals = tuple(find_signal(channels, name, source=_SOURCE) for name in names)
+    signals = tuple(_recorded(channels, names))
     return ViewerPanel(estimate, signals, tuple(_levels(truth)))
 
 

@@ -14,7 +14,7 @@ from cosim.errors import RunError, UsageError
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.preparing import build_experiment
-from cosim.scenario.recordings.recording import Target, check_target, log_recorder
+from cosim.scenario.recordings.recording import Target, check_target, chosen_of, log_recorder
 from cosim.scenario.recordings.records import MessageRecorder, metadata_of
 from cosim.scenario.session import Opened, Session
 
@@ -48,7 +48,7 @@ def _opened(scenario: Scenario, target: Target, resources: ExitStack, is_next: b
     elif Path(out).resolve() in experiment.files and not target.numbered:
         raise UsageError(f"{out} is read in this run; choose another path for the log")
     log = log_recorder(experiment, out, target, events=True)
-    recorder = MessageRecorder(log, experiment)
+    recorder = MessageRecorder(chosen_of(experiment, log), experiment)
     with ExitStack() as entered:
         entered.enter_context(recorder)
         simulation = _begun(experiment, identity, recorder)

@@ -1,0 +1,150 @@
+"""A part of what a run computes, for a recorder: the run itself is the same, to the last bit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from types import TracebackType
+from typing import Any, Final, Self, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.arrays import Matrix
+from cosim.core.contracts import Block
+from cosim.core.partial import PartialRecord, RecordSelection, partial_layout
+from cosim.core.recording import MessageLevel, Plan, Recorder, SignalEvent, Substep
+from cosim.core.selection import select_signals
+from cosim.core.signals import Channel
+from cosim.errors import UsageError, listing
+
+_LAST: Final = "last"  # the values of all signals at the end, by the names of their elements
+_NONE: Final[Mapping[str, Channel]] = {}
+
+
+def chosen_signals(
+    channels: Mapping[str, Channel],
+    selection: RecordSelection,
+    *,
+    beside: Mapping[str, Channel] = _NONE,
+) -> dict[str, list[str]]:
+    """Return the signals of a run that it records, by component.
+
+    Parameters
+    ----------
+    channels : mapping of component name to Channel
+        Of the run.
+    selection : RecordSelection
+    beside : mapping of component name to Channel
+        Components that the run has not, but may be named: of a replay, those of its log.
+
+    Raises
+    ------
+    UnknownSignalError
+        If a pattern chooses nothing; names the nearest.
+    UsageError
+        If one chooses elements of a signal, or only what the run has not.
+    """
+    if selection.signals is None:
+        return {name: [signal.name for signal in c.signals] for name, c in channels.items()}
+    known = {**beside, **channels}
+    chosen: dict[str, list[str]] = {}
+    for name, port in select_signals(known, selection.signals, source="the run").items():
+        if port.size != port.signal.size:
+            raise UsageError(
+                f"found {name!r}, which is a part of a signal; needed whole signals, such as "
+                f"'{port.channel.name}.{port.signal.name}'"
+            )
+        if port.channel.name in channels:
+            chosen.setdefault(port.channel.name, []).append(port.signal.name)
+    if not chosen:
+        raise UsageError(
+            f"found {selection}, which chooses no signal of what runs here: {listing([*channels])}"
+        )
+    return chosen
+
+
+@final
+class PartialRecorder:
+    """Passes on the chosen signals.
+
+    Parameters
+    ----------
+    recorder : Recorder
+    selection : RecordSelection
+    beside : mapping of component name to Channel
+        As of :func:`chosen_signals`.
+    """
+
+    def __init__(
+        self,
+        recorder: Recorder,
+        selection: RecordSelection,
+        *,
+        beside: Mapping[str, Channel] = _NONE,
+    ) -> None:
+        self._recorder = recorder
+        self._selection = selection
+        self._beside = beside
+        self._columns: slice | NDArray[np.intp] = slice(None)
+        self._labels: frozenset[str] | None = None
+
+    def __enter__(self) -> Self:
+        self._recorder.__enter__()
+        return self
+
+    def __exit__(
+        self,
+        error_type: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._recorder.__exit__(error_type, error, trace)
+
+    def begin(self, plan: Plan) -> None:
+        """Pass on the plan of what is chosen."""
+        declared = plan.channels
+        signals = chosen_signals(declared, self._selection, beside=self._beside)
+        layout, columns = partial_layout(plan.layout, signals, self._selection.every)
+        partial = PartialRecord(self._selection, declared)
+        chosen = {channel.name: channel for channel in layout.channels}
+        if all(partial.is_whole(name, chosen) for name in declared):
+            self._recorder.begin(plan)
+            return
+        is_start = columns == list(range(len(columns)))
+        self._columns = slice(len(columns)) if is_start else np.array(columns, np.intp)
+        self._labels = frozenset(_labels(layout.channels))
+        self._recorder.begin(replace(plan, layout=layout, partial=partial))
+
+    def write(self, block: Block, signals: Matrix) -> None:
+        """Pass on the columns that are chosen; the recorder picks the rows by their periods."""
+        self._recorder.write(block, signals[:, self._columns])
+
+    def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
+        """Pass on."""
+        self._recorder.message(time_ns, level, source, text)
+
+    def event(self, event: SignalEvent) -> None:
+        """Pass on."""
+        self._recorder.event(event)
+
+    def substep(self, substep: Substep) -> None:
+        """Pass on."""
+        self._recorder.substep(substep)
+
+    def result(self, values: Mapping[str, Any]) -> None:
+        """Pass on; of the last row the elements that are chosen."""
+        last = values.get(_LAST)
+        if self._labels is not None and isinstance(last, Mapping):
+            kept = {label: value for label, value in last.items() if label in self._labels}
+            values = {**values, _LAST: kept}
+        self._recorder.result(values)
+
+
+def _labels(channels: Sequence[Channel]) -> list[str]:
+    """Return the names of all elements, ``component.signal[0]``."""
+    labels = []
+    for channel in channels:
+        for signal in channel.signals:
+            labels += [f"{channel.name}.{element}" for element in signal.elements]
+    return labels

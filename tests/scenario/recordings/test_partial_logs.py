@@ -1,0 +1,312 @@
+"""Runs of which chosen signals are recorded, every so many steps: the table [record]."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+import cosim
+from cosim.core.signals import element_names
+from cosim.errors import LogError, ScenarioError, UnknownSignalError
+from cosim.log.metadata import add_checksum
+from cosim.log.partial.cutting import cut
+from cosim.log.partial.merging import merge
+from cosim.log.viewer_layout import LAYOUT_FILE
+from cosim.report.inspection import describe_log
+from cosim.report.summary import summarize
+from tests.log.crafting import put_together, take_apart, without_checksum
+
+SHORT = {"scenario.stop": 0.2, "identifier.period": 0.01}
+CHOSEN = ["plant.*", "observer.delta"]
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """Record all of a run whose identifier answers every ten communication steps."""
+    path = tmp_path_factory.mktemp("logs") / "whole.mcap"
+    return cosim.run("academic", out=path, set=SHORT)
+
+
+@pytest.fixture(scope="module")
+def part(tmp_path_factory):
+    """Record some signals of the same run, every ten steps."""
+    path = tmp_path_factory.mktemp("logs") / "part.mcap"
+    return cosim.run("academic", out=path, set=SHORT | record(CHOSEN, 10))
+
+
+def record(signals=None, every=None):
+    """Return the settings of the table [record]."""
+    settings = {} if signals is None else {"record.signals": signals}
+    return settings if every is None else settings | {"record.every": every}
+
+
+@pytest.mark.parametrize("in_memory", [False, True])
+@pytest.mark.parametrize(
+    ("signals", "every"),
+    [
+        (CHOSEN, 1),
+        (["*.delta", "identifier.theta"], 4),
+        (["identifier.theta", "u.y"], 7),
+        (None, 3),
+        (["plant.y"], 1000),  # more steps than the run has
+    ],
+)
+def test_what_is_recorded_has_the_bits_of_the_whole_run(whole, tmp_path, signals, every, in_memory):
+    """Rows are those at the multiples of ``every`` and of the period of the component alike."""
+    out = None if in_memory else tmp_path / "a.mcap"
+    run = cosim.run("academic", out=out, set=SHORT | record(signals, every))
+    assert run.partial is not None
+    periods = {name: 10 if name == "identifier" else 1 for name in whole.channels}
+    for name, channel in run.channels.items():
+        steps = np.arange(0, 201, math.lcm(periods[name], every))
+        assert run.time_ns(name).tolist() == (steps * 1_000_000).tolist()
+        for signal in channel.signals:
+            port = f"{name}.{signal.name}"
+            expected = whole[port][steps // periods[name]]
+            assert run[port].tobytes() == np.ascontiguousarray(expected).tobytes()
+    assert (run.steps, run.end_ns, run.status) == (200, 200_000_000, "complete")
+    assert [message.text for message in run.messages()] == [m.text for m in whole.messages()]
+
+
+def test_patterns_choose_as_everywhere(whole, part):
+    """The recorded signals are those that the same patterns choose of a whole log."""
+    assert list(part) == list(whole.to_pandas(CHOSEN).columns.str.split("[").str[0].unique())
+
+
+def test_a_selection_of_everything_is_a_whole_log(whole, tmp_path):
+    """The file is no other one: the same hash, and nothing says that it is partial."""
+    run = cosim.run("academic", out=tmp_path / "a.mcap", set=SHORT | record(["*"], 1))
+    assert run.partial is None
+    assert run.content_hash() == whole.content_hash()
+    assert "cosim.record" not in run.metadata
+
+
+def test_stock_readers_see_the_recorded_columns_alone(part):
+    """The schema has a field for each recorded element; there are no other channels of signals."""
+    with part.path.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    topics = {channel.topic for channel in summary.channels.values()}
+    assert topics == {"/plant", "/observer", "/cosim/log"}
+    counts = summary.statistics.channel_message_counts
+    for channel_id, channel in summary.channels.items():
+        if channel.topic == "/observer":
+            declared = json.loads(channel.metadata["cosim.signals"])
+            assert [signal["name"] for signal in declared] == ["delta"]
+            assert counts[channel_id] == 21
+
+
+def test_a_partial_log_knows_all_that_there_was(whole, part):
+    """Its declarations are those of the whole log, so that it can say what is missing."""
+    declared = part.partial.declared
+    assert list(declared) == list(whole.channels)
+    for name, channel in whole.channels.items():
+        assert element_names(declared[name].signals) == element_names(channel.signals)
+        assert declared[name].period == channel.period
+        assert declared[name].interface.feedthrough == channel.interface.feedthrough
+    assert part.partial.missing(part.channels)["regressor"] == ["delta", "mu"]
+    assert part.kinds == whole.kinds
+    assert part.held.keys() == whole.held.keys()
+    assert part.designs.keys() == whole.designs.keys()
+
+
+def test_a_partial_log_says_so(part):
+    """In its text, in what info shows, and where something else is asked for."""
+    assert "partial: 6 of 24 signals, of 2 of 6 components, at every 10 steps" in repr(part)
+    assert "partial: 6 of 24" in part._repr_html_()
+    about = describe_log(str(part.path))["partial"]
+    assert (about["signals"], about["every"]) == (CHOSEN, 10)
+    assert about["not recorded"]["u"] == ["y"]
+    reason = r"the log is partial, it was recorded with \[record\] signals = \[.*\], every = 10"
+    for ask in (
+        lambda: part["observer.x_a"],
+        lambda: part["u.y"],
+        lambda: part.rows("regressor"),
+        lambda: part.to_pandas("regressor.*"),
+        lambda: part.signal_hashes("u.*"),
+        lambda: list(part.blocks("u")),
+    ):
+        with pytest.raises(UnknownSignalError, match=reason):
+            ask()
+    with pytest.raises(UnknownSignalError, match="no component 'plnt'; did you mean 'plant'"):
+        part["plnt.y"]
+    with pytest.raises(UnknownSignalError, match="'plant' has no signal 'yy'; did you mean 'y'"):
+        part["plant.yy"]
+
+
+def test_the_content_hash_covers_what_is_recorded(part):
+    """It is that of the rows that are there, and not that of the whole run."""
+    assert part.content_hash() == part.recorded_hash
+
+
+def test_the_layout_for_viewers_shows_what_is_recorded(part):
+    """No path of a signal that the file does not have."""
+    text = part.attachment(LAYOUT_FILE).decode()
+    assert "/observer.delta" in text
+    for name in ("/regressor", "/identifier", "/observer.x"):
+        assert name not in text
+
+
+def test_a_summary_shows_what_is_recorded(part):
+    """Truths of signals that are not recorded are left out; verdicts are results of the run."""
+    summary = summarize(part)
+    assert summary.signals == ()
+    assert [entry.component for entry in summary.identifications] == ["identifier"]
+
+
+def test_two_partial_logs_and_a_whole_one_are_compared_where_they_have_rows(whole, part, tmp_path):
+    """Signals that one has not are named, and are no difference; a name asks for them in vain."""
+    difference = cosim.diff(part, whole)
+    assert difference.equal
+    status = {row.signal: row.status for row in difference.rows}
+    assert status["plant.x_a"] == "equal"
+    assert status["u.y"] == "not recorded in a"
+    other = cosim.run("academic", out=tmp_path / "a.mcap", set=SHORT | record(["plant.y"], 4))
+    rows = {row.signal: row for row in cosim.diff(other, part).rows}
+    assert rows["plant.y"].status == "equal"
+    assert rows["plant.y"].rows == (51, 21, 11)  # at the multiples of 20
+    with pytest.raises(UnknownSignalError, match=r"no signal of 'u': the log is partial"):
+        cosim.diff(whole, part, signals=["u.y"])
+    apart = cosim.run("academic", out=tmp_path / "b.mcap", set=SHORT | record(["u.y"]))
+    with pytest.raises(LogError, match="no recorded signal in common: one of them is partial"):
+        cosim.diff(part, apart)
+
+
+def test_a_thinned_log_of_another_run_differs(part, tmp_path):
+    """Only rows that it does not have are left out, not those that differ."""
+    changed = SHORT | {"plant.x_a0": [1.0, -0.5]}
+    other = cosim.run("academic", out=tmp_path / "a.mcap", set=changed)
+    assert not cosim.diff(part, other).equal
+    longer = SHORT | {"scenario.stop": 0.3} | record(CHOSEN, 10)
+    further = cosim.run("academic", out=tmp_path / "b.mcap", set=longer)
+    short = cosim.run("academic", out=tmp_path / "c.mcap", set=SHORT)
+    assert {row.status for row in cosim.diff(further, short).rows} >= {"other times"}
+
+
+def test_a_partial_log_is_cut_and_merged_again(part, tmp_path):
+    """Both spans say what they have of the signals; merged they are the log again."""
+    paths = [tmp_path / "first.mcap", tmp_path / "second.mcap"]
+    first = cut(part.path, None, 0.1, paths[0])
+    second = cut(part.path, 0.105, None, paths[1])
+    assert first.partial == second.partial == part.partial
+    assert (len(first["plant.y"]), len(second["plant.y"])) == (11, 10)
+    merged = merge(paths, tmp_path / "merged.mcap")
+    assert merged.content_hash() == part.content_hash()
+    assert merged.status == "complete"
+
+
+def test_a_session_records_what_its_scenario_says(whole, tmp_path):
+    """Steps by hand have the same rows."""
+    scenario = cosim.load("academic").set(SHORT | record(CHOSEN, 10))
+    with scenario.start(out=tmp_path / "a.mcap") as session:
+        session.run_until(0.2)
+    log = cosim.open_log(tmp_path / "a.mcap")
+    assert list(log) == [*(f"plant.{name}" for name in whole.channels["plant"].by_name), CHOSEN[1]]
+    assert log["observer.delta"].tobytes() == whole["observer.delta"][::10].tobytes()
+
+
+def test_a_bound_of_the_size_is_one_of_a_partial_log(tmp_path):
+    """Less than that of a whole log, and more than the file."""
+    notices = []
+    path = tmp_path / "a.mcap"
+    cosim.run("academic", out=path, set=SHORT | record(CHOSEN, 10), notice=notices.append)
+    assert notices == []
+    assert path.stat().st_size < 100_000
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        (record(["plan.*"]), r"record.signals: no signal matches 'plan\.\*'; did you mean 'plant"),
+        (record(["plant.yy"]), "'plant' has no signal 'yy'; did you mean 'y'"),
+        (record(["plnt.y"]), "no component 'plnt'; did you mean 'plant'"),
+        (record([]), r"record.signals: found \[\]; needed at least 1"),
+        (record("plant.y"), "record.signals: found 'plant.y'; needed a list of strings"),
+        (record([1]), "record.signals.0: found 1; needed a string"),
+        (record(["plant.x_a[0]"]), "part of a signal; needed whole signals, such as 'plant.x_a'"),
+        (record(every=0), "record.every: found 0; needed at least 1"),
+        (record(every=-3), "record.every: found -3; needed at least 1"),
+        (record(every=2.5), r"record.every: found 2\.5; needed a whole number"),
+        (record(every=True), "record.every: found True; needed a whole number"),
+        (record(every=2**70), "needed an integer of at most 64 bits"),
+        ({"record.evry": 2}, "unknown key 'evry'; did you mean 'every'"),
+    ],
+)
+def test_what_cannot_be_recorded_is_refused_before_the_run(settings, message, tmp_path):
+    """Nothing is written."""
+    with pytest.raises(ScenarioError, match=message):
+        cosim.run("academic", out=tmp_path / "a.mcap", set=SHORT | settings)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_table_is_one_of_the_file(tmp_path):
+    """Its problems are told with their line; its text is what the log and show have."""
+    text = cosim.run("academic", set={"scenario.stop": 0.01}).scenario
+    path = tmp_path / "mine.toml"
+    path.write_text(text + '\n[record]\nsignals = ["plant.*", "nope.y"]\n')
+    line = len(text.splitlines()) + 3
+    with pytest.raises(ScenarioError, match=rf"mine.toml:{line}: record.signals: .*'nope'"):
+        cosim.load(path).edit(set={"scenario.stop": 0.01}).start()
+    path.write_text(text + '\n[record]\nsignals = ["plant.*"]\nevery = 5\n')
+    log = cosim.run(path, out=tmp_path / "a.mcap", set={"scenario.stop": 0.01})
+    assert log.scenario == path.read_text()
+    assert len(log["plant.y"]) == 3
+
+
+def _drop(name, key):
+    def change(content):
+        records = dict(content.metadata)
+        del records[name][key]
+
+    return change
+
+
+def _put(name, key, text):
+    def change(content):
+        records = dict(content.metadata)
+        records[name][key] = text
+
+    return change
+
+
+def _redeclare(content):
+    """Declare another size of a recorded signal."""
+    items = dict(content.metadata)["cosim.component.plant"]
+    declared = without_checksum(json.loads(items["cosim.declared"]))
+    declared["cosim.signals"] = declared["cosim.signals"].replace('"size":2', '"size":3')
+    items["cosim.declared"] = json.dumps(add_checksum("cosim.channel", declared))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (_drop("cosim.record", "every"), "'every'"),
+        (_drop("cosim.record", "components"), "'components'"),
+        (_put("cosim.record", "every", "-1"), "found '-1', needed a whole number"),
+        (_put("cosim.record", "components", "[]"), "'plant'"),
+        (_put("cosim.record", "components", '["plant", "nope"]'), "'cosim.component.nope'"),
+        (_put("cosim.record", "signals", "7"), "7"),
+        (_drop("cosim.component.u", "cosim.declared"), "'cosim.declared'"),
+        (_put("cosim.component.u", "cosim.declared", "{}"), "checksum|missing|cosim"),
+        (_redeclare, "'plant' declares no signal like 'x_a'"),
+    ],
+)
+def test_what_a_log_says_of_its_parts_is_checked(part, tmp_path, change, message):
+    """Somebody may have written it by hand."""
+    content = take_apart(part.path)
+    change(content)
+    path = tmp_path / "a.mcap"
+    put_together(content, path)
+    with pytest.raises(LogError, match=f"recorded of the run cannot be understood.*({message})"):
+        cosim.open_log(path)
+
+
+def test_a_damaged_record_of_the_parts_is_found(part, tmp_path):
+    """Its metadata have a checksum of their own, which MCAP's CRCs do not cover."""
+    data = part.path.read_bytes()
+    place = data.index(b'["plant.*"', data.index(b"cosim.record"))
+    path = tmp_path / "a.mcap"
+    path.write_bytes(data[:place] + b'["plant.?"' + data[place + 10 :])
+    with pytest.raises(LogError, match=r"cosim\.record"):
+        cosim.open_log(path)
