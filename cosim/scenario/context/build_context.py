@@ -131,7 +131,7 @@ class ScenarioBuildContext:
             allowed=named_files,
             describes=describes,
         )
-        self._field_data: dict[str, FieldData] = {}
+        self._field_data: dict[str, FieldData | UsageError] = {}
         self._designs: dict[str, tuple[Any, frozenset[str]]] = {}
         self._choices: dict[str, Mapping[str, Any]] = {}
         self._sources_beside: dict[str, Component] = {}
@@ -250,10 +250,21 @@ class ScenarioBuildContext:
         return result
 
     def field_data(self, name: str, read: Callable[[], FieldData]) -> FieldData:
-        """Return the samples of a component, which are read once."""
+        """Return the samples of a component, which are read once.
+
+        What is wrong with them is the problem of that component, which reports it itself.
+        """
         if name not in self._field_data:
-            self._field_data[name] = read()
-        return self._field_data[name]
+            try:
+                self._field_data[name] = read()
+            except UsageError as error:
+                self._field_data[name] = error
+        data = self._field_data[name]
+        if isinstance(data, UsageError):
+            if name != self.records.current:
+                raise DependsOnInvalid(str(data)) from data
+            raise data
+        return data
 
     def mapped(self, name: str) -> list[Port]:
         """Return the ports of a swapped component that its map names."""

@@ -14,6 +14,8 @@ class BuildRecords:
 
     Attributes
     ----------
+    current : str
+        The component that is being built.
     metadata : dict of component name to plain values
     warnings : list of (component, text)
     reads : dict of component name to names of tables
@@ -23,7 +25,7 @@ class BuildRecords:
     """
 
     def __init__(self) -> None:
-        self._current = ""
+        self.current = ""
         self.metadata: dict[str, dict[str, Any]] = {}
         self.warnings: list[tuple[str, str]] = []
         self.reads: dict[str, frozenset[str]] = {"": frozenset()}
@@ -31,22 +33,22 @@ class BuildRecords:
 
     def begin(self, name: str) -> None:
         """Record what is read from now on for a component."""
-        self._current = name
+        self.current = name
         self.reads[name] = frozenset()
 
     def read(self, *tables: str) -> None:
         """Record that tables are read."""
-        self.reads[self._current] |= set(tables)
+        self.reads[self.current] |= set(tables)
 
     def read_by(self, make: Callable[[], Made]) -> tuple[Made, frozenset[str]]:
         """Make something; return it, and the tables that were read for it."""
-        before = self.reads[self._current]
-        self.reads[self._current] = frozenset()
+        before = self.reads[self.current]
+        self.reads[self.current] = frozenset()
         try:
             made = make()
-            return made, self.reads[self._current]
+            return made, self.reads[self.current]
         finally:
-            self.reads[self._current] |= before
+            self.reads[self.current] |= before
 
     def add_metadata(self, name: str, metadata: Mapping[str, Any]) -> None:
         """Record metadata of a component."""

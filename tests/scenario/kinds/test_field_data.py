@@ -320,6 +320,14 @@ def test_what_cannot_be_right_is_refused(experiment, tmp_path, changes, text):
     assert text in str(refused.value)
 
 
+def test_a_file_that_cannot_be_read_is_the_problem_of_one_component(experiment, tmp_path):
+    """Not of the identifier, too, which asks how many samples there are."""
+    with pytest.raises(ScenarioError) as refused:
+        experiment.run(tmp_path / "missing.csv")
+    assert str(refused.value).count("cannot be read") == 1
+    assert "components.plant" in str(refused.value)
+
+
 def test_too_many_samples_in_a_step_are_refused(experiment, tmp_path):
     """Every one of them has a place in the log, so there is a limit."""
     path = tmp_path / "burst.csv"
