@@ -103,6 +103,23 @@ RealTimeOption = Annotated[
     ),
 ]
 
+FlushOption = Annotated[
+    float | None,
+    typer.Option(
+        metavar="SECONDS",
+        help="After how much wall time a row is in the log at the latest: a run that is killed "
+        "leaves a log that opens, without the last of these.  [default: 1.0]",
+    ),
+]
+
+SyncOption = Annotated[
+    bool,
+    typer.Option(
+        "--sync",
+        help="Wait for the disk at every flush: then the log survives a loss of power, too.",
+    ),
+]
+
 DryRunOption = Annotated[
     bool,
     typer.Option(
@@ -134,6 +151,8 @@ def run(
     host: HostOption = None,
     port: PortOption = None,
     show: ShowOption = None,
+    flush: FlushOption = None,
+    sync: SyncOption = False,
     dry_run: DryRunOption = False,
 ) -> None:
     """Run a scenario and record every signal to an MCAP log."""
@@ -187,6 +206,8 @@ def run(
             find_step=tolerances,
             realtime=realtime,
             live=server,
+            flush=flush,
+            sync=sync,
         )
     wall = {"imports": imported - BEGAN, "run": perf_counter() - imported}
     if plot is not None:

@@ -21,6 +21,7 @@ from cosim.core.contracts import Block
 from cosim.interrupts import uninterrupted
 from cosim.log.buffer import RowBuffer, RunContent, WaitingMessage
 
+FLUSH_INTERVAL: Final = 1.0  # s of wall time
 _BUFFERS: Final = 3  # one that is filled, one that is written, one between them
 _MOST_MESSAGES: Final = 10_000  # in a buffer
 _PATIENCE: Final = 0.05  # s, for which an interrupt may have to wait

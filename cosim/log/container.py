@@ -64,6 +64,11 @@ class Container:
     own : OwnFile, optional
         The file, where a run of this process has written it: the path may lead to another by now.
 
+    Attributes
+    ----------
+    is_unfinished : bool
+        Whether it is still written, or its writer was killed.
+
     Raises
     ------
     LogError
@@ -93,7 +98,9 @@ class Container:
             self.contents = walk(self.path, stream)
             self.summary = self._read_summary(stream)
         else:
-            self.summary, self.contents = index
+            self.summary = index.summary
+            self.contents = index.contents
+        self.is_unfinished = index is not None and index.is_unfinished
         chunk_indexes = self.summary.chunk_indexes
         self._chunk_indexes = {chunk.chunk_start_offset: chunk for chunk in chunk_indexes}
         self._check_summary()

@@ -12,7 +12,7 @@ import os
 import zlib
 from io import BytesIO
 from pathlib import Path
-from typing import BinaryIO, Final
+from typing import BinaryIO, Final, NamedTuple
 
 from mcap import records
 from mcap.data_stream import ReadDataStream
@@ -43,7 +43,15 @@ def is_ours(stream: BinaryIO) -> bool:
     return str(header.library).startswith(_LIBRARY)
 
 
-def read_index(path: Path, stream: BinaryIO) -> tuple[Summary, FileContents] | None:
+class LogIndex(NamedTuple):
+    """What the summary of a log says."""
+
+    summary: Summary
+    contents: FileContents
+    is_unfinished: bool  # the file is still written, or its writer was killed
+
+
+def read_index(path: Path, stream: BinaryIO) -> LogIndex | None:
     """Return the summary of a log of ours and the pieces of the file; None: it has to be walked.
 
     Raises
@@ -76,7 +84,7 @@ def read_index(path: Path, stream: BinaryIO) -> tuple[Summary, FileContents] | N
     if not is_whole:
         raise damage_error(path, start, "the CRC of the summary does not fit its content")
     summary = parse_summary(section)
-    return summary, _contents(summary)
+    return LogIndex(summary, _contents(summary), is_unfinished=not crc)
 
 
 def _sealed(section: bytes, start: int) -> bytes:

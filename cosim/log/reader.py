@@ -132,10 +132,11 @@ class Log(RecordedRun):
     def status(self) -> str:
         """How the run ended: ``complete``, ``failed`` or ``interrupted``.
 
-        ``partial`` if this is a part of its log, see :mod:`cosim.log.partial`; ``unknown`` if
-        another tool left that out.
+        ``unfinished`` if the run still goes on, or its process was killed; ``partial`` if this is
+        a part of its log, see :mod:`cosim.log.partial`; ``unknown`` if another tool left that out.
         """
-        return self._metadata.get(RESULT, {}).get("status", "unknown")
+        otherwise = "unfinished" if self._file.is_unfinished else "unknown"
+        return self._metadata.get(RESULT, {}).get("status", otherwise)
 
     @property
     def reason(self) -> str:
@@ -144,23 +145,51 @@ class Log(RecordedRun):
 
     @property
     def end_ns(self) -> int:
-        """The last recorded instant [ns], from the result; 0 if there are no rows."""
+        """The last recorded instant [ns]; 0 if there are no rows.
+
+        From the result, or, of an unfinished log, from the numbers of its rows.
+        """
+        if self._file.is_unfinished:
+            return self._start_ns + self.steps * self.step_ns if self.steps else 0
         return self._result_number("end_ns")
 
     @property
     def steps(self) -> int:
-        """Number of the last recorded communication step, from the result."""
+        """Number of the last recorded communication step.
+
+        From the result, or, of an unfinished log, from the numbers of its rows.
+        """
+        if self._file.is_unfinished:
+            return self._last_step
         return self._result_number("steps")
 
     @property
-    def recorded_hash(self) -> str:
+    def _last_step(self) -> int:
+        """The last step that a component has a row of."""
+        last = 0
+        for number, part in self._parts.items():
+            count = self._file.expected_messages(number, 1)
+            last = max(last, (count - 1) * part.channel.period)
+        return last
+
+    @property
+    def _start_ns(self) -> int:
+        statistics = self._file.summary.statistics
+        return 0 if statistics is None else int(statistics.message_start_time)
+
+    @property
+    def recorded_hash(self) -> str | None:
         """The content hash that the run recorded; :meth:`content_hash` computes that of the rows.
+
+        None: the log is unfinished.
 
         Raises
         ------
         LogError
             If there is none.
         """
+        if self._file.is_unfinished:
+            return None
         try:
             return self._metadata[RESULT]["content_hash"]
         except KeyError as error:

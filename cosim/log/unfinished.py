@@ -5,9 +5,12 @@ A file at its path is untouched until then.
 
 from __future__ import annotations
 
+import errno
+import glob
 import io
 import os
 import secrets
+import sys
 from contextlib import suppress
 from pathlib import Path
 from typing import final
@@ -15,6 +18,7 @@ from typing import final
 from cosim.errors import LogError, flag
 from cosim.log.own_file import OwnFile
 
+_HIDDEN_SUFFIX = ".part"
 _KEPT_NAME = 48  # characters of the path's name in the hidden one: names end at 255 bytes
 
 
@@ -64,10 +68,12 @@ class UnfinishedLog:
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             kept_name = self.path.name[:_KEPT_NAME]
-            hidden_name = f".{kept_name}.{secrets.token_hex(4)}"
+            hidden_name = f".{kept_name}.{secrets.token_hex(4)}{_HIDDEN_SUFFIX}"
             self._hidden_path = self.path.with_name(hidden_name)
+            _remove_abandoned(self.path.parent, kept_name)
             # After the path is known: an error or interrupt in here must not leave the file.
             self._stream = create(self._hidden_path)
+            lock(self._stream.fileno())
             self.own = OwnFile(self._hidden_path)
         except OSError as error:
             reason = error.strerror or error
@@ -82,8 +88,8 @@ class UnfinishedLog:
         Raises
         ------
         LogError
-            If a file has been created there meanwhile and ``force`` is false, or the file cannot be
-            moved.
+            If a file has been created there meanwhile and ``force`` is false, another run writes to
+            the file there, or the file cannot be moved.
         """
         if self.published:
             return
@@ -91,6 +97,7 @@ class UnfinishedLog:
         assert self.own is not None
         try:
             if self._force:
+                _check_not_written(self.path)
                 self._hidden_path.replace(self.path)  # readers of the old file keep it whole
             elif self._numbered:
                 self.path = _move_to_free(self._hidden_path, self.path)
@@ -106,6 +113,24 @@ class UnfinishedLog:
         self.own.hold(self.path)
         self.published = True
 
+    def check(self) -> None:
+        """Check that the file still stands at its path.
+
+        Raises
+        ------
+        OSError
+            If it was removed, moved or replaced.
+        """
+        if not self.published:
+            return
+        assert self._stream is not None
+        try:
+            status = os.stat(self.path)
+        except FileNotFoundError as error:
+            raise OSError(errno.ENOENT, "it has been removed, or its folder has") from error
+        if not os.path.samestat(status, os.fstat(self._stream.fileno())):
+            raise OSError(errno.ESTALE, "another file has taken its place")
+
     def discard(self) -> None:
         """Remove the file if it was not published."""
         if self.published or self._hidden_path is None:
@@ -114,6 +139,47 @@ class UnfinishedLog:
             if self._stream is not None:
                 self._stream.close()
             self._hidden_path.unlink(missing_ok=True)
+
+
+def _check_not_written(path: Path) -> None:
+    """Check that no run writes to the file at a path, if there is one.
+
+    Raises
+    ------
+    LogError
+        If one does.
+    """
+    with suppress(FileNotFoundError), path.open("rb") as stream:
+        if not lock(stream.fileno()):
+            raise LogError(
+                f"{path} is written by another run; choose another path, or end that one"
+            )
+
+
+def _remove_abandoned(folder: Path, kept_name: str) -> None:
+    """Remove the hidden files of runs that were killed before their first row."""
+    for path in folder.glob(f".{glob.escape(kept_name)}.*{_HIDDEN_SUFFIX}"):
+        with suppress(OSError), path.open("rb") as stream:
+            if lock(stream.fileno()):
+                path.unlink()
+
+
+def lock(descriptor: int) -> bool:
+    """Lock a file as one that a run writes to, until it is closed; return whether that was free.
+
+    Where a file system, or Windows, has no such locks, every file is free.
+    """
+    if sys.platform == "win32":
+        return True
+    import fcntl
+
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        return True
+    return True
 
 
 def _move_to_free(source: Path, first: Path) -> Path:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from io import RawIOBase
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final, Self, final
+from typing import Any, Self, final
 
 from cosim.arrays import Matrix
 from cosim.core.contracts import Block
@@ -14,7 +14,7 @@ from cosim.core.recorders import EndOfRun, end_of_run
 from cosim.core.recording import MessageLevel, Plan, SignalEvent, Substep
 from cosim.errors import LogError, LogWriteError, RunError
 from cosim.interrupts import uninterrupted
-from cosim.log.background import BackgroundWriter
+from cosim.log.background import FLUSH_INTERVAL, BackgroundWriter
 from cosim.log.buffer import RunContent, WaitingMessage
 from cosim.log.compression import Compression
 from cosim.log.environment import library_name
@@ -37,8 +37,6 @@ from cosim.log.reader import Log
 from cosim.log.size import size_bound
 from cosim.log.store import LogStore
 from cosim.log.unfinished import UnfinishedLog
-
-FLUSH_INTERVAL: Final = 1.0  # s of wall time
 
 
 @final
@@ -286,6 +284,7 @@ class McapRecorder:
 
     def _add(self, content: RunContent) -> None:
         """Write a content; called in the writer's thread."""
+        self._file.check()
         self._store.add(content)
 
     def _complete(self, writer: BackgroundWriter, end: EndOfRun) -> None:

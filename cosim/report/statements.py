@@ -53,10 +53,10 @@ from cosim.scenario.recorded_metadata import (
 )
 from cosim.scenario.recordings.replaying import recorded_stop
 
-COMPARED = (
-    "truth, connections, schedule, times, component tables, overrides, substeps, warnings, "
-    "last row, verdicts"
+COMPARED_UNFINISHED = (
+    "truth, connections, schedule, times, component tables, overrides, substeps, warnings"
 )
+COMPARED = f"{COMPARED_UNFINISHED}, last row, verdicts"
 NOT_COMPARED = (
     "designs, certificates, why the run ended, its machine, what FMUs and files say of themselves"
 )
@@ -205,6 +205,8 @@ class _Statements:
 
     def _of_end(self) -> Iterator[_Statement]:
         results = self._source.results
+        if self._source.status == "unfinished":
+            return
         if not results:
             yield RESULT_FILE, None, "how the run ended, and its last row"
             return

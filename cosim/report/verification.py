@@ -27,7 +27,13 @@ from cosim.errors import command, flag, listing
 from cosim.log import Log
 from cosim.log.diff import ElementDifference, LogDifference, SignalDifference, diff
 from cosim.log.environment import environment_changes
-from cosim.report.statements import COMPARED, NOT_COMPARED, Contradiction, contradictions
+from cosim.report.statements import (
+    COMPARED,
+    COMPARED_UNFINISHED,
+    NOT_COMPARED,
+    Contradiction,
+    contradictions,
+)
 from cosim.scenario.recorded_metadata import (
     ReplayOrigin,
     component_record,
@@ -37,6 +43,8 @@ from cosim.scenario.recorded_metadata import (
 from cosim.scenario.recordings.replaying import recorded_document
 
 _MOST_SHOWN = 8  # contradictions, or components
+_HASH_FITS = "the content hash is the one that its run recorded"
+_NO_HASH = "no content hash to check: the log is unfinished, as its run was killed or still goes on"
 VerificationStatus: TypeAlias = Literal["equal", "differs", "copied"]
 
 
@@ -99,8 +107,8 @@ class Verification:
 
     Parameters
     ----------
-    recorded_hash : str
-        Content hash that the run recorded.
+    recorded_hash : str or None
+        Content hash that the run recorded; None: its log is unfinished.
     found_hash : str
         Of the rows in the log.
     difference : LogDifference
@@ -125,7 +133,7 @@ class Verification:
         The part of the log that was compared [s]; None: all of it.
     """
 
-    recorded_hash: str
+    recorded_hash: str | None
     found_hash: str
     difference: LogDifference
     contradictions: tuple[Contradiction, ...]
@@ -141,10 +149,15 @@ class Verification:
     @property
     def passed(self) -> bool:
         """Whether the content is what was recorded, and follows by computation where it can."""
-        same_rows = self.found_hash == self.recorded_hash and self.difference.same_rows
+        same_rows = self._has_recorded_hash and self.difference.same_rows
         if self.window is not None:
             return same_rows and self.difference.events.equal
         return same_rows and not self.contradictions
+
+    @property
+    def _has_recorded_hash(self) -> bool:
+        """Whether the rows have the recorded hash, if there is one."""
+        return self.recorded_hash in (None, self.found_hash)
 
     @property
     def computed(self) -> tuple[str, ...]:
@@ -159,10 +172,11 @@ class Verification:
         equal = (
             f"the replay equals the log bit for bit: {len(self.computed)} signals computed again"
         )
-        lines = ["the content hash is the one that its run recorded"]
+        lines = [_HASH_FITS if self.recorded_hash is not None else _NO_HASH]
         if self.window is None:
             lines.append(equal)
-            lines.append(f"what the log says of its run is what the replay computes: {COMPARED}")
+            compared = COMPARED_UNFINISHED if self.recorded_hash is None else COMPARED
+            lines.append(f"what the log says of its run is what the replay computes: {compared}")
         else:
             begin, end = self.window
             lines.append(f"{equal}, and all events, from {begin} s to {end} s")
@@ -198,7 +212,7 @@ class Verification:
     def problems(self) -> list[str]:
         """What is wrong, in words."""
         problems = []
-        if self.found_hash != self.recorded_hash:
+        if not self._has_recorded_hash:
             problems.append(
                 "the rows are not those that its run recorded: their content hash is "
                 f"{self.found_hash}, recorded {self.recorded_hash}"
@@ -253,7 +267,7 @@ class Verification:
             "content_hash": {
                 "recorded": self.recorded_hash,
                 "found": self.found_hash,
-                "equal": self.found_hash == self.recorded_hash,
+                "equal": self._has_recorded_hash if self.recorded_hash is not None else None,
             },
             "window": None if self.window is None else list(self.window),
             "computed": list(self.computed),

@@ -4,6 +4,11 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
 
 import pytest
 
@@ -187,3 +192,90 @@ def test_a_long_name_leaves_room_for_the_hidden_one(tmp_path):
     path = tmp_path / ("ü" * 125 + ".mcap")
     record(path, steps=5)
     assert open_log(path).steps == 5
+
+
+def abandoned(tmp_path, name):
+    """Return the hidden file of a recorder whose process is killed before the first row."""
+    code = (
+        "import os, signal, sys\n"
+        "from tests.log.recordings import McapRecorder, plan\n"
+        "recorder = McapRecorder(sys.argv[1])\n"
+        "recorder.begin(plan())\n"
+        "os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    path = tmp_path / name
+    process = subprocess.run([sys.executable, "-c", code, str(path)], check=False)
+    assert process.returncode == -signal.SIGKILL
+    (hidden,) = tmp_path.glob(f".{name}.*.part")
+    return hidden
+
+
+def test_the_next_run_removes_what_a_killed_one_left(tmp_path):
+    """Its hidden file, but not that of another log, nor of a run that goes on."""
+    hidden = abandoned(tmp_path, "a.mcap")
+    other = abandoned(tmp_path, "b.mcap")
+    with McapRecorder(tmp_path / "a.mcap", numbered=True) as recorder:
+        recorder.begin(plan())
+        assert not hidden.exists()
+        assert other.exists()
+        with McapRecorder(tmp_path / "a.mcap", numbered=True) as second:
+            second.begin(plan())
+            assert len(list(tmp_path.glob(".a.mcap.*.part"))) == 2
+    assert {path.name for path in tmp_path.iterdir()} == {"a.mcap", "a-2.mcap", other.name}
+
+
+def test_a_log_that_is_written_is_not_replaced(tmp_path):
+    """A second run with ``force`` is refused, and the first goes on."""
+    path = tmp_path / "a.mcap"
+    run = list(blocks(table(layout(), 20), 10))
+
+    def replace_it():
+        with McapRecorder(path, force=True) as second:
+            second.begin(plan())
+            second.write(*run[0])
+
+    with McapRecorder(path) as recorder:
+        recorder.begin(plan())
+        recorder.write(*run[0])
+        with pytest.raises(LogError, match=r"a\.mcap is written by another run; choose another"):
+            replace_it()
+        recorder.write(*run[1])
+    assert open_log(path).steps == 20
+    assert list(tmp_path.iterdir()) == [path]
+    replace_it()
+    assert open_log(path).steps == 10
+
+
+@pytest.mark.parametrize(
+    ("harm", "reason"),
+    [
+        (lambda path: path.rename(path.with_name("b.mcap")), "it has been removed"),
+        (lambda path: path.parent.rename(path.parent.with_name("moved")), "or its folder has"),
+        (lambda path: os.replace(copied(path), path), "another file has taken its place"),
+    ],
+)
+def test_a_log_that_is_lost_is_an_error_at_the_write(tmp_path, harm, reason):
+    """What was written stays valid, wherever it is."""
+    path = tmp_path / "logs" / "a.mcap"
+    run = list(blocks(table(layout(), 3000), 10))
+
+    def go_on():
+        with McapRecorder(path, flush=0.0) as recorder:
+            recorder.begin(plan())
+            recorder.write(*run[0])
+            harm(path)
+            deadline = time.monotonic() + 60.0
+            for block, signals in run[1:]:
+                recorder.write(block, signals)
+            while time.monotonic() < deadline:
+                recorder.message(0, "info", "run", "still here")
+
+    with pytest.raises(LogWriteError, match=rf"a\.mcap cannot be written further: .*{reason}"):
+        go_on()
+    for log in tmp_path.rglob("*.mcap"):
+        assert open_log(log).status in {"failed", "unfinished"}
+
+
+def copied(path):
+    """Return the path of a copy."""
+    return shutil.copy(path, path.with_name("copy.mcap"))

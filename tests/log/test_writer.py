@@ -290,7 +290,7 @@ def test_a_full_disk_leaves_a_whole_file(tmp_path, monkeypatch, room):
         assert log.results["steps"] == count - 1
         assert log.content_hash() == log.results["content_hash"]
     else:  # no room for the end of an ordinary file: it stays as it was written
-        assert log.status == "unknown"
+        assert log.status == "unfinished"
     with (tmp_path / "a.mcap").open("rb") as stream:
         reader = NonSeekingReader(stream, validate_crcs=True)
         assert len(list(reader.iter_messages("/plant"))) == count

@@ -20,6 +20,7 @@ from cosim.core.recording import Recorder
 from cosim.errors import LogError, RunError, UsageError, flag, option
 from cosim.files import file_type
 from cosim.log import Log, McapRecorder
+from cosim.log.background import FLUSH_INTERVAL
 from cosim.log.paths import check_new_log, log_path
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.recordings.interrupting import interruptible
@@ -37,12 +38,25 @@ def _nothing() -> None:
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """Where a run is recorded: over or beside a log that is there; None: in memory."""
+    """Where a run is recorded: over or beside a log that is there; None: in memory.
+
+    Parameters
+    ----------
+    out : str, Path or None
+    force, numbered : bool
+    notice : callable or None
+    flush : float
+        After how much wall time a row is in the log at the latest [s].
+    sync : bool
+        Wait for the disk at every flush.
+    """
 
     out: str | Path | None
     force: bool = False
     numbered: bool = False
     notice: Notice | None = None
+    flush: float = FLUSH_INTERVAL
+    sync: bool = False
 
 
 def check_target(out: str | Path | None, *, force: bool = False, numbered: bool = False) -> None:
@@ -223,6 +237,8 @@ def log_recorder(
         attachments=attachments,
         events=events or experiment.has_events,
         substeps=bool(experiment.graph.substep_controls),
+        flush=target.flush,
+        sync=target.sync,
     )
 
 

@@ -161,7 +161,7 @@ def prepared_replay(source: Log, request: ReplayRequest, resources: ExitStack) -
     window = request.window
     origin = ReplayOrigin(
         str(source.path),
-        source.recorded_hash,
+        source.recorded_hash or source.content_hash(),
         copied,
         window=None if window is None else (window.begin, window.end),
         left_out=tuple(name for name in copied if specs[name].computable),

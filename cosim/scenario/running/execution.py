@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar, overload
 from cosim.arguments import (
     callable_argument,
     mapping_argument,
+    number_argument,
     path_argument,
     truth_argument,
     whole_argument,
@@ -18,8 +20,9 @@ from cosim.arguments import (
 from cosim.core.arguments import check_recorder
 from cosim.core.recorders import Memory
 from cosim.core.recording import Recorder
-from cosim.errors import UsageError, option, quoted
+from cosim.errors import UsageError, flag, option, quoted
 from cosim.log import Log, open_log
+from cosim.log.background import FLUSH_INTERVAL
 from cosim.log.foreign.topics import is_foreign
 from cosim.scenario.building.build import parse
 from cosim.scenario.building.experiment import Experiment
@@ -104,6 +107,8 @@ def run(
     find_step: Mapping[str, float] | None = None,
     realtime: float | None = None,
     live: LiveView | None = None,
+    flush: float | None = None,
+    sync: bool = False,
     recorder: None = None,
 ) -> Log | Memory: ...
 
@@ -143,6 +148,8 @@ def run(
     find_step: Mapping[str, float] | None = None,
     realtime: float | None = None,
     live: LiveView | None = None,
+    flush: float | None = None,
+    sync: bool = False,
     recorder: Recorder | None = None,
 ) -> Log | Memory | Recorder:
     """Run a scenario.
@@ -188,6 +195,11 @@ def run(
         10 ms. How late the run was is recorded; the rows are the same.
     live : LiveView, optional
         A :class:`cosim.live.LiveServer`: shows the run to viewers while it goes on.
+    flush : float, optional
+        After how much wall time a row is in the log at the latest [s]: what is lost where the
+        process is killed. Left out: 1.
+    sync : bool
+        Wait for the disk at every flush: then a loss of power leaves what was flushed, too.
     recorder : Recorder, optional
         One's own recorder, instead of ``out`` and what is about it: it takes the rows of the run,
         its messages and its results as they are computed. Nothing else is kept, and nothing is
@@ -214,6 +226,8 @@ def run(
         check_recorder(recorder)
         _check_unaccompanied(out, notice)
     check_target(out, force=force, numbered=numbered)
+    sync = truth_argument("sync", sync)
+    interval = _flush_interval(flush, sync=sync, is_logged=out is not None)
     pace = None if realtime is None else _pace_of(realtime)
     loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
     edited = loaded.edit(swap=swap, map=map, set=set)
@@ -241,10 +255,32 @@ def run(
             run_into(taking, experiment, progress=progress, profile=profile)
             behind()
             return recorder
-        target = Target(out, force, numbered, notice)
+        target = Target(out, force, numbered, notice, flush=interval, sync=sync)
         return record(
             experiment, target, progress=progress, profile=profile, beside=beside, behind=behind
         )
+
+
+def _flush_interval(flush: float | None, *, sync: bool, is_logged: bool) -> float:
+    """Return the flush interval of a log [s].
+
+    Raises
+    ------
+    UsageError
+        If it is not positive, or there is no log.
+    """
+    for name, is_given in (("flush", flush is not None), ("sync", sync)):
+        if is_given and not is_logged:
+            raise UsageError(
+                f"found {flag(name)}, which is about the log at {option('out')}, and no "
+                f"{option('out')}; needed both, or neither"
+            )
+    if flush is None:
+        return FLUSH_INTERVAL
+    interval = number_argument("flush", flush)
+    if not 0 < interval < math.inf:
+        raise UsageError(f"{option('flush')}: found {flush!r}; needed a time above 0 s")
+    return interval
 
 
 def _certification_of(scenario: Scenario, progress: Progress | None) -> Certification:

@@ -1,0 +1,97 @@
+"""The log of a run that was killed is a log: it says so, is verified, and gives back its rows."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.errors import LogError, UsageError
+from cosim.report.verification import verify
+
+
+@pytest.fixture(scope="module")
+def killed(tmp_path_factory):
+    """Return the log of a run whose process was killed, and of the same run to its end."""
+    folder = tmp_path_factory.mktemp("killed")
+    code = (
+        "import os, signal, sys, cosim\n"
+        "def kill(time, end):\n"
+        "    if cosim.open_log(sys.argv[1]).steps > 1000:\n"
+        "        os.kill(os.getpid(), signal.SIGKILL)\n"
+        "cosim.run('academic', out=sys.argv[1], flush=1e-3, progress=kill, block=500)\n"
+    )
+    path = folder / "killed.mcap"
+    process = subprocess.run([sys.executable, "-c", code, str(path)], check=False)
+    assert process.returncode == -signal.SIGKILL
+    whole = folder / "whole.mcap"
+    cosim.run("academic", out=whole)
+    return path, whole
+
+
+def test_a_killed_log_has_every_bit_of_its_run(killed):
+    """Up to the step that it ends at."""
+    log, whole = map(cosim.open_log, killed)
+    assert log.status == "unfinished"
+    assert 1000 < log.steps < whole.steps
+    assert log.end_ns == log.steps * log.step_ns
+    assert log.recorded_hash is None
+    for name in log.channels:
+        rows = log.rows(name)
+        expected = whole.rows(name)[: len(rows)]
+        assert np.array_equal(rows.view(np.int64), expected.view(np.int64)), name
+    assert "unfinished" in repr(log)
+
+
+def test_a_killed_log_is_verified_without_a_hash(killed, tmp_path):
+    """It says that there is none to check; a flipped bit of a row is damage all the same."""
+    path, _ = killed
+    verification = verify(cosim.open_log(path), cosim.replay(path))
+    assert verification.passed
+    assert verification.lines[0].startswith("no content hash to check: the log is unfinished")
+    assert "last row" not in "\n".join(verification.lines)
+    data = bytearray(path.read_bytes())
+    chunk = data.index(b"zstd") + 1000
+    data[chunk] ^= 1
+    broken = tmp_path / "broken.mcap"
+    broken.write_bytes(data)
+    with pytest.raises(LogError, match="is damaged at byte"):
+        verify(cosim.open_log(broken), cosim.replay(broken))
+
+
+def test_an_unfinished_log_may_be_moved_and_copied(killed, tmp_path):
+    """Its hole takes no space, and a copy without one reads the same."""
+    path, _ = killed
+    copy = tmp_path / "copy.mcap"
+    shutil.copy(path, copy)
+    assert cosim.open_log(copy).content_hash() == cosim.open_log(path).content_hash()
+    assert os.path.getsize(copy) == os.path.getsize(path)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"flush": 0.0, "out": "a.mcap"}, r"flush: found 0\.0; needed a time above 0 s"),
+        ({"flush": "1", "out": "a.mcap"}, "flush: found '1'; needed a number"),
+        ({"flush": 1.0}, "found flush=True, which is about the log at out, and no out"),
+        ({"sync": True}, "found sync=True, which is about the log at out, and no out"),
+        ({"sync": 1, "out": "a.mcap"}, "sync: found 1"),
+    ],
+)
+def test_options_of_writing_are_checked_before_the_run(tmp_path, monkeypatch, options, message):
+    """Each with one error."""
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(UsageError, match=message):
+        cosim.run("academic", **options)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_log_may_wait_for_the_disk(tmp_path):
+    """The rows are the same."""
+    path = tmp_path / "a.mcap"
+    cosim.run("academic", out=path, sync=True, set={"scenario.stop": 1.0})
+    assert cosim.open_log(path).content_hash() == cosim.open_log(path).recorded_hash
