@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from cosim.arrays import Vector
-from cosim.core.joined_rows import JoinedRows, joined_rows
+from cosim.core.joined_rows import JoinedRows, TableSource, joined_rows
 from cosim.core.recorded import RecordedPort
-from cosim.core.recording import Recording
 from cosim.core.selection import SelectedColumn, select_signals, selected_columns
 from cosim.errors import UsageError
 from cosim.instants import NANOSECONDS
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
 TIME: Final = "t"  # name of the column of instants [s]
 
 
-def to_pandas(run: Recording, signals: Iterable[str] | str | None) -> pandas.DataFrame:
+def to_pandas(run: TableSource, signals: Iterable[str] | str | None) -> pandas.DataFrame:
     """Return chosen signals as a frame: a column an element, the index is the time [s].
 
     Raises
@@ -47,7 +46,7 @@ def to_pandas(run: Recording, signals: Iterable[str] | str | None) -> pandas.Dat
     return pandas_.DataFrame(table.values, index=index, columns=names)
 
 
-def to_polars(run: Recording, signals: Iterable[str] | str | None) -> polars.DataFrame:
+def to_polars(run: TableSource, signals: Iterable[str] | str | None) -> polars.DataFrame:
     """Return chosen signals as a frame: a column an element, behind that of the time [s].
 
     Raises
@@ -69,7 +68,7 @@ def to_polars(run: Recording, signals: Iterable[str] | str | None) -> polars.Dat
     return polars_.DataFrame(series)
 
 
-def to_xarray(run: Recording, signals: Iterable[str] | str | None) -> xarray.Dataset:
+def to_xarray(run: TableSource, signals: Iterable[str] | str | None) -> xarray.Dataset:
     """Return chosen signals as variables over the time [s], those of several elements in 2-D.
 
     Their attributes have the units, and what the signals are.
@@ -98,7 +97,7 @@ def to_xarray(run: Recording, signals: Iterable[str] | str | None) -> xarray.Dat
     return xarray_.Dataset(variables, {TIME: time}, {"source": run.label, "status": run.status})
 
 
-def _whole(run: Recording, columns: tuple[SelectedColumn, ...]) -> JoinedRows:
+def _whole(run: TableSource, columns: tuple[SelectedColumn, ...]) -> JoinedRows:
     """Return all rows of a table."""
     parts = list(joined_rows(run, columns))
     if len(parts) == 1:

@@ -1,25 +1,23 @@
 """Signals of several components in one table: joined on time.
 
 The table has a row at every instant at which one of its components has one, and no value where a
-component has none there: of signals of one rate every value is there. Rows of one instant, as the
-limits of a jump are, pair up in their order.
+component has none there: of signals of one rate every value is there. Logs of cosim have one row of
+a component at an instant; of others, those that come together pair up in their order.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import final
+from typing import Protocol, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import NAN, Matrix, Nanoseconds
-from cosim.core.recording import Recording
 from cosim.core.selection import SelectedColumn
-from cosim.errors import LogError
+from cosim.core.signals import Channel
 
-MOST_ROWS = 2**24  # of one instant
 _INSTANT = np.dtype([("time", "<i8"), ("count", "<i8")])
 
 
@@ -49,10 +47,39 @@ class JoinedRows:
         return JoinedRows(self.time_ns[begin:end], self.values[begin:end], missing)
 
 
-def joined_rows(run: Recording, columns: Sequence[SelectedColumn]) -> Iterator[JoinedRows]:
+class TableSource(Protocol):
+    """What a table is made of."""
+
+    @property
+    def label(self) -> str:
+        """What was recorded to."""
+        ...
+
+    @property
+    def status(self) -> str:
+        """How the run ended."""
+        ...
+
+    @property
+    def channels(self) -> Mapping[str, Channel]:
+        """The recorded components by name."""
+        ...
+
+    @property
+    def step_ns(self) -> int:
+        """Communication step [ns]."""
+        ...
+
+    def blocks_of(self, components: Sequence[str]) -> Iterator[tuple[str, Nanoseconds, Matrix]]:
+        """Yield names, times and rows of components as they come, each in order of time."""
+        ...
+
+
+def joined_rows(run: TableSource, columns: Sequence[SelectedColumn]) -> Iterator[JoinedRows]:
     """Yield a table of signals, some rows at a time, in order of time.
 
-    Nothing is kept but what has been read of one component and not yet of another.
+    Nothing is kept but rows of one component that wait for those of another: of a file little, as
+    its chunks are in order of time.
 
     Raises
     ------
@@ -60,13 +87,30 @@ def joined_rows(run: Recording, columns: Sequence[SelectedColumn]) -> Iterator[J
         If a file is damaged.
     """
     components = list(dict.fromkeys(column.component for column in columns))
-    buffers = [WaitingRows(run.blocks(name)) for name in components]
     places = [_places(columns, name) for name in components]
-    while any(len(buffer.times) for buffer in buffers):
-        end = min(buffer.whole_before for buffer in buffers)
-        parts = [buffer.take(end) for buffer in buffers]
-        if any(len(times) for times, _ in parts):
-            yield _join(parts, places, len(columns))
+    pending: dict[str, _PendingRows] = {}
+    for name in components:
+        pending[name] = _PendingRows(run.channels[name].period * run.step_ns)
+    taken_before = -np.inf
+    for name, times, rows in run.blocks_of(components):
+        pending[name].add(times, rows)
+        end = min(own.whole_before for own in pending.values())
+        if end > taken_before:
+            taken_before = end
+            yield from _joined_before(end, pending, places, len(columns))
+    yield from _joined_before(np.inf, pending, places, len(columns))
+
+
+def _joined_before(
+    end: float,
+    pending: Mapping[str, _PendingRows],
+    places: Sequence[tuple[NDArray[np.intp], NDArray[np.intp]]],
+    width: int,
+) -> Iterator[JoinedRows]:
+    """Yield the rows before an instant, if there are any."""
+    parts = [own.take(end) for own in pending.values()]
+    if any(len(times) for times, _ in parts):
+        yield _join(parts, places, width)
 
 
 def _places(
@@ -117,59 +161,38 @@ def _union(
 
 
 @final
-class WaitingRows:
-    """Rows that have been read and not yet taken.
+class _PendingRows:
+    """Rows of a component that have come, and not yet those of all others at their instants."""
 
-    Parameters
-    ----------
-    blocks : iterator of (times [ns], rows)
-        In order of time; one at least, which may have no rows.
+    def __init__(self, period_ns: int) -> None:
+        self._period_ns = period_ns
+        self._parts: list[tuple[Nanoseconds, Matrix]] = []
+        self._width = 0
+        self.whole_before = -np.inf  # [ns]; no row before this instant is still to come
 
-    Raises
-    ------
-    LogError
-        If there are more rows of one instant than can be kept.
-    """
-
-    def __init__(self, blocks: Iterator[tuple[Nanoseconds, Matrix]]) -> None:
-        self._blocks = blocks
-        self.times: Nanoseconds
-        self.times, self._rows = next(blocks)
-        self._next = self._next_block()
-        if self._next is not None and not len(self.times):
-            self._read_on(*self._next)
-
-    @property
-    def whole_before(self) -> float:
-        """The instant before which all rows are here; infinite: these are all."""
-        return np.inf if self._next is None else int(self.times[-1])
+    def add(self, times: Nanoseconds, rows: Matrix) -> None:
+        """Add the next rows."""
+        self._width = rows.shape[1]
+        if len(times):
+            self._parts.append((times, rows))
+            self.whole_before = int(times[-1]) + self._period_ns
 
     def take(self, end: float) -> tuple[Nanoseconds, Matrix]:
-        """Take the rows before an instant, and read on where none are left before it."""
-        count = len(self.times)
-        if end < np.inf:
-            count = int(np.searchsorted(self.times, int(end)))
-        taken = self.times[:count], self._rows[:count]
-        self.times = self.times[count:]
-        self._rows = self._rows[count:]
-        # Rows of a single instant may have more behind them: nothing could be taken but with those.
-        if self._next is not None and (not len(self.times) or self.times[0] == self.times[-1]):
-            self._read_on(*self._next)
-        return taken
-
-    def _read_on(self, times: Nanoseconds, rows: Matrix) -> None:
-        if len(self.times) + len(times) > MOST_ROWS:
-            raise LogError(
-                f"more than {MOST_ROWS} rows at t = {int(times[0]) / 1e9} s: too many to be kept "
-                "together"
-            )
-        self.times = np.concatenate([self.times, times])
-        self._rows = np.concatenate([self._rows, rows])
-        self._next = self._next_block()
-
-    def _next_block(self) -> tuple[Nanoseconds, Matrix] | None:
-        """Return the next block with rows; None: there is none."""
-        return next((block for block in self._blocks if len(block[0])), None)
+        """Take the rows before an instant; those of the component are periodic."""
+        taken: list[tuple[Nanoseconds, Matrix]] = []
+        kept: list[tuple[Nanoseconds, Matrix]] = []
+        for times, rows in self._parts:
+            count = len(times) if end == np.inf else int(np.searchsorted(times, int(end)))
+            taken.append((times[:count], rows[:count]))
+            if count < len(times):
+                kept.append((times[count:], rows[count:]))
+        self._parts = kept
+        if len(taken) == 1:
+            return taken[0]
+        no_times = np.empty(0, np.int64)
+        no_rows = np.empty((0, self._width))
+        all_times = np.concatenate([no_times, *(times for times, _ in taken)])
+        return all_times, np.concatenate([no_rows, *(rows for _, rows in taken)])
 
 
 def numbered_instants(time_ns: Nanoseconds) -> NDArray[np.void]:

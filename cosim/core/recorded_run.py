@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 from abc import abstractmethod
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, final
@@ -74,6 +74,16 @@ class RecordedRun(RecordedSignals):
         self, component: str, *, first_ns: int | None = None, last_ns: int | None = None
     ) -> Iterator[tuple[Nanoseconds, Matrix]]:
         """Yield times and rows of a component in order of time, some at a time."""
+
+    @abstractmethod
+    def blocks_of(
+        self,
+        components: Sequence[str],
+        *,
+        first_ns: int | None = None,
+        last_ns: int | None = None,
+    ) -> Iterator[tuple[str, Nanoseconds, Matrix]]:
+        """Yield names, times and rows of components as they come, each in order of time."""
 
     @abstractmethod
     def load(self, *components: str) -> None:
@@ -407,11 +417,33 @@ class RecordedWindow(RecordedRun):
         LogError
             If the file is damaged.
         """
+        first, last = self._bounds(first_ns, last_ns)
+        return self._run.blocks(component, first_ns=first, last_ns=last)
+
+    def blocks_of(
+        self,
+        components: Sequence[str],
+        *,
+        first_ns: int | None = None,
+        last_ns: int | None = None,
+    ) -> Iterator[tuple[str, Nanoseconds, Matrix]]:
+        """Yield names, times and rows of components here as they come, each in order of time.
+
+        Raises
+        ------
+        UnknownSignalError
+            If there is no such component; names the nearest.
+        LogError
+            If the file is damaged.
+        """
+        first, last = self._bounds(first_ns, last_ns)
+        return self._run.blocks_of(components, first_ns=first, last_ns=last)
+
+    def _bounds(self, first_ns: int | None, last_ns: int | None) -> tuple[int | None, int | None]:
+        """Return the narrower ones of the bounds here and of others."""
         firsts = [bound for bound in (self._first_ns, first_ns) if bound is not None]
         lasts = [bound for bound in (self._last_ns, last_ns) if bound is not None]
-        return self._run.blocks(
-            component, first_ns=max(firsts, default=None), last_ns=min(lasts, default=None)
-        )
+        return max(firsts, default=None), min(lasts, default=None)
 
     def load(self, *components: str) -> None:
         """Read the rows of several components here; none named: all.

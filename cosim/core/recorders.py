@@ -266,6 +266,24 @@ class Memory(RecordedRun):
         whole = self.time_ns(component), self.rows(component)
         yield from blocks_within(iter([whole]), first_ns, last_ns)
 
+    def blocks_of(
+        self,
+        components: Sequence[str],
+        *,
+        first_ns: int | None = None,
+        last_ns: int | None = None,
+    ) -> Iterator[tuple[str, Nanoseconds, Matrix]]:
+        """Yield names, times and rows of components, all of each at once.
+
+        Raises
+        ------
+        UnknownSignalError
+            If there is no such component; names the nearest.
+        """
+        for name in components:
+            for times, rows in self.blocks(name, first_ns=first_ns, last_ns=last_ns):
+                yield name, times, rows
+
     def time_ns(self, component: str) -> Nanoseconds:
         """Return the instants of a component's rows, shape (N,) [ns].
 

@@ -5,7 +5,7 @@ A component's rows are read when first asked for, chunk by chunk, with every CRC
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from operator import attrgetter
 from pathlib import Path
@@ -306,6 +306,30 @@ class Log(RecordedRun):
         find_channel(self._channels, component, source=str(self.path))
         blocks = self._rows.blocks(component, first_ns=first_ns, last_ns=last_ns)
         yield from blocks_within(blocks, first_ns, last_ns)
+
+    def blocks_of(
+        self,
+        components: Sequence[str],
+        *,
+        first_ns: int | None = None,
+        last_ns: int | None = None,
+    ) -> Iterator[tuple[str, Nanoseconds, Matrix]]:
+        """Yield names, times and rows of components as they come, each in order of time.
+
+        It takes one pass over their chunks, and of a long log keeps nothing.
+
+        Raises
+        ------
+        UnknownSignalError
+            If there is no such component; names the nearest.
+        LogError
+            If the file is damaged.
+        """
+        for name in components:
+            find_channel(self._channels, name, source=str(self.path))
+        for name, time_ns, rows in self._rows.blocks_of(components, first_ns, last_ns):
+            for part in blocks_within(iter([(time_ns, rows)]), first_ns, last_ns):
+                yield name, *part
 
     def load(self, *components: str) -> None:
         """Read several components in one pass over the file; none named: all.

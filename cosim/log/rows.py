@@ -102,6 +102,24 @@ class LogRows:
         else:
             yield from self._stream(component, first_ns=first_ns, last_ns=last_ns)
 
+    def blocks_of(
+        self, components: Sequence[str], first_ns: int | None, last_ns: int | None
+    ) -> Iterator[tuple[str, Nanoseconds, Matrix]]:
+        """Yield names, times and rows of components in one pass over their chunks.
+
+        Of few rows all are read at once, and may be in any order in the file.
+        """
+        size = sum(self._row_bytes(name) for name in components)
+        if first_ns is None and last_ns is None and size <= _MOST_AHEAD:
+            for name, (time_ns, rows) in self._read_rows(components).items():
+                yield name, time_ns, rows
+            return
+        streams = self._streams(components)
+        yield from self._streamed(streams, first_ns=first_ns, last_ns=last_ns)
+        for name, stream in streams.items():
+            if not stream.ordered:
+                raise self._unordered(name)
+
     def load(self, components: Sequence[str]) -> None:
         """Read several components in one pass over the file; none named: all."""
         wanted = components or tuple(self._channels)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from itertools import pairwise
+from itertools import count, islice, pairwise
 
 import numpy as np
 from hypothesis import given
@@ -22,6 +22,16 @@ class Rows:
         interface = Interface((), (Signal("x"), Signal("y")))
         self.channels = {name: Channel(name, interface, 0) for name in components}
 
+    step_ns = 1
+
+    def blocks_of(self, components):
+        """Yield the blocks of the components by turns, as a file has them."""
+        left = {name: list(self.blocks(name)) for name in components}
+        while any(left.values()):
+            for name, blocks in left.items():
+                if blocks:
+                    yield name, *blocks.pop(0)
+
     def blocks(self, component):
         times, cuts = self._components[component]
         for first, last in pairwise([0, *cuts, len(times)]):
@@ -31,11 +41,13 @@ class Rows:
 
 @st.composite
 def components(draw):
-    """Draw some components' instants, several rows at some, and where their blocks end."""
+    """Draw some components' instants and the ends of their blocks; in a single one some twice."""
     drawn = {}
     for name in "abc"[: draw(st.integers(1, 3))]:
-        times = sorted(draw(st.lists(st.integers(0, 8), max_size=15)))
-        drawn[name] = times, sorted(draw(st.lists(st.integers(0, len(times)), max_size=5)))
+        in_blocks = draw(st.booleans())
+        times = sorted(draw(st.lists(st.integers(0, 30), max_size=15, unique=in_blocks)))
+        cuts = st.lists(st.integers(0, len(times)), max_size=5 if in_blocks else 0)
+        drawn[name] = times, sorted(draw(cuts))
     return drawn
 
 
@@ -84,3 +96,31 @@ def test_components_of_one_rate_have_no_missing_values():
     assert np.array_equal(part.time_ns, parts[-1].time_ns[1:3])
     assert np.array_equal(part.values, parts[-1].values[1:3])
     assert len(part) == 2
+
+
+class Endless:
+    """A component that never ends, and one of which only the first row is due for long."""
+
+    step_ns = 1
+
+    def __init__(self):
+        interface = Interface((), (Signal("x"),))
+        self.channels = {
+            "slow": Channel("slow", interface, 0, 10**9),
+            "fast": Channel("fast", interface, 1),
+        }
+
+    def blocks_of(self, components):
+        yield "slow", np.zeros(1, np.int64), np.full((1, 1), 7.0)
+        for number in count():
+            yield "fast", np.arange(100) + 100 * number, np.full((100, 1), float(number))
+
+
+def test_rows_do_not_wait_for_a_component_that_has_none_for_long():
+    """Its period says that none is due."""
+    run = Endless()
+    columns = selected_columns(select_signals(run.channels, None, source=""))
+    parts = list(islice(joined_rows(run, columns), 50))
+    assert sum(len(part) for part in parts) == 5000
+    assert parts[0].values[0].tolist() == [7.0, 0.0]
+    assert parts[0].missing[1].tolist() == [True, False]

@@ -118,10 +118,12 @@ class Endless:
         self.channels = {"c": Channel("c", interface, 0)}
         self._width = len(names)
 
-    def blocks(self, component):
+    step_ns = 1
+
+    def blocks_of(self, components):
         for number in count():
             times = np.arange(1000) + 1000 * number
-            yield times, np.full((1000, self._width), float(number))
+            yield "c", times, np.full((1000, self._width), float(number))
 
 
 @pytest.mark.parametrize("name", ["csv", "jsonl"])
