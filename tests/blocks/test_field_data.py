@@ -12,6 +12,7 @@ from cosim.blocks.field_data import (
     FieldRecording,
     FieldSignal,
     check_covers,
+    check_step,
     elements_named,
 )
 from cosim.core.contracts import Stopped
@@ -173,3 +174,16 @@ def test_elements_are_grouped_where_all_are_there():
     names = ["x[1]", "y", "x[0]", "z[1]", "z[2]", "w[a]"]
     expected = {"x": ["x[0]", "x[1]"], "y": ["y"], "z[1]": ["z[1]"], "z[2]": ["z[2]"]}
     assert elements_named(names) == {**expected, "w[a]": ["w[a]"]}
+
+
+def test_a_step_is_finer_than_samples_that_come_less_often_than_once_in_it():
+    """By the median distance, with a tenth for clocks that drift; of one sample nothing is said."""
+    t = np.arange(100) * 1.05 * H
+    t[50:] += 0.3  # a gap is no matter of the step
+    check_step(recorded(t, signal("y", t)), H)
+    check_step(recorded([0.0], signal("y", [1.0])), H)
+    sparse = recorded(np.arange(100) * 1.2 * H, signal("y", t))
+    with pytest.raises(
+        UsageError, match=r"step of 0.001 s is finer than the samples of 'y', every"
+    ):
+        check_step(sparse, H)
