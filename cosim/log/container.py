@@ -39,6 +39,7 @@ _READ_BYTES = 2**22
 MOST_ATTACHED = 2**28  # bytes of an attachment
 _CHUNK_HEADER = struct.Struct("<QQQI")  # first and last time, size, CRC
 _LONGEST_NAME = 16  # of a compression, more than any that is known
+_ATTEMPTS = 5  # to open a file that a run writes to
 _ATTACHMENT_TIMES = 16  # bytes: log time, creation time
 
 
@@ -78,13 +79,25 @@ class Container:
     def __init__(self, path: Path, own: OwnFile | None = None) -> None:
         self.path = path
         self.own = own
+        self.is_unfinished = False
         try:
             with self._stream() as stream:
-                self._identity = _identity(os.fstat(stream.fileno()))
-                self._index(stream)
+                self._index_steady(stream)
         except OSError as error:
             reason = error.strerror or error
             raise LogError(f"{path} cannot be read: {reason}") from error
+
+    def _index_steady(self, stream: BinaryIO) -> None:
+        """Find out where the pieces stand; again where a run has written to the file meanwhile."""
+        for attempt in range(_ATTEMPTS):
+            self._identity = _identity(stream)
+            try:
+                self._index(stream)
+            except LogError:
+                if attempt == _ATTEMPTS - 1 or _identity(stream) == self._identity:
+                    raise
+            else:
+                return
 
     def _index(self, stream: BinaryIO) -> None:
         """Find out where the pieces of the file stand."""
@@ -116,10 +129,15 @@ class Container:
             If it cannot be read, or is not the file it was.
         """
         stream = self._stream()
-        if _identity(os.fstat(stream.fileno())) != self._identity:
+        # A log that is still written keeps what was in it.
+        is_other = _identity(stream)[0] != self._identity[0]
+        if is_other or not (self.is_unfinished or _identity(stream) == self._identity):
             stream.close()
-            raise LogError(f"{self.path} has changed since it was opened; open it again")
+            raise self._changed()
         return stream
+
+    def _changed(self) -> LogError:
+        return LogError(f"{self.path} has changed since it was opened; open it again")
 
     def _stream(self) -> BinaryIO:
         stream = None if self.own is None else self.own.open()
@@ -309,7 +327,14 @@ class Container:
             raise self.damage_error(span.start, f"an attachment cannot be read: {error}") from error
 
     def damage_error(self, offset: int, reason: str) -> LogError:
-        """Return the error that names the byte at which the file is damaged."""
+        """Return the error that names the byte at which the file is damaged.
+
+        In a log that is still written, its last rows may stand elsewhere by now.
+        """
+        if self.is_unfinished:
+            with self._stream() as stream:
+                if _identity(stream) != self._identity:
+                    return self._changed()
         return damage_error(self.path, offset, reason)
 
     def _record(self, stream: BinaryIO, span: RecordSpan, most: int = MOST_BYTES) -> bytes:
@@ -441,8 +466,9 @@ def _read_chunk_header(stream: BinaryIO, span: RecordSpan) -> _ChunkHeader:
     return _ChunkHeader(first_ns, last_ns, size, crc, compression, data_length)
 
 
-def _identity(status: os.stat_result) -> tuple[int, int, int]:
-    """Return what changes when a file is replaced or written to."""
+def _identity(stream: BinaryIO) -> tuple[int, int, int]:
+    """Return what changes when a file is replaced, its number, or when it is written to."""
+    status = os.fstat(stream.fileno())
     return status.st_ino, status.st_size, status.st_mtime_ns
 
 

@@ -15,7 +15,7 @@ import pytest
 from cosim.errors import GraphError, Interrupted, LogError, LogWriteError, NonFiniteError
 from cosim.log import McapRecorder, open_log, unfinished, writer
 
-from .recordings import blocks, layout, plan, record, table
+from .recordings import blocks, layout, plan, record, same_bits, table
 from .test_writer import FullDisk
 
 
@@ -279,3 +279,23 @@ def test_a_log_that_is_lost_is_an_error_at_the_write(tmp_path, harm, reason):
 def copied(path):
     """Return the path of a copy."""
     return shutil.copy(path, path.with_name("copy.mcap"))
+
+
+def test_a_log_that_is_written_can_be_read(tmp_path):
+    """What a reader has opened stays readable; where rows have moved it is to be opened again."""
+    path = tmp_path / "a.mcap"
+    rows = table(layout(), 3000)
+    texts = set()
+    with McapRecorder(path, flush=1e-3) as recorder:
+        recorder.begin(plan())
+        for block, signals in blocks(rows, 10):
+            recorder.write(block, signals)
+            log = open_log(path)
+            try:
+                found = log.rows("plant")
+            except LogError as error:
+                texts.add(str(error))
+            else:
+                assert same_bits(found, rows[: len(found), :5])
+    assert texts <= {f"{path} has changed since it was opened; open it again"}
+    assert open_log(path).steps == 3000
