@@ -8,11 +8,14 @@ from __future__ import annotations
 
 import socket
 import sys
-from typing import Final, final
+import time
+from typing import Any, Final, final
 
 from cosim.errors import UsageError, option
 
 _LARGEST_PORT: Final = 2**16 - 1
+_LOOKS: Final = 100  # at whether an address is free again, at most
+_PAUSE: Final = 0.002  # s between two of them
 
 
 @final
@@ -37,27 +40,36 @@ class ReservedAddress:
         self._host = host
         self._port = port
         try:
-            family, kind, protocol, _, address = socket.getaddrinfo(
-                host, port, type=socket.SOCK_STREAM
-            )[0]
+            found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+            family, kind, protocol, _, address = found[0]
             self._socket = socket.socket(family, kind, protocol)
             try:
-                # as the server will do: connections that have just ended keep nobody away
-                if sys.platform != "win32":
-                    self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-                self._socket.bind(address)
+                _bind(self._socket, address)
             except BaseException:
                 self._socket.close()
                 raise
         except (OSError, ValueError) as error:  # names that are none are ValueErrors
             reason = getattr(error, "strerror", None) or str(error)
             raise self.refusal(reason) from error
-        number, self.port = self._socket.getsockname()[:2]
+        self._family = family
+        self._address: Any = self._socket.getsockname()
+        number, self.port = self._address[:2]
         self.host = f"[{number}]" if family == socket.AF_INET6 else number
 
     def release(self) -> None:
         """Leave the address to the server; nothing where it was left already."""
         self._socket.close()
+
+    def wait_until_free(self) -> None:
+        """Wait until a server that was stopped listens no more; it stops in threads of its own."""
+        for _ in range(_LOOKS):
+            with socket.socket(self._family, socket.SOCK_STREAM) as probe:
+                try:
+                    _bind(probe, self._address)
+                except OSError:
+                    time.sleep(_PAUSE)
+                else:
+                    return
 
     def refusal(self, reason: str) -> UsageError:
         """Return the error of an address that cannot be listened on."""
@@ -65,3 +77,10 @@ class ReservedAddress:
             f"{option('port')}: {self._host}:{self._port} cannot be listened on: {reason}; choose "
             f"another port, or 0 for any free one"
         )
+
+
+def _bind(unbound: socket.socket, address: Any) -> None:
+    """Bind a socket as a server does: connections that have just ended keep nobody away."""
+    if sys.platform != "win32":
+        unbound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    unbound.bind(address)

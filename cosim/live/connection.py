@@ -201,3 +201,4 @@ class ViewerConnection:
         if any(topic.is_watched for topic in self._topics):
             time.sleep(_QUIET)
         self._server.stop()
+        self._address.wait_until_free()

@@ -142,7 +142,10 @@ class Playback:
         end_ns = self._start_ns
         while True:
             self._check()
-            self._pace.reach(end_ns / _NANOSECONDS, later=shift_ns / _NANOSECONDS)
+            # The first row is there at the start.
+            counts = shift_ns > 0 or end_ns > self._start_ns
+            later = shift_ns / _NANOSECONDS
+            self._pace.reach(end_ns / _NANOSECONDS, later=later, counts=counts)
             for cursor in cursors:
                 for time_ns, rows in cursor.take(end_ns):
                     self._publisher.add_rows(cursor.component, time_ns, rows)
