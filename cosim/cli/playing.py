@@ -44,7 +44,7 @@ ShowOption = Annotated[
     typer.Option(
         "--show",
         metavar="SIGNAL",
-        help="With --live: a component or signal to show; default: all. Repeatable.",
+        help="With --live: a component, signal or pattern to show; default: all. Repeatable.",
     ),
 ]
 
@@ -55,8 +55,8 @@ def play(
         list[str] | None,
         typer.Argument(
             metavar="[SIGNAL]...",
-            help="Components or signals to show, with all of the channels that hold them; "
-            "default: all.",
+            help="Components, signals or patterns such as '*.delta' to show, with all of the "
+            "channels that hold them; default: all.",
         ),
     ] = None,
     speed: Annotated[

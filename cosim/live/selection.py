@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from cosim.core.recorded import find_channel, find_signal
+from cosim.core.recorded import find_channel
+from cosim.core.selection import is_pattern, select_signals
 from cosim.core.signals import Channel
 from cosim.log.layout import Part
 
@@ -18,7 +19,7 @@ def selected(
     ----------
     parts : sequence of Part
     names : sequence of str
-        Components, signals, or elements of signals.
+        Components, signals, elements of signals, or patterns of these: ``*.y``.
     channels : mapping of component name to Channel
     source : str
         Where they are looked for, for the message.
@@ -26,17 +27,17 @@ def selected(
     Raises
     ------
     UnknownSignalError
-        If there is no such component, signal or element; names the nearest.
+        If one of them chooses nothing; names the nearest.
     """
     if not names:
         return list(parts)
     wanted: list[tuple[str, slice]] = []
     for name in names:
-        if name in channels or "." not in name:
+        if "." not in name and not is_pattern(name):
             channel = find_channel(channels, name, source=source)
             wanted.append((channel.name, slice(0, channel.columns.stop - channel.start)))
-        else:
-            port = find_signal(channels, name, source=source)
+            continue
+        for port in select_signals(channels, name, source=source).values():
             wanted.append((port.channel.name, port.columns))
     return [part for part in parts if _holds_any(part, wanted)]
 

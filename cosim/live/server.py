@@ -30,7 +30,8 @@ class LiveServer:
     port : int
         0: any free one.
     signals : sequence of str
-        Components or signals to publish, with all of the channels that hold them; none: all.
+        Components, signals or patterns such as ``*.delta`` to publish, with all of the channels
+        that hold them; none: all.
     notice : callable, optional
         Called with the address of the server when viewers can connect.
     """

@@ -12,6 +12,7 @@ import cosim
 from cosim.core.recorders import Watched
 from cosim.errors import UnknownSignalError
 from cosim.live import LiveServer
+from cosim.live.playback import Playback
 
 from .viewer import Viewer, fields
 
@@ -119,6 +120,27 @@ def test_a_viewer_that_vanishes_does_not_stop_the_run(server):
         run = cosim.run(scenario, live=live, progress=vanish, block=10)
     assert vanished
     assert (run.status, run.steps) == ("complete", 2000)
+
+
+def test_a_run_of_which_a_part_is_recorded_is_shown_as_a_whole(server, tmp_path):
+    """Its log is played as far as it goes."""
+    path = tmp_path / "x.toml"
+    text = cosim.load("academic").document.text
+    path.write_text(f'{text}\n[record]\nsignals = ["plant.y", "observer.*"]\nevery = 2\n')
+    scenario = cosim.load(path).set({"scenario.stop": 0.2})
+    with Subscribing(server, "/plant") as live:
+        log = cosim.run(scenario, out=tmp_path / "a.mcap", live=live)
+        messages = live.viewer.messages({"/plant": 201})["/plant"]
+    assert [message.y for _, message in messages][::2] == log["plant.y"].tolist()
+    with LiveServer(port=0) as again:
+        playback = Playback(log, again, speed=10.0)
+        with Viewer(again.url) as viewer:
+            viewer.subscribe("/plant", "/observer")
+            again.wait_for_viewer()
+            playback.run()
+            found = viewer.messages({"/plant": 101, "/observer": 101})
+        assert "/u" not in viewer.channels
+    assert [fields(message) for _, message in found["/plant"]] == log.rows("plant").tolist()
 
 
 def test_signals_that_the_run_has_not_are_refused_before_it_begins(tmp_path):
