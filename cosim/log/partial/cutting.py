@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import final
 
 import numpy as np
 
@@ -52,38 +53,46 @@ def cut(
     first_ns, last_ns = span_ns(start, stop, names)
     log = open_log(path)
     pieces = read_pieces(log.path)
-    window = RecordedWindow(log, first_ns, last_ns)
-    first_row = _first_row(window)
+    span = _Span(first_ns, last_ns)
 
-    def is_inside(number: int, time_ns: Nanoseconds, contents: list[bytes] | None) -> Mask:
-        inside = np.ones(len(time_ns), np.bool_)
-        if first_ns is not None:
-            inside &= time_ns >= first_ns
-        if last_ns is not None:
-            inside &= time_ns <= last_ns
-        return inside
+    def end() -> PartEnd:
+        if span.first_row is None:
+            raise LogError(f"{RecordedWindow(log, first_ns, last_ns).label}: there is no row there")
+        steps = pieces.steps_to(span.last_row)
+        return PartEnd(
+            PARTIAL_STATUS, part_text(span.first_row, span.last_row), steps, span.last_row
+        )
 
     blocks = Container(log.path).blocks(first_ns=first_ns, last_ns=last_ns)
-    reason = f"the part from {first_row / NANOSECONDS} s to {window.end_ns / NANOSECONDS} s"
-    end = PartEnd(PARTIAL_STATUS, reason, window.steps, window.end_ns)
-    batches = gathered(blocks, pieces.dtypes, is_inside)
-    return write_log(out, pieces, batches, lambda: end, force=force)
+    batches = gathered(blocks, pieces.dtypes, span.has)
+    return write_log(out, pieces, batches, end, force=force)
 
 
-def _first_row(window: RecordedWindow) -> int:
-    """Return the time of the first row [ns].
+@final
+class _Span:
+    """Says which messages are in a span of time, and keeps which rows of it there are."""
 
-    Raises
-    ------
-    LogError
-        If there is none.
-    """
-    firsts = []
-    for name in window.channels:
-        for time_ns, _ in window.blocks(name):
-            if len(time_ns):
-                firsts.append(int(time_ns[0]))
-                break
-    if not firsts:
-        raise LogError(f"{window.label}: there is no row in this time")
-    return min(firsts)
+    def __init__(self, first_ns: int | None, last_ns: int | None) -> None:
+        self._first_ns = first_ns
+        self._last_ns = last_ns
+        self.first_row: int | None = None
+        self.last_row = 0
+
+    def has(self, number: int, time_ns: Nanoseconds, contents: list[bytes] | None) -> Mask:
+        """Return which of some messages are in it."""
+        inside = np.ones(len(time_ns), np.bool_)
+        if self._first_ns is not None:
+            inside &= time_ns >= self._first_ns
+        if self._last_ns is not None:
+            inside &= time_ns <= self._last_ns
+        if contents is None and inside.any():
+            own = time_ns[inside]
+            first = int(own.min())
+            self.first_row = first if self.first_row is None else min(first, self.first_row)
+            self.last_row = max(int(own.max()), self.last_row)
+        return inside
+
+
+def part_text(first_ns: int, last_ns: int) -> str:
+    """Return which part of a run some rows are, in words."""
+    return f"the part from {first_ns / NANOSECONDS} s to {last_ns / NANOSECONDS} s"

@@ -16,13 +16,14 @@ from cosim.log.chunks import MessageBatch
 from cosim.log.container import Container
 from cosim.log.partial.batches import gathered
 from cosim.log.partial.copying import PartEnd, write_log
+from cosim.log.partial.cutting import part_text
 from cosim.log.partial.pieces import LogPieces, read_pieces
 from cosim.log.reader import Log, open_log
 from cosim.log.result import PARTIAL_STATUS
 
 
 @dataclass(frozen=True, slots=True)
-class _Span:
+class _RunPart:
     """A log, and the first and last row of each component that has any [ns]."""
 
     log: Log
@@ -33,6 +34,11 @@ class _Span:
     def begin(self) -> int:
         """The first row of all."""
         return min(first for first, _ in self.bounds.values())
+
+    @property
+    def end(self) -> int:
+        """The last row of all."""
+        return max(last for _, last in self.bounds.values())
 
 
 def merge(paths: Sequence[Path], out: Path, *, force: bool = False) -> Log:
@@ -60,15 +66,14 @@ def merge(paths: Sequence[Path], out: Path, *, force: bool = False) -> Log:
     for before, behind in pairwise(spans):
         _check_same_run(before, behind)
     _check_consecutive(spans)
-    last = max(spans, key=lambda span: span.log.end_ns).log
     known = next((span.pieces for span in spans if span.pieces.run_result), spans[0].pieces)
-    begin = spans[0].begin / NANOSECONDS
-    reason = f"the part from {begin} s to {last.end_ns / NANOSECONDS} s"
-    end = PartEnd(PARTIAL_STATUS, reason, last.steps, last.end_ns)
+    last_row = max(span.end for span in spans)
+    text = part_text(spans[0].begin, last_row)
+    end = PartEnd(PARTIAL_STATUS, text, known.steps_to(last_row), last_row)
     return write_log(out, known, _batches(spans), lambda: end, force=force)
 
 
-def _span(path: Path) -> _Span:
+def _span(path: Path) -> _RunPart:
     log = open_log(path)
     bounds = {}
     for name in log.channels:
@@ -77,10 +82,10 @@ def _span(path: Path) -> _Span:
             bounds[name] = int(times[0][0]), int(times[-1][-1])
     if not bounds:
         raise LogError(f"{path} has no rows; leave it out")
-    return _Span(log, read_pieces(log.path), bounds)
+    return _RunPart(log, read_pieces(log.path), bounds)
 
 
-def _check_same_run(a: _Span, b: _Span) -> None:
+def _check_same_run(a: _RunPart, b: _RunPart) -> None:
     """Check that two logs declare the same, so that their rows are of one run.
 
     Raises
@@ -114,7 +119,7 @@ def _contradiction(a: LogPieces, b: LogPieces) -> str:
     return "the result of the run" if known_a and known_b and known_a != known_b else ""
 
 
-def _check_consecutive(spans: Sequence[_Span]) -> None:
+def _check_consecutive(spans: Sequence[_RunPart]) -> None:
     """Check that every component's rows go on where those before end.
 
     Raises
@@ -138,7 +143,7 @@ def _check_consecutive(spans: Sequence[_Span]) -> None:
                 )
 
 
-def _batches(spans: Sequence[_Span]) -> Iterator[list[MessageBatch]]:
+def _batches(spans: Sequence[_RunPart]) -> Iterator[list[MessageBatch]]:
     def is_wanted(number: int, time_ns: Nanoseconds, contents: list[bytes] | None) -> Mask:
         return np.ones(len(time_ns), np.bool_)
 

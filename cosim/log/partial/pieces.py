@@ -12,6 +12,7 @@ import numpy as np
 from mcap import records
 
 from cosim.errors import GraphError, LogError
+from cosim.instants import last_nanosecond
 from cosim.log.container import MALFORMED
 from cosim.log.layout import Part, read_part, record_dtype
 from cosim.log.metadata import verify_checksum
@@ -62,6 +63,24 @@ class LogPieces:
             if name in self.metadata:
                 return verify_checksum(name, self.metadata[name])
         return {}
+
+    @property
+    def start_ns(self) -> int:
+        """The start time of the run [ns]; 0 if it is not recorded."""
+        text = self.metadata.get("cosim.run", {}).get("start_time", "0.0")
+        try:
+            return last_nanosecond(float(text))
+        except (ValueError, OverflowError):
+            return 0
+
+    @property
+    def step_ns(self) -> int:
+        """Communication step [ns]."""
+        return next(iter(self.parts.values())).step_ns
+
+    def steps_to(self, time_ns: int) -> int:
+        """Return the number of the communication step that ends at a time [ns]."""
+        return max((time_ns - self.start_ns) // self.step_ns, 0)
 
     @property
     def kept_metadata(self) -> dict[str, Mapping[str, str]]:

@@ -12,7 +12,7 @@ import numpy as np
 from cosim.arrays import Mask, Nanoseconds
 from cosim.core.recorded_run import SCENARIO_FILE
 from cosim.errors import GraphError, LogError
-from cosim.instants import NANOSECONDS, last_nanosecond
+from cosim.instants import NANOSECONDS
 from cosim.log.container import MALFORMED
 from cosim.log.partial.batches import gathered
 from cosim.log.partial.copying import PartEnd, write_log
@@ -21,7 +21,7 @@ from cosim.log.partial.pieces import LogPieces
 from cosim.log.partial.salvage import Salvage, intact_blocks, salvage
 from cosim.log.paths import log_path
 from cosim.log.reader import Log
-from cosim.log.result import PARTIAL_STATUS
+from cosim.log.result import PARTIAL_STATUS, RESULT
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,10 +230,13 @@ def _missing(
 ) -> tuple[dict[str, RecoveredRows], int, bool]:
     """Return the missing rows of each component, up to when, and whether that is the end."""
     last_row = max(int(own[-1]) for own in times.values() if len(own))
-    known_end = pieces.run_result.get("end_ns", "")
+    of_file = pieces.metadata.get(RESULT, {})
+    known_end = of_file.get("end_ns", "")
     end_ns = int(known_end) if known_end.isdecimal() else last_row
     first_row = min(int(own[0]) for own in times.values() if len(own))
-    start_ns = min(_start_ns(pieces), first_row)
+    # The file of a part of a run has never had the rows before it.
+    is_part = of_file.get("status") == PARTIAL_STATUS
+    start_ns = first_row if is_part else min(pieces.start_ns, first_row)
     rows = {}
     for part in pieces.parts.values():
         name = part.channel.name
@@ -243,15 +246,6 @@ def _missing(
     return rows, end_ns, known_end.isdecimal()
 
 
-def _start_ns(pieces: LogPieces) -> int:
-    """Return the start time of the run [ns], as its metadata say."""
-    text = pieces.metadata.get("cosim.run", {}).get("start_time", "0.0")
-    try:
-        return last_nanosecond(float(text))
-    except (ValueError, OverflowError):
-        return 0
-
-
 def _end(
     path: Path,
     pieces: LogPieces,
@@ -259,9 +253,9 @@ def _end(
     times: Mapping[str, Nanoseconds],
 ) -> PartEnd:
     """Return how the recovered log ends: a run without holes was interrupted at its last row."""
-    step_ns = next(iter(pieces.parts.values())).step_ns
     last_row = max(int(own[-1]) for own in times.values() if len(own))
-    steps = (last_row - _start_ns(pieces)) // step_ns
-    status = "interrupted" if is_beginning(rows) else PARTIAL_STATUS
+    first_row = min(int(own[0]) for own in times.values() if len(own))
+    begins = first_row == pieces.start_ns and is_beginning(rows)
+    status = "interrupted" if begins else PARTIAL_STATUS
     text = f"recovered from {path.name}, which was damaged"
-    return PartEnd(status, text, max(int(steps), 0), last_row)
+    return PartEnd(status, text, pieces.steps_to(last_row), last_row)

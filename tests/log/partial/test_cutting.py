@@ -102,6 +102,20 @@ def test_slow_components_may_have_no_row_in_a_part(tmp_path):
     assert merge(parts, tmp_path / "b.mcap").status == "complete"
 
 
+def test_a_log_whose_run_has_not_ended_is_cut_and_merged(whole, tmp_path):
+    """It has no result; its rows say where it ends."""
+    path, rows = whole
+    content = take_apart(path)
+    content.metadata = [item for item in content.metadata if item[0] != "cosim.result"]
+    put_together(content, tmp_path / "b.mcap")
+    first = cut(tmp_path / "b.mcap", None, 0.4, tmp_path / "c.mcap")
+    second = cut(tmp_path / "b.mcap", 0.401, None, tmp_path / "d.mcap")
+    assert (first.steps, second.steps) == (400, 1000)
+    merged = merge([first.path, second.path], tmp_path / "e.mcap")
+    assert (merged.status, merged.steps) == ("partial", 1000)
+    assert same_bits(merged["plant.u"], rows[:, 0])
+
+
 def test_logs_of_other_tools_are_cut_and_merged(whole, tmp_path):
     """With channels mixed in their chunks."""
     path, rows = whole
@@ -115,7 +129,7 @@ def test_logs_of_other_tools_are_cut_and_merged(whole, tmp_path):
 def test_a_cut_without_rows_is_refused(whole, tmp_path):
     """And leaves no file."""
     path, _ = whole
-    with pytest.raises(LogError, match=r"a\.mcap from 5 s: there is no row in this time"):
+    with pytest.raises(LogError, match=r"a\.mcap from 5 s: there is no row there"):
         cut(path, 5.0, None, tmp_path / "b.mcap")
     with pytest.raises(UsageError, match=r"found start = 2\.0 s behind stop = 1\.0 s"):
         cut(path, 2.0, 1.0, tmp_path / "b.mcap")

@@ -204,6 +204,25 @@ def test_rows_of_a_component_of_many_channels_are_whole_or_lost(tmp_path):
     assert len(log.time_ns("plant")) == 301
 
 
+def test_of_a_part_only_its_own_rows_are_lost(tmp_path, written):
+    """Not those before and behind it, which its file never had."""
+    data, _, _ = written
+    (tmp_path / "a.mcap").write_bytes(data)
+    part = cut(tmp_path / "a.mcap", 5.0, 15.0, tmp_path / "b.mcap")
+    content = part.path.read_bytes()
+    whole = recovered(tmp_path, content)
+    assert all(not own.lost for own in whole.rows.values())
+    assert (whole.log.status, whole.log.content_hash()) == ("partial", part.content_hash())
+    broken = bytearray(content)
+    with part.path.open("rb") as stream:
+        chunks = make_reader(stream).get_summary().chunk_indexes
+    chunk = next(chunk for chunk in chunks if 1 in chunk.message_index_offsets)
+    broken[chunk.chunk_start_offset + chunk.chunk_length - 50] ^= 4
+    (interval,) = recovered(tmp_path, broken).rows["plant"].lost
+    assert interval.first_ns >= 5_000_000_000
+    assert interval.last_ns <= 15_000_000_000
+
+
 def test_a_component_of_which_a_channel_is_lost_is_told_as_lost(tmp_path):
     """Its other channels have no row that is whole; the other components are there."""
     lay = layout(wide=5000)
