@@ -73,6 +73,15 @@ ProfileOption = Annotated[
     bool, typer.Option("--profile", help="Show the wall time of each component.")
 ]
 
+EmbedOption = Annotated[
+    bool,
+    typer.Option(
+        "--embed",
+        help="Put the FMUs of components into the log: 'cosim replay LOG --rerun --allow-code' "
+        "then runs them again from the log alone.",
+    ),
+]
+
 CertifyOption = Annotated[
     bool,
     typer.Option(
@@ -144,6 +153,7 @@ def run(
     plot: PlotOption = None,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
+    embed: EmbedOption = False,
     profile: ProfileOption = False,
     certify: CertifyOption = False,
     find_step: FindStepOption = None,
@@ -202,6 +212,7 @@ def run(
             numbered=out is None,
             progress=progress,
             notice=None if quiet else print_notice,
+            embed=embed,
             profile=seconds,
             certify=certify,
             find_step=tolerances,
@@ -298,7 +309,16 @@ def replay(
             "--allow-code",
             help="Compute components of kind python too: import the classes that the log names, "
             "from this folder or as Python finds modules, and run their code. Else they are taken "
-            "from the log. Their sources have to be those of the run.",
+            "from the log. Their sources have to be those of the run. With --rerun, run FMUs.",
+        ),
+    ] = False,
+    rerun: Annotated[
+        bool,
+        typer.Option(
+            "--rerun",
+            help="Compute plants too, so that --verify verifies them: those of models, and with "
+            "--allow-code FMUs, from the log (run --embed) or from where they were. Each has to be "
+            "that of the run, by its SHA-256. Without both flags no FMU is run.",
         ),
     ] = False,
     begin: Annotated[
@@ -412,6 +432,7 @@ def replay(
             swap=swap,
             map=names,
             allow_code=allow_code,
+            rerun=rerun,
             window=window,
             components=components or None,
             scenario=scenario,

@@ -194,9 +194,9 @@ class Verification:
         if others:
             names = ", ".join(others)
             lines.append(
-                f"not computed, but copied from the log: {names}; to compute these too, run "
-                f"{self.scenario!r} again with the changes it had, and compare with "
-                f"{command('diff')}"
+                f"not computed, but copied from the log: {names}; {flag('rerun')} computes plants, "
+                f"with {flag('allow_code')} FMUs, too; to compute all, run {self.scenario!r} again "
+                f"with the changes it had, and compare with {command('diff')}"
             )
         lines += map(str, self.substeps)
         not_compared = NOT_COMPARED

@@ -177,7 +177,7 @@ class CodeRecord(_Record):
 
 
 class ComponentRecord(_Record):
-    """Metadata of a component; of an identifier with its unknowns.
+    """Metadata of a component; of an identifier with its unknowns, of an FMU with its file.
 
     The times are those of (36)-(38), all of them or none.
     """
@@ -199,6 +199,8 @@ class ComponentRecord(_Record):
     lags: dict[Text, Number] = {}
     reconstruction: ReconstructionRecord | None = None
     compensation: CompensationRecord | None = None
+    path: Text | None = None
+    sha256: Text | None = None
     noise_gain: NumberRow = ()
     noise_gain_held: NumberRow = ()
 

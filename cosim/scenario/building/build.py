@@ -28,6 +28,7 @@ from cosim.scenario.building.graph_checks import held_disturbances, jump_problem
 from cosim.scenario.building.substeps import check_substeps, substep_tolerance, substep_warnings
 from cosim.scenario.building.truth import check_truth
 from cosim.scenario.context.build_context import DependsOnInvalid, ScenarioBuildContext, clock_of
+from cosim.scenario.context.fmus import NONE_AGAIN, RecordedFmu
 from cosim.scenario.context.models import form_problems
 from cosim.scenario.context.user_classes import NotImported
 from cosim.scenario.document.document import Document
@@ -59,6 +60,8 @@ class Builder:
         With a recording: the files that may be opened all the same.
     left_out : collection of str
         With a recording: components that are taken from it although they could be computed.
+    fmus_again : mapping of component name to RecordedFmu
+        With a recording: FMUs of its run that are run again.
     block : int, optional
         Fixed number of communication steps in a block.
     replaced : mapping of component name to Interface, optional
@@ -93,6 +96,7 @@ class Builder:
         recording: Recording | None = None,
         named_files: Collection[str] = (),
         left_out: Collection[str] = (),
+        fmus_again: Mapping[str, RecordedFmu] = NONE_AGAIN,
         block: int | None = None,
         replaced: Mapping[str, Interface] | None = None,
         describes: bool = False,
@@ -109,6 +113,7 @@ class Builder:
             named_files,
             invalid=self._check_times(),
             describes=describes,
+            fmus_again=fmus_again,
         )
         self.components: dict[str, Component] = {}
         self.port_maps: dict[str, PortMap] = {}
@@ -461,6 +466,7 @@ class Builder:
             settings=self._settings(),
             recorded=self._recorded_names(),
             declared=self._declared,
+            fmu_files=context.fmus.paths,
         )
 
     def _recorded_names(self) -> tuple[str, ...]:

@@ -93,6 +93,8 @@ class Experiment:
         Of a replay: the components that are taken from the recording.
     declared : mapping of component name to Channel
         Of a replay: all that the recorded run had, some of which need not be here.
+    fmu_files : mapping of SHA-256 to Path
+        The files of the FMUs that components are.
     """
 
     scenario: Scenario
@@ -121,6 +123,7 @@ class Experiment:
     setting_designs: Mapping[str, str] = field(default_factory=dict)
     recorded: tuple[str, ...] = ()
     declared: Mapping[str, Channel] = field(default_factory=dict)
+    fmu_files: Mapping[str, Path] = field(default_factory=dict)
 
     @property
     def has_events(self) -> bool:

@@ -21,7 +21,7 @@ from cosim.core.signals import Interface
 from cosim.core.structure.ports import unknown_port
 from cosim.errors import CosimError, UsageError
 from cosim.scenario.context.build_records import BuildRecords
-from cosim.scenario.context.fmus import ScenarioFmus
+from cosim.scenario.context.fmus import NONE_AGAIN, RecordedFmu, ScenarioFmus
 from cosim.scenario.context.named_files import NamedFiles
 from cosim.scenario.context.scenario_models import ScenarioModels
 from cosim.scenario.context.user_classes import UserClasses
@@ -91,6 +91,8 @@ class ScenarioBuildContext:
     invalid : iterable of Key
         What is known to be wrong beside ``scenario.invalid``.
     describes : bool
+    fmus_again : mapping of component name to RecordedFmu
+        Those of a recorded run that a replay runs again.
 
     Attributes
     ----------
@@ -112,6 +114,7 @@ class ScenarioBuildContext:
         *,
         invalid: Iterable[Key] = (),
         describes: bool = False,
+        fmus_again: Mapping[str, RecordedFmu] = NONE_AGAIN,
     ) -> None:
         self.invalid = {*scenario.invalid, *invalid}
         self._scenario = scenario
@@ -121,7 +124,12 @@ class ScenarioBuildContext:
         self.files = NamedFiles(folder, recording, named_files)
         self.models = ScenarioModels(scenario.file.models, self.files, recording)
         self.fmus = ScenarioFmus(
-            self.files, self.records, resources, recording=recording, describes=describes
+            self.files,
+            self.records,
+            resources,
+            recording=recording,
+            describes=describes,
+            again=fmus_again,
         )
         self._classes = UserClasses(
             folder,

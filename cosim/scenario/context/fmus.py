@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Any, final
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final, final
 
 from cosim.core.contracts import Component
 from cosim.core.recording import Recording
@@ -21,6 +25,25 @@ if TYPE_CHECKING:
     from cosim.fmi.options import FmuOptions
 
 
+@dataclass(frozen=True, slots=True)
+class RecordedFmu:
+    """The FMU of a recorded run, which is run again.
+
+    Parameters
+    ----------
+    copy : Path
+        A file with the bytes that the run had.
+    path : str
+        Where it was then.
+    """
+
+    copy: Path
+    path: str
+
+
+NONE_AGAIN: Final[Mapping[str, RecordedFmu]] = MappingProxyType({})
+
+
 @final
 class ScenarioFmus:
     """The FMUs that the components of a scenario are made of.
@@ -35,9 +58,13 @@ class ScenarioFmus:
         Of a replay.
     describes : bool
         Run nothing: read descriptions only.
+    again : mapping of component name to RecordedFmu
+        Of a replay: those that are run again.
 
     Attributes
     ----------
+    paths : dict of SHA-256 to Path
+        The files of those that were loaded for components.
     opened : dict of component name to Fmu
     model_exchange : dict of component name to ModelExchange
         What has the continuous states of a component.
@@ -51,12 +78,15 @@ class ScenarioFmus:
         *,
         recording: Recording | None,
         describes: bool,
+        again: Mapping[str, RecordedFmu] = NONE_AGAIN,
     ) -> None:
         self._files = files
         self._records = records
         self._resources = resources
         self._recording = recording
         self._describes = describes
+        self._again = again
+        self.paths: dict[str, Path] = {}
         self._linearized: dict[str, Linearization] = {}
         self.opened: dict[str, Fmu] = {}
         self.model_exchange: dict[str, ModelExchange] = {}
@@ -66,22 +96,33 @@ class ScenarioFmus:
 
         Only its description is read where nothing is to run.
         """
-        from cosim.fmi.component import describe, load
+        from cosim.fmi.component import describe
 
         if self._describes:
             described = describe(self._files.path(path), options)
             self._records.add_metadata(name, described.metadata)
             return described
-        opened = load(self._files.path(path), options, instance_name=name)
-        loaded = self._resources.enter_context(opened)
+        loaded = self._resources.enter_context(self._load(name, path, options))
         self._records.attachments[f"{name}/modelDescription.xml"] = loaded.model_description
         self._records.add_metadata(name, loaded.metadata)
         for note in loaded.notes:
             self._records.warn(name, note)
         self.opened[name] = loaded
+        self.paths[loaded.metadata["sha256"]] = Path(loaded.metadata["path"])
         if loaded.model_exchange is not None:
             self.model_exchange[name] = loaded.model_exchange
         return loaded.component
+
+    def _load(self, name: str, path: str, options: FmuOptions) -> Fmu:
+        """Load an FMU, or the one of the recorded run, which is known by where it was then."""
+        from cosim.fmi.component import load
+        from cosim.fmi.reading.model_description import read
+
+        again = self._again.get(name)
+        if again is None:
+            return load(self._files.path(path), options, instance_name=name)
+        archive = replace(read(again.copy), path=Path(again.path))
+        return load(again.copy, options, instance_name=name, archive=archive)
 
     def of(self, name: str) -> Fmu:
         """Return the FMU that was loaded for a component.

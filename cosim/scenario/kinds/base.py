@@ -301,6 +301,9 @@ class Kind(TomlTable):
         It has no inputs, and its outputs are functions of time.
     is_recorded : bool
         It has no inputs, and its outputs are recorded.
+    is_rerun : bool
+        A replay can be told to compute it, though it takes it from the recording else: by its
+        model, or by its FMU.
     continuous_inputs : mapping of input name to str
         Inputs that must not jump, and what can be done about one that does.
     tunable : tuple of str
@@ -314,6 +317,7 @@ class Kind(TomlTable):
     is_static: ClassVar[bool] = False
     is_function_of_time: ClassVar[bool] = False
     is_recorded: ClassVar[bool] = False
+    is_rerun: ClassVar[bool] = False
     continuous_inputs: ClassVar[Mapping[str, str]] = MappingProxyType({})
     tunable: ClassVar[tuple[str, ...]] = ()
     tunable_elsewhere: ClassVar[str] = ""

@@ -55,6 +55,7 @@ class DescriptorKind(PlantKind, LinearKind):
     """
 
     ports: ClassVar[str] = "u, delta -> y, x_a, x_b, or y, x of a general model"
+    is_rerun: ClassVar[bool] = True
     kind: Literal["descriptor"]
     model: str = Field(description="name of a table in [models]")
     x_a0: NumberRow | None = Field(
@@ -150,6 +151,7 @@ class FmuKind(PlantKind, PeriodicKind):
     """A real FMU, FMI 1.0, 2.0 or 3.0."""
 
     ports: ClassVar[str] = "those of the FMU"
+    is_rerun: ClassVar[bool] = True
     tunable_elsewhere: ClassVar[str] = (
         "parameters that the FMU declares so, of which 'cosim info' of the file has a list"
     )

@@ -49,6 +49,8 @@ class Target:
         After how much wall time a row is in the log at the latest [s].
     sync : bool
         Wait for the disk at every flush.
+    embed : bool
+        Put the FMUs of components there, too.
     """
 
     out: str | Path | None
@@ -57,6 +59,7 @@ class Target:
     notice: Notice | None = None
     flush: float = FLUSH_INTERVAL
     sync: bool = False
+    embed: bool = False
 
 
 def check_target(out: str | Path | None, *, force: bool = False, numbered: bool = False) -> None:
@@ -107,7 +110,9 @@ def record(
     """
     out = target.out
     if out is None:
-        attachments = {file.name: file.data for file in attachments_of(experiment)}
+        attachments = {
+            file.name: file.data for file in attachments_of(experiment, embed=target.embed)
+        }
         memory = Memory(metadata_of(experiment), attachments)
         taking = chosen_of(experiment, memory)
         taking = taking if beside is None else beside(taking)
@@ -227,7 +232,7 @@ def log_recorder(
     """Return the recorder of a log; with ``events`` for a run whose inputs may be overridden."""
     kinds = {name: spec.kind for name, spec in experiment.scenario.specs.items()}
     metadata = metadata_of(experiment)
-    attachments = attachments_of(experiment)
+    attachments = attachments_of(experiment, embed=target.embed)
     return McapRecorder(
         out,
         force=target.force,

@@ -314,10 +314,16 @@ def recorded_channels(experiment: Experiment) -> dict[str, Channel]:
     return {channel.name: channel for channel in chosen.channels}
 
 
-def attachments_of(experiment: Experiment) -> list[Attachment]:
+def attachments_of(experiment: Experiment, *, embed: bool = False) -> list[Attachment]:
     """Return the files for the log.
 
-    The scenario's text, each FMU's modelDescription.xml, and a layout for viewers.
+    The scenario's text, each FMU's modelDescription.xml, and a layout for viewers; with ``embed``
+    the FMUs themselves, too.
+
+    Raises
+    ------
+    FmuError
+        If one of these is too large, or is not the one any more that was opened.
     """
     text = experiment.scenario.document.text
     attachments = [Attachment(SCENARIO_FILE, "application/toml", text.encode())]
@@ -327,4 +333,8 @@ def attachments_of(experiment: Experiment) -> list[Attachment]:
     channels = recorded_channels(experiment)
     panels = viewer_panels(channels, graph.connections, experiment.truth)
     attachments.append(Attachment(LAYOUT_FILE, "application/json", layout_json(panels)))
+    if embed:
+        from cosim.scenario.recordings.embedding import embedded_fmus  # rarely needed
+
+        attachments += embedded_fmus(experiment.fmu_files)
     return attachments

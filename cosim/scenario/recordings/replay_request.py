@@ -41,7 +41,9 @@ class ReplayRequest:
     window : ReplayWindow or None
         What is recorded of it; None: all.
     allow_code : bool
-        Whether the code of users' classes may run that the log names.
+        Whether the code of users' classes may run that the log names, and that of its FMUs.
+    rerun : bool
+        Whether plants are computed, too.
     block : int or None
         Communication steps in a block.
     """
@@ -52,6 +54,7 @@ class ReplayRequest:
     window: ReplayWindow | None = None
     allow_code: bool = False
     block: int | None = None
+    rerun: bool = False
 
     @property
     def all_changes(self) -> Mapping[str, Any]:
@@ -78,6 +81,7 @@ def replay_request(
     swap: Mapping[str, str | Path] | None = None,
     map: Mapping[str, PortNames] | None = None,
     allow_code: bool = False,
+    rerun: bool = False,
     window: tuple[float | None, float | None] | None = None,
     components: Sequence[str] | None = None,
     block: int | None = None,
@@ -101,6 +105,7 @@ def replay_request(
         None if window is None else window_of(source, window),
         truth_argument("allow_code", allow_code),
         whole_argument("block", block),
+        truth_argument("rerun", rerun),
     )
 
 
@@ -150,6 +155,7 @@ def prepared_replay(source: Log, request: ReplayRequest, resources: ExitStack) -
         changes,
         request.block,
         allow_code=request.allow_code,
+        rerun=request.rerun,
         components=request.components,
         swaps=swaps,
     )

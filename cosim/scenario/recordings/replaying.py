@@ -25,6 +25,7 @@ from cosim.log.result import PARTIAL_STATUS
 from cosim.scenario.building.build import Builder, parse
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.building.fingerprint import fingerprint
+from cosim.scenario.context.fmus import NONE_AGAIN, RecordedFmu
 from cosim.scenario.document.document import Document
 from cosim.scenario.document.edits import ACTIONS, short
 from cosim.scenario.document.swap import PortNames, component_table, is_map_key
@@ -38,6 +39,8 @@ from cosim.scenario.recorded_metadata import (
     replay_origin,
     run_metadata,
 )
+from cosim.scenario.recordings.embedding import recorded_fmus
+from cosim.scenario.recordings.rerunning import fmu_paths, rerun_specs, with_recorded_reports
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,6 +196,7 @@ def rebuilt(
     block: int | None = None,
     *,
     allow_code: bool = False,
+    rerun: bool = False,
     components: Sequence[str] | None = None,
     swaps: Swaps = NO_SWAPS,
 ) -> Experiment:
@@ -210,6 +214,8 @@ def rebuilt(
     allow_code : bool
         Compute the components of user's classes that the log names, which runs their code. What
         ``wanted`` names may always run.
+    rerun : bool
+        Compute plants too: by their models, and with ``allow_code`` by the FMUs that the run had.
     components : sequence of str, optional
         The only ones to compute; the others are taken from the log. None: all that can be.
     swaps : Swaps
@@ -234,6 +240,11 @@ def rebuilt(
         problems = [(key, text) for key, text in problems if not is_map_key(key)]
     named = texts_in(wanted) | texts_in(swaps.tables(document))
     specs = _with_code(scenario.specs, named, allow_code=allow_code)
+    fmus_again: Mapping[str, RecordedFmu] = NONE_AGAIN
+    if rerun:
+        again = rerun_specs(source, specs, swaps.paths, allow_code=allow_code)
+        fmus_again = recorded_fmus(source, fmu_paths(again), resources)
+        specs |= again
     specs |= {name: specs[name].with_code() for name in swaps.paths if name in specs}
     scenario = replace(scenario, specs=specs)
     left_out = () if components is None else _left_out(scenario, components)
@@ -245,10 +256,13 @@ def rebuilt(
         recording=source,
         named_files=named,
         left_out=left_out,
+        fmus_again=fmus_again,
         block=block,
         replaced=_replaced(source, swaps.paths),
     )
     experiment = builder.experiment()
+    if rerun:
+        experiment = with_recorded_reports(experiment, source)
     check_clock(experiment.clock, source)
     if "scenario.until" not in changes:  # it ends where the recording does
         experiment = replace(experiment, until=None)
@@ -459,8 +473,10 @@ def _remedy(spec: Kind) -> str:
     """Return the way out where a recorded component would have to change."""
     if spec.computable:
         return "choose it, too, as a component to compute"
-    code = "" if spec.code is None else f", or allow its code to run with {flag('allow_code')}"
-    return f"run the scenario to change it{code}"
+    if spec.code is not None:
+        return f"run the scenario to change it, or allow its code to run: {flag('allow_code')}"
+    again = f", or compute it, too: {flag('rerun')}" if spec.is_rerun else ""
+    return f"run the scenario to change it{again}"
 
 
 def _changed_tables(before: Mapping[str, Any], after: Mapping[str, Any]) -> set[str]:
@@ -539,9 +555,9 @@ def _left_out(scenario: Scenario, components: Sequence[str]) -> tuple[str, ...]:
 
 def _why_recorded(spec: Kind) -> str:
     """Return why a component cannot be computed from a log."""
-    if spec.code is None:
-        return "what computes it, a plant, an FMU or a file, is not part of a log"
-    return f"{flag('allow_code')} allows its code to run"
+    if spec.code is not None:
+        return f"{flag('allow_code')} allows its code to run"
+    return f"{flag('rerun')} computes it" if spec.is_rerun else "its file is not part of a log"
 
 
 def _drivers(scenario: Scenario) -> dict[str, set[str]]:

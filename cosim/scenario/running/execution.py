@@ -102,6 +102,7 @@ def run(
     block: int | None = None,
     progress: Progress | None = None,
     notice: Notice | None = None,
+    embed: bool = False,
     profile: dict[str, float] | None = None,
     certify: bool = False,
     find_step: Mapping[str, float] | None = None,
@@ -143,6 +144,7 @@ def run(
     block: int | None = None,
     progress: Progress | None = None,
     notice: Notice | None = None,
+    embed: bool = False,
     profile: dict[str, float] | None = None,
     certify: bool = False,
     find_step: Mapping[str, float] | None = None,
@@ -181,6 +183,9 @@ def run(
     notice : callable, optional
         Called with a text before the first step, if the log at ``out`` may become large, or larger
         than the disk has room for.
+    embed : bool
+        Put the FMUs of components into the log, so that a replay can run them again from the log
+        alone (``rerun``).
     profile : dict, optional
         Filled with wall seconds by component.
     certify : bool
@@ -217,6 +222,7 @@ def run(
     """
     force = truth_argument("force", force)
     numbered = truth_argument("numbered", numbered)
+    embed = truth_argument("embed", embed)
     certify = truth_argument("certify", certify)
     block = whole_argument("block", block)
     callable_argument("progress", progress)
@@ -224,7 +230,7 @@ def run(
     _check_profile(profile)
     if recorder is not None:
         check_recorder(recorder)
-        _check_unaccompanied(out, notice)
+        _check_unaccompanied(out, notice, embed=embed)
     check_target(out, force=force, numbered=numbered)
     sync = truth_argument("sync", sync)
     interval = _flush_interval(flush, sync=sync, is_logged=out is not None)
@@ -255,7 +261,7 @@ def run(
             run_into(taking, experiment, progress=progress, profile=profile)
             behind()
             return recorder
-        target = Target(out, force, numbered, notice, flush=interval, sync=sync)
+        target = Target(out, force, numbered, notice, flush=interval, sync=sync, embed=embed)
         return record(
             experiment, target, progress=progress, profile=profile, beside=beside, behind=behind
         )
@@ -340,8 +346,13 @@ def _check_profile(profile: object) -> None:
         raise UsageError(f"{option('profile')}: found {quoted(profile)}; needed a dict, to fill")
 
 
-def _check_unaccompanied(out: str | Path | None, notice: Notice | None) -> None:
+def _check_unaccompanied(out: str | Path | None, notice: Notice | None, *, embed: bool) -> None:
     """Check that nothing is given beside a recorder that is about a log file."""
+    if embed:
+        raise UsageError(
+            f"found both {flag('embed')} and a recorder; needed one of them: FMUs are put into a "
+            "log file"
+        )
     if out is not None:
         raise UsageError(
             f"found both out={str(out)!r} and a recorder; needed one of them: "
@@ -363,6 +374,7 @@ def replay(
     swap: Mapping[str, str | Path] | None = None,
     map: Mapping[str, PortNames] | None = None,
     allow_code: bool = False,
+    rerun: bool = False,
     window: tuple[float | None, float | None] | None = None,
     components: Sequence[str] | None = None,
     scenario: str | Path | Scenario | None = None,
@@ -394,6 +406,11 @@ def replay(
         Compute the components of users' classes too, which runs the code of the classes that the
         log names. Each is found in the working directory or on sys.path, and has to be the one of
         the run, by the hash of its source.
+    rerun : bool
+        Compute plants too: those of models, and with ``allow_code`` the FMUs of the run, from the
+        log (``run(..., embed=True)``) or from where they were; each has to be the one of the run,
+        by its SHA-256. Nothing of the plants is taken from the log then, and what drives them can
+        be changed.
     window : (float or None, float or None), optional
         Record only from one time to another [s], communication points; None: to where the
         recording begins or ends. All is computed from the start, as components have states that a
@@ -414,6 +431,8 @@ def replay(
     ------
     LogError
         If the log cannot be read, is no log of a scenario, or does not fit its scenario.
+    FmuError
+        If an FMU that is to be run again is missing, or another one.
     ScenarioError
         If a class cannot be imported, or is another one than in the run.
     UsageError
@@ -426,7 +445,9 @@ def replay(
     callable_argument("notice", notice)
     _check_profile(profile)
     if isinstance(log, str | Path) and is_foreign(path_argument("log", log)):
-        check_field_options(allow_code=allow_code, window=window, components=components)
+        check_field_options(
+            allow_code=allow_code, rerun=rerun, window=window, components=components
+        )
         loaded = scenario if isinstance(scenario, Scenario) or scenario is None else load(scenario)
         return run(
             with_recorded_components(loaded, path_argument("log", log), swaps=swap, maps=map),
@@ -450,6 +471,7 @@ def replay(
         swap=swap,
         map=map,
         allow_code=allow_code,
+        rerun=rerun,
         window=window,
         components=components,
         block=block,

@@ -54,7 +54,9 @@ def with_recorded_components(
     return scenario.edit(swap={**recorded, **paths}, map=names)
 
 
-def check_field_options(*, allow_code: bool, window: object, components: object) -> None:
+def check_field_options(
+    *, allow_code: bool, rerun: bool, window: object, components: object
+) -> None:
     """Check that nothing is given that a replay of another tool's recording does not have.
 
     Raises
@@ -64,6 +66,7 @@ def check_field_options(*, allow_code: bool, window: object, components: object)
     """
     given = {
         flag("allow_code"): allow_code,
+        flag("rerun"): rerun,
         "a window of time": window is not None,
         "components to compute": components is not None,
     }

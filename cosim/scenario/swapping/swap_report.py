@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from itertools import groupby
-from typing import Any
+from typing import Any, Final
 
 from cosim.errors import ScenarioError, option
 from cosim.scenario.swapping.port_comparison import (
@@ -15,6 +15,11 @@ from cosim.scenario.swapping.port_comparison import (
     port_label,
     shown,
 )
+
+_DIFFERS: Final = "differs from what it replaces: "
+_UNITS: Final = "units that cannot be compared with what is connected: "
+_SIZES: Final = "of another size than what it replaces: "
+SWAP_WARNINGS: Final = (_DIFFERS, _UNITS, _SIZES)  # how the warnings of a report begin
 
 
 @dataclass(frozen=True)
@@ -72,15 +77,12 @@ class SwapReport:
         sizes = [_size_text(row) for row in rows if row.of_another_size]
         warnings = []
         if differences:
-            warnings.append(f"differs from what it replaces: {'; '.join(differences)}")
+            warnings.append(f"{_DIFFERS}{'; '.join(differences)}")
         if units:
-            warnings.append(
-                f"units that cannot be compared with what is connected: {'; '.join(units)}; "
-                "values are taken as they are"
-            )
+            warnings.append(f"{_UNITS}{'; '.join(units)}; values are taken as they are")
         if sizes:
             warnings.append(
-                f"of another size than what it replaces: {'; '.join(sizes)}; is it in other units? "
+                f"{_SIZES}{'; '.join(sizes)}; is it in other units? "
                 f"{self.component}.unit declares them, a connection converts them"
             )
         return warnings

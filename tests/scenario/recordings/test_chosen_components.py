@@ -107,8 +107,8 @@ def test_what_cannot_be_chosen_is_refused(tmp_path):
     with pytest.raises(UsageError, match=r"no component 'obserer'; did you mean 'observer'\? Th"):
         cosim.replay(log, components=["obserer"])
     message = (
-        "'plant' cannot be computed, as a replay takes it from the log: what computes it, a plant, "
-        "an FMU or a file, is not part of a log; there is: u, delta, observer, regressor"
+        "'plant' cannot be computed, as a replay takes it from the log: rerun=True computes it; "
+        "there is: u, delta, observer, regressor"
     )
     with pytest.raises(UsageError, match=message):
         cosim.replay(log, components=["observer", "plant"])

@@ -1,0 +1,133 @@
+"""The FMUs of a run in its log: put there as they are, and taken out again, by their SHA-256.
+
+An FMU is code. What is taken out, or is found where the log says that it was, is what the run had,
+bit for bit, or it is refused. It is copied into a folder of our own under a name that is its hash:
+no name that a log has becomes a path. The copy is unpacked as any FMU is
+(:mod:`cosim.fmi.reading.archive`).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterable, Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Final
+
+from cosim.core.recording import CompleteRecording
+from cosim.errors import FmuError, LogError, flag, quoted
+from cosim.files import read_bounded
+from cosim.log import Attachment
+from cosim.log.container import MOST_ATTACHED
+from cosim.scenario.context.fmus import RecordedFmu
+from cosim.scenario.recorded_metadata import component_record
+from cosim.temporary import TemporaryFolder
+
+MOST_EMBEDDED: Final = MOST_ATTACHED - 2**12  # bytes; the record of an attachment has a head, too
+_SHA256: Final = re.compile(r"[0-9a-f]{64}")
+
+
+def embedded_name(sha256: str) -> str:
+    """Return the name of the attachment that an FMU is, by its hash."""
+    return f"{sha256}.fmu"
+
+
+def embedded_fmus(files: Mapping[str, Path]) -> list[Attachment]:
+    """Return FMUs as attachments of a log.
+
+    Parameters
+    ----------
+    files : mapping of SHA-256 to Path
+
+    Raises
+    ------
+    FmuError
+        If one is too large to be read back, or is not the one any more that was opened.
+    """
+    attachments = []
+    for sha256, path in files.items():
+        try:
+            size = path.stat().st_size
+            if size > MOST_EMBEDDED:
+                raise FmuError(
+                    f"{path}: has {size} bytes, a log takes FMUs of at most {MOST_EMBEDDED}; leave "
+                    f"out {flag('embed')}"
+                )
+            content = read_bounded(path, MOST_EMBEDDED)
+        except OSError as error:
+            raise FmuError(f"{path} cannot be read: {error.strerror or error}") from error
+        if hashlib.sha256(content).hexdigest() != sha256:
+            raise FmuError(f"{path}: was changed while it was opened; try it again")
+        attachments.append(Attachment(embedded_name(sha256), "application/zip", content))
+    return attachments
+
+
+def recorded_fmus(
+    source: CompleteRecording, paths: Mapping[str, str], resources: ExitStack
+) -> dict[str, RecordedFmu]:
+    """Return copies of the FMUs that components had in a recorded run, by component.
+
+    Parameters
+    ----------
+    source : CompleteRecording
+    paths : mapping of component name to path
+        Where each is, if it is not embedded.
+    resources : ExitStack
+        Removes the copies.
+
+    Raises
+    ------
+    LogError
+        If the log does not say which FMU a component had.
+    FmuError
+        If there is no such FMU, or another one in its place.
+    """
+    if not paths:
+        return {}
+    folder = resources.enter_context(TemporaryFolder("fmu"))
+    copies = {}
+    for name, path in paths.items():
+        record = component_record(source, name)
+        sha256 = record.sha256
+        if sha256 is None or not _SHA256.fullmatch(sha256):
+            raise LogError(
+                f"{source.label}: found the SHA-256 {quoted(sha256)} of the FMU of {name!r}; "
+                "needed 64 hexadecimal digits"
+            )
+        candidates = [path] if record.path is None else [path, record.path]
+        content = _content(source, name, sha256, candidates)
+        copy = folder / embedded_name(sha256)
+        copy.write_bytes(content)
+        copies[name] = RecordedFmu(copy, record.path or path)
+    return copies
+
+
+def _content(source: CompleteRecording, name: str, sha256: str, paths: Iterable[str]) -> bytes:
+    """Return the bytes of an FMU: those in the log, else those of a file, if they are the same."""
+    attached = embedded_name(sha256)
+    if attached in source.attachments:
+        content = source.attachment(attached)
+        _check(name, f"the FMU in {source.label}", content, sha256)
+        return content
+    tried = list(dict.fromkeys(paths))
+    for path in tried:
+        try:
+            content = read_bounded(Path(path), MOST_EMBEDDED)
+        except OSError:
+            continue
+        _check(name, path, content, sha256)
+        return content
+    raise FmuError(
+        f"the FMU of {name!r} is neither in the log nor a file that can be read: "
+        f"{', '.join(tried)}; needed one of them: {flag('embed')} of a run puts it into the log"
+    )
+
+
+def _check(name: str, place: str, content: bytes, sha256: str) -> None:
+    found = hashlib.sha256(content).hexdigest()
+    if found != sha256:
+        raise FmuError(
+            f"the FMU of {name!r}: {place} has the SHA-256 {found}, that of the log's run: "
+            f"{sha256}; it is not run"
+        )
