@@ -240,6 +240,32 @@ def test_several_signals_that_drive_an_input_are_recorded_one_by_one(loop, tmp_p
     assert log["plant.u"].shape == (301, 2)
 
 
+def test_elements_of_a_recorded_input_are_those_of_what_drove_it(tmp_path):
+    """``command.y[1]`` becomes ``plant.u[1]``, and a slice is one too."""
+    text = """
+scenario = { name = "vector", stop = 1.0, step = 1e-2 }
+[components]
+command = { kind = "constant", value = [1.0, 2.0] }
+plant = { kind = "gain", K = [[1.0, 1.0]] }
+one = { kind = "gain", K = 1.0 }
+both = { kind = "gain", K = [[0.0, 1.0]] }
+[connections]
+"plant.u" = "command.y"
+"one.u" = "command.y[1]"
+"both.u" = "command.y[0:2]"
+"""
+    path = tmp_path / "vector.toml"
+    path.write_text(text, encoding="utf-8")
+    names = {"plant.y": "/drive/state.position", "plant.u": "[/cmd.values[0],/cmd.values[1]]"}
+    log = cosim.run(cosim.load(path).swap(plant=field_log(tmp_path), map=names))
+    assert log["plant.u"].shape == (101, 2)
+    np.testing.assert_array_equal(log["one.y"], np.full(101, 7.0))
+    np.testing.assert_array_equal(log["both.y"], np.full(101, 7.0))
+    whole = {**names, "plant.u": "/cmd.values"}
+    again = cosim.run(cosim.load(path).swap(plant=field_log(tmp_path), map=whole))
+    np.testing.assert_array_equal(again["plant.u"], log["plant.u"])
+
+
 def test_an_own_log_is_no_field_recording(loop, tmp_path):
     """Also where another tool has copied it: its component is taken, at the rows of its run."""
     own = tmp_path / "own.mcap"
