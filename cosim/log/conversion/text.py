@@ -15,6 +15,8 @@ import math
 from collections.abc import Callable, Iterator
 from typing import Final, TypeAlias
 
+import numpy as np
+
 from cosim.arrays import Nanoseconds
 from cosim.core.frames import TIME
 from cosim.core.joined_rows import JoinedRows
@@ -37,43 +39,47 @@ def csv_text(choice: LogChoice) -> Iterator[str]:
     csv.writer(line, lineterminator="\n").writerow(header)
     yield line.getvalue()
     for part in _short(choice):
-        lines = []
-        for time, cells in zip(exact_seconds(part.time_ns), _cells(part), strict=True):
-            lines.append(f"{time},{','.join(cells)}\n")
-        yield "".join(lines)
-
-
-def _cells(part: JoinedRows) -> Iterator[list[str]]:
-    """Yield the cells of each row: numbers, and nothing where there is no value."""
-    rows = part.values.tolist()
-    if part.missing is None:
-        for row in rows:
-            yield list(map(repr, row))
-        return
-    for row, missing in zip(rows, part.missing.tolist(), strict=True):
-        yield ["" if is_missing else repr(v) for v, is_missing in zip(row, missing, strict=True)]
+        cells = [exact_seconds(part.time_ns)]
+        for number in range(part.values.shape[1]):
+            cells.append(_shown(part, number, repr))
+        lines = map(",".join, zip(*cells, strict=True))
+        yield "\n".join(lines) + "\n"
 
 
 def json_lines(choice: LogChoice) -> Iterator[str]:
     """Yield a table as JSON Lines, a few rows at a time."""
-    keys = [f", {json.dumps(column.name)}: " for column in choice.columns]
+    entries = [_json_entry(column.name) for column in choice.columns]
     for part in _short(choice):
-        lines = []
-        absent = None if part.missing is None else part.missing.tolist()
-        times = exact_seconds(part.time_ns)
-        for number, (time, row) in enumerate(zip(times, part.values.tolist(), strict=True)):
-            shown = [key + _json_number(value) for key, value in zip(keys, row, strict=True)]
-            if absent is not None:
-                kept = zip(shown, absent[number], strict=True)
-                shown = [text for text, is_missing in kept if not is_missing]
-            lines.append(f'{{"{TIME}": {time}{"".join(shown)}}}\n')
-        yield "".join(lines)
+        texts = [[f'{{"{TIME}": {time}' for time in exact_seconds(part.time_ns)]]
+        for number, entry in enumerate(entries):
+            texts.append(_shown(part, number, entry))
+        lines = map("".join, zip(*texts, strict=True))
+        yield "}\n".join(lines) + "}\n"
 
 
-def _json_number(value: float) -> str:
-    if math.isfinite(value):
-        return repr(value)
-    return '"NaN"' if math.isnan(value) else f'"{"-" if value < 0.0 else ""}Infinity"'
+def _json_entry(name: str) -> Callable[[float], str]:
+    """Return what writes a value behind those before it, with its name."""
+    key = f", {json.dumps(name)}: "
+
+    def entry(value: float) -> str:
+        if math.isfinite(value):
+            return f"{key}{value!r}"
+        text = "NaN" if math.isnan(value) else f"{'-' if value < 0.0 else ''}Infinity"
+        return f'{key}"{text}"'
+
+    return entry
+
+
+def _shown(part: JoinedRows, number: int, show: Callable[[float], str]) -> list[str]:
+    """Return the values of a column as texts, empty where there is none."""
+    values = part.values[:, number]
+    if part.missing is None or not part.missing[:, number].any():
+        return list(map(show, values.tolist()))
+    texts = [""] * len(part)
+    rows = np.flatnonzero(~part.missing[:, number])
+    for row, value in zip(rows.tolist(), values[rows].tolist(), strict=True):
+        texts[row] = show(value)
+    return texts
 
 
 def exact_seconds(time_ns: Nanoseconds) -> list[str]:
