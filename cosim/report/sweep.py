@@ -3,27 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
 from cosim.arguments import callable_argument, path_argument, truth_argument
 from cosim.errors import Interrupted, RunError, UsageError, option, quoted
 from cosim.files import file_type
-from cosim.log import Log, open_log
+from cosim.log import Log
 from cosim.report.summary import Identification, Summary, summarize
-from cosim.scenario.document.edits import short
 from cosim.scenario.document.swap import PortNames
+from cosim.scenario.parsing import Scenario
 from cosim.scenario.recordings.recording import Progress, Target, check_target
-from cosim.scenario.recordings.replay_request import (
-    ReplayRequest,
-    check_replay_target,
-    prepared_replay,
-    record_replay,
-    replay_request,
-)
 from cosim.scenario.running.combinations import combination_text, combinations
+from cosim.scenario.running.repeated_replay import RepeatedReplay, check_varied, repeated_replay
 
 ERROR: Final = " error"  # behind the name of what it is of
 HALF_WIDTH: Final = " half-width"
@@ -170,15 +163,18 @@ def replay_sweep(
     swap: Mapping[str, str | Path] | None = None,
     map: Mapping[str, PortNames] | None = None,
     allow_code: bool = False,
+    rerun: bool = False,
     window: tuple[float | None, float | None] | None = None,
     components: Sequence[str] | None = None,
+    scenario: str | Path | Scenario | None = None,
     out: str | Path | None = None,
     force: bool = False,
     progress: Progress | None = None,
 ) -> ReplaySweep:
     """Replay a log with every combination of some values: one log, many answers.
 
-    All combinations are checked before the first is run. What is taken from the log is read once.
+    All combinations are checked before the first is run. What is taken from a log of cosim is read
+    once.
 
     Parameters
     ----------
@@ -188,7 +184,7 @@ def replay_sweep(
         are at most 1000 combinations.
     set : mapping of dotted key to value, optional
         What all of them have; not what is varied.
-    swap, map, allow_code, window, components
+    swap, map, allow_code, rerun, window, components, scenario
         As of :func:`cosim.replay`.
     out : str or Path, optional
         Folder for their logs, ``1.mcap``, ``2.mcap``, ... in the order of the rows; without it
@@ -207,78 +203,72 @@ def replay_sweep(
     """
     callable_argument("progress", progress)
     force = truth_argument("force", force)
-    source = log if isinstance(log, Log) else open_log(log)
-    request = replay_request(
-        source,
+    replays = repeated_replay(
+        log,
         set=set,
         swap=swap,
         map=map,
         allow_code=allow_code,
+        rerun=rerun,
         window=window,
         components=components,
+        scenario=scenario,
     )
     rows = combinations(vary)
-    requests = [_with_values(request, values) for values in rows]
-    paths = _log_paths(source, out, len(rows), force=force)
-    for values, varied in zip(rows, requests, strict=True):
-        _check(source, values, varied)
+    check_varied(replays.changes, rows[0])
+    folder = None if out is None else _folder(out, len(rows))
+    paths = [None if folder is None else folder / f"{k + 1}.mcap" for k in range(len(rows))]
+    _check_targets(replays, paths, force=force)
+    for values in rows:
+        _check(replays, values)
+    if folder is not None:
+        _make(folder)
     done = []
-    for number, (values, varied) in enumerate(zip(rows, requests, strict=True)):
-        target = Target(paths[number], force)
+    for number, (values, path) in enumerate(zip(rows, paths, strict=True)):
         part = _part(progress, number, len(rows))
-        done.append(_replayed(source, values, varied, target, part))
-    return ReplaySweep(source.label, tuple(rows[0]), tuple(done))
+        done.append(_replayed(replays, values, Target(path, force), part))
+    return ReplaySweep(replays.label, tuple(rows[0]), tuple(done))
 
 
-def _with_values(request: ReplayRequest, values: Mapping[str, Any]) -> ReplayRequest:
-    """Return a request with a combination of values.
-
-    Raises
-    ------
-    UsageError
-        If a key is varied that is set, too.
-    """
-    known = {short(key) for key in request.changes}
-    for key in values:
-        if short(key) in known:
-            raise UsageError(
-                f"found both {option('set', short(key))} and {option('vary', short(key))}; needed "
-                "one of them"
-            )
-    return replace(request, changes={**request.changes, **values})
-
-
-def _log_paths(
-    source: Log, out: str | Path | None, count: int, *, force: bool
-) -> list[Path | None]:
-    """Return where the logs are written, in a folder that is made where there is none.
+def _folder(out: str | Path, count: int) -> Path:
+    """Return the folder of the logs, which need not be there.
 
     Raises
     ------
     UsageError
-        If it is no path of a folder, or one of the logs is there and not to be replaced.
+        If it is no path of a folder.
     """
-    if out is None:
-        check_target(None, force=force)
-        return [None] * count
     folder = path_argument("out", out)
     if file_type(folder) is not None or (folder.exists() and not folder.is_dir()):
         raise UsageError(
             f"{option('out')}: found {quoted(str(out))}; needed a folder for {count} logs"
         )
+    return folder
+
+
+def _check_targets(replays: RepeatedReplay, paths: Sequence[Path | None], *, force: bool) -> None:
+    """Check that logs can be written, where their folder is there already.
+
+    Raises
+    ------
+    UsageError
+        If one of them is there and not to be replaced, or there is none to be.
+    """
+    for path in paths:
+        if path is None:
+            check_target(None, force=force)
+        elif path.parent.exists():
+            replays.check_target(path, force=force)
+
+
+def _make(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UsageError(f"{option('out')}: {folder}: {error.strerror}") from error
-    paths: list[Path | None] = []
-    for number in range(count):
-        path = folder / f"{number + 1}.mcap"
-        check_replay_target(source, path, force=force)
-        paths.append(path)
-    return paths
 
 
-def _check(source: Log, values: Mapping[str, Any], request: ReplayRequest) -> None:
+def _check(replays: RepeatedReplay, values: Mapping[str, Any]) -> None:
     """Build and prepare a replay, to find what is wrong with it before any is run.
 
     Raises
@@ -287,24 +277,21 @@ def _check(source: Log, values: Mapping[str, Any], request: ReplayRequest) -> No
         If it cannot be run; names the combination.
     """
     try:
-        with ExitStack() as resources:
-            experiment = prepared_replay(source, request, resources)
-            experiment.graph.prepare(experiment.clock.step_ns, experiment.designs)
+        replays.check(values)
     except UsageError as error:
         raise UsageError(f"{combination_text(values)}: {error}") from error
 
 
 def _replayed(
-    source: Log,
+    replays: RepeatedReplay,
     values: Mapping[str, Any],
-    request: ReplayRequest,
     target: Target,
     progress: Progress | None,
 ) -> SweepRow:
     """Replay a combination; what fails in the run is a row, too."""
     path = None if target.out is None else Path(target.out)
     try:
-        again = record_replay(source, request, target, progress=progress)
+        again = replays.record(values, target, progress)
     except Interrupted:
         raise
     except RunError as error:

@@ -9,7 +9,8 @@ import cosim
 from cosim.errors import ScenarioError, UsageError
 from cosim.report.summary import summarize
 from cosim.report.sweep import results_of
-from cosim.scenario.recordings import replay_request
+from cosim.scenario.running import repeated_replay
+from tests.scenario.field_recordings import BOTH, LOOP, field_log
 
 END = {"scenario.stop": 8.0}  # past the start of the identification at 6.461 s
 FAILING = """
@@ -96,8 +97,8 @@ def test_the_log_is_opened_and_read_once(log, monkeypatch):
         rows.append(source.rows("plant"))
         return record_replay(source, *arguments, **options)
 
-    record_replay = replay_request.record_replay
-    monkeypatch.setattr("cosim.report.sweep.record_replay", recorded)
+    record_replay = repeated_replay.record_replay
+    monkeypatch.setattr(repeated_replay, "record_replay", recorded)
     cosim.replay_sweep(log.path, vary={"identifier.P0": [1e3, 1e6, 1e9]})
     assert len({id(source) for source in sources}) == 1
     assert all(np.shares_memory(rows[0], other) for other in rows[1:])
@@ -115,7 +116,7 @@ def test_all_combinations_are_checked_before_the_first_runs(log, tmp_path):
         cosim.replay_sweep(log, vary={"identifer.P0": [1.0]}, out=folder)
     with pytest.raises(UsageError, match=r"observer.L = \[-50.0, 0.0\]: .*Hurwitz"):
         cosim.replay_sweep(log, vary={"observer.L": [[8.0, 0.0], [-50.0, 0.0]]}, out=folder)
-    assert not list(folder.glob("*"))
+    assert not folder.exists()
 
 
 def test_what_is_varied_cannot_be_set_too(log):
@@ -200,3 +201,39 @@ def test_a_scenario_problem_keeps_its_place(failing):
         cosim.replay_sweep(failing, vary={"v.y": ["2 *"]})
     with pytest.raises(ScenarioError, match=r"components.v"):
         cosim.replay(failing, set={"v.y": "2 *"})
+
+
+def test_a_recording_of_another_tool_is_replayed_with_varied_values(failing, tmp_path, call):
+    """With the scenario and the map that a replay of it needs."""
+    path = field_log(tmp_path)
+    scenario = tmp_path / "loop.toml"
+    scenario.write_text(LOOP, encoding="utf-8")
+    vary = {"model.time_constant": [0.1, 0.4]}
+    sweep = cosim.replay_sweep(path, vary=vary, scenario=scenario, map=BOTH)
+    for row in sweep.rows:
+        again = cosim.replay(path, scenario=scenario, map=BOTH, set=row.values)
+        assert repr(row.summary) == repr(summarize(again))  # NaN is not equal to itself
+    assert len(set(sweep["model.y"])) == 2
+    with pytest.raises(UsageError, match=r"model.time_constant = -1.0: .*components.model"):
+        cosim.replay_sweep(
+            path, vary={"model.time_constant": [0.1, -1.0]}, scenario=scenario, map=BOTH
+        )
+    with pytest.raises(UsageError, match="carries no scenario; needed scenario"):
+        cosim.replay_sweep(path, vary=vary, map=BOTH)
+    with pytest.raises(UsageError, match="carries its own scenario; leave out scenario"):
+        cosim.replay_sweep(failing, vary=vary, scenario=scenario)
+    maps = [f"--map={port}={name}" for port, name in BOTH.items()]
+    command = ("replay", path, "--scenario", scenario, *maps)
+    code, out, _ = call(*command, "--vary", "model.time_constant=0.1,0.4")
+    assert code == 0
+    assert len(out.splitlines()) == 4
+
+
+def test_plants_of_models_are_varied_in_a_rerun(log):
+    """Nothing of them is taken from the log then."""
+    vary = {"u.amplitude": [1.0, 2.0]}
+    with pytest.raises(UsageError, match="rerun=True"):
+        cosim.replay_sweep(log, vary=vary)
+    sweep = cosim.replay_sweep(log, vary=vary, rerun=True)
+    run = cosim.run("academic-as-printed", set={**END, "u.amplitude": 2.0})
+    assert sweep.rows[1].results["identifier.theta[0]"] == run["identifier.theta"][-1, 0]
