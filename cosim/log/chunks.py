@@ -18,8 +18,9 @@ from mcap.opcode import Opcode
 
 from cosim.arrays import Nanoseconds
 from cosim.log.compression import Compression, compress
+from cosim.log.crc import combined_crc
 from cosim.log.records import HEADER, record_header
-from cosim.log.summary import IndexEntry, RecordGroup
+from cosim.log.summary import IndexEntry, RecordGroup, placed_entry
 
 CHUNK_BYTES: Final = 2**20  # of records, uncompressed
 _SMALL: Final = 2**14  # bytes: channels with less share a chunk
@@ -44,6 +45,7 @@ class _Chunk:
 
     parts: Sequence[bytes | memoryview]
     size: int
+    crc: int  # of all parts
     entry: IndexEntry
 
 
@@ -62,11 +64,13 @@ def _grouped(chunks: Sequence[_Chunk]) -> RecordGroup:
     parts: list[bytes | memoryview] = []
     entries: list[IndexEntry] = []
     position = 0
+    crc = 0
     for chunk in chunks:
-        entries += RecordGroup(b"", [chunk.entry]).placed(position)
+        entries.append(placed_entry(chunk.entry, position))
         parts += chunk.parts
         position += chunk.size
-    return RecordGroup(b"".join(parts), entries)
+        crc = combined_crc(crc, chunk.crc, chunk.size)
+    return RecordGroup(b"".join(parts), entries, crc)
 
 
 def _contents(batches: Sequence[MessageBatch]) -> Iterator[list[MessageBatch]]:
@@ -116,7 +120,8 @@ def _chunk(batches: Sequence[MessageBatch], compression: Compression) -> _Chunk:
     name = "" if compression == "none" else compression
     first_ns = int(min(batch.time_ns.min() for batch in batches))
     last_ns = int(max(batch.time_ns.max() for batch in batches))
-    header = _CHUNK_TIMES.pack(first_ns, last_ns, len(content), zlib.crc32(content))
+    content_crc = zlib.crc32(content)
+    header = _CHUNK_TIMES.pack(first_ns, last_ns, len(content), content_crc)
     header += struct.pack("<I", len(name)) + name.encode() + struct.pack("<Q", len(compressed))
     length = len(header) + len(compressed)
     indexes = _message_indexes(batches)
@@ -139,8 +144,14 @@ def _chunk(batches: Sequence[MessageBatch], compression: Compression) -> _Chunk:
         message_start_time=first_ns,
         uncompressed_size=len(content),
     )
-    parts = [record_header(Opcode.CHUNK, length), header, compressed, *indexes]
-    return _Chunk(parts, chunk_length + index_length, IndexEntry(chunk_index, counts))
+    head = record_header(Opcode.CHUNK, length) + header
+    # Without a compression the CRC of the content is known already.
+    compressed_crc = content_crc if compressed is content else zlib.crc32(compressed)
+    crc = combined_crc(zlib.crc32(head), compressed_crc, len(compressed))
+    for index in indexes:
+        crc = zlib.crc32(index, crc)
+    parts = [head, compressed, *indexes]
+    return _Chunk(parts, chunk_length + index_length, crc, IndexEntry(chunk_index, counts))
 
 
 def _message_indexes(batches: Sequence[MessageBatch]) -> list[bytes]:

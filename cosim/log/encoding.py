@@ -18,7 +18,7 @@ from cosim.log.content import hash_input
 from cosim.log.layout import Part, Records, blank_records, group_columns, record_dtype
 from cosim.log.records import HEADER
 
-_CHANNEL_BYTES = 2**18  # of a channel in a flush, where there are many
+_CHANNEL_BYTES = 2**20  # of a channel in a flush, as long as there are few
 _LARGEST_FLUSH = 2**23  # bytes of records
 _BUFFER_BYTES = 2**22  # of rows, where long periods leave few of them in a chunk
 _DOUBLE_BYTES = 8

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from typing import final
 
 from mcap import records
@@ -78,7 +79,7 @@ def metadata_group(name: str, items: dict[str, str]) -> RecordGroup:
     """Return a metadata record."""
     data = encoded(records.Metadata(name=name, metadata=items))
     index = records.MetadataIndex(offset=0, length=len(data), name=name)
-    return RecordGroup(data, [IndexEntry(index, {})])
+    return RecordGroup(data, [IndexEntry(index, {})], zlib.crc32(data))
 
 
 def attachment_group(name: str, media_type: str, content: bytes) -> RecordGroup:
@@ -96,4 +97,4 @@ def attachment_group(name: str, media_type: str, content: bytes) -> RecordGroup:
         name=name,
         media_type=media_type,
     )
-    return RecordGroup(data, [IndexEntry(index, {})])
+    return RecordGroup(data, [IndexEntry(index, {})], zlib.crc32(data))

@@ -37,6 +37,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final, final
 
+from cosim.log.crc import combined_crc
 from cosim.log.records import (
     DATA_END_SIZE,
     END_SIZE,
@@ -180,7 +181,8 @@ class LiveFile:
             self._put(self._end, group)
         padding = _padding(self._end + len(group.data))
         self._summary.add(group.placed(self._end))
-        self._crc = zlib.crc32(padding, zlib.crc32(group.data, self._crc))
+        crc = combined_crc(self._crc, group.crc, len(group.data))
+        self._crc = zlib.crc32(padding, crc)
         self._end += len(group.data) + len(padding)
         self._tail = None
 
@@ -259,7 +261,8 @@ class LiveFile:
         footer_before = self._frame.footer
         # What readers see now stands up to here, and must not be written over.
         old_end = footer_before + END_SIZE
-        generous = min(max(needed, _SMALLEST_HOLE), LARGEST_HOLE)
+        room = LARGEST_HOLE - (needed - self._end)
+        generous = min(max(needed, _SMALLEST_HOLE), max(room, _RESERVE))
         try:
             self._extend(_frame(max(needed + generous, old_end), summary))
         except OSError:

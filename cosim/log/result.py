@@ -6,6 +6,7 @@ The attachment has the values that the caller adds, too.
 from __future__ import annotations
 
 import json
+import zlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -41,7 +42,8 @@ def result_group(
     text = json.dumps({**values, **items}, default=_to_json, indent=2)
     attachment = attachment_group(RESULT_FILE, "application/json", text.encode())
     entries = [*record.entries, *attachment.placed(len(record.data))]
-    return RecordGroup(record.data + attachment.data, entries)
+    data = record.data + attachment.data
+    return RecordGroup(data, entries, zlib.crc32(data))
 
 
 def _to_json(value: object) -> object:

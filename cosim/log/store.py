@@ -143,6 +143,6 @@ class LogStore:
             content, start_ns=self._start_ns, step_ns=self._plan.step_ns
         )
         if not batches:
-            return RecordGroup(b"", ())
+            return RecordGroup(b"", (), 0)
         make = separate_chunks if is_separate and self._has_few_channels else one_chunk
         return make(batches, self._compression)

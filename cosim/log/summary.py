@@ -43,17 +43,27 @@ class IndexEntry:
 
 @dataclass(frozen=True, slots=True)
 class RecordGroup:
-    """Whole records that are written side by side, and what the summary needs of them."""
+    """Whole records that are written side by side, and what the summary needs of them.
+
+    Parameters
+    ----------
+    data : bytes
+    entries : sequence of IndexEntry
+    crc : int
+        CRC-32 of the data.
+    """
 
     data: bytes
     entries: Sequence[IndexEntry]
+    crc: int
 
     def placed(self, position: int) -> list[IndexEntry]:
         """Return the entries of the group where it begins at ``position``."""
-        return [_placed(entry, position) for entry in self.entries]
+        return [placed_entry(entry, position) for entry in self.entries]
 
 
-def _placed(entry: IndexEntry, position: int) -> IndexEntry:
+def placed_entry(entry: IndexEntry, position: int) -> IndexEntry:
+    """Return an entry whose offsets count from the start of the file, not from ``position``."""
     index = entry.index
     if not isinstance(index, records.ChunkIndex):
         return IndexEntry(replace(index, offset=index.offset + position), entry.counts)

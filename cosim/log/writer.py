@@ -104,6 +104,7 @@ class McapRecorder:
         self._sync = sync
         self._file = UnfinishedLog(log_path(path), force=force, numbered=numbered)
         self._writer: BackgroundWriter | None = None
+        self._early: list[tuple[str, int, bytes]] = []  # messages before the file
 
     @property
     def path(self) -> Path:
@@ -205,6 +206,8 @@ class McapRecorder:
             width=plan.layout.width,
             interval=self._flush,
         )
+        for topic, time_ns, message in self._early:
+            self._write_message(topic, time_ns, message)
 
     def size_bound(self, steps: int) -> int:
         """Return how large the file can become in a run of so many steps [bytes].
@@ -242,8 +245,9 @@ class McapRecorder:
                 self._store.begin(start_ns)
                 self._file.publish()
         row = 0 if is_first and block.index == 0 else 1
+        assert self._writer is not None
         try:
-            self._open_writer().write(block, signals, row)
+            self._writer.write(block, signals, row)
         except OSError as error:
             self._fail(error)
 
@@ -262,9 +266,12 @@ class McapRecorder:
         self._write_message(STEP_TOPIC, substep.begin_ns, encode_substep(substep))
 
     def _write_message(self, topic: str, time_ns: int, data: bytes) -> None:
+        if self._writer is None:  # not begun, or ended: after an error a run may have more to say
+            self._early.append((topic, time_ns, data))
+            return
         message = WaitingMessage(self._channel_ids[topic], time_ns, data)
         try:
-            self._open_writer().message(message)
+            self._writer.message(message)
         except OSError as error:
             self._fail(error)
 
@@ -277,10 +284,6 @@ class McapRecorder:
             A key that was added before is replaced.
         """
         self._result.update(values)
-
-    def _open_writer(self) -> BackgroundWriter:
-        assert self._writer is not None
-        return self._writer
 
     def _add(self, content: RunContent) -> None:
         """Write a content; called in the writer's thread."""

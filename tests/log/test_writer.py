@@ -363,3 +363,18 @@ def test_the_recorder_is_a_recorder(tmp_path):
     """The contract holds by type; mypy checks the assignment."""
     recorder: Recorder = McapRecorder(tmp_path / "a.mcap")
     assert recorder
+
+
+def test_messages_before_the_file_are_in_it(tmp_path):
+    """A component may warn while the run is prepared; where nothing follows nothing is written."""
+    path = tmp_path / "a.mcap"
+    with McapRecorder(path) as recorder:
+        recorder.message(0, "warning", "plant", "early")
+        recorder.begin(plan())
+        recorder.message(0, "info", "run", "late")
+        recorder.write(*next(blocks(table(layout(), 10), 10)))
+    assert [message.text for message in open_log(path).messages()] == ["early", "late"]
+    recorder = McapRecorder(tmp_path / "b.mcap")
+    with recorder:
+        recorder.message(0, "warning", "plant", "early")
+    assert not (tmp_path / "b.mcap").exists()

@@ -22,7 +22,7 @@ from cosim.log.partial.lost import Interval, missing_rows
 from cosim.log.partial.recovering import recover
 from cosim.log.partial.salvage import salvage
 from tests.log.crafting import put_together, take_apart
-from tests.log.recordings import STEP_NS, layout, record, same_bits, table
+from tests.log.recordings import STEP_NS, layout, make_chunks_small, record, same_bits, table
 
 STEPS = 20_000
 
@@ -31,7 +31,9 @@ STEPS = 20_000
 def written(tmp_path_factory):
     """Return the bytes of a log of several chunks a component, its rows and its chunk indexes."""
     path = tmp_path_factory.mktemp("logs") / "a.mcap"
-    rows = record(path, steps=STEPS, messages=[(0, "info", "run", "begin")])
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        make_chunks_small(monkeypatch, 2**18)
+        rows = record(path, steps=STEPS, messages=[(0, "info", "run", "begin")])
     with path.open("rb") as stream:
         chunks = make_reader(stream).get_summary().chunk_indexes
     assert len(chunks) > 4
@@ -277,9 +279,9 @@ def test_a_killed_run_is_recovered(tmp_path):
     code = (
         "import cosim\n"
         "log = cosim.load('academic').set({'scenario.stop': 1000.0}).start(out='a.mcap')\n"
-        "log.step(30000)\n"
+        "log.step(100000)\n"
         "print('written', flush=True)\n"
-        "log.step(900000)\n"
+        "log.step(800000)\n"
     )
     command = [sys.executable, "-c", code]
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE) as process:
