@@ -36,7 +36,6 @@ from cosim.errors import UsageError
 from cosim.terminal import show_progress
 
 if TYPE_CHECKING:
-    from cosim.log import Log
     from cosim.scenario.parsing import Scenario
 
 
@@ -272,24 +271,6 @@ def _dry_run(scenario: Scenario, *, as_json: bool) -> None:
         raise UsageError("\n".join([*reports.refusals, *reports.hints]))
 
 
-def _varied_log(source: Log | Path, scenario: str | None) -> Log:
-    """Return the log that --vary replays.
-
-    Raises
-    ------
-    UsageError
-        If it is a recording of another tool, or a scenario is named beside it.
-    """
-    if isinstance(source, Path):
-        raise UsageError(
-            f"--vary replays a log of cosim; {source} is of another tool: replay it once with "
-            "--out, and vary that log"
-        )
-    if scenario is not None:
-        raise UsageError(f"{source.label} carries its own scenario; leave out --scenario")
-    return source
-
-
 def replay(
     log: LogArgument,
     verify: Annotated[
@@ -397,7 +378,6 @@ def replay(
         if verify or plot is not None:
             name = "--verify" if verify else "--plot"
             raise UsageError(f"found --vary, many replays, and {name} of one; needed one of them")
-        source = _varied_log(source, scenario)
         from cosim.cli.sweeping import read_variations
         from cosim.report.sweep import replay_sweep
         from cosim.report.tables.sweep import print_sweep
