@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
-from typing import ClassVar, Final, Literal
+from typing import Any, ClassVar, Final, Literal
 
 import numpy as np
 from pydantic import Field, StrictStr
@@ -35,7 +35,7 @@ from cosim.scenario.data_files.recorded_fields import (
     read_samples,
     recorded_data,
 )
-from cosim.scenario.document.schema import Number, UnitName
+from cosim.scenario.document.schema import Number, UnitName, Whole
 from cosim.scenario.kinds.base import BuildContext
 from cosim.scenario.kinds.plants import PlantKind
 
@@ -91,6 +91,13 @@ class FieldDataKind(PlantKind):
         "two samples",
     )
 
+    places: Whole | None = Field(
+        None,
+        gt=0,
+        description="samples that have a place in one communication step; default: as many as "
+        "there are in one",
+    )
+
     @property
     def jumps_at_points(self) -> bool:
         return False
@@ -107,6 +114,16 @@ class FieldDataKind(PlantKind):
         for port, unit in super().units.items():
             units.setdefault(samples_of(port), unit)
         return units
+
+    def decided(
+        self, table: Mapping[str, Any], metadata: Mapping[str, Any], step_ns: int
+    ) -> Mapping[str, Any]:
+        """Return the table with its interpolation, which has to be named with a smaller step.
+
+        And with the places for samples, so that the rows have the same columns.
+        """
+        interpolation = self.interpolation or "linear"
+        return {**table, "interpolation": interpolation, "places": metadata["samples_in_a_step"]}
 
     def samples_of(self, output: str) -> str | None:
         return samples_of(output)
@@ -143,7 +160,7 @@ class FieldDataKind(PlantKind):
                 f"{', '.join(data.discrete)}: between two samples they are neither; "
                 'interpolation = "zero-order" keeps the last one',
             )
-        most = data.most_in_a_step(points)
+        most = max(data.most_in_a_step(points), self.places or 1)
         if most > MOST_SAMPLES or most * len(points) > LARGEST_MEMORY:
             raise UsageError(
                 f"{data.source} has {most} samples in one of {len(points) - 1} communication "
@@ -176,7 +193,7 @@ class FieldDataKind(PlantKind):
         if recorded is not None and SAMPLE_TIMES in recorded.by_name:
             return recorded.by_name[SAMPLE_TIMES].size
         data = context.field_data(name, lambda: self._read(name, context))
-        return data.most_in_a_step(_points(context.clock))
+        return max(data.most_in_a_step(_points(context.clock)), self.places or 1)
 
     @property
     def _is_mcap(self) -> bool:

@@ -126,6 +126,16 @@ def test_what_is_between_samples_has_a_name(loop, tmp_path):
     np.testing.assert_array_equal(held["plant.y"], level(samples)[last])
 
 
+def test_a_run_with_a_recording_is_certified(loop, tmp_path):
+    """Between the samples are straight lines with half the step, too, and the same columns."""
+    swapped = loop.swap(plant=field_log(tmp_path), map=BOTH)
+    log = cosim.run(swapped, certify=True)
+    certificate = cosim.certificate(log)
+    assert certificate["plant.y"].largest == 0.0
+    # a linear model with inputs on straight lines is exact, whatever the step
+    assert "at the level of rounding" in certificate["model.y"].reason
+
+
 def test_a_scenario_has_the_same_in_its_file(tmp_path):
     """As a component of its own, and in the table [swap]."""
     path = field_log(tmp_path)
