@@ -181,14 +181,14 @@ class Log(RecordedRun):
     def recorded_hash(self) -> str | None:
         """The content hash that the run recorded; :meth:`content_hash` computes that of the rows.
 
-        None: the log is unfinished.
+        None: the log is unfinished, and had not come to its result.
 
         Raises
         ------
         LogError
             If there is none.
         """
-        if self._file.is_unfinished:
+        if self._file.is_unfinished and RESULT not in self._metadata:
             return None
         try:
             return self._metadata[RESULT]["content_hash"]

@@ -21,7 +21,7 @@ def open_store(stream, plan, *, compression="none"):
     for channel in plan.layout.channels:
         parts += split_channel(channel, kind="", step_ns=plan.step_ns)
     numbered = list(zip(add_parts(head, parts), parts, strict=True))
-    add_preamble(head, plan, metadata={}, attachments=())
+    add_preamble(head, plan, metadata={}, attachments=(), kinds={})
     file = LiveFile(stream, head.data, head.summary())
     store = LogStore(file, plan, numbered, compression=compression)
     store.begin(0)
