@@ -10,16 +10,18 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from decimal import Decimal
 from pathlib import Path
-from typing import Final, Literal, TypeAlias
+from typing import TYPE_CHECKING, Final, Literal, TypeAlias
 
 import numpy as np
 
 from cosim.arrays import NAN, Matrix, Vector
 from cosim.blocks.field_data import FieldData, FieldSignal
 from cosim.errors import UsageError, option
-from cosim.log.foreign.samples import LOG_TIME, FieldSamples, read_fields
-from cosim.log.foreign.spacing import Instants, Spacing
 from cosim.units import base_unit
+
+if TYPE_CHECKING:
+    from cosim.log.foreign.samples import FieldSamples
+    from cosim.log.foreign.spacing import Instants, Spacing
 
 MCAP: Final = ".mcap"
 MOST_NS: Final = 2**63
@@ -27,7 +29,7 @@ MOST_VALUES: Final = 2**26  # of all signals at all times
 NANOSECOND: Final = Decimal("1e-9")  # s
 LONG_GAP: Final = 2  # median distances that are worth a word
 
-SamplesByField: TypeAlias = Mapping[str, FieldSamples]
+SamplesByField: TypeAlias = "Mapping[str, FieldSamples]"
 
 
 def read_samples(
@@ -40,6 +42,8 @@ def read_samples(
     UsageError
         If the file or a field cannot be read, or the unit is none of time.
     """
+    from cosim.log.foreign.samples import LOG_TIME, read_fields  # rarely needed
+
     unit = _unit_ns(f"file {str(path)!r}", time_unit)
     names = list(dict.fromkeys(fields))
     found = read_fields(path, names, time=time or LOG_TIME, time_unit_ns=unit)
