@@ -18,6 +18,7 @@ import numpy as np
 
 from cosim.arguments import number_argument
 from cosim.arrays import Mask, Matrix, Nanoseconds, Vector
+from cosim.core.partial import declared_channels
 from cosim.core.recorded import RecordedSignals, RunMessage, find_channel
 from cosim.core.recording import SignalEvent, Substep
 from cosim.core.signals import Channel
@@ -105,7 +106,8 @@ class RecordedRun(RecordedSignals):
     def parameters(self) -> Mapping[str, Mapping[str, Any]]:
         """The parameters of every component, as the scenario gave them at the start of the run.
 
-        What it left out is not in them; a component without a scenario has none.
+        What it left out is not in them; a component without a scenario has none. Those of a
+        component that is not recorded are there, too.
 
         Raises
         ------
@@ -113,7 +115,7 @@ class RecordedRun(RecordedSignals):
             If they are no JSON object.
         """
         parameters: dict[str, Mapping[str, Any]] = {}
-        for name in self.channels:
+        for name in declared_channels(self.channels):
             items = self.metadata.get(f"cosim.component.{name}", {})
             table = _read_table(f"{self.label}: parameters of {name!r}", items.get("table", "{}"))
             table.pop("kind", None)  # it says what the parameters are of

@@ -79,6 +79,14 @@ def test_parameters_are_those_of_the_scenario(recorded):
     assert changed.parameters["observer"]["filter_rate"] == 500
 
 
+def test_parameters_of_components_that_are_not_recorded_are_known():
+    """A log of some signals tells of the whole run what it was."""
+    run = cosim.run("academic", set={**SHORT, "record.signals": ["plant.y"]})
+    whole = cosim.run("academic", set=SHORT)
+    assert list(run.channels) == ["plant"]
+    assert run.parameters == whole.parameters
+
+
 def test_the_scenario_is_its_text(recorded):
     """As the run attached it."""
     assert recorded.scenario == find("academic").text
