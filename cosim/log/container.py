@@ -113,6 +113,7 @@ class Container:
         else:
             self.summary = index.summary
             self.contents = index.contents
+        self._is_indexed = index is not None
         self.is_unfinished = index is not None and index.is_unfinished
         chunk_indexes = self.summary.chunk_indexes
         self._chunk_indexes = {chunk.chunk_start_offset: chunk for chunk in chunk_indexes}
@@ -295,6 +296,9 @@ class Container:
     def attachments(self) -> dict[str, RecordSpan]:
         """Return the attachments' names and where they stand, without their content."""
         spans = {}
+        if self._is_indexed:
+            names = {index.offset: index.name for index in self.summary.attachment_indexes}
+            return {names[span.start]: span for span in self.contents.attachments}
         with self.open() as stream:
             for span in self.contents.attachments:
                 stream.seek(span.start + HEADER + _ATTACHMENT_TIMES)
