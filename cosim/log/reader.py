@@ -135,8 +135,13 @@ class Log(RecordedRun):
         ``unfinished`` if the run still goes on, or its process was killed; ``partial`` if this is
         a part of its log, see :mod:`cosim.log.partial`; ``unknown`` if another tool left that out.
         """
-        otherwise = "unfinished" if self._file.is_unfinished else "unknown"
+        otherwise = "unfinished" if self._is_unfinished else "unknown"
         return self._metadata.get(RESULT, {}).get("status", otherwise)
+
+    @property
+    def _is_unfinished(self) -> bool:
+        """Whether the run has recorded no end; on a full disk only the file may have none."""
+        return self._file.is_unfinished and RESULT not in self._metadata
 
     @property
     def reason(self) -> str:
@@ -149,7 +154,7 @@ class Log(RecordedRun):
 
         From the result, or, of an unfinished log, from the numbers of its rows.
         """
-        if self._file.is_unfinished:
+        if self._is_unfinished:
             return self._start_ns + self.steps * self.step_ns if self.steps else 0
         return self._result_number("end_ns")
 
@@ -159,7 +164,7 @@ class Log(RecordedRun):
 
         From the result, or, of an unfinished log, from the numbers of its rows.
         """
-        if self._file.is_unfinished:
+        if self._is_unfinished:
             return self._last_step
         return self._result_number("steps")
 
@@ -188,7 +193,7 @@ class Log(RecordedRun):
         LogError
             If there is none.
         """
-        if self._file.is_unfinished and RESULT not in self._metadata:
+        if self._is_unfinished:
             return None
         try:
             return self._metadata[RESULT]["content_hash"]
