@@ -39,8 +39,8 @@ def _built(scenario: Scenario, resources: ExitStack, block: int | None) -> Exper
     from cosim.scenario.swapping.swap_comparison import build_swapped  # rarely needed
 
     experiment, reports = build_swapped(scenario, resources, block)
-    compared = _with_reports(experiment, reports)
-    return with_loop_gains(compared, lambda: _with_reports(rebuild(), reports))
+    compared = with_reports(experiment, reports)
+    return with_loop_gains(compared, lambda: with_reports(rebuild(), reports))
 
 
 def _with_settings(experiment: Experiment) -> Experiment:
@@ -54,7 +54,7 @@ def _with_settings(experiment: Experiment) -> Experiment:
     return replace(experiment, setting_designs=designs)
 
 
-def _with_reports(experiment: Experiment, reports: SwapReports) -> Experiment:
+def with_reports(experiment: Experiment, reports: SwapReports) -> Experiment:
     """Keep in the log how swapped components compare with those they replace."""
     metadata = dict(experiment.metadata)
     for name, report in reports.reports.items():

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Final, TypeVar
+from typing import Annotated, Any, Final, Literal, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError
@@ -199,6 +199,7 @@ class ComponentRecord(_Record):
     lags: dict[Text, Number] = {}
     reconstruction: ReconstructionRecord | None = None
     compensation: CompensationRecord | None = None
+    interface_type: Literal["me", "cs"] | None = None
     path: Text | None = None
     sha256: Text | None = None
     noise_gain: NumberRow = ()

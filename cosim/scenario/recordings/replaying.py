@@ -18,7 +18,17 @@ from cosim.core.recorded_run import SCENARIO_FILE
 from cosim.core.recording import CompleteRecording
 from cosim.core.signals import Interface
 from cosim.core.stepping.actions import Action
-from cosim.errors import LogError, UsageError, command, flag, listing, nearest, option, quoted
+from cosim.errors import (
+    LogError,
+    ScenarioError,
+    UsageError,
+    command,
+    flag,
+    listing,
+    nearest,
+    option,
+    quoted,
+)
 from cosim.log import Log
 from cosim.log.metadata import json_table
 from cosim.log.result import PARTIAL_STATUS
@@ -260,13 +270,35 @@ def rebuilt(
         block=block,
         replaced=_replaced(source, swaps.paths),
     )
-    experiment = builder.experiment()
+    experiment = _compared(builder, source, swaps.paths)
     if rerun:
         experiment = with_recorded_reports(experiment, source)
     check_clock(experiment.clock, source)
     if "scenario.until" not in changes:  # it ends where the recording does
         experiment = replace(experiment, until=None)
     return _with_events(experiment, builder, source, resources)
+
+
+def _compared(builder: Builder, source: CompleteRecording, swapped: Iterable[str]) -> Experiment:
+    """Build an experiment, with reports on how swapped components compare with the recorded ones.
+
+    Raises
+    ------
+    ScenarioError
+        With every problem of the scenario, and the ports that may have been meant.
+    """
+    names = [n for n in swapped if n in builder.components and n in source.channels]
+    if not names:
+        return builder.experiment()
+    from cosim.scenario.preparing import with_reports  # rarely needed
+    from cosim.scenario.swapping.swap_comparison import compare_with_recorded
+    from cosim.scenario.swapping.swap_report import SwapReports
+
+    reports = SwapReports({name: compare_with_recorded(builder, source, name) for name in names})
+    try:
+        return with_reports(builder.experiment(), reports)
+    except ScenarioError as error:
+        raise ScenarioError("\n".join([str(error), *reports.hints])) from error
 
 
 def _replaced(source: CompleteRecording, names: Iterable[str]) -> dict[str, Interface]:

@@ -18,16 +18,18 @@ import numpy as np
 from cosim.arrays import Vector
 from cosim.core.contracts import prepare
 from cosim.core.port import Port
-from cosim.core.recording import Plan
+from cosim.core.recording import CompleteRecording, Plan
 from cosim.core.signals import Causality, Interface
 from cosim.errors import CosimError, GraphError, ScenarioError
 from cosim.fmi.description import INTERFACE_TYPE_NAMES, Description, InterfaceType
+from cosim.log.metadata import json_table
 from cosim.scenario.building.build import Builder, parse
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.document.schema import truth_ports
 from cosim.scenario.document.swap import ports_in
 from cosim.scenario.kinds import Kind
 from cosim.scenario.parsing import Scenario, read
+from cosim.scenario.recorded_metadata import component_metadata, component_record
 from cosim.scenario.swapping.port_comparison import (
     ComparedComponent,
     ComponentCapabilities,
@@ -185,18 +187,7 @@ class _SwapComparison:
         if initial is None and before.initial is not None:
             initial = _initialize_alone(builder, name, before.initial)
         after = _compared_component(builder, name, initial)
-        names = builder.port_maps[name].names if name in builder.port_maps else {}
-        connected = _connected_ports(builder.scenario, name)
-        refused = _refused_ports(builder, name)
-        rows = compare_components(
-            before.component, after, names=names, connected=connected, refused=refused
-        )
-        missing = []
-        for port in before.component.ports:
-            if port in connected and after.port(port) is None:
-                missing.append(port)
-        proposals = propose(before.component, after, missing)
-        return SwapReport(name, rows, proposals, _unconverted_ports(builder, name))
+        return _report(builder, name, before.component, after)
 
     def experiment(self) -> Experiment:
         """Return the experiment; it is built again where the first one cannot run any more.
@@ -211,6 +202,34 @@ class _SwapComparison:
             self._resources.close()
             return self._builder().experiment()
         return replace(experiment, plan=self._initial.plan, messages=self._messages)
+
+
+def compare_with_recorded(builder: Builder, source: CompleteRecording, name: str) -> SwapReport:
+    """Compare a component of a replay with the recorded one that it replaces, by what they declare.
+
+    Neither is initialized or linearized for that: the replay is to begin with what was loaded.
+    """
+    interface_type = component_record(source, name).interface_type
+    kind = str(json_table(component_metadata(source, name).get("table", "{}")).get("kind"))
+    if interface_type is not None:
+        kind = INTERFACE_TYPE_NAMES[interface_type]
+    before = ComparedComponent(source.channels[name].interface, ComponentCapabilities(kind))
+    return _report(builder, name, before, _declared_component(builder, name))
+
+
+def _report(
+    builder: Builder, name: str, before: ComparedComponent, after: ComparedComponent
+) -> SwapReport:
+    names = builder.port_maps[name].names if name in builder.port_maps else {}
+    connected = _connected_ports(builder.scenario, name)
+    refused = _refused_ports(builder, name)
+    rows = compare_components(before, after, names=names, connected=connected, refused=refused)
+    missing = []
+    for port in before.ports:
+        if port in connected and after.port(port) is None:
+            missing.append(port)
+    proposals = propose(before, after, missing)
+    return SwapReport(name, rows, proposals, _unconverted_ports(builder, name))
 
 
 def _replaced_components(scenario: Scenario) -> dict[str, _ReplacedComponent]:
@@ -258,14 +277,16 @@ def _compared_component(
     builder: Builder, name: str, initial: _InitialSignals | None
 ) -> ComparedComponent:
     """Return what is known of a component that was built."""
+    compared = _declared_component(builder, name)
+    compared = replace(compared, linear=_linear_behavior(builder, name))
+    return compared if initial is None else replace(compared, initial=initial.outputs)
+
+
+def _declared_component(builder: Builder, name: str) -> ComparedComponent:
+    """Return what a component that was built declares."""
     spec = builder.scenario.specs[name]
     described = spec.description(name, builder.context)
-    interface = builder.components[name].interface
-    capabilities = _capabilities(spec, described)
-    linear = _linear_behavior(builder, name)
-    compared = ComparedComponent(interface, capabilities, linear=linear)
-    if initial is not None:
-        compared = replace(compared, initial=initial.outputs)
+    compared = ComparedComponent(builder.components[name].interface, _capabilities(spec, described))
     if described is not None:
         _, description = described
         start = _declared(builder, name, description, "input", _start)

@@ -7,8 +7,9 @@ import cosim
 from cosim.errors import ScenarioError, UsageError
 from cosim.report.verification import verify
 from cosim.scenario.exporting import export_component
-from cosim.scenario.recorded_metadata import replay_origin
+from cosim.scenario.recorded_metadata import component_record, replay_origin
 from tests.fmi import lag
+from tests.fmi.compiled import with_description
 
 END = {"scenario.stop": 0.3}
 
@@ -131,3 +132,32 @@ def test_a_swapped_replay_is_compared_with_the_log(folder, call):
     code, _, err = call(*command, "--verify")
     assert code == 1
     assert "kind of 'filter': found 'lag', the replay has 'fmu'" in err
+
+
+def test_a_swap_is_compared_with_what_was_recorded(folder):
+    """By what both declare: the log keeps the report, and warns of what differs."""
+    swap = {"filter": folder / "lag2.fmu"}
+    log = cosim.replay(folder / "f.mcap", swap=swap)
+    report = component_record(log, "filter").swap_report
+    rows = {(row.port, row.aspect): row for row in report.ports}
+    feedthrough = rows["filter.y", "feedthrough"]
+    assert (feedthrough.verdict, feedthrough.connected) == ("differs", False)
+    assert rows["filter", "kind"].after == "co-simulation"
+    run = component_record(cosim.run(folder / "filtered.toml", swap=swap), "filter").swap_report
+    of_run = {(row.port, row.aspect): row for row in run.ports}
+    for key, row in rows.items():
+        if row.verdict == "differs":
+            assert (of_run[key].before, of_run[key].after) == (row.before, row.after)
+
+
+def test_a_port_that_is_missing_is_proposed(folder, tmp_path):
+    """As before a run: the port that may have been meant."""
+    xml = lag.xml("2").replace('name="u"', 'name="u_in"')
+    renamed = with_description(folder / "lag2.fmu", tmp_path / "renamed.fmu", xml)
+    message = r"map=\{'filter\.u': '\w+'\}: filter\.\w+ may be filter\.u \(input of size 1, real"
+    with pytest.raises(ScenarioError, match=message):
+        cosim.replay(folder / "f.mcap", swap={"filter": renamed})
+    names = {"filter.u": "u_in"}
+    again = cosim.replay(folder / "f.mcap", swap={"filter": renamed}, map=names)
+    other = cosim.replay(folder / "f.mcap", swap={"filter": folder / "lag2.fmu"})
+    assert np.array_equal(again["filter.y"], other["filter.y"])
