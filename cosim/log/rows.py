@@ -25,6 +25,7 @@ from cosim.log.stream import RowStream, TimedRows, check_grid, record_times
 _DOUBLE_BYTES = 8
 _MOST_AHEAD = 2**26  # bytes of rows that are read ahead, or that a block has
 _ALWAYS_AHEAD = 2**24  # bytes of rows that every pass reads: little beside what a pass costs
+_MOST_KEPT = 2**24  # bytes of rows that are kept where one of their signals is asked for
 _AHEAD_GROWTH = 64  # components that a pass reads ahead, in units of those of the one before
 _MOST_SORTED = 2**28  # bytes of rows that are sorted in memory to be hashed
 
@@ -177,7 +178,7 @@ class LogRows:
 
     def _is_small(self, component: str) -> bool:
         """Return whether all rows of a component are in memory, or may be at any time."""
-        return component in self._rows or self._row_bytes(component) <= _MOST_AHEAD
+        return component in self._rows or self._row_bytes(component) <= _MOST_KEPT
 
     def _read_columns(self, number: int, columns: slice) -> Matrix | None:
         """Read some columns of a part; None: its rows are not in order of time."""

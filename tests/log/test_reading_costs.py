@@ -54,7 +54,7 @@ def log_path(tmp_path_factory):
 def counting(monkeypatch):
     """Count the bytes that logs read; of small components too nothing else is read ahead."""
     monkeypatch.setattr(container, "open_file", lambda path: io.BufferedReader(CountedFile(path)))
-    monkeypatch.setattr(log_rows, "_MOST_AHEAD", 2**16)
+    monkeypatch.setattr(log_rows, "_MOST_KEPT", 2**16)
     CountedFile.count = 0
 
 
