@@ -56,8 +56,9 @@ of its kinds is asked for.
   (:class:`BuildContext`). A ``UsageError`` or ``ValueError`` from it becomes a problem of the file,
   with the line of the component.
 * ``computable`` (True) says that the scenario alone is enough to compute the component again. Where
-  it is not, because a file or an FMU is needed, return False: a replay then takes the component
-  from the recording.
+  it is not, because a file or an FMU is needed, return ``self._is_allowed``: a replay then takes
+  the component from the recording, unless it is told to compute it. ``is_rerun`` says that
+  ``replay --rerun`` does that: by a model, or by the FMU of the run.
 * ``lag`` returns how far an output is behind what it estimates, where that is known: a regressor
   reads its alphas that much earlier. ``is_static`` says that the component hands on the lag of its
   inputs.
