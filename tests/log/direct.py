@@ -14,21 +14,21 @@ from cosim.log.store import LogStore
 from .recordings import STEP_NS
 
 
-def open_store(stream, plan, *, compression="none"):
+def open_store(stream, plan, *, compression="none", metadata=None, attachments=()):
     """Return the store of a new log, written to a stream."""
     head = FileHead(library="cosim/test")
     parts = []
     for channel in plan.layout.channels:
         parts += split_channel(channel, kind="", step_ns=plan.step_ns)
     numbered = list(zip(add_parts(head, parts), parts, strict=True))
-    add_preamble(head, plan, metadata={}, attachments=(), kinds={})
+    add_preamble(head, plan, metadata=metadata or {}, attachments=attachments, kinds={})
     file = LiveFile(stream, head.data, head.summary())
     store = LogStore(file, plan, numbered, compression=compression)
     store.begin(0)
     return store
 
 
-def content(rows, start, stop):
-    """Return rows ``start`` to ``stop`` of a run."""
+def content(rows, start, stop, messages=()):
+    """Return rows ``start`` to ``stop`` of a run, and messages."""
     steps = np.arange(start, stop, dtype=np.int64)
-    return RunContent(RunRows(steps, steps * STEP_NS, rows[start:stop]))
+    return RunContent(RunRows(steps, steps * STEP_NS, rows[start:stop]), messages)
