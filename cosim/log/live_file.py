@@ -288,6 +288,8 @@ class LiveFile:
         self._write_hole(self._end if self._tail is None else self._tail.hole, frame)
         self._frame = frame
         self._active = 0
+        # Else a file that is cut there would be a whole one, as it was before.
+        self._write(old.footer, bytes(END_SIZE))
 
     def _write_frame(self, frame: _Frame) -> tuple[int, int]:
         """Write what stands behind the hole but for the footer; return the places for that."""

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import random
 from contextlib import suppress
 
 import pytest
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
 
 from .paged import Recording, count_rows
 
@@ -87,3 +90,16 @@ def test_growth_that_finds_no_room_takes_just_what_is_needed():
         recording.replace_tail(5, 20_000)
     recording.close()
     assert final_counts(recording) == {5}
+
+
+def test_a_file_is_not_whole_where_it_ended_before_it_grew():
+    """If it is cut there, that shows."""
+    recording = Recording(random.Random(1))
+    recording.replace_tail(1, 10)
+    recording.keep_tail()
+    end_before = len(recording.stream.content)
+    recording.replace_tail(6, 10_000)
+    content = bytes(recording.stream.content)
+    assert len(content) > end_before
+    with pytest.raises(McapError):
+        make_reader(io.BytesIO(content[:end_before])).get_summary()
