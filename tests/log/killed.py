@@ -8,6 +8,7 @@ import os
 import random
 import signal
 import zlib
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -93,14 +94,26 @@ class CutFile(io.FileIO):
 
     def write(self, data):
         if len(data) >= FILLER // 2:
+            stop = self.tell() + len(data) - PAGE
             super().write(data[:PAGE])
-            self.seek(len(data) - PAGE, io.SEEK_CUR)
+            self._clear(stop)
+            super().write(data[-PAGE:])
             return len(data)
         if self.cut is not None and self.writes == self.cut[0]:
             super().write(data[: self._whole_pages(self.cut[1] * len(data))])
             os.kill(os.getpid(), signal.SIGKILL)
         self.writes += 1
         return super().write(data)
+
+    def _clear(self, stop):
+        """Write zeros up to a position, but for the holes, which are left."""
+        position = self.tell()
+        with suppress(OSError):  # behind the last data there is an error
+            while (position := os.lseek(self.fileno(), position, os.SEEK_DATA)) < stop:
+                end = min(os.lseek(self.fileno(), position, os.SEEK_HOLE), stop)
+                os.pwrite(self.fileno(), bytes(end - position), position)
+                position = end
+        self.seek(stop)
 
     def _whole_pages(self, size):
         """Return how much of a write is done at the end of a page: none is left within one."""
