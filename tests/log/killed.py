@@ -216,7 +216,7 @@ def check(job, reported):
     """
     rows = job.rows
     log = open_log(job.path)
-    assert log.status in ("unknown", "partial", "complete")
+    assert log.status in ("unfinished", "complete")
     log.load()
     count = len(log.time_ns("plant"))
     assert count >= reported
