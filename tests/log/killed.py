@@ -10,6 +10,7 @@ import signal
 import zlib
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from mcap import records
@@ -186,6 +187,7 @@ def _with_recorder(job, pipe):
     return written
 
 
+@cache
 def filler():
     """Return a chunk of zeros that belong to no channel of a component."""
     data = record_header(OPAQUE, FILLER - HEADER) + bytes(FILLER - HEADER)
@@ -203,7 +205,8 @@ def filler():
         message_start_time=0,
         uncompressed_size=len(data),
     )
-    return RecordGroup(chunk + message_index, [IndexEntry(index, {log_channel: 0})])
+    data = chunk + message_index
+    return RecordGroup(data, [IndexEntry(index, {log_channel: 0})], zlib.crc32(data))
 
 
 def check(job, reported):
