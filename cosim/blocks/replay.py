@@ -9,10 +9,11 @@ import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector, as_columns
 from cosim.core.contracts import Design, Stopped
+from cosim.core.partial import partial_of
 from cosim.core.port import Port
 from cosim.core.recorded import find_channel
 from cosim.core.recording import Recording
-from cosim.core.signals import Interface, Signal
+from cosim.core.signals import Channel, Interface, Signal
 from cosim.errors import GraphError, LogError
 from cosim.native.blocks.functions import recorded_step
 from cosim.native.step import NativeStep
@@ -36,7 +37,7 @@ class Replay:
     UnknownSignalError
         If the recording has no such component; names the nearest.
     LogError
-        If it has no row of it.
+        If it has no row of it, or not every one.
     GraphError
         If the run starts before the recording.
     Stopped
@@ -45,6 +46,7 @@ class Replay:
 
     def __init__(self, recording: Recording, component: str, *, inputs: bool = True) -> None:
         channel = find_channel(recording.channels, component, source=recording.label)
+        _check_every_row(recording, channel)
         time_ns = recording.time_ns(component)
         if not len(time_ns):
             raise LogError(
@@ -150,6 +152,22 @@ class Replay:
         return index
 
 
+def _check_every_row(recording: Recording, channel: Channel) -> None:
+    """Check that a component was recorded at each of its rows: nobody knows what was between.
+
+    Raises
+    ------
+    LogError
+        If it was not.
+    """
+    partial = partial_of(recording.channels)
+    if partial is not None and channel.period != partial.declared[channel.name].period:
+        raise LogError(
+            f"{recording.label} has one row of {channel.name!r} in {channel.period} steps, it was "
+            f"recorded with {partial.selection}; needed each of them, so every = 1"
+        )
+
+
 def _left_limits(
     recording: Recording, component: str, interface: Interface
 ) -> dict[float, list[tuple[slice, tuple[float, ...]]]]:
@@ -158,7 +176,7 @@ def _left_limits(
     columns = interface.output_columns()
     for event in recording.events():
         port = Port.parse(event.signal)
-        if event.cause == "jump" and port.component == component:
+        if event.cause == "jump" and port.component == component and port.name in columns:
             own = (columns[port.name], event.values)
             limits.setdefault(event.time_ns / 1e9, []).append(own)
     return limits

@@ -36,7 +36,8 @@ def chosen_signals(
         Of the run.
     selection : RecordSelection
     beside : mapping of component name to Channel
-        Components that the run has not, but may be named: of a replay, those of its log.
+        Components that the run has not, or not all signals of, but may be named: of a replay, those
+        of its log.
 
     Raises
     ------
@@ -48,6 +49,9 @@ def chosen_signals(
     if selection.signals is None:
         return {name: [signal.name for signal in c.signals] for name, c in channels.items()}
     known = {**beside, **channels}
+    for name, channel in channels.items():
+        if name in beside and beside[name].by_name.keys() > channel.by_name.keys():
+            known[name] = beside[name]
     chosen: dict[str, list[str]] = {}
     for name, port in select_signals(known, selection.signals, source="the run").items():
         if port.size != port.signal.size:
@@ -55,8 +59,9 @@ def chosen_signals(
                 f"found {name!r}, which is a part of a signal; needed whole signals, such as "
                 f"'{port.channel.name}.{port.signal.name}'"
             )
-        if port.channel.name in channels:
-            chosen.setdefault(port.channel.name, []).append(port.signal.name)
+        own = channels.get(port.channel.name)
+        if own is not None and port.signal.name in own.by_name:
+            chosen.setdefault(own.name, []).append(port.signal.name)
     if not chosen:
         raise UsageError(
             f"found {selection}, which chooses no signal of what runs here: {listing([*channels])}"

@@ -13,6 +13,8 @@ compared:
   inputs, metadata, warnings and messages;
 * of the end: the content of ``result.json``, its last row and the verdicts on identifiers included.
 
+Of a partial log a replay may have less than the run had: compared is what it has.
+
 Eigenvalues, and times computed from them, are compared to 1 %; estimates and intervals to 1e-6.
 
 A replay takes the rest as it stands, and nothing here is said of it: designs, certificates, the
@@ -24,7 +26,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from operator import attrgetter
@@ -33,11 +35,14 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from cosim.core.partial import declared_channels
+from cosim.core.port import Port
 from cosim.core.recorders import Memory
 from cosim.core.recording import Substep
-from cosim.core.signals import Interface
+from cosim.core.signals import Channel, Interface
 from cosim.errors import quoted
 from cosim.log import Log
+from cosim.log.event_difference import OF_COMPONENTS
 from cosim.log.layout import signals_json
 from cosim.log.result import RESULT, RESULT_FILE
 from cosim.scenario.recorded_metadata import (
@@ -66,6 +71,8 @@ NOT_COMPARED = (
 _EIGENVALUE_RTOL = 1e-2
 # of the record of the run: what a replay takes, has of its own, or is compared below
 _OTHER_KEYS = {"edits", "format", "replay", "stop", "warnings"}
+# what follows from components or signals that a replay may not have
+_OF_ALL_KEYS = {"truth", "first_order_loops", "loop_gains", "models"}
 _ESTIMATE_RTOL = 1e-6  # what other processors make of the linear algebra behind a verdict
 # by how much linear programs may miss the ends of intervals, and more
 _GUARANTEED_RTOL = 1e-4
@@ -118,13 +125,17 @@ class _Statements:
     def __init__(self, source: Log, again: Log | Memory, computed: Collection[str]) -> None:
         self._source = source
         self._again = again
-        self._computed = computed
+        self._computed = frozenset(computed)
+        self._known = declared_channels(again.channels)
+        self._has_all = _elements_of(self._known) == _elements_of(
+            declared_channels(source.channels)
+        )
 
     def pairs(self) -> Iterator[_Statement]:
         """Yield them all."""
         yield from self._of_run()
         yield from self._of_connections()
-        for name in self._again.channels:
+        for name in self._known:
             yield from self._of_component(name)
         yield from self._of_messages()
         yield from self._of_substeps()
@@ -135,19 +146,43 @@ class _Statements:
         source = self._source
         recorded = run_metadata(source)
         expected = run_metadata(self._again)
-        for key in sorted((expected.keys() | recorded.keys()) - _OTHER_KEYS):
+        left_out = _OTHER_KEYS if self._has_all else _OTHER_KEYS | _OF_ALL_KEYS
+        for key in sorted((expected.keys() | recorded.keys()) - left_out):
             yield key, recorded.get(key), expected.get(key)
-        yield "overrides", _event_bits(source), _event_bits(self._again)
+        yield "overrides", self._event_bits(source), self._event_bits(self._again)
         stop = recorded_stop(source)
         yield "stop", recorded.get("stop"), repr(stop)
         if source.status == "complete" and not source.reason:
             yield "end of the run [ns]", source.end_ns, int(Decimal(repr(stop)).scaleb(9))
-        yield "stages", source.schedule, list(self._again.schedule)
+        stages = list(self._again.schedule)
+        if self._has_all:
+            yield "stages", source.schedule, stages
+        else:
+            own = [stage for stage in stages if not self._computed.isdisjoint(stage.split())]
+            # of those that do not depend on each other, others decide on the order
+            yield "stages", sorted(set(source.schedule).intersection(own)), sorted(own)
         step = source.metadata.get("cosim.schedule", {}).get("step_ns")
         yield "step of the schedule [ns]", step, str(source.step_ns)
 
+    def _event_bits(self, run: Log | Memory) -> list[tuple[Any, ...]]:
+        """Return the jumps that the replay may have, to the last bit; NaN is equal to itself so."""
+        events: list[tuple[Any, ...]] = []
+        for event in run.events():
+            port = Port.parse(event.signal)
+            channel = self._known.get(port.component)
+            is_known = channel is not None and (
+                event.cause in OF_COMPONENTS or port.find(channel.by_name) is not None
+            )
+            if self._has_all or is_known:
+                values = tuple(value.hex() for value in (*event.values, *event.parameters))
+                events.append((event.time_ns, event.cause, event.signal, values))
+        return events
+
     def _of_substeps(self) -> Iterator[_Statement]:
         recorded = _substeps_before(self._source.end_ns, self._source)
+        if not self._has_all:
+            loops = {counts.components[0] for counts in recorded_substep_counts(self._again)}
+            recorded = [substep for substep in recorded if substep.loop in loops]
         expected = _substeps_before(self._source.end_ns, self._again)
         yield "number of substeps", len(recorded), len(expected)
         for found, computed in zip(recorded, expected, strict=False):
@@ -159,7 +194,8 @@ class _Statements:
     def _of_connections(self) -> Iterator[_Statement]:
         recorded = self._source.metadata.get("cosim.connections", {})
         expected = self._again.metadata["cosim.connections"]
-        for port in {**expected, **recorded}:
+        ports = {**expected, **recorded} if self._has_all else expected
+        for port in ports:
             yield f"connection to {port!r}", recorded.get(port), expected.get(port)
 
     def _of_component(self, name: str) -> Iterator[_Statement]:
@@ -169,14 +205,15 @@ class _Statements:
         yield f"table of {name!r}", recorded.get("table"), expected["table"]
         kind = json.loads(expected["table"])["kind"]
         yield f"kind of {name!r}", source.kinds.get(name), kind
-        if name not in self._computed or name not in source.channels:
+        declared = declared_channels(source.channels)
+        if name not in self._computed or name not in declared:
             return
         what = f"tables that {name!r} rests on"
         yield what, recorded.get("fingerprint"), expected["fingerprint"]
         held = source.held[name].tolist()
         yield f"held inputs of {name!r}", held, self._again.held[name].tolist()
-        declared = _declaration(source.channels[name].interface)
-        yield f"signals of {name!r}", declared, _declaration(self._again.channels[name].interface)
+        signals = _declaration(declared[name].interface)
+        yield f"signals of {name!r}", signals, _declaration(self._known[name].interface)
         yield from self._of_metadata(name)
 
     def _of_metadata(self, name: str) -> Iterator[_Statement]:
@@ -190,9 +227,14 @@ class _Statements:
 
     def _of_messages(self) -> Iterator[_Statement]:
         warnings = self._own(recorded_warnings(self._source))
-        yield "warnings", warnings, self._own(recorded_warnings(self._again))
+        expected_warnings = self._own(recorded_warnings(self._again))
         messages = self._own_messages(self._source)
-        yield "messages", messages, self._own_messages(self._again)
+        expected_messages = self._own_messages(self._again)
+        if not self._has_all:  # of what is not here there is no warning
+            warnings = [entry for entry in warnings if entry in expected_warnings]
+            messages = [entry for entry in messages if entry in expected_messages]
+        yield "warnings", warnings, expected_warnings
+        yield "messages", messages, expected_messages
 
     def _own(self, texts: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:
         """Return the texts of the components that were computed again."""
@@ -218,6 +260,9 @@ class _Statements:
         if self._source.status == "complete":  # else the run may have taken some beyond the end
             counts = recorded_substep_counts(self._source)
             expected_counts = recorded_substep_counts(self._again)
+            if not self._has_all:
+                loops = [own.components for own in expected_counts]
+                counts = tuple(own for own in counts if own.components in loops)
             yield f"counts of substeps in {RESULT_FILE}", counts, expected_counts
         expected = self._again.results["last"]
         last = results.get("last")
@@ -225,7 +270,8 @@ class _Statements:
             return  # on a full disk, where not even the last rows could be kept
         if not isinstance(last, dict):
             last = {}
-        for label in {**expected, **last}:
+        labels = {**expected, **last} if self._has_all else expected
+        for label in labels:
             yield f"last row in {RESULT_FILE}: {label}", last.get(label), expected.get(label)
 
     def _of_identification(self) -> Iterator[_Statement]:
@@ -234,7 +280,8 @@ class _Statements:
         if not recorded:
             return
         expected = recorded_identification(self._again)
-        for name in {**expected, **recorded}:
+        names = {**expected, **recorded} if self._has_all else expected
+        for name in names:
             computed = _parameters(recorded.get(name))
             needed = _parameters(expected.get(name))
             if not _agree(computed, needed):
@@ -249,13 +296,12 @@ def _substeps_before(time_ns: int, run: Log | Memory) -> list[Substep]:
     return sorted(substeps, key=attrgetter("begin", "loop"))
 
 
-def _event_bits(run: Log | Memory) -> list[tuple[Any, ...]]:
-    """Return the jumps, values to the last bit; NaN is equal to itself so."""
-    events: list[tuple[Any, ...]] = []
-    for event in run.events():
-        values = tuple(value.hex() for value in (*event.values, *event.parameters))
-        events.append((event.time_ns, event.cause, event.signal, values))
-    return events
+def _elements_of(channels: Mapping[str, Channel]) -> set[tuple[str, str]]:
+    """Return all signals by component and name."""
+    elements = set()
+    for name, channel in channels.items():
+        elements |= {(name, signal) for signal in channel.by_name}
+    return elements
 
 
 def _parameters(record: IdentificationRecord | None) -> list[dict[str, Any]]:

@@ -16,14 +16,15 @@ Nothing is signed: the log of another run, put in the place of this one as a who
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Literal, TypeAlias
+from typing import Any, Final, Literal, TypeAlias
 
 from cosim.core.clock import nanoseconds
+from cosim.core.partial import declared_channels
 from cosim.core.port import Port
 from cosim.core.recorders import Memory
-from cosim.errors import command, flag, listing
+from cosim.errors import LogError, command, flag, listing
 from cosim.log import Log
 from cosim.log.diff import ElementDifference, LogDifference, SignalDifference, diff
 from cosim.log.environment import environment_changes
@@ -45,7 +46,13 @@ from cosim.scenario.recordings.replaying import recorded_document
 _MOST_SHOWN = 8  # contradictions, or components
 _HASH_FITS = "the content hash is the one that its run recorded"
 _NO_HASH = "no content hash to check: the log is unfinished, as its run was killed or still goes on"
-VerificationStatus: TypeAlias = Literal["equal", "differs", "copied"]
+_NOT_WHOLE: Final[Mapping[str, str]] = {
+    "partial": "verified only as far as the log, which is partial, has it",
+    "absent": "not verified, as the log, which is partial, has neither it nor what computes it",
+}
+VerificationStatus: TypeAlias = Literal[
+    "equal", "differs", "copied", "partial", "unrecorded", "absent"
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,10 +65,13 @@ class ComponentVerification:
     status : str
         ``equal``: computed again, all bits of its inputs and outputs; ``differs``: they are not
         all equal; ``copied``: its outputs were taken from the log, so that nothing is proven.
+        Of a partial log: ``partial``, what it has of the component is equal, which is not all;
+        ``unrecorded``, it has nothing, and the replay computed it; ``absent``, the replay has
+        nothing of it either.
     first : ElementDifference or None
         The first difference in a value; None: there is none, or the rows are at other times.
     reason : str
-        Why nothing computed it.
+        Why nothing computed it, or not all of it is verified.
     """
 
     component: str
@@ -172,6 +182,8 @@ class Verification:
         equal = (
             f"the replay equals the log bit for bit: {len(self.computed)} signals computed again"
         )
+        if not self.computed:
+            equal = "the replay computed no signal again that the log has, so that none is verified"
         lines = [_HASH_FITS if self.recorded_hash is not None else _NO_HASH]
         if self.window is None:
             lines.append(equal)
@@ -198,6 +210,7 @@ class Verification:
                 f"with {flag('allow_code')} FMUs, too; to compute all, run {self.scenario!r} again "
                 f"with the changes it had, and compare with {command('diff')}"
             )
+        lines += self._of_partial_log
         lines += map(str, self.substeps)
         not_compared = NOT_COMPARED
         if self.window is not None:
@@ -206,6 +219,24 @@ class Verification:
             f"not compared: {not_compared}; nor is the log signed: a log of another run, put in "
             "its place as a whole, passes"
         )
+        return lines
+
+    @property
+    def _of_partial_log(self) -> list[str]:
+        """Which components of a partial log are not verified, or not as a whole."""
+        lines = []
+        unrecorded = [own.component for own in self.components if own.status == "unrecorded"]
+        if unrecorded:
+            names = ", ".join(unrecorded)
+            lines.append(
+                f"not verified, as the log, which is partial, has no signal of it: {names}"
+            )
+        for status, text in _NOT_WHOLE.items():
+            named = [
+                f"{own.component} ({own.reason})" for own in self.components if own.status == status
+            ]
+            if named:
+                lines.append(f"{text}: {', '.join(named)}")
         return lines
 
     @property
@@ -300,27 +331,49 @@ def _in_words(row: SignalDifference) -> str:
 
 
 def _components(
-    again: Log | Memory, difference: LogDifference, origin: ReplayOrigin
+    source: Log, again: Log | Memory, difference: LogDifference, origin: ReplayOrigin
 ) -> tuple[ComponentVerification, ...]:
     """Return what is proven of every component."""
     rows: dict[str, list[SignalDifference]] = {}
+    if source.partial is not None:
+        rows = {name: [] for name in source.partial.declared}
     for row in difference.rows:
         rows.setdefault(Port.parse(row.signal).component, []).append(row)
     found = []
     for name, own_rows in rows.items():
         elements = [row.first for row in own_rows if row.first is not None]
         first = min(elements, key=lambda element: element.time_ns, default=None)
-        status: VerificationStatus = "copied" if name in origin.copied else "equal"
+        status, reason = _status(source, again, name, origin)
         if any(row.status != "equal" for row in own_rows):
             status = "differs"
-        reason = _why_copied(again, name, origin) if name in origin.copied else ""
         found.append(ComponentVerification(name, status, first, reason))
     return tuple(found)
+
+
+def _status(
+    source: Log, again: Log | Memory, name: str, origin: ReplayOrigin
+) -> tuple[VerificationStatus, str]:
+    """Return what is proven of a component that does not differ, and why it is not all."""
+    if name in origin.absent:
+        return "absent", origin.absent[name]
+    if name in origin.copied:
+        return "copied", _why_copied(again, name, origin)
+    recorded = source.partial
+    if recorded is None or recorded.is_whole(name, source.channels):
+        return "equal", ""
+    if name not in source.channels:
+        return "unrecorded", "the log has no signal of it"
+    missing = recorded.missing(source.channels).get(name)
+    if missing:
+        return "partial", f"the log has not its {listing(missing)}"
+    return "partial", f"the log has one of its rows in {source.channels[name].period} steps"
 
 
 def _why_copied(again: Log | Memory, name: str, origin: ReplayOrigin) -> str:
     if name in origin.left_out:
         return "other components were chosen"
+    if name in origin.uncomputed:
+        return origin.uncomputed[name]
     code = component_record(again, name).code
     if code is not None:
         return f"{flag('allow_code')} computes it, which runs {code.class_name}"
@@ -335,6 +388,25 @@ def _copied_substeps(again: Log | Memory, copied: Collection[str]) -> tuple[Copi
         if inside:
             found.append(CopiedSubsteps(counts.components, inside))
     return tuple(found)
+
+
+def _compared(source: Log, again: Log | Memory) -> Sequence[str]:
+    """Return the signals that a partial log and its replay both have; none: the log has all.
+
+    Raises
+    ------
+    LogError
+        If there are none.
+    """
+    if source.partial is None:
+        return ()
+    shared = [signal for signal in source if signal in again.signals]
+    if not shared:
+        raise LogError(
+            f"{source.label}: nothing of it can be verified: the log is partial, it was recorded "
+            f"with {source.partial.selection}, and a replay has none of that"
+        )
+    return shared
 
 
 def verify(source: Log, again: Log | Memory) -> Verification:
@@ -357,17 +429,20 @@ def verify(source: Log, again: Log | Memory) -> Verification:
     copied = []
     code = []
     left_out = []
+    known = declared_channels(again.channels)
     for name in origin.copied:
-        signals = [f"{name}.{signal.name}" for signal in again.channels[name].interface.outputs]
+        signals = [f"{name}.{signal.name}" for signal in known[name].interface.outputs]
+        if source.partial is not None:
+            signals = [signal for signal in signals if signal in source.signals]
         copied += signals
         if name in origin.left_out:
             left_out += signals
         elif component_record(again, name).code is not None:
             code += signals
-    computed = again.channels.keys() - set(origin.copied)
+    computed = known.keys() - set(origin.copied)
     window = origin.window
     span_ns = None if window is None else (nanoseconds(window[0]), nanoseconds(window[1]))
-    difference = diff(source, again, span_ns=span_ns)
+    difference = diff(source, again, signals=_compared(source, again), span_ns=span_ns)
     contradicting = () if window is not None else contradictions(source, again, computed)
     return Verification(
         recorded_hash,
@@ -379,7 +454,7 @@ def verify(source: Log, again: Log | Memory) -> Verification:
         tuple(left_out),
         _copied_substeps(again, origin.copied),
         recorded_document(source).source,
-        _components(again, difference, origin),
+        _components(source, again, difference, origin),
         environment_changes(source),
         window,
     )

@@ -6,7 +6,7 @@ A log may come from anywhere: what is read here has the types that the reports r
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Any, Final, Literal, TypeVar
 
 import numpy as np
@@ -376,6 +376,10 @@ class ReplayOrigin:
         Where the part of it begins and ends that was recorded [s]; None: all of it was.
     left_out : tuple of str
         Those of ``copied`` that could have been computed, but were not chosen.
+    absent : mapping of component name to str
+        Of a partial log: components that are neither copied nor computed, and why.
+    uncomputed : mapping of component name to str
+        Of it: components that a whole log would have computed, and why they are not.
     """
 
     log: str
@@ -383,6 +387,8 @@ class ReplayOrigin:
     copied: tuple[str, ...]
     window: tuple[float, float] | None = None
     left_out: tuple[str, ...] = ()
+    absent: Mapping[str, str] = field(default_factory=dict)
+    uncomputed: Mapping[str, str] = field(default_factory=dict)
 
 
 class ConnectionRecord(_Record):

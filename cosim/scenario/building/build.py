@@ -34,6 +34,7 @@ from cosim.scenario.context.user_classes import NotImported
 from cosim.scenario.document.document import Document
 from cosim.scenario.document.problems import Key, Problem, TableProblems
 from cosim.scenario.document.swap import MapEntry, ports_in, unknown_ports
+from cosim.scenario.identification.model import IdentifiedPlant
 from cosim.scenario.kinds import BuildContext, Kind
 from cosim.scenario.kinds.initial_states import GivenStates
 from cosim.scenario.parsing import Scenario, read
@@ -66,6 +67,8 @@ class Builder:
         Fixed number of communication steps in a block.
     replaced : mapping of component name to Interface, optional
         Of the components that swaps replaced, where they are known.
+    beside : Scenario, optional
+        The whole scenario, where only a part of it is built: what kinds ask of it.
     describes : bool
         Read of FMUs their descriptions only: what is built shows what there is, and cannot run.
 
@@ -99,6 +102,7 @@ class Builder:
         fmus_again: Mapping[str, RecordedFmu] = NONE_AGAIN,
         block: int | None = None,
         replaced: Mapping[str, Interface] | None = None,
+        beside: Scenario | None = None,
         describes: bool = False,
     ) -> None:
         self.scenario = scenario
@@ -107,7 +111,7 @@ class Builder:
         self._resources = resources
         self._describes = describes
         self.context = ScenarioBuildContext(
-            scenario,
+            beside or scenario,
             resources,
             recording,
             named_files,
@@ -457,7 +461,7 @@ class Builder:
             attachments=records.attachments,
             fmus=context.fmus.opened,
             files=frozenset(context.files.paths),
-            identified=context.identified,
+            identified=self._judged(graph),
             models=context.models.records,
             given_states=self.given_states,
             actions=self._actions,
@@ -468,6 +472,22 @@ class Builder:
             declared=self._declared,
             fmu_files=context.fmus.paths,
         )
+
+    def _judged(self, graph: Graph) -> dict[str, IdentifiedPlant]:
+        """Return what estimates are judged by, where all is here that this rests on."""
+        judged = {}
+        for name, plant in self.context.identified.items():
+            sources = (name, plant.observer, plant.regressor)
+            here = [source for source in sources if source in graph.components]
+            if len(here) == len(sources) and all(map(self._has_all_inputs, here)):
+                judged[name] = plant
+        return judged
+
+    def _has_all_inputs(self, name: str) -> bool:
+        """Return whether a component has all its inputs; one that is copied may have less."""
+        declared = self._declared.get(name) if name in self._recorded_names() else None
+        inputs = self.components[name].interface.input_names
+        return declared is None or declared.interface.input_names <= inputs
 
     def _recorded_names(self) -> tuple[str, ...]:
         """Return the components that are taken from the recording."""

@@ -95,6 +95,10 @@ class Experiment:
         Of a replay: all that the recorded run had, some of which need not be here.
     fmu_files : mapping of SHA-256 to Path
         The files of the FMUs that components are.
+    absent : mapping of component name to str
+        Of a replay of a partial log: why components are not here.
+    uncomputed : mapping of component name to str
+        Of it: why components are not computed that could be from a whole log.
     """
 
     scenario: Scenario
@@ -124,6 +128,8 @@ class Experiment:
     recorded: tuple[str, ...] = ()
     declared: Mapping[str, Channel] = field(default_factory=dict)
     fmu_files: Mapping[str, Path] = field(default_factory=dict)
+    absent: Mapping[str, str] = field(default_factory=dict)
+    uncomputed: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def has_events(self) -> bool:

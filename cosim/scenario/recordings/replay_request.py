@@ -164,13 +164,18 @@ def prepared_replay(source: Log, request: ReplayRequest, resources: ExitStack) -
     copied = experiment.recorded
     experiment.graph.take_solutions(source, copied)
     specs = experiment.scenario.specs
+    uncomputed = experiment.uncomputed
     window = request.window
     origin = ReplayOrigin(
         str(source.path),
         source.recorded_hash or source.content_hash(),
         copied,
         window=None if window is None else (window.begin, window.end),
-        left_out=tuple(name for name in copied if specs[name].computable),
+        left_out=tuple(
+            name for name in copied if specs[name].computable and name not in uncomputed
+        ),
+        absent=dict(experiment.absent),
+        uncomputed=dict(uncomputed),
     )
     gains = () if request.changes or swaps.paths else recorded_loop_gains(source)
     experiment = replace(experiment, origin=origin, designs=designs, gains=gains)

@@ -7,15 +7,16 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from cosim.core.clock import Clock
 from cosim.core.contracts import Design
+from cosim.core.partial import declared_channels, partial_of
 from cosim.core.port import Port
 from cosim.core.recorded_run import SCENARIO_FILE
-from cosim.core.recording import CompleteRecording
+from cosim.core.recording import CompleteRecording, SignalEvent
 from cosim.core.signals import Interface
 from cosim.core.stepping.actions import Action
 from cosim.errors import (
@@ -30,6 +31,7 @@ from cosim.errors import (
     quoted,
 )
 from cosim.log import Log
+from cosim.log.event_difference import OF_COMPONENTS
 from cosim.log.metadata import json_table
 from cosim.log.result import PARTIAL_STATUS
 from cosim.scenario.building.build import Builder, parse
@@ -51,6 +53,9 @@ from cosim.scenario.recorded_metadata import (
 )
 from cosim.scenario.recordings.embedding import recorded_fmus
 from cosim.scenario.recordings.rerunning import fmu_paths, rerun_specs, with_recorded_reports
+
+if TYPE_CHECKING:
+    from cosim.scenario.recordings.replayed_part import ReplayedPart
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +142,7 @@ def _foreign_kinds(log: CompleteRecording) -> frozenset[str]:
     The packages that declared them need not be installed where the log is read.
     """
     kinds = set()
-    for name in log.channels:
+    for name in declared_channels(log.channels):
         texts = component_metadata(log, name)
         # the texts of thousands of components take long to be checked
         if '"code"' in texts.get("metadata", "") and component_record(log, name).code is not None:
@@ -258,21 +263,31 @@ def rebuilt(
     specs |= {name: specs[name].with_code() for name in swaps.paths if name in specs}
     scenario = replace(scenario, specs=specs)
     left_out = () if components is None else _left_out(scenario, components)
-    source.load(*_recorded_in(source, scenario, left_out))  # in one pass over the file
+    part = None
+    if partial_of(source.channels) is not None:
+        part = _part(source, scenario, left_out, components or ())
+        left_out = tuple(name for name in part.copied if scenario.specs[name].computable)
+    runs = scenario if part is None else part.scenario
+    source.load(*_recorded_in(source, runs, left_out))  # in one pass over the file
     builder = Builder(
-        scenario,
+        runs,
         resources,
         problems=problems,
-        recording=source,
+        recording=source if part is None else part.recording,
         named_files=named,
         left_out=left_out,
         fmus_again=fmus_again,
         block=block,
         replaced=_replaced(source, swaps.paths),
+        beside=scenario,
     )
     experiment = _compared(builder, source, swaps.paths)
     if rerun:
         experiment = with_recorded_reports(experiment, source)
+    if part is not None:
+        experiment = _with_absent(experiment, part)
+        if not wanted and not swaps.paths:
+            _check_held(experiment, source)
     check_clock(experiment.clock, source)
     if "scenario.until" not in changes:  # it ends where the recording does
         experiment = replace(experiment, until=None)
@@ -287,7 +302,8 @@ def _compared(builder: Builder, source: CompleteRecording, swapped: Iterable[str
     ScenarioError
         With every problem of the scenario, and the ports that may have been meant.
     """
-    names = [n for n in swapped if n in builder.components and n in source.channels]
+    declared = declared_channels(source.channels)
+    names = [n for n in swapped if n in builder.components and n in declared]
     if not names:
         return builder.experiment()
     from cosim.scenario.preparing import with_reports  # rarely needed
@@ -301,9 +317,69 @@ def _compared(builder: Builder, source: CompleteRecording, swapped: Iterable[str
         raise ScenarioError("\n".join([str(error), *reports.hints])) from error
 
 
+def _with_absent(experiment: Experiment, part: ReplayedPart) -> Experiment:
+    """Return an experiment that knows what is not in it, and warns of that."""
+    warnings = list(experiment.warnings)
+    for name, reason in {**part.uncomputed, **part.absent}.items():
+        verb = "not in this replay" if name in part.absent else "copied, not computed"
+        warnings.append((name, f"{verb}: {reason}"))
+    return replace(
+        experiment,
+        warnings=tuple(warnings),
+        absent=part.absent,
+        uncomputed=part.uncomputed,
+    )
+
+
+def _check_held(experiment: Experiment, source: CompleteRecording) -> None:
+    """Check that what is computed takes its inputs as it did in the run.
+
+    Raises
+    ------
+    LogError
+        If an input is held that was interpolated, or the other way round.
+    """
+    masks = source.held
+    for name in experiment.scenario.specs:
+        if name in experiment.recorded:
+            continue
+        if not np.array_equal(masks[name], experiment.graph.held[name]):
+            raise LogError(
+                f"{source.label}: {name!r} cannot be computed as in the run: how its inputs change "
+                "inside a step follows from signals that the log does not have"
+            )
+
+
+def _part(
+    source: CompleteRecording,
+    scenario: Scenario,
+    left_out: Collection[str],
+    components: Sequence[str],
+) -> ReplayedPart:
+    """Return what a replay has of a partial log.
+
+    Raises
+    ------
+    UsageError
+        If one of the components that were chosen cannot be computed from it.
+    LogError
+        If nothing can.
+    """
+    from cosim.scenario.recordings.replayed_part import replayed_part  # rarely needed
+
+    part = replayed_part(source, scenario, left_out=left_out)
+    for name in components:
+        if name in part.uncomputed:
+            raise UsageError(
+                f"{name!r} cannot be computed: {part.uncomputed[name]}; the log is partial, it was "
+                f"recorded with {part.selection}"
+            )
+    return part
+
+
 def _replaced(source: CompleteRecording, names: Iterable[str]) -> dict[str, Interface]:
     """Return the interfaces of components that are replaced, as they were recorded."""
-    channels = source.channels
+    channels = declared_channels(source.channels)
     return {name: channels[name].interface for name in names if name in channels}
 
 
@@ -314,7 +390,7 @@ def _with_events(
 
     What jumps by itself does so again.
     """
-    events = tuple(event for event in source.events() if event.cause != "jump")
+    events = tuple(event for event in source.events() if _happens(experiment, event))
     settings: dict[tuple[int, str], Action] = {}
     if any(event.cause == "set" for event in events):
         from cosim.scenario.actions.settings import (  # rarely needed
@@ -331,6 +407,17 @@ def _with_events(
         )
         settings = recorded_settings(making, events, experiment.recorded)
     return replace(experiment, events=events, settings=settings)
+
+
+def _happens(experiment: Experiment, event: SignalEvent) -> bool:
+    """Return whether a replay does again what it has of an event; what jumps does so by itself."""
+    if event.cause == "jump" or not (experiment.uncomputed or experiment.absent):
+        return event.cause != "jump"
+    port = Port.parse(event.signal)
+    if port.component not in experiment.graph.components:
+        return False
+    known = experiment.graph.components[port.component].interface.by_name
+    return event.cause in OF_COMPONENTS or port.find(known) is not None
 
 
 def with_setting_designs(
@@ -456,7 +543,10 @@ def check_changes(
     UsageError
         If a change reaches a recorded component; names the change.
     """
-    drivers = _drivers(experiment.scenario)
+    whole = experiment.scenario
+    if experiment.absent:
+        whole, _ = read(whole.document, parse)
+    drivers = _drivers(whole)
     document = original
     before, _ = document.tree()
     for change, next_document in _changed_documents(document, changes, swaps):
@@ -487,9 +577,12 @@ def _check_change(
     recorded = experiment.recorded
     specs = experiment.scenario.specs
     origins = _origins(experiment, changed)
+    for name, reason in experiment.absent.items():
+        if f"components.{name}" in changed or name in origins:
+            raise UsageError(f"{change}: {name!r} is not in this replay: {reason}")
     for name in recorded:
         if name in origins:
-            remedy = _remedy(specs[name])
+            remedy = experiment.uncomputed.get(name) or _remedy(specs[name])
             raise UsageError(f"{change}: {name!r} is taken from the recording; {remedy}")
     affected = _reached(origins, drivers, recorded)
     for name in recorded:
@@ -497,7 +590,7 @@ def _check_change(
         if what:
             raise UsageError(
                 f"{change}: {what}; {name!r} is taken from the recording and cannot follow: "
-                f"{_remedy(specs[name])}"
+                f"{experiment.uncomputed.get(name) or _remedy(specs[name])}"
             )
 
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.core.contracts import prepare
+from cosim.core.partial import declared_channels
 from cosim.core.port import Port
 from cosim.core.recording import CompleteRecording, Plan
 from cosim.core.signals import Causality, Interface
@@ -213,7 +214,8 @@ def compare_with_recorded(builder: Builder, source: CompleteRecording, name: str
     kind = str(json_table(component_metadata(source, name).get("table", "{}")).get("kind"))
     if interface_type is not None:
         kind = INTERFACE_TYPE_NAMES[interface_type]
-    before = ComparedComponent(source.channels[name].interface, ComponentCapabilities(kind))
+    declared = declared_channels(source.channels)[name].interface
+    before = ComparedComponent(declared, ComponentCapabilities(kind))
     return _report(builder, name, before, _declared_component(builder, name))
 
 
