@@ -21,6 +21,7 @@ from cosim.log.compression import Compression, compress
 from cosim.log.crc import combined_crc
 from cosim.log.records import HEADER, record_header
 from cosim.log.summary import IndexEntry, RecordGroup, placed_entry
+from cosim.log.workers import Workers
 
 CHUNK_BYTES: Final = 2**20  # of records, uncompressed
 _SMALL: Final = 2**14  # bytes: channels with less share a chunk
@@ -54,9 +55,11 @@ def one_chunk(batches: Sequence[MessageBatch], compression: Compression) -> Reco
     return _grouped([_chunk(batches, compression)])
 
 
-def separate_chunks(batches: Sequence[MessageBatch], compression: Compression) -> RecordGroup:
+def separate_chunks(
+    batches: Sequence[MessageBatch], compression: Compression, workers: Workers
+) -> RecordGroup:
     """Return the messages of every channel as chunks of their own; channels with few share some."""
-    chunks = [_chunk(content, compression) for content in _contents(batches)]
+    chunks = workers.map(lambda content: _chunk(content, compression), _contents(batches))
     return _grouped(chunks)
 
 

@@ -10,9 +10,9 @@ import os
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO, final
@@ -31,6 +31,7 @@ from cosim.log.paths import open_file
 from cosim.log.records import FOOTER_SIZE, HEADER, record_header
 from cosim.log.scan import OtherRecord, scan
 from cosim.log.walk import RecordSpan, damage_error, walk
+from cosim.log.workers import Workers
 
 # What parsing bytes from outside may raise.
 MALFORMED = (McapError, ValueError, KeyError, TypeError, OverflowError, struct.error)
@@ -166,14 +167,23 @@ class Container:
         LogError
             If a chunk is damaged or too large.
         """
-        with self.open() as stream:
-            for span in self.contents.data:
-                if not self._may_have(span, channel_ids, first_ns, last_ns):
-                    continue
-                if span.opcode == Opcode.CHUNK:
-                    yield self._chunk(stream, span)
-                else:
-                    yield self._record(stream, span)
+        wanted = []
+        for span in self.contents.data:
+            if self._may_have(span, channel_ids, first_ns, last_ns):
+                wanted.append(span)
+        with self.open() as stream, Workers() as workers:
+            pieces = (self._piece(stream, span) for span in wanted)
+            if self._is_compressed:
+                yield from workers.ahead(pieces)
+            else:
+                for piece in pieces:
+                    yield piece()
+
+    @property
+    def _is_compressed(self) -> bool:
+        """Whether some chunks are compressed, as far as their indexes say."""
+        chunks = self.summary.chunk_indexes
+        return not chunks or any(index.compression for index in chunks)
 
     def _may_have(
         self,
@@ -348,13 +358,22 @@ class Container:
             raise self.damage_error(span.start, reason)
         return _read(stream, span)
 
-    def _chunk(self, stream: BinaryIO, span: RecordSpan) -> bytes:
-        """Read, check and decompress the records of a chunk."""
+    def _piece(self, stream: BinaryIO, span: RecordSpan) -> Callable[[], bytes]:
+        """Read a chunk, or messages outside; return what decompresses and checks them."""
+        if span.opcode != Opcode.CHUNK:
+            messages = self._record(stream, span)
+            return lambda: messages
         try:
             header = _read_chunk_header(stream, span)
             # Before decompressing: no CRC covers the header, and a wrong size may be a huge one.
             self._check_chunk_index(span, header)
             data = stream.read(header.data_length)
+        except MALFORMED as error:
+            raise self.damage_error(span.start, str(error)) from error
+        return partial(self._decompressed, span, header, data)
+
+    def _decompressed(self, span: RecordSpan, header: _ChunkHeader, data: bytes) -> bytes:
+        try:
             return decompress(data, header.compression, size=header.size, crc=header.crc)
         except MALFORMED as error:
             raise self.damage_error(span.start, str(error)) from error

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any, Final, final
 
 from cosim.core.recorders import EndOfRun
 from cosim.core.recording import Plan
-from cosim.log.buffer import RunContent, joined
+from cosim.log.buffer import RunContent, RunRows, joined
 from cosim.log.chunks import CHUNK_BYTES, one_chunk, separate_chunks
 from cosim.log.compression import Compression
 from cosim.log.content import combine_hashes
@@ -17,6 +18,7 @@ from cosim.log.layout import Part, signals_json
 from cosim.log.live_file import LiveFile
 from cosim.log.result import LastRow, result_group
 from cosim.log.summary import RecordGroup
+from cosim.log.workers import Workers
 
 _FEW_CHANNEL_BYTES: Final = 2**14  # with less a channel shares the chunk with all others
 
@@ -53,6 +55,7 @@ class LogStore:
         self._encoder = MessageEncoder(plan.layout, parts)
         self._has_few_channels = len(parts) * _FEW_CHANNEL_BYTES <= CHUNK_BYTES
         self._hashes = {channel.name: hashlib.sha256() for channel in plan.layout.channels}
+        self._workers = Workers()
         self._start_ns = 0
         self._tail: list[RunContent] = []  # what the file has in its tail
         self._tail_bytes = 0.0
@@ -107,25 +110,33 @@ class LogStore:
             result_group(end, self.last_row, content_hash=content_hash, values=values)
         )
         self._file.close()
+        self._workers.close()
 
     def abandon(self) -> None:
         """Close the file as it is."""
         self._file.abandon()
+        self._workers.close()
 
     def _write(self, content: RunContent, *, is_separate: bool) -> None:
         """Write the tail again, with a content behind it."""
         whole = joined([*self._tail, content]) if self._tail else content
-        group = self._group(whole, is_separate=is_separate)
-        if group.entries:  # no component may have a row in the steps of a flush
-            self._file.replace_tail(group)
+        hashing = self._workers.start(partial(self._hashed, content.rows)) if is_separate else None
+        try:
+            group = self._group(whole, is_separate=is_separate)
+            if group.entries:  # no component may have a row in the steps of a flush
+                self._file.replace_tail(group)
+        finally:
+            hashes = self._hashed(content.rows) if hashing is None else hashing.result()
         # Before anything else may fail: the file has these rows now.
-        self._count(content)
-
-    def _count(self, content: RunContent) -> None:
-        """Hash the rows that were written."""
-        self._encoder.hash_into(self._hashes, content.rows)
+        self._hashes = hashes
         if len(content.rows.steps):
             self.last_row = LastRow(int(content.rows.steps[-1]), int(content.rows.time_ns[-1]))
+
+    def _hashed(self, rows: RunRows) -> dict[str, hashlib._Hash]:
+        """Return the hashes with further rows."""
+        hashes = {name: digest.copy() for name, digest in self._hashes.items()}
+        self._encoder.hash_into(hashes, rows)
+        return hashes
 
     def _keep_tail(self) -> None:
         self._file.keep_tail()
@@ -144,5 +155,6 @@ class LogStore:
         )
         if not batches:
             return RecordGroup(b"", (), 0)
-        make = separate_chunks if is_separate and self._has_few_channels else one_chunk
-        return make(batches, self._compression)
+        if is_separate and self._has_few_channels:
+            return separate_chunks(batches, self._compression, self._workers)
+        return one_chunk(batches, self._compression)

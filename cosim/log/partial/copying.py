@@ -24,6 +24,7 @@ from cosim.log.records import MAGIC, encoded
 from cosim.log.result import RESULT, RESULT_FILE
 from cosim.log.summary import FileSummary, IndexEntry, RecordGroup
 from cosim.log.unfinished import UnfinishedLog
+from cosim.log.workers import Workers
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,8 +77,9 @@ def write_log(
     target = UnfinishedLog(out, force=force, numbered=False)
     try:
         file = _begun(target.create(), pieces)
-        for group in batches:
-            file.commit(separate_chunks(group, "zstd"))
+        with Workers() as workers:
+            for group in batches:
+                file.commit(separate_chunks(group, "zstd", workers))
         file.keep_tail()
         content_hash = Log(target.path, target.own).content_hash()
         for group_of_end in _end_groups(pieces, end(), content_hash):
