@@ -130,6 +130,17 @@ def ended_by_reader() -> Iterator[None]:
 
 
 @contextmanager
+def ended_by_interrupt(*, quietly: bool) -> Iterator[None]:
+    """Let Ctrl-C end the program, without a word where that is its ordinary end."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        if not quietly:
+            raise
+        sys.exit(INTERRUPTED)
+
+
+@contextmanager
 def ended_by_signals() -> Iterator[None]:
     """Turn a request to terminate and a closed terminal into what Ctrl-C does.
 

@@ -10,7 +10,7 @@ import typer
 
 from cosim.cli.options import LogArgument
 from cosim.report.printable import printable
-from cosim.terminal import ended_by_reader
+from cosim.terminal import ended_by_interrupt, ended_by_reader
 
 SignalsOption = Annotated[
     list[str] | None,
@@ -35,21 +35,39 @@ def cat(
     text_format: Annotated[
         str, typer.Option("--format", metavar="csv|jsonl", help="CSV or JSON Lines.")
     ] = "csv",
+    follow: Annotated[
+        bool,
+        typer.Option(
+            "--follow",
+            help="Go on while a run writes to the log, and print its rows as they are flushed, "
+            "looked for every 0.2 s, until it ends. The log has to be there already.",
+        ),
+    ] = False,
 ) -> None:
     """Print the rows of a log as CSV or JSON Lines.
 
     Of components with several rates there is a row at every instant at which one of them has one;
     where another has none, the cell is empty (in JSON Lines: left out).
     """
-    from cosim.log.conversion.choice import choose
-    from cosim.log.conversion.text import table_text
+    from cosim.log.conversion.text import TextSource, table_text
 
-    lines = table_text(choose(log, signals, start, stop), text_format)
+    table: TextSource
+    if follow:
+        from cosim.log.conversion.following import FollowedLog
+
+        table = FollowedLog(log, signals, start, stop)
+    else:
+        from cosim.log.conversion.choice import choose
+
+        table = choose(log, signals, start, stop)
+    lines = table_text(table, text_format)
     is_terminal = sys.stdout.isatty()
-    with ended_by_reader():
+    with ended_by_reader(), ended_by_interrupt(quietly=follow):
         for text in lines:
             shown = printable(text) if is_terminal else text
             sys.stdout.buffer.write(shown.encode())
+            if follow:
+                sys.stdout.buffer.flush()
 
 
 def convert(

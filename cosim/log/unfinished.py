@@ -149,11 +149,20 @@ def _check_not_written(path: Path) -> None:
     LogError
         If one does.
     """
+    if is_locked(path):
+        raise LogError(f"{path} is written by another run; choose another path, or end that one")
+
+
+def is_locked(path: Path) -> bool:
+    """Return whether a run writes to the file at a path; no: there is none."""
     with suppress(FileNotFoundError), path.open("rb") as stream:
-        if not lock(stream.fileno()):
-            raise LogError(
-                f"{path} is written by another run; choose another path, or end that one"
-            )
+        return not lock(stream.fileno())
+    return False
+
+
+def is_written(path: Path) -> bool:
+    """Return whether a run may write to the file at a path; where nothing tells, it may."""
+    return sys.platform == "win32" or is_locked(path)
 
 
 def _remove_abandoned(folder: Path, kept_name: str) -> None:

@@ -1,11 +1,13 @@
 """``cosim cat`` and ``cosim convert``."""
 
+import signal
 import subprocess
 import sys
 
 import numpy as np
 
-from tests.log.recordings import record
+from cosim.log import McapRecorder
+from tests.log.recordings import blocks, layout, plan, record, table
 
 
 def test_cat_prints_the_rows_that_are_chosen(call, tmp_path):
@@ -44,6 +46,57 @@ def test_a_reader_that_has_enough_ends_cat_without_a_word(tmp_path):
     assert (process.returncode, messages) == (0, b"")
 
 
+def test_a_log_is_followed_until_its_run_ends(tmp_path):
+    """Each flush is printed while the run goes on, and the whole is what ``cat`` prints later."""
+    path = tmp_path / "a.mcap"
+    command = [sys.executable, "-m", "cosim", "cat", str(path), "--follow"]
+    run = list(blocks(table(layout(), 40), 20))
+    with McapRecorder(path, flush=1e-3) as recorder:
+        recorder.begin(plan())
+        recorder.write(*run[0])
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        lines = [process.stdout.readline() for _ in range(22)]
+        recorder.write(*run[1])
+        lines.append(process.stdout.readline())
+    with process:
+        lines += process.stdout.readlines()
+        assert (process.wait(60), process.stderr.read()) == (0, b"")
+    later = subprocess.run(command[:-1], check=True, capture_output=True).stdout
+    assert b"".join(lines) == later
+
+
+def test_an_interrupt_ends_following_without_a_word(tmp_path):
+    """With the exit code of Ctrl-C."""
+    path = tmp_path / "a.mcap"
+    command = [sys.executable, "-m", "cosim", "cat", str(path), "--follow"]
+    with McapRecorder(path, flush=1e-3) as recorder:
+        recorder.begin(plan())
+        recorder.write(*next(blocks(table(layout(), 20), 20)))
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        assert process.stdout.readline().startswith(b"t [s]")
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=60)
+    assert (process.returncode, err) == (130, b"")
+
+
+def test_a_closed_pipe_ends_following_without_a_word(tmp_path):
+    """At the next row."""
+    path = tmp_path / "a.mcap"
+    command = [sys.executable, "-m", "cosim", "cat", str(path), "--follow"]
+    with McapRecorder(path, flush=1e-3) as recorder:
+        recorder.begin(plan())
+        run = list(blocks(table(layout(), 40), 20))
+        recorder.write(*run[0])
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        assert process.stdout.readline().startswith(b"t [s]")
+        process.stdout.close()
+        recorder.write(*run[1])
+        err = process.stderr.read()
+        assert process.wait(60) == 0
+    process.stderr.close()
+    assert err == b""
+
+
 def test_wrong_use_exits_with_2(call, tmp_path):
     """One line on stderr, nothing on stdout."""
     record(tmp_path / "a.mcap", steps=5)
@@ -52,6 +105,7 @@ def test_wrong_use_exits_with_2(call, tmp_path):
         (("cat", "a.mcap", "--signals", "plant.v"), "'plant' has no signal 'v'"),
         (("cat", "a.mcap", "--from", "nan"), "--from: found nan; needed a finite number"),
         (("cat", "b.mcap"), "b.mcap cannot be read"),
+        (("cat", "b.mcap", "--follow"), "b.mcap cannot be read"),
         (("convert", "a.mcap", "a.txt"), "found the ending '.txt'"),
         (("convert", "a.mcap", "a.npz", "--from", "2", "--to", "1"), "--from = 2.0 s behind"),
     ]:

@@ -13,32 +13,46 @@ import io
 import json
 import math
 from collections.abc import Callable, Iterator
-from typing import Final, TypeAlias
+from typing import Final, Protocol, TypeAlias
 
 import numpy as np
 
 from cosim.arrays import Nanoseconds
 from cosim.core.frames import TIME
 from cosim.core.joined_rows import JoinedRows
+from cosim.core.selection import SelectedColumn
 from cosim.errors import UsageError, nearest
 from cosim.instants import NANOSECONDS
-from cosim.log.conversion.choice import LogChoice
-
-TextFormat: TypeAlias = Callable[[LogChoice], Iterator[str]]
 
 _MOST_ROWS: Final = 4096  # that are text at a time
 
 
-def csv_text(choice: LogChoice) -> Iterator[str]:
+class TextSource(Protocol):
+    """Signals joined on time."""
+
+    @property
+    def columns(self) -> tuple[SelectedColumn, ...]:
+        """The elements of the signals, each once."""
+        ...
+
+    def joined(self) -> Iterator[JoinedRows]:
+        """Yield their rows, some at a time."""
+        ...
+
+
+TextFormat: TypeAlias = Callable[[TextSource], Iterator[str]]
+
+
+def csv_text(table: TextSource) -> Iterator[str]:
     """Yield a table as CSV, a few rows at a time."""
     header = [f"{TIME} [s]"]
-    for column in choice.columns:
+    for column in table.columns:
         unit = column.signal.unit
         header.append(column.name if unit is None else f"{column.name} [{unit}]")
     line = io.StringIO()
     csv.writer(line, lineterminator="\n").writerow(header)
     yield line.getvalue()
-    for part in _short(choice):
+    for part in _short(table):
         cells = [exact_seconds(part.time_ns)]
         for number in range(part.values.shape[1]):
             cells.append(_shown(part, number, repr))
@@ -46,10 +60,10 @@ def csv_text(choice: LogChoice) -> Iterator[str]:
         yield "\n".join(lines) + "\n"
 
 
-def json_lines(choice: LogChoice) -> Iterator[str]:
+def json_lines(table: TextSource) -> Iterator[str]:
     """Yield a table as JSON Lines, a few rows at a time."""
-    entries = [_json_entry(column.name) for column in choice.columns]
-    for part in _short(choice):
+    entries = [_json_entry(column.name) for column in table.columns]
+    for part in _short(table):
         texts = [[f'{{"{TIME}": {time}' for time in exact_seconds(part.time_ns)]]
         for number, entry in enumerate(entries):
             texts.append(_shown(part, number, entry))
@@ -92,8 +106,8 @@ def exact_seconds(time_ns: Nanoseconds) -> list[str]:
     return texts
 
 
-def _short(choice: LogChoice) -> Iterator[JoinedRows]:
-    for part in choice.joined():
+def _short(table: TextSource) -> Iterator[JoinedRows]:
+    for part in table.joined():
         for begin in range(0, len(part), _MOST_ROWS):
             yield part.part(begin, begin + _MOST_ROWS)
 
@@ -101,7 +115,7 @@ def _short(choice: LogChoice) -> Iterator[JoinedRows]:
 _FORMATS: Final[dict[str, TextFormat]] = {"csv": csv_text, "jsonl": json_lines}
 
 
-def table_text(choice: LogChoice, name: str) -> Iterator[str]:
+def table_text(table: TextSource, name: str) -> Iterator[str]:
     """Return an iterator over a table as text, in the format of a name.
 
     Raises
@@ -111,4 +125,4 @@ def table_text(choice: LogChoice, name: str) -> Iterator[str]:
     """
     if name not in _FORMATS:
         raise UsageError(f"--format {name!r}; {nearest(name, _FORMATS)}")
-    return _FORMATS[name](choice)
+    return _FORMATS[name](table)

@@ -1,0 +1,136 @@
+"""Rows of a log as a run writes it."""
+
+import subprocess
+import sys
+from itertools import count
+
+import numpy as np
+import pytest
+
+from cosim.errors import LogError
+from cosim.log.conversion.choice import choose
+from cosim.log.conversion.following import FollowedLog
+from cosim.log.conversion.text import csv_text
+from tests.log.recordings import record, same_bits
+
+STEPS = 600
+WRITER = f"""
+import sys
+from cosim.log import McapRecorder
+from tests.log.recordings import blocks, layout, plan, table
+
+rows = table(layout(), {STEPS})
+with McapRecorder(sys.argv[1], flush=1e-3) as recorder:
+    recorder.begin(plan())
+    for block, signals in blocks(rows, 20):
+        recorder.write(block, signals)
+        print("written", flush=True)
+        if not sys.stdin.readline():
+            break
+"""
+
+
+@pytest.fixture
+def writer(tmp_path):
+    """Start a process that writes 20 rows whenever it is told to, to its log."""
+    path = tmp_path / "a.mcap"
+    command = [sys.executable, "-c", WRITER, str(path)]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True) as process:
+        assert process.stdout.readline() == "written\n"
+        yield process, path
+        process.kill()
+
+
+def goes_on(process):
+    """Return what lets the writer write more, until it ends: at most as often as it has blocks."""
+    numbers = count()
+
+    def wait():
+        assert next(numbers) < 10_000
+        if process.poll() is None:
+            try:
+                process.stdin.write("\n")
+                process.stdin.flush()
+            except BrokenPipeError:
+                return
+            process.stdout.readline()
+
+    return wait
+
+
+def joined(parts):
+    """Return times and values of a table."""
+    parts = list(parts)
+    return np.concatenate([part.time_ns for part in parts]), np.concatenate(
+        [part.values for part in parts]
+    )
+
+
+def test_every_row_comes_once_bit_for_bit(writer):
+    """Of components with two rates, while another process writes to the log."""
+    process, path = writer
+    followed = FollowedLog(path, None, wait=goes_on(process))
+    parts = list(followed.joined())
+    assert len(parts) > 1  # or nothing was followed
+    time_ns, values = joined(parts)
+    assert np.array_equal(time_ns, np.arange(STEPS + 1) * 1_000_000)
+    whole = choose(path, None, None, None)
+    assert same_bits(values, joined(whole.joined())[1])
+
+
+def test_the_log_of_a_run_that_was_killed_ends(writer):
+    """With all rows that were flushed."""
+    process, path = writer
+    go_on = goes_on(process)
+    parts = []
+
+    def kill():
+        if not parts:
+            go_on()
+        else:
+            process.kill()
+            process.wait(60)
+
+    for part in FollowedLog(path, ["plant.*"], wait=kill).joined():
+        parts.append(part)
+    time_ns, values = joined(parts)
+    whole = choose(path, ["plant.*"], None, None)
+    assert whole.run.status == "unfinished"
+    assert same_bits(values, joined(whole.joined())[1])
+    assert len(time_ns) >= 1
+
+
+def test_a_window_of_time_ends_when_it_is_there(writer):
+    """The run goes on."""
+    process, path = writer
+    followed = FollowedLog(path, ["plant.u"], 0.05, 0.1, wait=goes_on(process))
+    time_ns, _ = joined(followed.joined())
+    assert np.array_equal(time_ns, np.arange(50, 101) * 1_000_000)
+    assert process.poll() is None
+
+
+def test_a_closed_log_is_printed_as_ever(tmp_path):
+    """There is nothing to wait for."""
+    path = tmp_path / "a.mcap"
+    record(path, steps=50)
+    text = "".join(csv_text(FollowedLog(path, None, wait=pytest.fail)))
+    assert text == "".join(csv_text(choose(path, None, None, None)))
+
+
+def test_a_damaged_log_is_an_error_after_some_attempts(tmp_path):
+    """It might have been changed by its run."""
+    path = tmp_path / "a.mcap"
+    record(path, steps=50, compression="none")
+    data = bytearray(path.read_bytes())
+    data[data.index(b"\x05", len(data) // 2)] ^= 1
+    followed = FollowedLog(path, None, wait=lambda: None)
+    path.write_bytes(data)
+    with pytest.raises(LogError):
+        list(followed.joined())
+
+
+def test_a_log_that_is_not_there_is_not_waited_for(tmp_path):
+    """A name may be wrong."""
+    with pytest.raises(LogError, match=r"a\.mcap cannot be read: No such file"):
+        FollowedLog(tmp_path / "a.mcap", None)
