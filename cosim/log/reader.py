@@ -25,7 +25,7 @@ from cosim.core.recorders import Memory
 from cosim.core.recording import SignalEvent, Substep
 from cosim.core.selection import select_signals
 from cosim.core.signals import Channel
-from cosim.errors import GraphError, LogError, UsageError, nearest, quoted
+from cosim.errors import GraphError, LogError, UsageError, command, nearest, option, quoted
 from cosim.log.container import MALFORMED, Container
 from cosim.log.layout import Part, read_number, read_part
 from cosim.log.messages import decode_event, decode_log, decode_substep
@@ -509,7 +509,8 @@ class Log(RecordedRun):
             joined = ", ".join(topics) or "no channels at all"
             raise LogError(
                 f"{self.path} has no channels of cosim, which carry 'cosim.component';"
-                f" found: {joined}"
+                f" found: {joined}; of a recording of another tool {command('info')} lists the "
+                f"fields, and {option('swap')} takes them"
             )
         return parts
 

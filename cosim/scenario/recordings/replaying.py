@@ -599,7 +599,7 @@ def _remedy(spec: Kind) -> str:
     if spec.computable:
         return "choose it, too, as a component to compute"
     if spec.code is not None:
-        return f"run the scenario to change it, or allow its code to run: {flag('allow_code')}"
+        return f"run the scenario to change it, or allow its code to run with {flag('allow_code')}"
     again = f", or compute it, too: {flag('rerun')}" if spec.is_rerun else ""
     return f"run the scenario to change it{again}"
 

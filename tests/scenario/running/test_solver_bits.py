@@ -134,7 +134,19 @@ def test_a_replay_that_differs_names_what_its_log_depends_on(plant, tmp_path, ca
         }
         log = tmp_path / f"{tolerance}.mcap"
         runs.append(cosim.run("academic", swap={"plant": f"{plant}#me"}, set=settings, out=log))
-    verification = Verification("", "", diff(*runs), (), (), (), (), "academic")
+    verification = Verification(
+        recorded_hash="",
+        found_hash="",
+        difference=diff(*runs),
+        contradictions=(),
+        copied=(),
+        code=(),
+        left_out=(),
+        substeps=(),
+        scenario="academic",
+        components=(),
+        environment={},
+    )
     print_verification(verification, runs[0], path=log, as_json=False, quiet=False)
     message = capsys.readouterr().err
     assert "the replay differs from the log; first: plant." in message
