@@ -64,7 +64,8 @@ def chosen_signals(
             chosen.setdefault(own.name, []).append(port.signal.name)
     if not chosen:
         raise UsageError(
-            f"found {selection}, which chooses no signal of what runs here: {listing([*channels])}"
+            f"found {selection}, which chooses no signal of what runs here: "
+            f"{listing([*channels])}; needed one of these, or all: record.signals = ['*']"
         )
     return chosen
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from cosim.core.partial import declared_channels
 from cosim.core.recording import Recording
 from cosim.core.signals import Channel
 from cosim.errors import LogError, UnknownSignalError, command, flag, listing, nearest
@@ -153,7 +154,7 @@ def certificate_of(recording: Recording, summary: Summary) -> StepCertificate | 
     if record is None:
         return None
     signals: list[SignalCertificate] = []
-    for channel in recording.channels.values():
+    for channel in declared_channels(recording.channels).values():
         signals += _outputs(channel, record.signals)
     shares = () if record.problem else tuple(_shares(summary.values, record))
     tolerances: Mapping[str, float] = {}

@@ -155,6 +155,16 @@ def test_a_summary_shows_what_is_recorded(part):
     assert [entry.component for entry in summary.identifications] == ["identifier"]
 
 
+def test_a_certificate_is_of_all_outputs(tmp_path):
+    """What it says does not depend on what is recorded."""
+    short = {"scenario.stop": 0.05}
+    whole = cosim.run("academic", set=short, certify=True)
+    log = cosim.run(
+        "academic", out=tmp_path / "a.mcap", set=short | record(["u.y"], 5), certify=True
+    )
+    assert cosim.certificate(log).signals == cosim.certificate(whole).signals
+
+
 def test_two_partial_logs_and_a_whole_one_are_compared_where_they_have_rows(whole, part, tmp_path):
     """Signals that one has not are named, and are no difference; a name asks for them in vain."""
     difference = cosim.diff(part, whole)
