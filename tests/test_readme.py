@@ -21,6 +21,7 @@ PAGES = {
     "coupling": (ROOT / ".readme" / "coupling.md").read_text(encoding="utf-8"),
     "fmus": (ROOT / ".readme" / "fmus.md").read_text(encoding="utf-8"),
     "identification": (ROOT / ".readme" / "identification.md").read_text(encoding="utf-8"),
+    "logs": (ROOT / ".readme" / "logs.md").read_text(encoding="utf-8"),
     "plants": (ROOT / ".readme" / "plants.md").read_text(encoding="utf-8"),
     "recordings": (ROOT / ".readme" / "recordings.md").read_text(encoding="utf-8"),
 }
