@@ -21,6 +21,11 @@ every flush, longer each time, until it is large enough to stay. It changes side
 one stands until the new one is switched to: at the end of the data, or further into the hole, where
 a PAD leads to it.
 
+The length of the file cannot be switched together with what leads to its end: between the write
+that lengthens it and the next one, and before the truncation of a file that is closed, bytes follow
+the footer that a reader from the front finds, and those that insist on its being the last refuse
+the file. Those that go by the indexes do not.
+
 The summary of a file that is still written has no CRC in the footer, where it would cover both
 slots; its own stands in the PAD behind it.
 """
@@ -282,14 +287,16 @@ class LiveFile:
         self._write(frame.footer, footer(*place) + MAGIC)
         self._frame = replace(old, footer=frame.footer)
         self._active = other
+        # At once: who reads from the front would stop at the old end, and goes on to the new one;
+        # and a file that is cut there does not look like a whole one, as it was before.
+        skip = record_header(PAD, frame.footer - old.footer - HEADER)
+        self._write(old.footer, skip + bytes(END_SIZE - HEADER))
         place = self._write_frame(frame)
         self._synchronize()
         self._write(frame.footer, footer(*place))
         self._write_hole(self._end if self._tail is None else self._tail.hole, frame)
         self._frame = frame
         self._active = 0
-        # Else a file that is cut there would be a whole one, as it was before.
-        self._write(old.footer, bytes(END_SIZE))
 
     def _write_frame(self, frame: _Frame) -> tuple[int, int]:
         """Write what stands behind the hole but for the footer; return the places for that."""
