@@ -9,7 +9,7 @@ import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector, as_columns
 from cosim.core.contracts import Design, Stopped
-from cosim.core.partial import partial_of
+from cosim.core.partial import declared_channels, partial_of, reduced_interface
 from cosim.core.port import Port
 from cosim.core.recorded import find_channel
 from cosim.core.recording import Recording
@@ -31,6 +31,8 @@ class Replay:
     inputs : bool
         Whether it has the recorded inputs too, so that what drives the component may stay
         connected; else it is a source. An input that was constant needs no connection.
+    unrecorded : bool
+        Whether it has the inputs, too, that a partial log did not record; none needs a connection.
 
     Raises
     ------
@@ -44,7 +46,14 @@ class Replay:
         From ``advance``, where the recording ends.
     """
 
-    def __init__(self, recording: Recording, component: str, *, inputs: bool = True) -> None:
+    def __init__(
+        self,
+        recording: Recording,
+        component: str,
+        *,
+        inputs: bool = True,
+        unrecorded: bool = False,
+    ) -> None:
         channel = find_channel(recording.channels, component, source=recording.label)
         _check_every_row(recording, channel)
         time_ns = recording.time_ns(component)
@@ -55,8 +64,9 @@ class Replay:
         recorded = channel.interface
         shown = Interface((), recorded.outputs, {})
         if inputs:
-            signals = tuple(_shown(recording, component, signal) for signal in recorded.inputs)
-            shown = replace(recorded, inputs=signals)
+            whole = _with_unrecorded(recording, channel) if unrecorded else recorded
+            signals = tuple(_shown(recording, channel, signal) for signal in whole.inputs)
+            shown = replace(whole, inputs=signals)
         self._limits = _left_limits(recording, component, recorded)
         self.interface = replace(
             shown,
@@ -194,9 +204,18 @@ def _jumping(
     return tuple(names)
 
 
-def _shown(recording: Recording, component: str, signal: Signal) -> Signal:
-    """Return an input; a constant input has that value where nothing drives it."""
-    rows = as_columns(recording[f"{component}.{signal.name}"])
+def _with_unrecorded(recording: Recording, channel: Channel) -> Interface:
+    """Return the interface of a recorded component with all inputs that it had."""
+    declared = declared_channels(recording.channels)[channel.name].interface
+    outputs = {signal.name for signal in channel.interface.outputs}
+    return reduced_interface(declared, outputs | declared.input_names)
+
+
+def _shown(recording: Recording, channel: Channel, signal: Signal) -> Signal:
+    """Return an input; a constant one has that value where nothing drives it."""
+    if signal.name not in channel.by_name:
+        return replace(signal, connection="optional")
+    rows = as_columns(recording[f"{channel.name}.{signal.name}"])
     if not (rows == rows[0]).all():
         return signal
     return replace(signal, start=tuple(rows[0].tolist()), connection="optional")

@@ -310,7 +310,7 @@ class RecordingKind(PlantKind):
                 'a swap, or kind = "field-data" and path instead of log'
             )
         recording = context.recording(self.log)
-        replay = Replay(recording, self.component)
+        replay = Replay(recording, self.component, unrecorded=True)
         clock = context.clock
         begin_ns = int(recording.time_ns(self.component)[0])
         begin = begin_ns / NANOSECONDS

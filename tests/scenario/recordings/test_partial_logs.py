@@ -206,6 +206,19 @@ def test_a_partial_log_is_cut_and_merged_again(part, tmp_path):
     assert merged.status == "complete"
 
 
+@pytest.mark.parametrize("signals", [["plant.y"], ["plant.*"], ["plant.u", "plant.y"]])
+def test_a_partial_log_takes_the_place_of_a_plant(whole, tmp_path, signals):
+    """Its inputs stay connected, recorded or not; what follows from its outputs has their bits."""
+    cosim.run("academic", out=tmp_path / "a.mcap", set=SHORT | record(signals))
+    run = cosim.run("academic", swap={"plant": tmp_path / "a.mcap"}, set=SHORT)
+    assert {"plant.u", "plant.delta", "plant.y", "identifier.theta"} <= set(run)
+    for name in run:
+        assert run[name].tobytes() == whole[name].tobytes(), name
+    cosim.run("academic", out=tmp_path / "b.mcap", set=SHORT | record(["u.y"]))
+    with pytest.raises(ScenarioError, match="no signal of 'plant': the log is partial"):
+        cosim.run("academic", swap={"plant": tmp_path / "b.mcap"}, set=SHORT)
+
+
 def test_a_session_records_what_its_scenario_says(whole, tmp_path):
     """Steps by hand have the same rows."""
     scenario = cosim.load("academic").set(SHORT | record(CHOSEN, 10))
