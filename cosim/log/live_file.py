@@ -38,7 +38,7 @@ import os
 import struct
 import sys
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, final
 
@@ -104,6 +104,19 @@ def _padding(position: int) -> bytes:
     return record_header(PAD, 0)
 
 
+def _differences(known: bytes, content: bytes) -> Iterator[slice]:
+    """Yield the pages of a content that differ from what is known, adjacent ones together."""
+    start = 0
+    for position in range(0, len(content), PAGE):
+        page = slice(position, position + PAGE)
+        if known[page] == content[page]:
+            if start < position:
+                yield slice(start, position)
+            start = position + PAGE
+    if start < len(content):
+        yield slice(start, len(content))
+
+
 @dataclass(frozen=True, slots=True)
 class _Tail:
     """The chunk that is written again with every flush."""
@@ -144,6 +157,7 @@ class LiveFile:
         self._sync = sync
         self._tail: _Tail | None = None
         self._is_switching = False
+        self._slots: dict[int, bytes] = {}  # what has been written to them, by position
         head += _padding(len(head))
         self._crc = zlib.crc32(head)
         self._end = len(head)
@@ -297,6 +311,8 @@ class LiveFile:
         self._write_hole(self._end if self._tail is None else self._tail.hole, frame)
         self._frame = frame
         self._active = 0
+        self._slots.pop(old.slot(0) + HEADER, None)
+        self._slots.pop(old.slot(1) + HEADER, None)
 
     def _write_frame(self, frame: _Frame) -> tuple[int, int]:
         """Write what stands behind the hole but for the footer; return the places for that."""
@@ -318,7 +334,12 @@ class LiveFile:
         pad_start = start + len(encoded.data)
         pad = record_header(PAD, footer_start - pad_start - HEADER)
         seal = SEAL.pack(start, len(encoded.data), zlib.crc32(encoded.data))
-        self._write(position, data_end() + encoded.data + pad + seal)
+        content = data_end() + encoded.data + pad + seal
+        # What a long file has had for long stands there already. If a write fails, who knows.
+        known = self._slots.pop(position, b"")
+        for piece in _differences(known, content):
+            self._write(position + piece.start, memoryview(content)[piece])
+        self._slots[position] = content
         return start, encoded.offset_start
 
     def _write_hole(self, position: int, frame: _Frame) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from statistics import median
 
 import pytest
 
@@ -61,3 +62,30 @@ def test_a_failed_write_leaves_all_flushed_rows_and_their_hash(tmp_path, monkeyp
             assert log.recorded_hash == log.content_hash(), number
             closed += 1
     assert lasting or closed > 20
+
+
+def test_a_flush_of_a_long_log_writes_as_much_as_one_of_a_short_log(monkeypatch):
+    """What it writes does not grow with the chunks that the summary lists."""
+    make_chunks_small(monkeypatch, 1000)
+    stream = CountingStream()
+    store = open_store(stream, plan())
+    rows = table(layout(), 4000)
+    written = []
+    for start in range(0, 4000, 4):
+        before = stream.bytes
+        store.add(content(rows, start, start + 4))
+        written.append(stream.bytes - before)
+    # A flush that lengthens the file writes the whole summary: the median is of those that do not.
+    assert median(written[-200:]) <= 2 * median(written[:200])
+    store.close(EndOfRun("complete", ""), {})
+
+
+class CountingStream(PagedStream):
+    """Counts the bytes that are written."""
+
+    bytes = 0
+
+    def write(self, data):
+        count = super().write(data)
+        self.bytes += count
+        return count
