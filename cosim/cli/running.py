@@ -129,6 +129,16 @@ SyncOption = Annotated[
     ),
 ]
 
+RotateOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="LIMIT",
+        help="Go on in a next file, x.part2.mcap, x.part3.mcap, ..., where the log has this size "
+        "(B, kB, MB, GB, TB, KiB, MiB, GiB) or simulated time (s, min, h), such as 1GB or 1h. "
+        "Each opens alone; 'cosim merge' joins them.",
+    ),
+]
+
 DryRunOption = Annotated[
     bool,
     typer.Option(
@@ -163,10 +173,12 @@ def run(
     show: ShowOption = None,
     flush: FlushOption = None,
     sync: SyncOption = False,
+    rotate: RotateOption = None,
     dry_run: DryRunOption = False,
 ) -> None:
     """Run a scenario and record every signal to an MCAP log."""
     from cosim.processes import COMMAND_VARIABLE, end_with_parent, note_own_end
+    from cosim.report.tables.rotation import is_rotated, print_rotated
     from cosim.report.tables.run import print_summary
     from cosim.scenario.running.execution import load
     from cosim.scenario.running.execution import run as run_scenario
@@ -197,6 +209,11 @@ def run(
         raise UsageError("--force replaces the log at --out; needed both, or neither")
     path = out or Path("logs") / f"{edited.name}.mcap"
     check_plot(plot, out)
+    if rotate is not None and (plot is not None or profile):
+        name = "--profile" if plot is None else "--plot"
+        raise UsageError(
+            f"found both --rotate and {name}, which shows a log of one file; needed one of them"
+        )
     tolerances = read_numbers(find_step, "find-step")
     seconds: dict[str, float] | None = {} if profile else None
     with (
@@ -219,12 +236,16 @@ def run(
             live=server,
             flush=flush,
             sync=sync,
+            rotate=rotate,
         )
     wall = {"imports": imported - BEGAN, "run": perf_counter() - imported}
     if plot is not None:
         from cosim.report.plots import plot_run
 
         plot_run(log, plot)
+    if rotate is not None and is_rotated(log):
+        print_rotated(log, wall=wall, as_json=as_json, quiet=quiet)
+        return
     print_summary(log, wall=wall, profile=seconds, as_json=as_json, quiet=quiet)
 
 
@@ -357,15 +378,15 @@ def replay(
 
     The log is all that is needed; of another tool's, --scenario and --map, too.
     """
-    from cosim.log import open_log
     from cosim.log.foreign.topics import is_foreign
+    from cosim.log.partial.joining import open_joined
     from cosim.report.tables.run import print_summary, print_verification
     from cosim.report.verification import verify as verify_replay
     from cosim.scenario.running.execution import replay as replay_log
 
     start_collecting()
     imported = perf_counter()
-    source = log if is_foreign(log) else open_log(log)
+    source = log if is_foreign(log) else open_joined(log)
     if verify and isinstance(source, Path):
         raise UsageError(f"--verify compares with a log of cosim; {log} is of another tool")
     if verify and stop is not None:

@@ -31,6 +31,10 @@ class RunRows:
     time_ns: Nanoseconds  # (n,)
     values: Matrix  # (n, width)
 
+    def part(self, rows: slice) -> RunRows:
+        """Return some of the rows."""
+        return RunRows(self.steps[rows], self.time_ns[rows], self.values[rows])
+
 
 @dataclass(frozen=True, slots=True)
 class RunContent:
@@ -43,6 +47,18 @@ class RunContent:
     def is_empty(self) -> bool:
         """Whether there is nothing to write."""
         return not len(self.rows.steps) and not self.messages
+
+    def split(self, time_ns: int) -> tuple[RunContent, RunContent]:
+        """Return what is before a time [ns], and what is at it or behind."""
+        row = int(np.searchsorted(self.rows.time_ns, time_ns))
+        early: list[WaitingMessage] = []
+        late: list[WaitingMessage] = []
+        for message in self.messages:
+            (early if message.time_ns < time_ns else late).append(message)
+        return (
+            RunContent(self.rows.part(slice(row)), early),
+            RunContent(self.rows.part(slice(row, None)), late),
+        )
 
 
 def joined(contents: Sequence[RunContent]) -> RunContent:

@@ -172,7 +172,7 @@ class LiveFile:
     @property
     def size(self) -> int:
         """What the file holds, without its hole and the room for the summary [bytes]."""
-        return self._end if self._tail is None else self._tail.hole
+        return self._end if self._tail is None else self._end + len(self._tail.group.data)
 
     def commit(self, group: RecordGroup) -> None:
         """Add records for good, in place of the tail if there is one."""

@@ -26,6 +26,7 @@ from cosim.core.recording import SignalEvent, Substep
 from cosim.core.selection import select_signals
 from cosim.core.signals import Channel
 from cosim.errors import GraphError, LogError, UsageError, command, nearest, option, quoted
+from cosim.instants import last_nanosecond
 from cosim.log.container import MALFORMED, Container
 from cosim.log.layout import Part, read_number, read_part
 from cosim.log.messages import decode_event, decode_log, decode_substep
@@ -155,7 +156,7 @@ class Log(RecordedRun):
         From the result, or, of an unfinished log, from the numbers of its rows.
         """
         if self._is_unfinished:
-            return self._start_ns + self.steps * self.step_ns if self.steps else 0
+            return self._run_start_ns + self.steps * self.step_ns if self.steps else 0
         return self._result_number("end_ns")
 
     @property
@@ -171,16 +172,64 @@ class Log(RecordedRun):
     @property
     def _last_step(self) -> int:
         """The last step that a component has a row of."""
+        return self._last_step_from(self._first_steps)
+
+    def _last_step_from(self, first_steps: Mapping[str, int]) -> int:
+        """Return the last step that a component has a row of, by the steps of first rows."""
         last = 0
         for number, part in self._parts.items():
             count = self._file.expected_messages(number, 1)
-            last = max(last, (count - 1) * part.channel.period)
+            first = first_steps.get(part.channel.name)
+            if count and first is not None:
+                last = max(last, first + (count - 1) * part.channel.period)
         return last
 
+    @cached_property
+    def _first_steps(self) -> dict[str, int]:
+        """The steps of the first rows, of the components that show which one is the last of all.
+
+        Where the last instant of the file is that of the last row of a file that begins with its
+        run, it does. Else there are messages behind that row, or the rows begin later: they are
+        read.
+        """
+        at_start = dict.fromkeys(self._channels, 0)
+        end_ns = self._run_start_ns + self._last_step_from(at_start) * self.step_ns
+        statistics = self._file.summary.statistics
+        if statistics is None or end_ns == int(statistics.message_end_time):
+            return at_start
+        steps = {}
+        every_step = [name for name, own in self._channels.items() if own.period == 1]
+        for name in every_step[:1] or self._channels:
+            first_ns = self._first_row_ns(name)
+            if first_ns is not None:
+                steps[name] = (first_ns - self._run_start_ns) // self.step_ns
+        return steps
+
+    def _first_row_ns(self, component: str) -> int | None:
+        """Return the first instant of a component [ns]; None: it has no row."""
+        for time_ns, _ in self.blocks(component, first_ns=0):
+            if len(time_ns):
+                return int(time_ns[0])
+        return None
+
     @property
-    def _start_ns(self) -> int:
+    def _message_start_ns(self) -> int:
         statistics = self._file.summary.statistics
         return 0 if statistics is None else int(statistics.message_start_time)
+
+    @property
+    def _run_start_ns(self) -> int:
+        """When the run began [ns]; where that is not recorded, the first instant of the file."""
+        text = self._metadata.get("cosim.run", {}).get("start_time", "")
+        try:
+            return last_nanosecond(float(text))
+        except (ValueError, OverflowError):
+            return self._message_start_ns
+
+    @property
+    def begins_late(self) -> bool:
+        """Whether the file begins later than its run: others have the rows before."""
+        return any(self._first_steps.values())
 
     @property
     def recorded_hash(self) -> str | None:

@@ -16,7 +16,7 @@ from cosim.log.content import combine_hashes
 from cosim.log.encoding import MessageEncoder
 from cosim.log.layout import Part, signals_json
 from cosim.log.live_file import LiveFile
-from cosim.log.result import LastRow, result_group
+from cosim.log.result import LastRow, last_part_group, part_group, result_group, result_items
 from cosim.log.summary import RecordGroup
 from cosim.log.workers import Workers
 
@@ -25,7 +25,7 @@ _FEW_CHANNEL_BYTES: Final = 2**14  # with less a channel shares the chunk with a
 
 @final
 class LogStore:
-    """Writes the contents of a run to a file.
+    """Writes the contents of a run to a file, and further ones to next files.
 
     Parameters
     ----------
@@ -54,7 +54,10 @@ class LogStore:
         self._compression = compression
         self._encoder = MessageEncoder(plan.layout, parts)
         self._has_few_channels = len(parts) * _FEW_CHANNEL_BYTES <= CHUNK_BYTES
-        self._hashes = {channel.name: hashlib.sha256() for channel in plan.layout.channels}
+        # Of the rows of the run by component; of a file behind the first one those of its own, too.
+        self._hashes: tuple[dict[str, hashlib._Hash], ...] = (self._new_hashes(),)
+        self._number = 1  # of the file
+        self._first_ns: int | None = None  # of the rows of the file
         self._workers = Workers()
         self._start_ns = 0
         self._tail: list[RunContent] = []  # what the file has in its tail
@@ -65,6 +68,11 @@ class LogStore:
     def capacity(self) -> int:
         """The number of rows of a flush."""
         return self._encoder.capacity
+
+    @property
+    def row_bytes(self) -> float:
+        """How many bytes of records a row has, on average."""
+        return self._encoder.row_bytes
 
     def begin(self, start_ns: int) -> None:
         """Take the time of the first row."""
@@ -90,6 +98,29 @@ class LogStore:
             self._tail.append(content)
             self._tail_bytes += size
 
+    @property
+    def has_rows(self) -> bool:
+        """Whether the file has any."""
+        return self._first_ns is not None
+
+    @property
+    def size(self) -> int:
+        """What the file holds [bytes]."""
+        return self._file.size
+
+    def go_on_in(self, file: LiveFile) -> None:
+        """Write the end of the file as of a part of the log, and all that follows to a next one."""
+        self._keep_tail()
+        content_hash = self._content_hash(self._hashes[-1])
+        self._file.commit(
+            part_group(self._number, self._first_ns, self.last_row, content_hash=content_hash)
+        )
+        self._file.close()
+        self._file = file
+        self._hashes = (self._hashes[0], self._new_hashes())
+        self._number += 1
+        self._first_ns = None
+
     def finish(self, last: RunContent | None, end: EndOfRun, values: Mapping[str, Any]) -> None:
         """Write the last flush, the result and the end of the file."""
         if last is not None and not last.is_empty:
@@ -100,17 +131,32 @@ class LogStore:
     def close(self, end: EndOfRun, values: Mapping[str, Any]) -> None:
         """Write the result and the end of the file."""
         self._keep_tail()
+        self._file.commit(self._end_group(end, values))
+        self._file.close()
+        self._workers.close()
+
+    def _end_group(self, end: EndOfRun, values: Mapping[str, Any]) -> RecordGroup:
+        """Return the records of the end of the run."""
+        content_hash = self._content_hash(self._hashes[0])
+        if self._number == 1:
+            return result_group(end, self.last_row, content_hash=content_hash, values=values)
+        return last_part_group(
+            self._number,
+            self._first_ns,
+            result_items(end, self.last_row, content_hash=content_hash),
+            content_hash=self._content_hash(self._hashes[-1]),
+            values=values,
+        )
+
+    def _new_hashes(self) -> dict[str, hashlib._Hash]:
+        return {channel.name: hashlib.sha256() for channel in self._plan.layout.channels}
+
+    def _content_hash(self, hashes: Mapping[str, hashlib._Hash]) -> str:
         components = []
         for channel in self._plan.layout.channels:
             declaration = signals_json(channel.interface)
-            digest = self._hashes[channel.name].hexdigest()
-            components.append((channel.name, declaration, digest))
-        content_hash = combine_hashes(components)
-        self._file.commit(
-            result_group(end, self.last_row, content_hash=content_hash, values=values)
-        )
-        self._file.close()
-        self._workers.close()
+            components.append((channel.name, declaration, hashes[channel.name].hexdigest()))
+        return combine_hashes(components)
 
     def abandon(self) -> None:
         """Close the file as it is."""
@@ -130,13 +176,18 @@ class LogStore:
         # Before anything else may fail: the file has these rows now.
         self._hashes = hashes
         if len(content.rows.steps):
+            if self._first_ns is None:
+                self._first_ns = int(content.rows.time_ns[0])
             self.last_row = LastRow(int(content.rows.steps[-1]), int(content.rows.time_ns[-1]))
 
-    def _hashed(self, rows: RunRows) -> dict[str, hashlib._Hash]:
+    def _hashed(self, rows: RunRows) -> tuple[dict[str, hashlib._Hash], ...]:
         """Return the hashes with further rows."""
-        hashes = {name: digest.copy() for name, digest in self._hashes.items()}
-        self._encoder.hash_into(hashes, rows)
-        return hashes
+        result = []
+        for hashes in self._hashes:
+            copied = {name: digest.copy() for name, digest in hashes.items()}
+            self._encoder.hash_into(copied, rows)
+            result.append(copied)
+        return tuple(result)
 
     def _keep_tail(self) -> None:
         self._file.keep_tail()

@@ -17,6 +17,7 @@ from typing import final
 
 from cosim.errors import LogError, flag
 from cosim.log.own_file import OwnFile
+from cosim.log.rotation import further_parts
 
 _HIDDEN_SUFFIX = ".part"
 _KEPT_NAME = 48  # characters of the path's name in the hidden one: names end at 255 bytes
@@ -97,7 +98,7 @@ class UnfinishedLog:
         assert self.own is not None
         try:
             if self._force:
-                _check_not_written(self.path)
+                check_not_written(self.path)
                 self._hidden_path.replace(self.path)  # readers of the old file keep it whole
             elif self._numbered:
                 self.path = _move_to_free(self._hidden_path, self.path)
@@ -141,7 +142,7 @@ class UnfinishedLog:
             self._hidden_path.unlink(missing_ok=True)
 
 
-def _check_not_written(path: Path) -> None:
+def check_not_written(path: Path) -> None:
     """Check that no run writes to the file at a path, if there is one.
 
     Raises
@@ -203,6 +204,8 @@ def _move_to_free(source: Path, first: Path) -> Path:
     target = first
     while True:
         try:
+            if further_parts(target):
+                raise FileExistsError
             _move(source, target)
         except FileExistsError:
             number += 1

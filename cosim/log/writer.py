@@ -34,6 +34,8 @@ from cosim.log.preamble import (
     add_step_channel,
 )
 from cosim.log.reader import Log
+from cosim.log.rotating import RotatingLog
+from cosim.log.rotation import Rotation, check_no_parts
 from cosim.log.size import size_bound
 from cosim.log.store import LogStore
 from cosim.log.unfinished import UnfinishedLog
@@ -73,6 +75,8 @@ class McapRecorder:
         After how much wall time a row is in the file at the latest [s].
     sync : bool
         Wait for the disk at every flush: a loss of power leaves what was flushed, too.
+    rotation : Rotation, optional
+        When the log goes on in a next file.
     """
 
     def __init__(
@@ -89,6 +93,7 @@ class McapRecorder:
         substeps: bool = False,
         flush: float = FLUSH_INTERVAL,
         sync: bool = False,
+        rotation: Rotation | None = None,
     ) -> None:
         self._force = force
         self._numbered = numbered
@@ -102,17 +107,20 @@ class McapRecorder:
         self._channel_ids: dict[str, int] = {}  # of what is no signal, by topic
         self._flush = flush
         self._sync = sync
+        self._rotation = rotation
         self._file = UnfinishedLog(log_path(path), force=force, numbered=numbered)
         self._writer: BackgroundWriter | None = None
         self._early: list[tuple[str, int, bytes]] = []  # messages before the file
 
     @property
     def path(self) -> Path:
-        """Where the file is, or will be."""
+        """Where the file is, or will be; the first one, if there are several."""
         return self._file.path
 
     def recorded(self) -> Log:
         """Return the log that was written: this very file, whatever stands at its path by now.
+
+        If there are several files, it is the last one.
 
         Raises
         ------
@@ -121,7 +129,8 @@ class McapRecorder:
         """
         if not self._file.published:
             raise LogError(f"{self.path} was not written")
-        return Log(self.path, self._file.own)
+        last = self._files.last
+        return Log(last.path, last.own)
 
     def __enter__(self) -> Self:
         """Refuse a path that a log cannot be written to.
@@ -132,6 +141,7 @@ class McapRecorder:
             If the file exists and is to stay, the path is a folder, or its folder takes no files.
         """
         check_new_log(self.path, force=self._force, numbered=self._numbered)
+        check_no_parts(self.path, force=self._force or self._numbered)
         return self
 
     def __exit__(
@@ -153,7 +163,7 @@ class McapRecorder:
             try:
                 if self._writer is not None and self._is_worth_keeping(error):
                     # First: if the end cannot be written, what could be is at its path.
-                    self._file.publish()
+                    self._files.publish()
                     self._complete(self._writer, end_of_run(error))
             finally:
                 if self._writer is not None:
@@ -191,6 +201,8 @@ class McapRecorder:
             self._channel_ids[EVENT_TOPIC] = add_event_channel(head)
         if self._has_substeps:
             self._channel_ids[STEP_TOPIC] = add_step_channel(head)
+        if self._rotation is not None:
+            self._rotation.check(plan.layout.channels, plan.step_ns, len(head.data))
         try:
             file = LiveFile(stream, head.data, head.summary(), sync=self._sync)
         except OSError as error:
@@ -199,6 +211,14 @@ class McapRecorder:
         self._store = LogStore(file, plan, numbered_parts, compression=self._compression)
         self._plan = plan
         self._head_bytes = len(head.data)
+        self._files = RotatingLog(
+            self._file,
+            head,
+            self._store,
+            force=self._force,
+            rotation=self._rotation,
+            sync=self._sync,
+        )
         # Last: with a writer the file is completed, and that needs everything above.
         self._writer = BackgroundWriter(
             self._add,
@@ -242,8 +262,7 @@ class McapRecorder:
         if is_first:
             start_ns = int(block.time_ns[0]) - block.index * self._plan.step_ns
             with uninterrupted():
-                self._store.begin(start_ns)
-                self._file.publish()
+                self._files.begin(start_ns)
         row = 0 if is_first and block.index == 0 else 1
         assert self._writer is not None
         try:
@@ -287,14 +306,13 @@ class McapRecorder:
 
     def _add(self, content: RunContent) -> None:
         """Write a content; called in the writer's thread."""
-        self._file.check()
-        self._store.add(content)
+        self._files.add(content)
 
     def _complete(self, writer: BackgroundWriter, end: EndOfRun) -> None:
         """Write the rest and the end of the file."""
         try:
             rest = writer.close()
-            self._store.finish(rest, end, self._result)
+            self._files.finish(rest, end, self._result)
         except OSError as error:
             self._fail(error)
 
@@ -314,7 +332,8 @@ class McapRecorder:
             self._store.close(end, self._result)
         except OSError:
             self._store.abandon()
+        self._files.discard()
         raise LogWriteError(
-            f"{self.path} cannot be written further: {reason}; up to "
+            f"{self._files.path} cannot be written further: {reason}; up to "
             f"t = {self._store.last_row.end_ns / 1e9} s it is a valid file"
         ) from error

@@ -88,6 +88,7 @@ class FollowedLog:
             try:
                 log = Log(self._path, self._own)
                 yield from self._new_rows(log)
+                has_ended = log.status != "unfinished" or self._is_past(log)
             except LogError:
                 failures = 0 if self._next_ns > next_before else failures + 1
                 if failures == _ATTEMPTS:
@@ -95,7 +96,7 @@ class FollowedLog:
                 self._wait()
                 continue
             failures = 0
-            if not may_grow or log.status != "unfinished" or self._is_past(log):
+            if has_ended or not may_grow:
                 return
             self._wait()
 

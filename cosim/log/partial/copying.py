@@ -16,12 +16,12 @@ from cosim.log.chunks import MessageBatch, separate_chunks
 from cosim.log.environment import library_name
 from cosim.log.head import attachment_group, metadata_group
 from cosim.log.live_file import LiveFile
-from cosim.log.metadata import add_checksum
-from cosim.log.partial.pieces import PARTIAL, LogPieces
+from cosim.log.metadata import add_checksum, json_table
+from cosim.log.partial.pieces import LogPieces
 from cosim.log.paths import check_new_log, log_path
 from cosim.log.reader import Log
 from cosim.log.records import MAGIC, encoded
-from cosim.log.result import RESULT, RESULT_FILE
+from cosim.log.result import PARTIAL, RESULT, RESULT_FILE
 from cosim.log.summary import FileSummary, IndexEntry, RecordGroup
 from cosim.log.unfinished import UnfinishedLog
 from cosim.log.workers import Workers
@@ -117,15 +117,33 @@ def _end_groups(pieces: LogPieces, end: PartEnd, content_hash: str) -> list[Reco
         if pieces.result_file is not None and PARTIAL not in pieces.metadata:
             groups.append(attachment_group(RESULT_FILE, "application/json", pieces.result_file))
         else:
-            groups.append(_result_file(of_run))
+            groups.append(_result_file(_whole_result(pieces.result_file, of_run)))
         return groups
     items: dict[str, Any] = {**asdict(end), "content_hash": content_hash}
     texts = {key: str(value) for key, value in items.items()}
     groups = [metadata_group(RESULT, add_checksum(RESULT, texts))]
     if of_run:
         groups.append(metadata_group(PARTIAL, add_checksum(PARTIAL, of_run)))
-    groups.append(_result_file(items))
+    values = pieces.result_file if PARTIAL in pieces.metadata else None  # of the whole run
+    groups.append(_result_file({**_values(values), **items}))
     return groups
+
+
+def _whole_result(of_part: bytes | None, of_run: Mapping[str, str]) -> dict[str, Any]:
+    """Return the result of the whole run, with the values of it that a part has."""
+    items: dict[str, Any] = dict(of_run)
+    for key in ("steps", "end_ns"):
+        if of_run.get(key, "").isdecimal():
+            items[key] = int(of_run[key])
+    return {**_values(of_part), **items}
+
+
+def _values(result_file: bytes | None) -> dict[str, Any]:
+    """Return the content of a result file; where it cannot be read nothing, which loses no row."""
+    try:
+        return {} if result_file is None else json_table(result_file)
+    except ValueError:
+        return {}
 
 
 def _result_file(items: Mapping[str, Any]) -> RecordGroup:

@@ -10,13 +10,12 @@ import numpy as np
 from cosim.arrays import Mask, Nanoseconds
 from cosim.core.recorded_run import RecordedWindow, span_ns
 from cosim.errors import LogError
-from cosim.instants import NANOSECONDS
 from cosim.log.container import Container
 from cosim.log.partial.batches import gathered
 from cosim.log.partial.copying import PartEnd, write_log
 from cosim.log.partial.pieces import read_pieces
 from cosim.log.reader import Log, open_log
-from cosim.log.result import PARTIAL_STATUS
+from cosim.log.result import PARTIAL_STATUS, span_text
 
 
 def cut(
@@ -95,4 +94,4 @@ class _Span:
 
 def part_text(first_ns: int, last_ns: int) -> str:
     """Return which part of a run some rows are, in words."""
-    return f"the part from {first_ns / NANOSECONDS} s to {last_ns / NANOSECONDS} s"
+    return f"the part {span_text(first_ns, last_ns)}"

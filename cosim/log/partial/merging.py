@@ -114,9 +114,8 @@ def _contradiction(a: LogPieces, b: LogPieces) -> str:
     for name in dict.fromkeys([*contents_a, *contents_b]):
         if contents_a.get(name) != contents_b.get(name):
             return f"the attachment {name!r}"
-    known_a = a.run_result if a.run_result.get("status") != PARTIAL_STATUS else {}
-    known_b = b.run_result if b.run_result.get("status") != PARTIAL_STATUS else {}
-    return "the result of the run" if known_a and known_b and known_a != known_b else ""
+    is_other = a.run_result and b.run_result and a.run_result != b.run_result
+    return "the result of the run" if is_other else ""
 
 
 def _check_consecutive(spans: Sequence[_RunPart]) -> None:

@@ -17,9 +17,7 @@ from cosim.log.container import MALFORMED
 from cosim.log.layout import Part, read_part, record_dtype
 from cosim.log.metadata import verify_checksum
 from cosim.log.paths import open_file
-from cosim.log.result import RESULT, RESULT_FILE
-
-PARTIAL: Final = "cosim.partial"  # the result of the whole run, in the log of a part of it
+from cosim.log.result import PARTIAL, PARTIAL_STATUS, RESULT, RESULT_FILE
 
 _OF_THE_END: Final = (RESULT, PARTIAL)  # metadata that a part has of its own
 
@@ -61,7 +59,8 @@ class LogPieces:
         """How the whole run ended, with its content hash; empty: that is not known."""
         for name in (PARTIAL, RESULT):
             if name in self.metadata:
-                return verify_checksum(name, self.metadata[name])
+                result = verify_checksum(name, self.metadata[name])
+                return {} if result.get("status") == PARTIAL_STATUS else result
         return {}
 
     @property

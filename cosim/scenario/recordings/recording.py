@@ -22,6 +22,8 @@ from cosim.files import file_type
 from cosim.log import Log, McapRecorder
 from cosim.log.background import FLUSH_INTERVAL
 from cosim.log.paths import check_new_log, log_path
+from cosim.log.result import PARTIAL_STATUS
+from cosim.log.rotation import Rotation, check_no_parts
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.recordings.interrupting import interruptible
 from cosim.scenario.recordings.records import MessageRecorder, attachments_of, metadata_of
@@ -49,6 +51,8 @@ class Target:
         After how much wall time a row is in the log at the latest [s].
     sync : bool
         Wait for the disk at every flush.
+    rotation : Rotation or None
+        When the log goes on in a next file.
     embed : bool
         Put the FMUs of components there, too.
     """
@@ -59,6 +63,7 @@ class Target:
     notice: Notice | None = None
     flush: float = FLUSH_INTERVAL
     sync: bool = False
+    rotation: Rotation | None = None
     embed: bool = False
 
 
@@ -83,6 +88,7 @@ def check_target(out: str | Path | None, *, force: bool = False, numbered: bool 
     if file_type(path) != "log":
         raise UsageError(f"{out}: a log needs a path that ends in .mcap")
     check_new_log(path, force=force, numbered=numbered)
+    check_no_parts(path, force=force or numbered)
 
 
 def record(
@@ -154,6 +160,8 @@ def _recorded_part(log: Log) -> str:
     """Return what a log has of a run that failed: nothing, if that was at its initialization."""
     if not log.steps and not any(len(log.time_ns(name)) for name in log.channels):
         return "has no row of the run"
+    if log.status == PARTIAL_STATUS:
+        return f"is the last of several files, which have the run up to t = {log.end_ns / 1e9} s"
     return f"has the run up to t = {log.end_ns / 1e9} s"
 
 
@@ -244,6 +252,7 @@ def log_recorder(
         substeps=bool(experiment.graph.substep_controls),
         flush=target.flush,
         sync=target.sync,
+        rotation=target.rotation,
     )
 
 

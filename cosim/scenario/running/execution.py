@@ -21,9 +21,11 @@ from cosim.core.arguments import check_recorder
 from cosim.core.recorders import Memory
 from cosim.core.recording import Recorder
 from cosim.errors import UsageError, flag, option, quoted
-from cosim.log import Log, open_log
+from cosim.log import Log
 from cosim.log.background import FLUSH_INTERVAL
 from cosim.log.foreign.topics import is_foreign
+from cosim.log.partial.joining import open_joined
+from cosim.log.rotation import Rotation, read_rotation
 from cosim.scenario.building.build import parse
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.document.document import Document, find
@@ -110,6 +112,7 @@ def run(
     live: LiveView | None = None,
     flush: float | None = None,
     sync: bool = False,
+    rotate: str | None = None,
     recorder: None = None,
 ) -> Log | Memory: ...
 
@@ -152,6 +155,7 @@ def run(
     live: LiveView | None = None,
     flush: float | None = None,
     sync: bool = False,
+    rotate: str | None = None,
     recorder: Recorder | None = None,
 ) -> Log | Memory | Recorder:
     """Run a scenario.
@@ -205,6 +209,10 @@ def run(
         process is killed. Left out: 1.
     sync : bool
         Wait for the disk at every flush: then a loss of power leaves what was flushed, too.
+    rotate : str, optional
+        A size, such as ``"1GB"``, or a simulated time, such as ``"1h"``, behind which the log at
+        ``out`` goes on in a next file: ``run.mcap``, ``run.part2.mcap``, ``run.part3.mcap``, ...
+        Each opens alone; ``cosim merge`` joins them.
     recorder : Recorder, optional
         One's own recorder, instead of ``out`` and what is about it: it takes the rows of the run,
         its messages and its results as they are computed. Nothing else is kept, and nothing is
@@ -213,7 +221,9 @@ def run(
     Returns
     -------
     Log, Memory or Recorder
-        The recording: the log file if ``out`` is given, ``recorder`` itself if that is given.
+        The recording: the log file if ``out`` is given, ``recorder`` itself if that is given. Of a
+        log that was rotated it is the last file: its rows are those of a part of the run, its
+        ``status`` is ``partial``, its ``results`` are those of the whole run.
 
     Raises
     ------
@@ -234,6 +244,7 @@ def run(
     check_target(out, force=force, numbered=numbered)
     sync = truth_argument("sync", sync)
     interval = _flush_interval(flush, sync=sync, is_logged=out is not None)
+    rotation = _rotation_of(rotate, is_logged=out is not None)
     pace = None if realtime is None else _pace_of(realtime)
     loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
     edited = loaded.edit(swap=swap, map=map, set=set)
@@ -261,7 +272,16 @@ def run(
             run_into(taking, experiment, progress=progress, profile=profile)
             behind()
             return recorder
-        target = Target(out, force, numbered, notice, flush=interval, sync=sync, embed=embed)
+        target = Target(
+            out,
+            force,
+            numbered,
+            notice,
+            flush=interval,
+            sync=sync,
+            rotation=rotation,
+            embed=embed,
+        )
         return record(
             experiment, target, progress=progress, profile=profile, beside=beside, behind=behind
         )
@@ -287,6 +307,24 @@ def _flush_interval(flush: float | None, *, sync: bool, is_logged: bool) -> floa
     if not 0 < interval < math.inf:
         raise UsageError(f"{option('flush')}: found {flush!r}; needed a time above 0 s")
     return interval
+
+
+def _rotation_of(rotate: str | None, *, is_logged: bool) -> Rotation | None:
+    """Return when a log goes on in a next file.
+
+    Raises
+    ------
+    UsageError
+        If that cannot be understood, or there is no log.
+    """
+    if rotate is None:
+        return None
+    if not is_logged:
+        raise UsageError(
+            f"found {option('rotate')}, which is about the log at {option('out')}, and no "
+            f"{option('out')}; needed both, or neither"
+        )
+    return read_rotation(rotate)
 
 
 def _certification_of(scenario: Scenario, progress: Progress | None) -> Certification:
@@ -393,7 +431,8 @@ def replay(
     Parameters
     ----------
     log : str, Path or Log
-        The recording of a run.
+        The recording of a run. A file of a log that was rotated is replayed with those before it,
+        which have to stand beside it.
     out, force, block, progress, notice, profile
         As of :func:`run`.
     set : mapping of dotted key to value, optional
@@ -459,7 +498,7 @@ def replay(
             notice=notice,
             profile=profile,
         )
-    source = log if isinstance(log, Log) else open_log(log)
+    source = open_joined(log)
     if scenario is not None:
         raise UsageError(
             f"{source.label} carries its own scenario; leave out {option('scenario')}, which is "
