@@ -114,19 +114,22 @@ def test_threads_may_share_a_path_too(tmp_path):
         assert cosim.diff(log, cosim.open_log(log.path)).equal
 
 
-def test_a_run_reads_its_own_log_where_another_replaced_it(start, tmp_path):
-    """Two runs with --force on one path: the first to finish tells of itself, and of that."""
+def test_a_run_does_not_replace_the_log_that_another_writes(start, tmp_path):
+    """Two runs with --force on one path: the second is refused, the first goes on."""
     path = tmp_path / "a.mcap"
     first = start("run", *LONG, "--out", path, "--force", "--json")
     wait_for(path, first)
     inode = path.stat().st_ino
     second = start("run", "academic", "--stop", "0.01", "--out", path, "--force")
-    assert second.wait(60) == 0
-    assert path.stat().st_ino != inode
+    _, err = second.communicate(timeout=60)
+    assert second.returncode == 2
+    assert err == f"cosim: {path} is written by another run; choose another path, or end that one\n"
+    assert path.stat().st_ino == inode
     first.send_signal(signal.SIGINT)
     _, err = first.communicate(timeout=60)
-    assert (first.returncode, err) == (130, "cosim: interrupted by the user\n")
-    assert cosim.open_log(path).metadata["cosim.run"]["scenario"] == "academic"
+    assert first.returncode == 130
+    assert err.startswith("cosim: interrupted by the user\n")
+    assert cosim.open_log(path).status == "interrupted"
 
 
 @pytest.mark.parametrize("removed", [False, True])

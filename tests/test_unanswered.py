@@ -10,7 +10,6 @@ import pytest
 
 import cosim
 from cosim import unanswered
-from cosim.errors import LogError
 from cosim.interrupts import uninterrupted
 from cosim.unanswered import ended_if_unanswered
 from tests.fmi.compiled import compile_fmu
@@ -63,8 +62,7 @@ def test_a_second_ctrl_c_ends_a_step_that_does_not_return(tmp_path):
         "cosim: interrupted by the user: ended at once; a log that has rows is not closed: "
         "'cosim info' says up to where it is whole\n"
     )
-    with pytest.raises(LogError, match=r"was killed before it could close the log.* whole"):
-        cosim.open_log(tmp_path / "x.mcap")
+    assert cosim.open_log(tmp_path / "x.mcap").status == "unfinished"
 
 
 def test_what_python_answers_is_left_to_its_handlers(capfd):

@@ -69,17 +69,40 @@ class UnfinishedLog:
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             kept_name = self.path.name[:_KEPT_NAME]
-            hidden_name = f".{kept_name}.{secrets.token_hex(4)}{_HIDDEN_SUFFIX}"
-            self._hidden_path = self.path.with_name(hidden_name)
             _remove_abandoned(self.path.parent, kept_name)
-            # After the path is known: an error or interrupt in here must not leave the file.
-            self._stream = create(self._hidden_path)
-            lock(self._stream.fileno())
-            self.own = OwnFile(self._hidden_path)
+            self._stream = self._create_locked(kept_name)
+            while self._stream is None:  # another run took it for an abandoned one, and removed it
+                self._stream = self._create_locked(kept_name)
         except OSError as error:
             reason = error.strerror or error
             raise LogError(f"{self.path} cannot be created: {reason}") from error
         return self._stream
+
+    def _create_locked(self, kept_name: str) -> io.RawIOBase | None:
+        """Create the file and lock it; None: it is gone already."""
+        hidden_name = f".{kept_name}.{secrets.token_hex(4)}{_HIDDEN_SUFFIX}"
+        self._hidden_path = self.path.with_name(hidden_name)
+        # After the path is known: an error or interrupt in here must not leave the file.
+        stream = create(self._hidden_path)
+        try:
+            if lock(stream.fileno()):
+                # From here on no other run removes it; whether one has, opening it says.
+                self.own = OwnFile(self._hidden_path)
+                return stream
+        except FileNotFoundError:
+            self._check_folder()
+        stream.close()
+        return None
+
+    def _check_folder(self) -> None:
+        """Check that the folder is there, so that trying again has an end.
+
+        Raises
+        ------
+        OSError
+            If it is not.
+        """
+        os.stat(self.path.parent)
 
     def publish(self) -> None:
         """Rename the file to its path, the first time this is called; it stays open.
