@@ -197,6 +197,23 @@ class Log(RecordedRun):
         statistics = self._file.summary.statistics
         if statistics is None or end_ns == int(statistics.message_end_time):
             return at_start
+        try:
+            return self._read_first_steps()
+        except LogError:
+            # The run may write these rows anew just now. A message from the start of the run hardly
+            # ever stands in a later file.
+            if self._message_start_ns > self._run_start_ns:
+                raise
+            return at_start
+
+    def _read_first_steps(self) -> dict[str, int]:
+        """Read the steps of the first rows, of one component that has a row at every step or all.
+
+        Raises
+        ------
+        LogError
+            If the file is damaged, or the run has written to it.
+        """
         steps = {}
         every_step = [name for name, own in self._channels.items() if own.period == 1]
         for name in every_step[:1] or self._channels:

@@ -15,7 +15,7 @@ import pytest
 from cosim.errors import GraphError, Interrupted, LogError, LogWriteError, NonFiniteError
 from cosim.log import McapRecorder, open_log, unfinished, writer
 
-from .recordings import blocks, layout, plan, record, same_bits, table
+from .recordings import STEP_NS, blocks, layout, plan, record, same_bits, table
 from .test_writer import FullDisk
 
 
@@ -299,3 +299,28 @@ def test_a_log_that_is_written_can_be_read(tmp_path):
                 assert same_bits(found, rows[: len(found), :5])
     assert texts <= {f"{path} has changed since it was opened; open it again"}
     assert open_log(path).steps == 3000
+
+
+def test_the_steps_of_a_log_that_is_written_are_those_when_it_was_opened(tmp_path):
+    """Also where a message is ahead of the rows, and these are written anew meanwhile."""
+    path = tmp_path / "a.mcap"
+    run = list(blocks(table(layout(), 100), 10))
+    with McapRecorder(path, flush=1e-3, metadata={"cosim.run": {"start_time": "0.0"}}) as recorder:
+        recorder.begin(plan())
+        recorder.message(500 * STEP_NS, "info", "run", "ahead")
+        recorder.write(*run[0])
+        wait_for_step(path, 10)
+        log = open_log(path)
+        for number, block in enumerate(run[1:], start=2):
+            recorder.write(*block)
+            wait_for_step(path, 10 * number)
+        with pytest.raises(LogError, match="has changed since it was opened"):
+            log.rows("plant")
+        assert (log.steps, log.end_ns) == (10, 10 * STEP_NS)
+
+
+def wait_for_step(path, step):
+    """Wait until a log that is written has the rows of a step."""
+    deadline = time.monotonic() + 60.0
+    while open_log(path).steps < step:
+        assert time.monotonic() < deadline
