@@ -23,6 +23,7 @@ RESULT = "cosim.result"
 RESULT_FILE = "result.json"
 PARTIAL = "cosim.partial"  # the result of the whole run, in the log of a part of it
 PARTIAL_STATUS = "partial"  # of a log that has not all rows of its run
+PART_REASON = "part "  # what the reason of a file of several begins with, before its number
 
 ResultItems: TypeAlias = Mapping[str, str | int]
 
@@ -95,7 +96,7 @@ def _part_items(
     where = "without rows" if first_ns is None else span_text(first_ns, end_ns)
     return {
         "status": PARTIAL_STATUS,
-        "reason": f"part {number} of its log, {where}",
+        "reason": f"{PART_REASON}{number} of its log, {where}",
         "steps": last_row["steps"],
         "end_ns": end_ns,
         "content_hash": content_hash,

@@ -3,7 +3,7 @@
 The log is opened anew for every look at it, and read only behind the last instant that was yielded.
 A flush has the rows of all components up to one step, so that every row is whole when it is seen.
 What a run writes again with its next flush may change while it is read: then it is read once more,
-from the instant that was reached.
+from the instant that was reached. A log that is rotated is followed from file to file.
 """
 
 from __future__ import annotations
@@ -20,6 +20,8 @@ from cosim.errors import LogError
 from cosim.log.conversion.choice import LogChoice
 from cosim.log.own_file import OwnFile
 from cosim.log.reader import Log, open_log
+from cosim.log.result import PART_REASON, PARTIAL, PARTIAL_STATUS
+from cosim.log.rotation import part_path, part_paths
 from cosim.log.unfinished import is_written
 
 POLL_INTERVAL: Final = 0.2  # s of wall time between two looks
@@ -96,9 +98,27 @@ class FollowedLog:
                 self._wait()
                 continue
             failures = 0
-            if has_ended or not may_grow:
+            if not has_ended and may_grow:
+                self._wait()
+            elif not self._goes_on(log):
                 return
+
+    def _goes_on(self, log: Log) -> bool:
+        """Turn to the next file of a log that was rotated; return whether there is one.
+
+        It gets its name just behind the end of the one before, unless the run is killed there.
+        """
+        if not _has_next(log) or self._is_past(log):
+            return False
+        paths = part_paths(self._path)
+        following = part_path(paths[0], len(paths) + 1)
+        for _ in range(_ATTEMPTS):
+            if following.exists():
+                self._own = OwnFile(following)
+                self._path = following
+                return True
             self._wait()
+        return False
 
     def _new_rows(self, log: Log) -> Iterator[JoinedRows]:
         window = RecordedWindow(log, self._next_ns, self._last_ns)
@@ -110,6 +130,15 @@ class FollowedLog:
     def _is_past(self, log: Log) -> bool:
         """Return whether the log has all rows that are wanted."""
         return self._last_ns is not None and log.end_ns >= self._last_ns
+
+
+def _has_next(log: Log) -> bool:
+    """Return whether a log is a file of one that was rotated, and not the last."""
+    return (
+        log.status == PARTIAL_STATUS
+        and log.reason.startswith(PART_REASON)
+        and PARTIAL not in log.metadata
+    )
 
 
 def _pause() -> None:

@@ -2,16 +2,19 @@
 
 import subprocess
 import sys
+from contextlib import ExitStack
 from itertools import count
 
 import numpy as np
 import pytest
 
 from cosim.errors import LogError
+from cosim.log import McapRecorder
 from cosim.log.conversion.choice import choose
 from cosim.log.conversion.following import FollowedLog
 from cosim.log.conversion.text import csv_text
-from tests.log.recordings import record, same_bits
+from cosim.log.rotation import Rotation
+from tests.log.recordings import STEP_NS, blocks, layout, plan, record, same_bits, table
 
 STEPS = 600
 WRITER = f"""
@@ -134,3 +137,41 @@ def test_a_log_that_is_not_there_is_not_waited_for(tmp_path):
     """A name may be wrong."""
     with pytest.raises(LogError, match=r"a\.mcap cannot be read: No such file"):
         FollowedLog(tmp_path / "a.mcap", None)
+
+
+def test_a_log_that_is_rotated_is_followed_from_file_to_file(tmp_path):
+    """While it is written, and from a later file on."""
+    path = tmp_path / "a.mcap"
+    rows = table(layout(), 100)
+    run = blocks(rows, 10)
+    rotation = Rotation(None, 30 * STEP_NS, "30ms")
+    with ExitStack() as stack:
+        recorder = stack.enter_context(McapRecorder(path, rotation=rotation, flush=1e-3))
+        recorder.begin(plan())
+        recorder.write(*next(run))
+        numbers = count()
+
+        def wait():
+            assert next(numbers) < 10_000
+            block = next(run, None)
+            if block is not None:
+                recorder.write(*block)
+            else:
+                stack.close()
+
+        time_ns, values = joined(FollowedLog(path, ["plant.*"], wait=wait).joined())
+    assert np.array_equal(time_ns, np.arange(101) * STEP_NS)
+    assert same_bits(values, rows[:, :5])
+    later = FollowedLog(tmp_path / "a.part2.mcap", ["plant.u"], wait=pytest.fail)
+    assert np.array_equal(joined(later.joined())[0], np.arange(30, 101) * STEP_NS)
+
+
+def test_a_next_file_that_never_comes_is_not_waited_for(tmp_path):
+    """Its run was killed, or the file was moved away."""
+    path = tmp_path / "a.mcap"
+    record(path, steps=100, rotation=Rotation(None, 60 * STEP_NS, "60ms"))
+    (tmp_path / "a.part2.mcap").unlink()
+    looks = []
+    time_ns, _ = joined(FollowedLog(path, None, wait=lambda: looks.append(1)).joined())
+    assert len(time_ns) == 60
+    assert len(looks) == 5
