@@ -86,7 +86,7 @@ def _contents(batches: Sequence[MessageBatch]) -> Iterator[list[MessageBatch]]:
             for piece in _pieces(batch):
                 yield [piece]
             continue
-        if shared_bytes + size > CHUNK_BYTES:
+        if shared and shared_bytes + size > CHUNK_BYTES:
             yield shared
             shared = []
             shared_bytes = 0
