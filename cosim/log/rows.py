@@ -73,11 +73,15 @@ class LogRows:
 
     def times(self, component: str) -> Nanoseconds:
         """Return the times of a component's rows; of one with many nothing else is kept."""
-        if self._is_small(component):
-            return self.of(component)[0]
-        time_ns = np.concatenate([times for times, _ in self._stream(component)])
-        time_ns.setflags(write=False)
-        return time_ns
+        if not self._is_small(component):
+            streams = self._streams([component])
+            times = [np.empty(0, np.int64)]
+            times += [time_ns for _, time_ns, _ in self._streamed(streams)]
+            if streams[component].ordered:
+                joined = np.concatenate(times)
+                joined.setflags(write=False)
+                return joined
+        return self.of(component)[0]
 
     def columns(self, component: str, columns: slice) -> Matrix:
         """Return some columns of a component's rows; of one with many nothing else is kept."""
@@ -94,14 +98,17 @@ class LogRows:
     ) -> Iterator[TimedRows]:
         """Yield times and rows of a component; nothing is kept.
 
-        Chunks without rows in ``first_ns <= time <= last_ns`` are not read.
+        Chunks without rows in ``first_ns <= time <= last_ns`` are not read. Of few rows all are
+        read at once, and may be in any order in the file.
         """
         if component in self._rows:
             yield self._rows[component]
-        elif first_ns is None and last_ns is None and self._is_small(component):
+        elif self._row_bytes(component) > _MOST_AHEAD:
+            yield from self._stream(component, first_ns=first_ns, last_ns=last_ns)
+        elif first_ns is None and last_ns is None:
             yield self._read_ahead(component)
         else:
-            yield from self._stream(component, first_ns=first_ns, last_ns=last_ns)
+            yield self._read_rows([component], first_ns=first_ns, last_ns=last_ns)[component]
 
     def blocks_of(
         self, components: Sequence[str], first_ns: int | None, last_ns: int | None
@@ -111,8 +118,9 @@ class LogRows:
         Of few rows all are read at once, and may be in any order in the file.
         """
         size = sum(self._row_bytes(name) for name in components)
-        if first_ns is None and last_ns is None and size <= _MOST_AHEAD:
-            for name, (time_ns, rows) in self._read_rows(components).items():
+        if size <= _MOST_AHEAD:
+            whole = self._read_rows(components, first_ns=first_ns, last_ns=last_ns)
+            for name, (time_ns, rows) in whole.items():
                 yield name, time_ns, rows
             return
         streams = self._streams(components)
@@ -318,13 +326,20 @@ class LogRows:
             size += count * (part.size + 1) * _DOUBLE_BYTES
         return size
 
-    def _read_rows(self, components: Sequence[str]) -> dict[str, TimedRows]:
-        """Read the rows of some components in one pass."""
+    def _read_rows(
+        self,
+        components: Sequence[str],
+        *,
+        first_ns: int | None = None,
+        last_ns: int | None = None,
+    ) -> dict[str, TimedRows]:
+        """Read the rows of some components, in a window of time, in one pass."""
         if not components:
             return {}
         try:
-            parts = self._read_part_rows(components)
-            self._check_counts({number: rows.count for number, rows in parts.items()})
+            parts = self._read_part_rows(components, first_ns, last_ns)
+            if first_ns is None and last_ns is None:
+                self._check_counts({number: rows.count for number, rows in parts.items()})
             rows = {}
             for name in components:
                 own_parts = [parts[number] for number in self._parts_of[name]]
@@ -336,23 +351,26 @@ class LogRows:
             raise LogError(f"{self.path}: too little memory for the rows of {names}") from error
         return rows
 
-    def _read_part_rows(self, components: Sequence[str]) -> dict[int, SignalRows]:
-        """Read the rows of some components by channel id."""
+    def _read_part_rows(
+        self, components: Sequence[str], first_ns: int | None, last_ns: int | None
+    ) -> dict[int, SignalRows]:
+        """Read the rows of some components, in a window of time, by channel id."""
         dtypes = self._dtypes
         rows: dict[int, SignalRows] = {}
-        has_counts = self._file.summary.statistics is not None
+        is_whole = first_ns is None and last_ns is None
+        has_counts = is_whole and self._file.summary.statistics is not None
         for name in components:
             for number, part in self._parts_of[name].items():
                 expected = self._file.expected_messages(number, dtypes[number].itemsize)
                 rows[number] = SignalRows(part, expected if has_counts else 0)
-        for block in self._blocks_of(components):
+        for block in self._blocks_of(components, first_ns=first_ns, last_ns=last_ns):
             for record in scan(block, dtypes):
                 if isinstance(record, OtherRecord):
                     self._check_declared(record)
                     continue
                 number, messages = record
                 if number in rows:
-                    rows[number].append(messages)
+                    rows[number].append(_within(messages, first_ns, last_ns))
         return rows
 
     def _check_declared(self, record: OtherRecord) -> None:

@@ -303,6 +303,26 @@ def test_rows_out_of_order_are_sorted_within_limits(path, tmp_path, monkeypatch)
     assert open_log(path).content_hash() == open_log(path).recorded_hash
 
 
+def test_rows_out_of_order_are_sorted_however_they_are_asked_for(path, tmp_path, monkeypatch):
+    """Times, a signal, a part in some time; of components with many rows, too."""
+    from .crafting import put_together, take_apart
+
+    content = take_apart(path)
+    content.messages.reverse()
+    turned = put_together(content, tmp_path / "b.mcap", chunk_size=5000)
+    whole = open_log(path)
+    begin, end = (whole.t[number] for number in (len(whole.t) // 3, len(whole.t) // 2))
+    for kept in (log_rows._MOST_KEPT, 0):
+        monkeypatch.setattr(log_rows, "_MOST_KEPT", kept)
+        log = open_log(turned)
+        assert same_bits(log.t, whole.t)
+        assert same_bits(log["plant.x_a"], whole["plant.x_a"])
+        assert same_bits(np.vstack([rows for _, rows in log.blocks("plant")]), whole.rows("plant"))
+        part = open_log(turned).window(begin, end)
+        assert same_bits(part["plant.x_a"], whole.window(begin, end)["plant.x_a"])
+        assert same_bits(part.t, whole.t[(whole.t >= begin) & (whole.t <= end)])
+
+
 @pytest.mark.parametrize("rtol", [0.0, 0.5])
 def test_a_diff_in_pieces_is_the_diff_as_a_whole(tmp_path, monkeypatch, rtol):
     """Chunks of two runs end at other instants, and some instants only one of them has."""
