@@ -398,15 +398,9 @@ def _not_compared(
 def _blocks(
     run: Recording, component: str, span_ns: tuple[int, int] | None
 ) -> Iterator[tuple[Nanoseconds, Matrix]]:
-    """Yield times and rows of a component, or those of a span of time."""
-    for times, rows in run.blocks(component):
-        if span_ns is None:
-            yield times, rows
-            continue
-        first_ns, last_ns = span_ns
-        first = int(np.searchsorted(times, first_ns))
-        end = int(np.searchsorted(times, last_ns, side="right"))
-        yield times[first:end], rows[first:end]
+    """Return times and rows of a component, or those of a span of time, some at a time."""
+    first_ns, last_ns = (None, None) if span_ns is None else span_ns
+    return run.blocks(component, first_ns=first_ns, last_ns=last_ns)
 
 
 def _count(blocks: Iterator[tuple[Nanoseconds, Matrix]]) -> int:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from cosim.core.contracts import Block
+from cosim.core.recorded_run import blocks_within
 from cosim.core.recorders import Memory
 from cosim.core.recording import Plan, SignalEvent
 from cosim.core.signals import Channel, Interface, Layout, Signal
@@ -44,10 +45,10 @@ class Run:
     def events(self):
         return self._events
 
-    def blocks(self, component):
+    def blocks(self, component, *, first_ns=None, last_ns=None):
         assert component == "c"
         columns = [values.reshape(len(self._times), -1) for values in self._signals.values()]
-        yield self._times, np.hstack(columns)
+        yield from blocks_within(iter([(self._times, np.hstack(columns))]), first_ns, last_ns)
 
 
 def only_row(a, b, **tolerance):
