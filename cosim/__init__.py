@@ -13,8 +13,8 @@ from cosim.version import __version__
 
 if TYPE_CHECKING:
     from cosim.fmi.linearizing.linearize import linearize
-    from cosim.log.diff import diff
-    from cosim.log.reader import open_log
+    from cosim.log.comparison.diff import diff
+    from cosim.log.reading.reader import open_log
     from cosim.report.certificate import certificate
     from cosim.report.comparing import compare
     from cosim.report.estimator_comparison import compare_estimators
@@ -32,12 +32,12 @@ _HOMES = {
     "compare": "cosim.report.comparing",
     "compare_estimators": "cosim.report.estimator_comparison",
     "design": "cosim.scenario.experiment_design.ranking",
-    "diff": "cosim.log.diff",
+    "diff": "cosim.log.comparison.diff",
     "identify": "cosim.scenario.identifying",
     "linearize": "cosim.fmi.linearizing.linearize",
     "load": "cosim.scenario.running.execution",
     "model_table": "cosim.scenario.context.models",
-    "open_log": "cosim.log.reader",
+    "open_log": "cosim.log.reading.reader",
     "read_field_data": "cosim.scenario.data_files.field_file",
     "replay_sweep": "cosim.report.sweep",
     "replay": "cosim.scenario.running.execution",

@@ -119,6 +119,16 @@ ROOMS = {
         "linearizing",
         "checking",
     ],
+    "log": [
+        "mcap_file",
+        "contents",
+        "reading",
+        "writing",
+        "comparison",
+        "conversion",
+        "foreign",
+        "editing",
+    ],
     "scenario": [
         "document",
         "data_files",

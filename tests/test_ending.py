@@ -161,7 +161,7 @@ def test_what_a_run_returns_is_its_own(tmp_path, capsys, removed):
 
 def test_the_files_of_very_many_runs_are_not_held_open(tmp_path):
     """A process may keep the logs of more runs than it may have open files."""
-    from cosim.log import own_file
+    from cosim.log.mcap_file import own_file
 
     own_files = []
     for number in range(own_file._MOST_HELD + 10):

@@ -27,7 +27,7 @@ from cosim.report.printable import printable
 
 if TYPE_CHECKING:
     from cosim.log import Log
-    from cosim.log.diff import LogDifference
+    from cosim.log.comparison.diff import LogDifference
     from cosim.report.comparing import Comparison
     from cosim.report.estimator_comparison import EstimatorComparison
 
@@ -104,7 +104,7 @@ def diff(
     Exit 1 outside the tolerance.
     """
     from cosim.log import open_log
-    from cosim.log.diff import diff as compare_logs
+    from cosim.log.comparison.diff import diff as compare_logs
     from cosim.report.tables.comparison import print_difference
 
     check_plot(plot, None)

@@ -31,7 +31,7 @@ def cut(
 
     It opens like any other and says that it is partial; 'cosim merge' joins such parts again.
     """
-    from cosim.log.partial.cutting import cut as cut_log
+    from cosim.log.editing.cutting import cut as cut_log
 
     if start is None and stop is None:
         raise UsageError("found neither --from nor --to; needed what to cut")
@@ -50,7 +50,7 @@ def merge(
 
     Logs of other runs, logs that overlap and logs that leave rows out between them are refused.
     """
-    from cosim.log.partial.merging import merge as merge_logs
+    from cosim.log.editing.merging import merge as merge_logs
 
     _print_log(merge_logs(logs, out, force=force))
 
@@ -65,7 +65,7 @@ def recover(
 
     That is every chunk whose CRC fits, also behind what is damaged. Shows which rows are lost.
     """
-    from cosim.log.partial.recovering import recover as recover_log
+    from cosim.log.editing.recovering import recover as recover_log
     from cosim.report.tables.recovery import print_recovery
 
     print_recovery(recover_log(log, out, force=force), as_json=as_json)

@@ -149,7 +149,7 @@ def _write_layout(log: Log, path: Path) -> None:
     UsageError
         If there is a file, which may be somebody's own layout.
     """
-    from cosim.log.viewer_layout import LAYOUT_FILE
+    from cosim.log.contents.viewer_layout import LAYOUT_FILE
 
     content = log.attachment(LAYOUT_FILE)
     try:

@@ -378,8 +378,8 @@ def replay(
 
     The log is all that is needed; of another tool's, --scenario and --map, too.
     """
+    from cosim.log.editing.joining import open_joined
     from cosim.log.foreign.topics import is_foreign
-    from cosim.log.partial.joining import open_joined
     from cosim.report.tables.run import print_summary, print_verification
     from cosim.report.verification import verify as verify_replay
     from cosim.scenario.running.execution import replay as replay_log

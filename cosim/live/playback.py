@@ -19,8 +19,8 @@ from cosim.errors import LogError, UsageError, option
 from cosim.live.publisher import Publisher
 from cosim.live.server import LiveServer
 from cosim.log import Log
-from cosim.log.messages import encode_event, encode_log, encode_substep
-from cosim.log.preamble import EVENT_TOPIC, LOG_TOPIC, STEP_TOPIC
+from cosim.log.contents.messages import encode_event, encode_log, encode_substep
+from cosim.log.contents.preamble import EVENT_TOPIC, LOG_TOPIC, STEP_TOPIC
 from cosim.scenario.recorded_metadata import Lateness
 from cosim.scenario.running.real_time import BLOCK, RealTimePace
 

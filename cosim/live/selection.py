@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from cosim.core.recorded import find_channel
 from cosim.core.selection import is_pattern, select_signals
 from cosim.core.signals import Channel
-from cosim.log.layout import Part
+from cosim.log.contents.layout import Part
 
 
 def selected(

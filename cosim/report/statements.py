@@ -42,9 +42,9 @@ from cosim.core.recording import Substep
 from cosim.core.signals import Channel, Interface, element_names
 from cosim.errors import quoted
 from cosim.log import Log
-from cosim.log.event_difference import OF_COMPONENTS
-from cosim.log.layout import signals_json
-from cosim.log.result import PARTIAL_STATUS, RESULT, RESULT_FILE
+from cosim.log.comparison.event_difference import OF_COMPONENTS
+from cosim.log.contents.layout import signals_json
+from cosim.log.contents.result import PARTIAL_STATUS, RESULT, RESULT_FILE
 from cosim.scenario.recorded_metadata import (
     EIGENVALUE_FIGURES,
     IdentificationRecord,

@@ -26,8 +26,8 @@ from cosim.core.port import Port
 from cosim.core.recorders import Memory
 from cosim.errors import LogError, command, flag, listing
 from cosim.log import Log
-from cosim.log.diff import ElementDifference, LogDifference, SignalDifference, diff
-from cosim.log.environment import environment_changes
+from cosim.log.comparison.diff import ElementDifference, LogDifference, SignalDifference, diff
+from cosim.log.contents.environment import environment_changes
 from cosim.report.statements import (
     COMPARED,
     COMPARED_UNFINISHED,

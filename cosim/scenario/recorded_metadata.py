@@ -21,7 +21,7 @@ from cosim.core.signals import Channel
 from cosim.core.simulation import NEVER_TRUE
 from cosim.core.stages.substep_control import SUBSTEP_COUNTS, SubstepCounts
 from cosim.errors import LogError
-from cosim.log.metadata import read_json
+from cosim.log.contents.metadata import read_json
 from cosim.scenario.document.schema import Number, NumberRow, NumberRows, Whole, truth_ports
 from cosim.units import conversion
 

@@ -7,7 +7,9 @@ import numpy as np
 from cosim.core.contracts import Block
 from cosim.core.recording import Plan
 from cosim.core.signals import Channel, Interface, Layout, Signal
-from cosim.log import McapRecorder, chunks, encoding, store
+from cosim.log import McapRecorder
+from cosim.log.mcap_file import chunks
+from cosim.log.writing import encoding, store
 
 STEP_NS = 1_000_000
 

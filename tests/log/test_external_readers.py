@@ -20,13 +20,12 @@ from mcap.reader import make_reader
 
 import cosim
 from cosim.log import open_log
-from cosim.log.content import hash_input
+from cosim.log.contents.content import hash_input
 from cosim.scenario.document.document import shipped
-
-from .killed import Job
-from .recordings import STEP_NS, same_bits
-from .test_kills import killed_run, whole_run
-from .test_layout import message_class
+from tests.log.contents.test_layout import message_class
+from tests.log.mcap_file.killed import Job
+from tests.log.mcap_file.test_kills import killed_run, whole_run
+from tests.log.recordings import STEP_NS, same_bits
 
 pytestmark = pytest.mark.external
 READERS = Path(os.environ.get("COSIM_READERS", "not-given"))

@@ -7,7 +7,7 @@ import pytest
 
 from cosim.errors import UsageError
 from cosim.log import open_log
-from cosim.log.diff import diff
+from cosim.log.comparison.diff import diff
 from cosim.report.plots import plot_difference
 from tests.log.recordings import STEP_NS, layout, record, table
 

@@ -11,7 +11,7 @@ from cosim.core.recorded import RecordedPort
 from cosim.core.recorded_run import RecordedRun, RecordedWindow, span_ns
 from cosim.core.selection import SelectedColumn, select_signals, selected_columns, split_names
 from cosim.core.signals import Signal
-from cosim.log.reader import open_log
+from cosim.log.reading.reader import open_log
 
 
 @dataclass(frozen=True, slots=True)

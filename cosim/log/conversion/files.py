@@ -11,8 +11,8 @@ from cosim.log.conversion.arrays import write_mat, write_npz
 from cosim.log.conversion.choice import LogChoice
 from cosim.log.conversion.parquet import need_pyarrow, write_parquet
 from cosim.log.conversion.text import csv_text
-from cosim.log.paths import check_new_log, log_path
-from cosim.log.unfinished import UnfinishedLog
+from cosim.log.mcap_file.paths import check_new_log, log_path
+from cosim.log.mcap_file.unfinished import UnfinishedLog
 
 ENDINGS: Final = (".csv", ".parquet", ".mat", ".npz")
 

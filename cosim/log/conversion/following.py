@@ -17,12 +17,12 @@ from cosim.core.joined_rows import JoinedRows, joined_rows
 from cosim.core.recorded_run import RecordedWindow, span_ns
 from cosim.core.selection import SelectedColumn, split_names
 from cosim.errors import LogError
+from cosim.log.contents.result import PART_REASON, PARTIAL, PARTIAL_STATUS
 from cosim.log.conversion.choice import LogChoice
-from cosim.log.own_file import OwnFile
-from cosim.log.reader import Log, open_log
-from cosim.log.result import PART_REASON, PARTIAL, PARTIAL_STATUS
-from cosim.log.rotation import part_path, part_paths
-from cosim.log.unfinished import is_written
+from cosim.log.mcap_file.own_file import OwnFile
+from cosim.log.mcap_file.rotation import part_path, part_paths
+from cosim.log.mcap_file.unfinished import is_written
+from cosim.log.reading.reader import Log, open_log
 
 POLL_INTERVAL: Final = 0.2  # s of wall time between two looks
 _ATTEMPTS: Final = 5  # to read a log that a run writes to, without a row more

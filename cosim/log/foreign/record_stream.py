@@ -22,9 +22,9 @@ from typing import BinaryIO, Final
 from mcap.opcode import Opcode
 
 from cosim.errors import LogError
-from cosim.log.compression import MOST_BYTES, decompress
-from cosim.log.records import HEADER, MAGIC
-from cosim.log.walk import damage_error
+from cosim.log.mcap_file.compression import MOST_BYTES, decompress
+from cosim.log.mcap_file.records import HEADER, MAGIC
+from cosim.log.mcap_file.walk import damage_error
 
 RecordBounds = tuple[int, bytes, int, int]  # opcode; bytes, and where in them the content stands
 

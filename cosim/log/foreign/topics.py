@@ -17,10 +17,10 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 
 from cosim.errors import LogError
-from cosim.log.compression import MOST_BYTES
 from cosim.log.foreign.record_stream import check_magic, read_records, records_in
-from cosim.log.paths import open_file
-from cosim.log.records import FOOTER_SIZE, HEADER, MAGIC
+from cosim.log.mcap_file.compression import MOST_BYTES
+from cosim.log.mcap_file.paths import open_file
+from cosim.log.mcap_file.records import FOOTER_SIZE, HEADER, MAGIC
 
 OWN_LIBRARY: Final = "cosim/"
 OWN_METADATA: Final = "cosim.run"

@@ -17,8 +17,8 @@ from cosim.report.tables.console import (
 )
 
 if TYPE_CHECKING:
-    from cosim.log.diff import LogDifference
-    from cosim.log.event_difference import EventsDifference
+    from cosim.log.comparison.diff import LogDifference
+    from cosim.log.comparison.event_difference import EventsDifference
     from cosim.report.comparing import Comparison, EstimateDifference
     from cosim.report.estimator_comparison import EstimatorComparison, EstimatorResult
     from cosim.report.summary import Summary

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from cosim.instants import NANOSECONDS
-from cosim.log.result import PARTIAL_STATUS
+from cosim.log.contents.result import PARTIAL_STATUS
 from cosim.report.tables.console import new_table, print_json, print_line, print_table
 
 if TYPE_CHECKING:
-    from cosim.log.partial.recovering import RecoveredLog
+    from cosim.log.editing.recovering import RecoveredLog
 
 _MOST_INTERVALS: Final = 8  # of a component that are shown
 

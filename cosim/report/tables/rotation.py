@@ -7,8 +7,8 @@ from typing import Any, TypeGuard
 
 from cosim.instants import NANOSECONDS
 from cosim.log import Log
-from cosim.log.result import PARTIAL, PARTIAL_STATUS
-from cosim.log.rotation import part_paths
+from cosim.log.contents.result import PARTIAL, PARTIAL_STATUS
+from cosim.log.mcap_file.rotation import part_paths
 from cosim.report.tables.console import new_table, print_json, print_line, print_table
 
 

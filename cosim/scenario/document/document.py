@@ -17,7 +17,7 @@ from typing import Any
 from cosim.arguments import path_argument
 from cosim.errors import ScenarioError, UsageError, command, nearest, option, quoted
 from cosim.files import file_type, read_bounded
-from cosim.log.metadata import json_table
+from cosim.log.contents.metadata import json_table
 from cosim.scenario.document.edits import (
     SET,
     TOO_MANY_DIGITS,

@@ -19,7 +19,7 @@ from cosim.core.recording import CompleteRecording
 from cosim.errors import FmuError, LogError, flag, quoted
 from cosim.files import read_bounded
 from cosim.log import Attachment
-from cosim.log.container import MOST_ATTACHED
+from cosim.log.reading.container import MOST_ATTACHED
 from cosim.scenario.context.fmus import RecordedFmu
 from cosim.scenario.recorded_metadata import component_record
 from cosim.temporary import TemporaryFolder

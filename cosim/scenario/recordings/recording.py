@@ -20,10 +20,10 @@ from cosim.core.recording import Recorder
 from cosim.errors import LogError, RunError, UsageError, flag, option
 from cosim.files import file_type
 from cosim.log import Log, McapRecorder
-from cosim.log.background import FLUSH_INTERVAL
-from cosim.log.paths import check_new_log, log_path
-from cosim.log.result import PARTIAL_STATUS
-from cosim.log.rotation import Rotation, check_no_parts
+from cosim.log.contents.result import PARTIAL_STATUS
+from cosim.log.mcap_file.paths import check_new_log, log_path
+from cosim.log.mcap_file.rotation import Rotation, check_no_parts
+from cosim.log.writing.background import FLUSH_INTERVAL
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.recordings.interrupting import interruptible
 from cosim.scenario.recordings.records import MessageRecorder, attachments_of, metadata_of

@@ -24,7 +24,7 @@ from cosim.core.stages.substep_control import SUBSTEP_COUNTS, SubstepCounts
 from cosim.errors import Interrupted, RunError, listing
 from cosim.interrupts import uninterrupted
 from cosim.log import Attachment
-from cosim.log.viewer_layout import LAYOUT_FILE, layout_json
+from cosim.log.contents.viewer_layout import LAYOUT_FILE, layout_json
 from cosim.scenario.actions.settings import SETTINGS
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.building.fingerprint import fingerprint

@@ -26,7 +26,7 @@ from cosim.core.recording import CompleteRecording
 from cosim.core.signals import Channel
 from cosim.core.structure.cycles import strongly_connected
 from cosim.errors import LogError
-from cosim.log.metadata import json_table
+from cosim.log.contents.metadata import json_table
 from cosim.scenario.document.schema import truth_ports
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.recordings.outputs_of_log import OutputsOfLog, RecordedColumns

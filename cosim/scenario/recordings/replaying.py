@@ -31,9 +31,9 @@ from cosim.errors import (
     quoted,
 )
 from cosim.log import Log
-from cosim.log.event_difference import OF_COMPONENTS
-from cosim.log.metadata import json_table
-from cosim.log.result import PARTIAL_STATUS
+from cosim.log.comparison.event_difference import OF_COMPONENTS
+from cosim.log.contents.metadata import json_table
+from cosim.log.contents.result import PARTIAL_STATUS
 from cosim.scenario.building.build import Builder, parse
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.building.fingerprint import fingerprint

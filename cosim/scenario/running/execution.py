@@ -22,10 +22,10 @@ from cosim.core.recorders import Memory
 from cosim.core.recording import Recorder
 from cosim.errors import UsageError, flag, option, quoted
 from cosim.log import Log
-from cosim.log.background import FLUSH_INTERVAL
+from cosim.log.editing.joining import open_joined
 from cosim.log.foreign.topics import is_foreign
-from cosim.log.partial.joining import open_joined
-from cosim.log.rotation import Rotation, read_rotation
+from cosim.log.mcap_file.rotation import Rotation, read_rotation
+from cosim.log.writing.background import FLUSH_INTERVAL
 from cosim.scenario.building.build import parse
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.document.document import Document, find

@@ -23,7 +23,7 @@ from cosim.core.recording import CompleteRecording, Plan
 from cosim.core.signals import Causality, Interface
 from cosim.errors import CosimError, GraphError, ScenarioError
 from cosim.fmi.description import INTERFACE_TYPE_NAMES, Description, InterfaceType
-from cosim.log.metadata import json_table
+from cosim.log.contents.metadata import json_table
 from cosim.scenario.building.build import Builder, parse
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.document.schema import truth_ports

@@ -13,7 +13,7 @@ from cosim.log import McapRecorder
 from cosim.log.conversion.choice import choose
 from cosim.log.conversion.following import FollowedLog
 from cosim.log.conversion.text import csv_text
-from cosim.log.rotation import Rotation
+from cosim.log.mcap_file.rotation import Rotation
 from tests.log.recordings import STEP_NS, blocks, layout, plan, record, same_bits, table
 
 STEPS = 600

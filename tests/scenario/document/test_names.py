@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 import cosim
 from cosim.cli import main
 from cosim.errors import CosimError, ScenarioError
-from cosim.log.schema import identifiers
+from cosim.log.contents.schema import identifiers
 from cosim.scenario.exporting import model_identifier
 
 SCENARIO = """

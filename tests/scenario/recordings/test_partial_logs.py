@@ -10,10 +10,10 @@ from mcap.reader import make_reader
 import cosim
 from cosim.core.signals import element_names
 from cosim.errors import LogError, ScenarioError, UnknownSignalError
-from cosim.log.metadata import add_checksum
-from cosim.log.partial.cutting import cut
-from cosim.log.partial.merging import merge
-from cosim.log.viewer_layout import LAYOUT_FILE
+from cosim.log.contents.metadata import add_checksum
+from cosim.log.contents.viewer_layout import LAYOUT_FILE
+from cosim.log.editing.cutting import cut
+from cosim.log.editing.merging import merge
 from cosim.report.inspection import describe_log
 from cosim.report.summary import summarize
 from tests.log.crafting import put_together, take_apart, without_checksum

@@ -6,7 +6,7 @@ import pytest
 
 import cosim
 from cosim.errors import CosimError, LogError, UsageError
-from cosim.log.metadata import read_json
+from cosim.log.contents.metadata import read_json
 from cosim.report.verification import verify
 from cosim.scenario.document.document import shipped
 

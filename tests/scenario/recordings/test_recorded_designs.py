@@ -6,7 +6,7 @@ import pytest
 import cosim
 from cosim.core import linear
 from cosim.errors import LogError
-from cosim.log.metadata import decode_design, encode_design
+from cosim.log.contents.metadata import decode_design, encode_design
 from tests.log.crafting import put_together, take_apart
 
 SCENARIO = """

@@ -262,7 +262,7 @@ def test_an_fmu_that_is_too_large_is_refused_before_the_run(folder, monkeypatch,
 
 def test_a_log_of_the_largest_fmu_can_be_read_back(tmp_path):
     """The limit is that of the reader, less what the record of an attachment has beside it."""
-    from cosim.log.container import MOST_ATTACHED
+    from cosim.log.reading.container import MOST_ATTACHED
 
     assert MOST_ATTACHED - 4096 == embedding.MOST_EMBEDDED
 

@@ -7,9 +7,9 @@ import json
 import pytest
 
 import cosim
-from cosim.log.viewer_layout import LAYOUT_FILE
+from cosim.log.contents.viewer_layout import LAYOUT_FILE
 from cosim.scenario.document.document import find, shipped
-from tests.log.viewing import curves, decoded, leaves, parsed
+from tests.log.contents.viewing import curves, decoded, leaves, parsed
 
 DECAY = """
 [scenario]

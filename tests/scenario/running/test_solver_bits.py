@@ -9,7 +9,7 @@ import sys
 import pytest
 
 import cosim
-from cosim.log.diff import diff
+from cosim.log.comparison.diff import diff
 from cosim.native.numerics.runge_kutta import EXPLICIT
 from cosim.report.inspection import describe_log
 from cosim.report.tables.run import print_verification

@@ -9,7 +9,7 @@ import pytest
 import cosim
 from cosim.errors import ScenarioError, UsageError
 from cosim.log import Log
-from cosim.log.messages import decode_substep, encode_substep
+from cosim.log.contents.messages import decode_substep, encode_substep
 from cosim.report.inspection import describe_log
 from cosim.report.summary import summarize
 from cosim.report.tables.run import print_summary

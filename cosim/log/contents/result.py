@@ -1,0 +1,133 @@
+"""How a run ended: the record ``cosim.result``, and the attachment ``result.json``.
+
+The attachment has the values that the caller adds, too.
+"""
+
+from __future__ import annotations
+
+import json
+import zlib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from cosim.core.recorders import EndOfRun
+from cosim.instants import NANOSECONDS
+from cosim.log.contents.metadata import add_checksum
+from cosim.log.mcap_file.head import attachment_group, metadata_group
+from cosim.log.mcap_file.summary import RecordGroup
+
+RESULT = "cosim.result"
+RESULT_FILE = "result.json"
+PARTIAL = "cosim.partial"  # the result of the whole run, in the log of a part of it
+PARTIAL_STATUS = "partial"  # of a log that has not all rows of its run
+PART_REASON = "part "  # what the reason of a file of several begins with, before its number
+
+ResultItems: TypeAlias = Mapping[str, str | int]
+
+
+@dataclass(frozen=True, slots=True)
+class LastRow:
+    """The last row of a run."""
+
+    steps: int = 0
+    end_ns: int = 0
+
+
+def result_group(
+    end: EndOfRun, last_row: LastRow, *, content_hash: str, values: Mapping[str, Any]
+) -> RecordGroup:
+    """Return the record and the attachment; ``values`` go to the attachment only."""
+    return _end_group(result_items(end, last_row, content_hash=content_hash), values)
+
+
+def result_items(end: EndOfRun, last_row: LastRow, *, content_hash: str) -> ResultItems:
+    """Return what is recorded of the end of a run."""
+    return {**asdict(end), **asdict(last_row), "content_hash": content_hash}
+
+
+def part_group(
+    number: int, first_ns: int | None, last_row: LastRow, *, content_hash: str
+) -> RecordGroup:
+    """Return the end of a file of a log that goes on in a next one.
+
+    Parameters
+    ----------
+    number : int
+        Of the file, from 1.
+    first_ns : int or None
+        Its first row [ns]; None: there is none.
+    last_row : LastRow
+    content_hash : str
+        Of the rows of the file.
+    """
+    return _end_group(_part_items(number, first_ns, asdict(last_row), content_hash), {})
+
+
+def last_part_group(
+    number: int,
+    first_ns: int | None,
+    whole: ResultItems,
+    *,
+    content_hash: str,
+    values: Mapping[str, Any],
+) -> RecordGroup:
+    """Return the end of the last file of a log of several, with that of the whole run.
+
+    Parameters
+    ----------
+    number, first_ns, content_hash
+        As of :func:`part_group`.
+    whole : mapping
+        What is recorded of the end of the run.
+    values : mapping
+        Of the whole run, too; for the attachment.
+    """
+    part = _end_group(_part_items(number, first_ns, whole, content_hash), values)
+    return _joined(_record(PARTIAL, whole), part)
+
+
+def _part_items(
+    number: int, first_ns: int | None, last_row: Mapping[str, Any], content_hash: str
+) -> ResultItems:
+    end_ns = last_row["end_ns"]
+    where = "without rows" if first_ns is None else span_text(first_ns, end_ns)
+    return {
+        "status": PARTIAL_STATUS,
+        "reason": f"{PART_REASON}{number} of its log, {where}",
+        "steps": last_row["steps"],
+        "end_ns": end_ns,
+        "content_hash": content_hash,
+    }
+
+
+def span_text(first_ns: int, last_ns: int) -> str:
+    """Return from when to when some rows are, in words."""
+    return f"from {first_ns / NANOSECONDS} s to {last_ns / NANOSECONDS} s"
+
+
+def _end_group(items: ResultItems, values: Mapping[str, Any]) -> RecordGroup:
+    # Ours after the caller's: no caller may overwrite how the run ended.
+    text = json.dumps({**values, **items}, default=_to_json, indent=2)
+    attachment = attachment_group(RESULT_FILE, "application/json", text.encode())
+    return _joined(_record(RESULT, items), attachment)
+
+
+def _record(name: str, items: ResultItems) -> RecordGroup:
+    texts = {key: str(value) for key, value in items.items()}
+    return metadata_group(name, add_checksum(name, texts))
+
+
+def _joined(first: RecordGroup, second: RecordGroup) -> RecordGroup:
+    entries = [*first.entries, *second.placed(len(first.data))]
+    data = first.data + second.data
+    return RecordGroup(data, entries, zlib.crc32(data))
+
+
+def _to_json(value: object) -> object:
+    """Return numpy values as numbers and lists, and all others, such as paths, as text."""
+    if isinstance(value, (np.ndarray, np.generic)):
+        return value.tolist()
+    return str(value)

@@ -1,0 +1,150 @@
+"""Write a log from pieces and messages of others."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass
+from io import RawIOBase
+from pathlib import Path
+from typing import Any
+
+from mcap import records
+
+from cosim.errors import LogError
+from cosim.log.contents.environment import library_name
+from cosim.log.contents.metadata import add_checksum, json_table
+from cosim.log.contents.result import PARTIAL, RESULT, RESULT_FILE
+from cosim.log.editing.pieces import LogPieces
+from cosim.log.mcap_file.chunks import MessageBatch, separate_chunks
+from cosim.log.mcap_file.head import attachment_group, metadata_group
+from cosim.log.mcap_file.live_file import LiveFile
+from cosim.log.mcap_file.paths import check_new_log, log_path
+from cosim.log.mcap_file.records import MAGIC, encoded
+from cosim.log.mcap_file.summary import FileSummary, IndexEntry, RecordGroup
+from cosim.log.mcap_file.unfinished import UnfinishedLog
+from cosim.log.mcap_file.workers import Workers
+from cosim.log.reading.reader import Log
+
+
+@dataclass(frozen=True, slots=True)
+class PartEnd:
+    """What a part of a log says of its end.
+
+    Parameters
+    ----------
+    status, reason : str
+    steps : int
+        Number of the last communication step in it.
+    end_ns : int
+        Its instant.
+    """
+
+    status: str
+    reason: str
+    steps: int
+    end_ns: int
+
+
+def write_log(
+    out: Path,
+    pieces: LogPieces,
+    batches: Iterable[list[MessageBatch]],
+    end: Callable[[], PartEnd],
+    *,
+    force: bool,
+) -> Log:
+    """Write a log, and return it.
+
+    Where its rows turn out to be all those of the run, it ends as that did.
+
+    Parameters
+    ----------
+    out : Path
+    pieces : LogPieces
+    batches : iterable of list of MessageBatch
+    end : callable
+        Is called when all messages are written.
+    force : bool
+        Replace a file that stands there.
+
+    Raises
+    ------
+    LogError
+        If a file stands there and is to stay, or it cannot be written.
+    """
+    check_new_log(log_path(out), force=force, numbered=False)
+    target = UnfinishedLog(out, force=force, numbered=False)
+    try:
+        file = _begun(target.create(), pieces)
+        with Workers() as workers:
+            for group in batches:
+                file.commit(separate_chunks(group, "zstd", workers))
+        file.keep_tail()
+        content_hash = Log(target.path, target.own).content_hash()
+        for group_of_end in _end_groups(pieces, end(), content_hash):
+            file.commit(group_of_end)
+        file.close()
+        target.publish()
+        return Log(target.path, target.own)
+    except OSError as error:
+        raise LogError(f"{out} cannot be written: {error.strerror or error}") from error
+    finally:
+        target.discard()
+
+
+def _begun(stream: RawIOBase, pieces: LogPieces) -> LiveFile:
+    """Begin a file with the pieces that every part of a run has."""
+    header = records.Header(profile="", library=library_name())
+    data = MAGIC + encoded(header, *pieces.schemas, *pieces.channels)
+    entries: list[IndexEntry] = []
+    groups = [metadata_group(name, dict(items)) for name, items in pieces.kept_metadata.items()]
+    for item in pieces.kept_attachments:
+        groups.append(attachment_group(item.name, item.media_type, item.data))
+    for group in groups:
+        entries += group.placed(len(data))
+        data += group.data
+    summary = FileSummary(list(pieces.schemas), list(pieces.channels))
+    summary.add(entries)
+    return LiveFile(stream, data, summary)
+
+
+def _end_groups(pieces: LogPieces, end: PartEnd, content_hash: str) -> list[RecordGroup]:
+    """Return the records that tell of the end: those of the run, where all its rows are here."""
+    of_run = pieces.run_result
+    if of_run.get("content_hash") == content_hash:
+        groups = [metadata_group(RESULT, add_checksum(RESULT, of_run))]
+        if pieces.result_file is not None and PARTIAL not in pieces.metadata:
+            groups.append(attachment_group(RESULT_FILE, "application/json", pieces.result_file))
+        else:
+            groups.append(_result_file(_whole_result(pieces.result_file, of_run)))
+        return groups
+    items: dict[str, Any] = {**asdict(end), "content_hash": content_hash}
+    texts = {key: str(value) for key, value in items.items()}
+    groups = [metadata_group(RESULT, add_checksum(RESULT, texts))]
+    if of_run:
+        groups.append(metadata_group(PARTIAL, add_checksum(PARTIAL, of_run)))
+    values = pieces.result_file if PARTIAL in pieces.metadata else None  # of the whole run
+    groups.append(_result_file({**_values(values), **items}))
+    return groups
+
+
+def _whole_result(of_part: bytes | None, of_run: Mapping[str, str]) -> dict[str, Any]:
+    """Return the result of the whole run, with the values of it that a part has."""
+    items: dict[str, Any] = dict(of_run)
+    for key in ("steps", "end_ns"):
+        if of_run.get(key, "").isdecimal():
+            items[key] = int(of_run[key])
+    return {**_values(of_part), **items}
+
+
+def _values(result_file: bytes | None) -> dict[str, Any]:
+    """Return the content of a result file; where it cannot be read nothing, which loses no row."""
+    try:
+        return {} if result_file is None else json_table(result_file)
+    except ValueError:
+        return {}
+
+
+def _result_file(items: Mapping[str, Any]) -> RecordGroup:
+    return attachment_group(RESULT_FILE, "application/json", json.dumps(items, indent=2).encode())

@@ -1,0 +1,150 @@
+"""Logs of consecutive spans of one run as one log."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from cosim.arrays import Mask, Nanoseconds
+from cosim.errors import LogError, UsageError
+from cosim.instants import NANOSECONDS
+from cosim.log.contents.result import PARTIAL_STATUS
+from cosim.log.editing.batches import gathered
+from cosim.log.editing.copying import PartEnd, write_log
+from cosim.log.editing.cutting import part_text
+from cosim.log.editing.pieces import LogPieces, read_pieces
+from cosim.log.mcap_file.chunks import MessageBatch
+from cosim.log.reading.container import Container
+from cosim.log.reading.reader import Log, open_log
+
+
+@dataclass(frozen=True, slots=True)
+class _RunPart:
+    """A log, and the first and last row of each component that has any [ns]."""
+
+    log: Log
+    pieces: LogPieces
+    bounds: Mapping[str, tuple[int, int]]
+
+    @property
+    def begin(self) -> int:
+        """The first row of all."""
+        return min(first for first, _ in self.bounds.values())
+
+    @property
+    def end(self) -> int:
+        """The last row of all."""
+        return max(last for _, last in self.bounds.values())
+
+
+def merge(paths: Sequence[Path], out: Path, *, force: bool = False) -> Log:
+    """Write the rows and messages of logs of consecutive spans to one log; return it.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        In any order.
+    out : Path
+    force : bool
+        Replace a file that stands there.
+
+    Raises
+    ------
+    UsageError
+        If there are less than two.
+    LogError
+        If they are no spans of one run, overlap, or rows are missing between them; if one cannot be
+        read, or ``out`` cannot be written.
+    """
+    if len(paths) < 2:
+        raise UsageError(f"found {len(paths)} log to merge; needed at least two")
+    spans = sorted((_span(path) for path in paths), key=lambda span: span.begin)
+    for before, behind in pairwise(spans):
+        _check_same_run(before, behind)
+    _check_consecutive(spans)
+    known = next((span.pieces for span in spans if span.pieces.run_result), spans[0].pieces)
+    last_row = max(span.end for span in spans)
+    text = part_text(spans[0].begin, last_row)
+    end = PartEnd(PARTIAL_STATUS, text, known.steps_to(last_row), last_row)
+    return write_log(out, known, _batches(spans), lambda: end, force=force)
+
+
+def _span(path: Path) -> _RunPart:
+    log = open_log(path)
+    bounds = {}
+    for name in log.channels:
+        times = [time_ns for time_ns, _ in log.blocks(name) if len(time_ns)]
+        if times:
+            bounds[name] = int(times[0][0]), int(times[-1][-1])
+    if not bounds:
+        raise LogError(f"{path} has no rows; leave it out")
+    return _RunPart(log, read_pieces(log.path), bounds)
+
+
+def _check_same_run(a: _RunPart, b: _RunPart) -> None:
+    """Check that two logs declare the same, so that their rows are of one run.
+
+    Raises
+    ------
+    LogError
+        If they do not.
+    """
+    problem = _contradiction(a.pieces, b.pieces)
+    if problem:
+        raise LogError(
+            f"{a.log.path} and {b.log.path} are not of one run: {problem} differs; needed parts of "
+            "one run"
+        )
+
+
+def _contradiction(a: LogPieces, b: LogPieces) -> str:
+    """Return what two logs declare differently; nothing: they agree."""
+    if list(a.channels) != list(b.channels) or list(a.schemas) != list(b.schemas):
+        return "what their channels are"
+    names = dict.fromkeys([*a.kept_metadata, *b.kept_metadata])
+    for name in names:
+        if a.kept_metadata.get(name) != b.kept_metadata.get(name):
+            return f"the metadata {name!r}"
+    contents_a = {item.name: item.data for item in a.kept_attachments}
+    contents_b = {item.name: item.data for item in b.kept_attachments}
+    for name in dict.fromkeys([*contents_a, *contents_b]):
+        if contents_a.get(name) != contents_b.get(name):
+            return f"the attachment {name!r}"
+    is_other = a.run_result and b.run_result and a.run_result != b.run_result
+    return "the result of the run" if is_other else ""
+
+
+def _check_consecutive(spans: Sequence[_RunPart]) -> None:
+    """Check that every component's rows go on where those before end.
+
+    Raises
+    ------
+    LogError
+        If they overlap, or some are missing between.
+    """
+    step_ns = spans[0].log.step_ns
+    for name, channel in spans[0].log.channels.items():
+        own = [(span.bounds[name], span.log) for span in spans if name in span.bounds]
+        period_ns = channel.period * step_ns
+        for ((_, last), before), ((first, _), behind) in pairwise(own):
+            where = f"{before.path} has rows of {name!r} up to {last / NANOSECONDS} s"
+            begins = f"{behind.path} begins at {first / NANOSECONDS} s"
+            if first <= last:
+                raise LogError(f"{where}, {begins}: they overlap; cut one of them first")
+            if first != last + period_ns:
+                raise LogError(
+                    f"{where}, {begins}: rows are missing between them; needed the one at "
+                    f"{(last + period_ns) / NANOSECONDS} s"
+                )
+
+
+def _batches(spans: Sequence[_RunPart]) -> Iterator[list[MessageBatch]]:
+    def is_wanted(number: int, time_ns: Nanoseconds, contents: list[bytes] | None) -> Mask:
+        return np.ones(len(time_ns), np.bool_)
+
+    for span in spans:
+        yield from gathered(Container(span.log.path).blocks(), span.pieces.dtypes, is_wanted)

@@ -1,0 +1,172 @@
+"""Message records as chunks: compressed, with CRC and message indexes, and what the summary needs.
+
+Where a flush has enough rows every channel gets chunks of its own, so that whoever reads one
+component reads no other.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from mcap import records
+from mcap.opcode import Opcode
+
+from cosim.arrays import Nanoseconds
+from cosim.log.mcap_file.compression import Compression, compress
+from cosim.log.mcap_file.crc import combined_crc
+from cosim.log.mcap_file.records import HEADER, record_header
+from cosim.log.mcap_file.summary import IndexEntry, RecordGroup, placed_entry
+from cosim.log.mcap_file.workers import Workers
+
+CHUNK_BYTES: Final = 2**20  # of records, uncompressed
+_SMALL: Final = 2**14  # bytes: channels with less share a chunk
+_CHUNK_TIMES = struct.Struct("<QQQI")  # first and last time, size, CRC
+_INDEX_HEADER = struct.Struct("<BQHI")  # opcode, length, channel id, bytes of entries
+_INDEX_ENTRY = np.dtype([("log_time", "<u8"), ("offset", "<u8")])
+
+
+@dataclass(frozen=True, slots=True)
+class MessageBatch:
+    """Message records of one channel that stand side by side in a chunk."""
+
+    channel_id: int
+    data: memoryview
+    time_ns: Nanoseconds  # (n,)
+    offsets: Nanoseconds  # (n,) [bytes], from the start of ``data``
+
+
+@dataclass(frozen=True, slots=True)
+class _Chunk:
+    """A chunk with its indexes, at byte 0 of nothing."""
+
+    parts: Sequence[bytes | memoryview]
+    size: int
+    crc: int  # of all parts
+    entry: IndexEntry
+
+
+def one_chunk(batches: Sequence[MessageBatch], compression: Compression) -> RecordGroup:
+    """Return all messages as one chunk."""
+    return _grouped([_chunk(batches, compression)])
+
+
+def separate_chunks(
+    batches: Sequence[MessageBatch], compression: Compression, workers: Workers
+) -> RecordGroup:
+    """Return the messages of every channel as chunks of their own; channels with few share some."""
+    chunks = workers.map(lambda content: _chunk(content, compression), _contents(batches))
+    return _grouped(chunks)
+
+
+def _grouped(chunks: Sequence[_Chunk]) -> RecordGroup:
+    parts: list[bytes | memoryview] = []
+    entries: list[IndexEntry] = []
+    position = 0
+    crc = 0
+    for chunk in chunks:
+        entries.append(placed_entry(chunk.entry, position))
+        parts += chunk.parts
+        position += chunk.size
+        crc = combined_crc(crc, chunk.crc, chunk.size)
+    return RecordGroup(b"".join(parts), entries, crc)
+
+
+def _contents(batches: Sequence[MessageBatch]) -> Iterator[list[MessageBatch]]:
+    """Yield what goes into each chunk."""
+    shared: list[MessageBatch] = []
+    shared_bytes = 0
+    for batch in batches:
+        size = len(batch.data)
+        if size >= _SMALL:
+            for piece in _pieces(batch):
+                yield [piece]
+            continue
+        if shared and shared_bytes + size > CHUNK_BYTES:
+            yield shared
+            shared = []
+            shared_bytes = 0
+        shared.append(batch)
+        shared_bytes += size
+    if shared:
+        yield shared
+
+
+def _pieces(batch: MessageBatch) -> Iterator[MessageBatch]:
+    """Yield the messages of a batch in batches that fit into a chunk."""
+    first = 0
+    count = len(batch.offsets)
+    while first < count:
+        start = int(batch.offsets[first])
+        stop = int(np.searchsorted(batch.offsets, start + CHUNK_BYTES, side="right")) - 1
+        # The last message that begins within reach may end beyond it.
+        if len(batch.data) - start <= CHUNK_BYTES:
+            stop = count
+        stop = max(stop, first + 1)
+        end = len(batch.data) if stop == count else int(batch.offsets[stop])
+        offsets = batch.offsets[first:stop] - start
+        yield MessageBatch(
+            batch.channel_id, batch.data[start:end], batch.time_ns[first:stop], offsets
+        )
+        first = stop
+
+
+def _chunk(batches: Sequence[MessageBatch], compression: Compression) -> _Chunk:
+    content = batches[0].data
+    if len(batches) > 1:
+        content = memoryview(b"".join(batch.data for batch in batches))
+    compressed = compress(content, compression)
+    name = "" if compression == "none" else compression
+    first_ns = int(min(batch.time_ns.min() for batch in batches))
+    last_ns = int(max(batch.time_ns.max() for batch in batches))
+    content_crc = zlib.crc32(content)
+    header = _CHUNK_TIMES.pack(first_ns, last_ns, len(content), content_crc)
+    header += struct.pack("<I", len(name)) + name.encode() + struct.pack("<Q", len(compressed))
+    length = len(header) + len(compressed)
+    indexes = _message_indexes(batches)
+    chunk_length = HEADER + length
+    index_offsets = {}
+    counts = {}
+    index_length = 0
+    for batch, index in zip(batches, indexes, strict=True):
+        index_offsets[batch.channel_id] = chunk_length + index_length
+        counts[batch.channel_id] = len(batch.time_ns)
+        index_length += len(index)
+    chunk_index = records.ChunkIndex(
+        chunk_length=chunk_length,
+        chunk_start_offset=0,
+        compression=name,
+        compressed_size=len(compressed),
+        message_end_time=last_ns,
+        message_index_length=index_length,
+        message_index_offsets=index_offsets,
+        message_start_time=first_ns,
+        uncompressed_size=len(content),
+    )
+    head = record_header(Opcode.CHUNK, length) + header
+    # Without a compression the CRC of the content is known already.
+    compressed_crc = content_crc if compressed is content else zlib.crc32(compressed)
+    crc = combined_crc(zlib.crc32(head), compressed_crc, len(compressed))
+    for index in indexes:
+        crc = zlib.crc32(index, crc)
+    parts = [head, compressed, *indexes]
+    return _Chunk(parts, chunk_length + index_length, crc, IndexEntry(chunk_index, counts))
+
+
+def _message_indexes(batches: Sequence[MessageBatch]) -> list[bytes]:
+    """Return the message index record of each batch; its offsets count from the chunk's records."""
+    indexes = []
+    batch_start = 0
+    for batch in batches:
+        entries = np.empty(len(batch.time_ns), _INDEX_ENTRY)
+        entries["log_time"] = batch.time_ns
+        entries["offset"] = batch.offsets + batch_start
+        length = _INDEX_HEADER.size - HEADER + entries.nbytes
+        header = _INDEX_HEADER.pack(Opcode.MESSAGE_INDEX, length, batch.channel_id, entries.nbytes)
+        indexes.append(header + entries.tobytes())
+        batch_start += len(batch.data)
+    return indexes

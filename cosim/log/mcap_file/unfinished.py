@@ -1,0 +1,259 @@
+"""A new log under a hidden name until its first row.
+
+A file at its path is untouched until then.
+"""
+
+from __future__ import annotations
+
+import errno
+import glob
+import io
+import os
+import secrets
+import sys
+from contextlib import suppress
+from pathlib import Path
+from typing import final
+
+from cosim.errors import LogError, flag
+from cosim.log.mcap_file.own_file import OwnFile
+from cosim.log.mcap_file.rotation import further_parts
+
+_HIDDEN_SUFFIX = ".part"
+_KEPT_NAME = 48  # characters of the path's name in the hidden one: names end at 255 bytes
+
+
+def create(path: Path) -> io.RawIOBase:
+    """Create a file that does not exist yet, unbuffered."""
+    return path.open("xb", buffering=0)
+
+
+@final
+class UnfinishedLog:
+    """A file to be published at its path, or discarded.
+
+    Parameters
+    ----------
+    path : Path
+        Where it goes; missing folders are created.
+    force : bool
+        Replace a file that exists there.
+    numbered : bool
+        Where a file exists, go to the next free one of ``x-2.mcap``, ``x-3.mcap``, ...
+
+    Attributes
+    ----------
+    path : Path
+        Where it goes; with ``numbered`` it is known once the file is published.
+    own : OwnFile or None
+        The file, to be read whatever stands at the path; None before it is created.
+    """
+
+    def __init__(self, path: Path, *, force: bool, numbered: bool) -> None:
+        self.path = path
+        self._force = force
+        self._numbered = numbered
+        self.published = False
+        self.own: OwnFile | None = None
+        self._hidden_path: Path | None = None
+        self._stream: io.RawIOBase | None = None
+
+    def create(self) -> io.RawIOBase:
+        """Create the file beside its path, under the hidden name.
+
+        Raises
+        ------
+        LogError
+            If that cannot be done.
+        """
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            kept_name = self.path.name[:_KEPT_NAME]
+            _remove_abandoned(self.path.parent, kept_name)
+            self._stream = self._create_locked(kept_name)
+            while self._stream is None:  # another run took it for an abandoned one, and removed it
+                self._stream = self._create_locked(kept_name)
+        except OSError as error:
+            reason = error.strerror or error
+            raise LogError(f"{self.path} cannot be created: {reason}") from error
+        return self._stream
+
+    def _create_locked(self, kept_name: str) -> io.RawIOBase | None:
+        """Create the file and lock it; None: it is gone already."""
+        hidden_name = f".{kept_name}.{secrets.token_hex(4)}{_HIDDEN_SUFFIX}"
+        self._hidden_path = self.path.with_name(hidden_name)
+        # After the path is known: an error or interrupt in here must not leave the file.
+        stream = create(self._hidden_path)
+        try:
+            if lock(stream.fileno()):
+                # From here on no other run removes it; whether one has, opening it says.
+                self.own = OwnFile(self._hidden_path)
+                return stream
+        except FileNotFoundError:
+            self._check_folder()
+        stream.close()
+        return None
+
+    def _check_folder(self) -> None:
+        """Check that the folder is there, so that trying again has an end.
+
+        Raises
+        ------
+        OSError
+            If it is not.
+        """
+        os.stat(self.path.parent)
+
+    def publish(self) -> None:
+        """Rename the file to its path, the first time this is called; it stays open.
+
+        The name is taken in one step: of any number of runs at once each gets its own.
+
+        Raises
+        ------
+        LogError
+            If a file has been created there meanwhile and ``force`` is false, another run writes to
+            the file there, or the file cannot be moved.
+        """
+        if self.published:
+            return
+        assert self._hidden_path is not None
+        assert self.own is not None
+        try:
+            if self._force:
+                check_not_written(self.path)
+                self._hidden_path.replace(self.path)  # readers of the old file keep it whole
+            elif self._numbered:
+                self.path = _move_to_free(self._hidden_path, self.path)
+            else:
+                _move(self._hidden_path, self.path)
+        except FileExistsError as error:
+            raise LogError(
+                f"{self.path} exists by now; choose another path, or {flag('force')} to replace it"
+            ) from error
+        except OSError as error:
+            reason = error.strerror or error
+            raise LogError(f"{self.path} cannot be created: {reason}") from error
+        self.own.hold(self.path)
+        self.published = True
+
+    def check(self) -> None:
+        """Check that the file still stands at its path.
+
+        Raises
+        ------
+        OSError
+            If it was removed, moved or replaced.
+        """
+        if not self.published:
+            return
+        assert self._stream is not None
+        try:
+            status = os.stat(self.path)
+        except FileNotFoundError as error:
+            raise OSError(errno.ENOENT, "it has been removed, or its folder has") from error
+        if not os.path.samestat(status, os.fstat(self._stream.fileno())):
+            raise OSError(errno.ESTALE, "another file has taken its place")
+
+    def discard(self) -> None:
+        """Remove the file if it was not published."""
+        if self.published or self._hidden_path is None:
+            return
+        with suppress(OSError):  # the error to report is the one that brought us here
+            if self._stream is not None:
+                self._stream.close()
+            self._hidden_path.unlink(missing_ok=True)
+
+
+def check_not_written(path: Path) -> None:
+    """Check that no run writes to the file at a path, if there is one.
+
+    Raises
+    ------
+    LogError
+        If one does.
+    """
+    if is_locked(path):
+        raise LogError(f"{path} is written by another run; choose another path, or end that one")
+
+
+def is_locked(path: Path) -> bool:
+    """Return whether a run writes to the file at a path; no: there is none."""
+    with suppress(FileNotFoundError), path.open("rb") as stream:
+        return not lock(stream.fileno())
+    return False
+
+
+def is_written(path: Path) -> bool:
+    """Return whether a run may write to the file at a path; where nothing tells, it may."""
+    return sys.platform == "win32" or is_locked(path)
+
+
+def _remove_abandoned(folder: Path, kept_name: str) -> None:
+    """Remove the hidden files of runs that were killed before their first row."""
+    for path in folder.glob(f".{glob.escape(kept_name)}.*{_HIDDEN_SUFFIX}"):
+        with suppress(OSError), path.open("rb") as stream:
+            if lock(stream.fileno()):
+                path.unlink()
+
+
+def lock(descriptor: int) -> bool:
+    """Lock a file as one that a run writes to, until it is closed; return whether that was free.
+
+    Where a file system, or Windows, has no such locks, every file is free.
+    """
+    if sys.platform == "win32":
+        return True
+    import fcntl
+
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        return True
+    return True
+
+
+def _move_to_free(source: Path, first: Path) -> Path:
+    """Rename a file to the first free one of ``x.mcap``, ``x-2.mcap``, ...; return that.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be moved.
+    """
+    number = 1
+    target = first
+    while True:
+        try:
+            if further_parts(target):
+                raise FileExistsError
+            _move(source, target)
+        except FileExistsError:
+            number += 1
+            target = first.with_name(f"{first.stem}-{number}{first.suffix}")
+        else:
+            return target
+
+
+def _move(source: Path, target: Path) -> None:
+    """Rename a file, but never replace another, as ``rename`` would.
+
+    Raises
+    ------
+    FileExistsError
+        If there is a file at ``target``.
+    OSError
+        If the file cannot be moved.
+    """
+    try:
+        os.link(source, target)
+    except FileExistsError:
+        raise
+    except OSError:
+        # A file system without hard links: reserve the name, then replace what reserves it.
+        target.open("xb").close()
+        source.replace(target)
+    else:
+        source.unlink()

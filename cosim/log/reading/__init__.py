@@ -1,0 +1,1 @@
+"""Logs read: pieces of the file, checked; rows; a run as arrays."""

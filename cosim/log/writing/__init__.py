@@ -1,0 +1,1 @@
+"""Logs written: rows and messages of a run, in a thread beside it."""

@@ -1,0 +1,182 @@
+"""Rows and messages written by a thread of their own, while the run goes on.
+
+A run that is faster than the disk waits; nothing is dropped. What a run that pauses has recorded is
+written after the flush interval all the same.
+
+No lock is held while rows are copied, which an interrupt could leave locked: the run only appends
+to the buffer that it fills, and the thread reads what has been appended. Full buffers go to the
+thread through one queue, and come back through another.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from queue import Empty, SimpleQueue
+from typing import Final, final
+
+from cosim.arrays import Matrix
+from cosim.core.contracts import Block
+from cosim.interrupts import uninterrupted
+from cosim.log.writing.buffer import RowBuffer, RunContent, WaitingMessage
+
+FLUSH_INTERVAL: Final = 1.0  # s of wall time
+_BUFFERS: Final = 3  # one that is filled, one that is written, one between them
+_MOST_MESSAGES: Final = 10_000  # in a buffer
+_PATIENCE: Final = 0.05  # s, for which an interrupt may have to wait
+_SHORTEST: Final = 1e-3  # s between two looks at the buffer that is filled
+
+
+@final
+class BackgroundWriter:
+    """Hands contents to a function, one after another, in a thread.
+
+    Parameters
+    ----------
+    add : callable
+        Writes a content; called in the thread.
+    capacity, width : int
+        Rows of a buffer, and their elements.
+    interval : float
+        The longest that a row waits for others to be written with it [s].
+    """
+
+    def __init__(
+        self,
+        add: Callable[[RunContent], None],
+        *,
+        capacity: int,
+        width: int,
+        interval: float,
+    ) -> None:
+        self._add = add
+        self._capacity = capacity
+        self._width = width
+        self._interval = max(interval, _SHORTEST)
+        self._filling: RowBuffer | None = RowBuffer(capacity, width)  # None: all are full
+        self._made = 1
+        self._free: SimpleQueue[RowBuffer] = SimpleQueue()
+        self._full: SimpleQueue[RowBuffer | None] = SimpleQueue()  # None: no more will come
+        self._error: BaseException | None = None
+        self._thread: threading.Thread | None = None
+
+    def write(self, block: Block, signals: Matrix, row: int) -> None:
+        """Take the rows of a block from ``row`` on.
+
+        Raises
+        ------
+        Exception
+            What an earlier content could not be written for.
+        """
+        while row <= block.steps:
+            buffer = self._room()
+            row = buffer.append(block, signals, row)
+            if buffer.is_full:
+                self._hand_over(buffer)
+
+    def message(self, message: WaitingMessage) -> None:
+        """Take a message.
+
+        Raises
+        ------
+        Exception
+            What an earlier content could not be written for.
+        """
+        buffer = self._room()
+        buffer.messages.append(message)
+        if len(buffer.messages) >= _MOST_MESSAGES:
+            self._hand_over(buffer)
+
+    def close(self) -> RunContent | None:
+        """Wait until everything that was handed over is written, and end the thread.
+
+        Returns
+        -------
+        RunContent or None
+            What has not been written.
+
+        Raises
+        ------
+        Exception
+            What a content could not be written for.
+        """
+        self.stop()
+        if self._error is not None:
+            raise self._error
+        return None if self._filling is None else self._filling.take()
+
+    def stop(self) -> None:
+        """Wait until everything that was handed over is written, or failed; end the thread."""
+        self._full.put(None)
+        if self._thread is not None:
+            self._thread.join()
+
+    def _room(self) -> RowBuffer:
+        """Return a buffer that is not full; wait until there is one."""
+        if self._error is not None:
+            raise self._error
+        if self._thread is None:
+            self._start()
+        if self._filling is not None and self._filling.is_full:  # an interrupt came between
+            self._hand_over(self._filling)
+        while self._filling is None:
+            with uninterrupted():
+                self._fill_next()
+            if self._error is not None:
+                raise self._error
+        return self._filling
+
+    def _start(self) -> None:
+        with uninterrupted():
+            # A daemon: a process that ends without closing its log is not kept alive by it.
+            thread = threading.Thread(target=self._run, name="cosim log", daemon=True)
+            thread.start()
+            self._thread = thread
+
+    def _hand_over(self, buffer: RowBuffer) -> None:
+        with uninterrupted():
+            self._full.put(buffer)
+            # After that: the thread may take a buffer that is filled only where none waits.
+            self._filling = None
+
+    def _fill_next(self) -> None:
+        """Fill a new buffer, or one that has been written; try again later where there is none."""
+        try:
+            self._filling = self._free.get(timeout=_PATIENCE if self._made == _BUFFERS else 0.0)
+        except Empty:
+            if self._made < _BUFFERS:
+                self._filling = RowBuffer(self._capacity, self._width)
+                self._made += 1
+
+    def _run(self) -> None:
+        try:
+            self._write_until_closed()
+        except BaseException as error:  # whatever it is, the run has to end with it
+            self._error = error
+
+    def _write_until_closed(self) -> None:
+        due = time.monotonic() + self._interval
+        while True:
+            try:
+                buffer = self._full.get(timeout=max(due - time.monotonic(), 0.0))
+            except Empty:
+                self._write_filling()
+                due = time.monotonic() + self._interval
+                continue
+            if buffer is None:
+                return
+            self._write(buffer)
+            buffer.clear()
+            self._free.put(buffer)
+
+    def _write_filling(self) -> None:
+        buffer = self._filling
+        # After the look at it: what was full before it comes first.
+        if buffer is not None and self._full.empty():
+            self._write(buffer)
+
+    def _write(self, buffer: RowBuffer) -> None:
+        content = buffer.take()
+        if not content.is_empty:
+            self._add(content)

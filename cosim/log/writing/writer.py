@@ -1,0 +1,339 @@
+"""The recorder that writes an MCAP file: one topic per component, readable by any MCAP tool."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from io import RawIOBase
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self, final
+
+from cosim.arrays import Matrix
+from cosim.core.contracts import Block
+from cosim.core.recorders import EndOfRun, end_of_run
+from cosim.core.recording import MessageLevel, Plan, SignalEvent, Substep
+from cosim.errors import LogError, LogWriteError, RunError
+from cosim.interrupts import uninterrupted
+from cosim.log.contents.environment import library_name
+from cosim.log.contents.layout import Part, split_channel
+from cosim.log.contents.messages import encode_event, encode_log, encode_substep
+from cosim.log.contents.preamble import (
+    EVENT_TOPIC,
+    LOG_TOPIC,
+    STEP_TOPIC,
+    Attachment,
+    add_event_channel,
+    add_parts,
+    add_preamble,
+    add_step_channel,
+)
+from cosim.log.mcap_file.compression import Compression
+from cosim.log.mcap_file.head import FileHead
+from cosim.log.mcap_file.live_file import LiveFile
+from cosim.log.mcap_file.paths import check_new_log, log_path
+from cosim.log.mcap_file.rotation import Rotation, check_no_parts
+from cosim.log.mcap_file.unfinished import UnfinishedLog
+from cosim.log.reading.reader import Log
+from cosim.log.writing.background import FLUSH_INTERVAL, BackgroundWriter
+from cosim.log.writing.buffer import RunContent, WaitingMessage
+from cosim.log.writing.rotating import RotatingLog
+from cosim.log.writing.size import size_bound
+from cosim.log.writing.store import LogStore
+
+
+@final
+class McapRecorder:
+    """Record a run to an MCAP file.
+
+    The file is created by :meth:`begin` under a hidden name, stands at its path from the first
+    :meth:`write` on, and is completed when the ``with`` block ends, however it ends. It can be
+    opened at any instant; where the process is killed it has all but the last flush interval. A
+    run that is refused before its first row leaves nothing, and an existing log as it was; one
+    that failed at its start, or had no rows, leaves a log without rows.
+
+    Parameters
+    ----------
+    path : Path or str
+        File to write; missing folders are created.
+    force : bool
+        Replace a file that exists, at the first row.
+    numbered : bool
+        Where a file exists, write to the next free one of ``x-2.mcap``, ``x-3.mcap``, ...; which
+        it is, ``path`` says from the first row on.
+    compression : {"zstd", "lz4", "none"}
+    kinds : mapping of component name to str
+        Kinds of the components, as the scenario calls them.
+    metadata : mapping of record name to its items
+        Metadata records, such as ``cosim.run``, ``cosim.connections``,
+        ``cosim.component.<name>`` (parameters).
+    attachments : sequence of Attachment
+    events : bool
+        Signals may jump at communication points: there is a channel ``/cosim/event`` for that.
+    substeps : bool
+        Loops take substeps: there is a channel ``/cosim/step`` for them.
+    flush : float
+        After how much wall time a row is in the file at the latest [s].
+    sync : bool
+        Wait for the disk at every flush: a loss of power leaves what was flushed, too.
+    rotation : Rotation, optional
+        When the log goes on in a next file.
+    """
+
+    def __init__(
+        self,
+        path: Path | str,
+        *,
+        force: bool = False,
+        numbered: bool = False,
+        compression: Compression = "zstd",
+        kinds: Mapping[str, str] | None = None,
+        metadata: Mapping[str, Mapping[str, str]] | None = None,
+        attachments: Sequence[Attachment] = (),
+        events: bool = False,
+        substeps: bool = False,
+        flush: float = FLUSH_INTERVAL,
+        sync: bool = False,
+        rotation: Rotation | None = None,
+    ) -> None:
+        self._force = force
+        self._numbered = numbered
+        self._compression = compression
+        self._kinds = kinds or {}
+        self._metadata = metadata or {}
+        self._attachments = attachments
+        self._result: dict[str, Any] = {}
+        self._has_events = events
+        self._has_substeps = substeps
+        self._channel_ids: dict[str, int] = {}  # of what is no signal, by topic
+        self._flush = flush
+        self._sync = sync
+        self._rotation = rotation
+        self._file = UnfinishedLog(log_path(path), force=force, numbered=numbered)
+        self._writer: BackgroundWriter | None = None
+        self._early: list[tuple[str, int, bytes]] = []  # messages before the file
+
+    @property
+    def path(self) -> Path:
+        """Where the file is, or will be; the first one, if there are several."""
+        return self._file.path
+
+    def recorded(self) -> Log:
+        """Return the log that was written: this very file, whatever stands at its path by now.
+
+        If there are several files, it is the last one.
+
+        Raises
+        ------
+        LogError
+            If nothing was written.
+        """
+        if not self._file.published:
+            raise LogError(f"{self.path} was not written")
+        last = self._files.last
+        return Log(last.path, last.own)
+
+    def __enter__(self) -> Self:
+        """Refuse a path that a log cannot be written to.
+
+        Raises
+        ------
+        LogError
+            If the file exists and is to stay, the path is a folder, or its folder takes no files.
+        """
+        check_new_log(self.path, force=self._force, numbered=self._numbered)
+        check_no_parts(self.path, force=self._force or self._numbered)
+        return self
+
+    def __exit__(
+        self,
+        error_type: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Write what is buffered, the result and the summary; remove what was refused.
+
+        Raises
+        ------
+        LogError
+            If a log without rows cannot get its path.
+        LogWriteError
+            If the file cannot be written to.
+        """
+        with uninterrupted():
+            try:
+                if self._writer is not None and self._is_worth_keeping(error):
+                    # First: if the end cannot be written, what could be is at its path.
+                    self._files.publish()
+                    self._complete(self._writer, end_of_run(error))
+            finally:
+                if self._writer is not None:
+                    self._writer.stop()
+                self._writer = None
+                self._file.discard()
+
+    def _is_worth_keeping(self, error: BaseException | None) -> bool:
+        """Return whether the log has rows, or must record why it has none."""
+        return self._file.published or error is None or isinstance(error, RunError)
+
+    def begin(self, plan: Plan) -> None:
+        """Create the file and write everything known before the run.
+
+        Raises
+        ------
+        LogError
+            If the file cannot be created.
+        """
+        with uninterrupted():
+            self._begin(plan, self._file.create())
+
+    def _begin(self, plan: Plan, stream: RawIOBase) -> None:
+        head = FileHead(library=library_name())
+        parts = self._parts(plan)
+        numbered_parts = list(zip(add_parts(head, parts), parts, strict=True))
+        self._channel_ids[LOG_TOPIC] = add_preamble(
+            head,
+            plan,
+            metadata=self._metadata,
+            attachments=self._attachments,
+            kinds=self._kinds,
+        )
+        if self._has_events:
+            self._channel_ids[EVENT_TOPIC] = add_event_channel(head)
+        if self._has_substeps:
+            self._channel_ids[STEP_TOPIC] = add_step_channel(head)
+        if self._rotation is not None:
+            self._rotation.check(plan.layout.channels, plan.step_ns, len(head.data))
+        try:
+            file = LiveFile(stream, head.data, head.summary(), sync=self._sync)
+        except OSError as error:
+            reason = error.strerror or error
+            raise LogError(f"{self.path} cannot be written: {reason}") from error
+        self._store = LogStore(file, plan, numbered_parts, compression=self._compression)
+        self._plan = plan
+        self._head_bytes = len(head.data)
+        self._files = RotatingLog(
+            self._file,
+            head,
+            self._store,
+            force=self._force,
+            rotation=self._rotation,
+            sync=self._sync,
+        )
+        # Last: with a writer the file is completed, and that needs everything above.
+        self._writer = BackgroundWriter(
+            self._add,
+            capacity=self._store.capacity,
+            width=plan.layout.width,
+            interval=self._flush,
+        )
+        for topic, time_ns, message in self._early:
+            self._write_message(topic, time_ns, message)
+
+    def size_bound(self, steps: int) -> int:
+        """Return how large the file can become in a run of so many steps [bytes].
+
+        An upper bound without the messages, of any compression; known once the run has begun.
+        """
+        parts = self._parts(self._plan)
+        return size_bound(parts, steps, start=self._head_bytes, capacity=self._store.capacity)
+
+    def _parts(self, plan: Plan) -> list[Part]:
+        parts = []
+        for channel in plan.layout.channels:
+            kind = self._kinds.get(channel.name, "")
+            parts += split_channel(channel, kind=kind, step_ns=plan.step_ns)
+        return parts
+
+    def write(self, block: Block, signals: Matrix) -> None:
+        """Record rows 1 to K of ``signals``, shape (K+1, width); of the very first block row 0 too.
+
+        Raises
+        ------
+        LogError
+            If another file has been created at the path before the first row.
+        LogWriteError
+            If the file cannot be written to, or a time is negative.
+        """
+        if block.time_ns[0] < 0:
+            raise LogWriteError(
+                f"{self.path}: time {block.time_ns[0]} ns; the times of a log begin at 0"
+            )
+        is_first = not self._file.published
+        if is_first:
+            start_ns = int(block.time_ns[0]) - block.index * self._plan.step_ns
+            with uninterrupted():
+                self._files.begin(start_ns)
+        row = 0 if is_first and block.index == 0 else 1
+        assert self._writer is not None
+        try:
+            self._writer.write(block, signals, row)
+        except OSError as error:
+            self._fail(error)
+
+    def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
+        """Record a message of the run or of a component at a simulation time [ns]."""
+        self._write_message(LOG_TOPIC, time_ns, encode_log(time_ns, level, source, text))
+
+    def event(self, event: SignalEvent) -> None:
+        """Record a jump of a signal."""
+        assert self._has_events
+        self._write_message(EVENT_TOPIC, event.time_ns, encode_event(event))
+
+    def substep(self, substep: Substep) -> None:
+        """Record a substep of a loop."""
+        assert self._has_substeps
+        self._write_message(STEP_TOPIC, substep.begin_ns, encode_substep(substep))
+
+    def _write_message(self, topic: str, time_ns: int, data: bytes) -> None:
+        if self._writer is None:  # not begun, or ended: after an error a run may have more to say
+            self._early.append((topic, time_ns, data))
+            return
+        message = WaitingMessage(self._channel_ids[topic], time_ns, data)
+        try:
+            self._writer.message(message)
+        except OSError as error:
+            self._fail(error)
+
+    def result(self, values: Mapping[str, Any]) -> None:
+        """Add values to ``result.json``, which is written at the end.
+
+        Parameters
+        ----------
+        values : mapping of str to JSON values, numpy arrays and numbers, or paths
+            A key that was added before is replaced.
+        """
+        self._result.update(values)
+
+    def _add(self, content: RunContent) -> None:
+        """Write a content; called in the writer's thread."""
+        self._files.add(content)
+
+    def _complete(self, writer: BackgroundWriter, end: EndOfRun) -> None:
+        """Write the rest and the end of the file."""
+        try:
+            rest = writer.close()
+            self._files.finish(rest, end, self._result)
+        except OSError as error:
+            self._fail(error)
+
+    def _fail(self, error: OSError) -> None:
+        """Close the file with what it holds; where even that fails it is left as it is, whole.
+
+        Raises
+        ------
+        LogWriteError
+            Always.
+        """
+        self._writer = None  # whatever happens now, nothing more is written after the end
+        reason = error.strerror or str(error)
+        end = EndOfRun("failed", f"the log could not be written further: {reason}")
+        self._result.pop("last", None)  # of rows that are not in the file
+        try:
+            self._store.close(end, self._result)
+        except OSError:
+            self._store.abandon()
+        self._files.discard()
+        raise LogWriteError(
+            f"{self._files.path} cannot be written further: {reason}; up to "
+            f"t = {self._store.last_row.end_ns / 1e9} s it is a valid file"
+        ) from error

@@ -1,0 +1,196 @@
+"""A span of time of a log is a log, and parts that are merged are the log again."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import IndexType
+
+import cosim
+from cosim.errors import LogError, UsageError
+from cosim.log import open_log
+from cosim.log.editing.cutting import cut
+from cosim.log.editing.merging import merge
+from tests.log.crafting import put_together, take_apart
+from tests.log.recordings import STEP_NS, layout, record, same_bits, table
+
+MESSAGES = [(k * 100 * STEP_NS, "info", "run", f"message {k}") for k in range(11)]
+
+
+@pytest.fixture
+def whole(tmp_path):
+    """Return the path of a log of 1001 rows and 11 messages, and its rows."""
+    rows = record(tmp_path / "a.mcap", steps=1000, messages=MESSAGES)
+    return tmp_path / "a.mcap", rows
+
+
+def test_a_cut_has_the_rows_and_messages_of_its_time(whole, tmp_path):
+    """Bit for bit, for any MCAP reader; it says that it is partial."""
+    path, rows = whole
+    part = cut(path, 0.2, 0.4, tmp_path / "b.mcap")
+    log = open_log(tmp_path / "b.mcap")
+    assert (log.status, log.reason) == ("partial", "the part from 0.2 s to 0.4 s")
+    assert (part.steps, part.end_ns) == (400, 400 * STEP_NS)
+    assert same_bits(log["plant.x_a"], rows[200:401, 1:3])
+    assert same_bits(log["identifier.y"], rows[200:401:5, 5:8])
+    assert np.array_equal(log.time_ns("plant"), np.arange(200, 401) * STEP_NS)
+    assert [message.text for message in log.messages()] == ["message 2", "message 3", "message 4"]
+    assert log.recorded_hash == log.content_hash()
+    source = open_log(path)
+    assert dict(log.channels) == dict(source.channels)
+    for name in ("cosim.schedule", "cosim.component.plant"):
+        assert log.metadata[name] == source.metadata[name]
+    with (tmp_path / "b.mcap").open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        assert sum(1 for _ in reader.iter_messages(topics=["/plant"])) == 201
+        assert reader.get_summary().statistics.message_count == 201 + 41 + 3
+
+
+def test_a_cut_of_all_rows_is_the_log_of_the_run(whole, tmp_path):
+    """Nothing is missing, so nothing is partial."""
+    path, _ = whole
+    part = cut(path, 0.0, 5.0, tmp_path / "b.mcap")
+    assert part.status == "complete"
+    assert part.recorded_hash == open_log(path).recorded_hash
+    assert part.results == open_log(path).results
+
+
+def test_parts_that_are_merged_are_the_log_again(whole, tmp_path):
+    """In any order; with the result of the run, whose content hash theirs is."""
+    path, _ = whole
+    cut(path, None, 0.1234, tmp_path / "b.mcap")
+    cut(path, 0.124, 0.7, tmp_path / "c.mcap")
+    cut(path, 0.701, None, tmp_path / "d.mcap")
+    names = ["c", "d", "b"]
+    merged = merge([tmp_path / f"{name}.mcap" for name in names], tmp_path / "e.mcap")
+    source = open_log(path)
+    assert merged.status == "complete"
+    assert merged.content_hash() == merged.recorded_hash == source.recorded_hash
+    assert merged.messages() == source.messages()
+    assert cosim.diff(merged, source).equal
+    assert merged.results["status"] == "complete"
+    two = merge([tmp_path / "d.mcap", tmp_path / "c.mcap"], tmp_path / "f.mcap")
+    assert (two.status, two.reason) == ("partial", "the part from 0.124 s to 1.0 s")
+    again = merge([tmp_path / "f.mcap", tmp_path / "b.mcap"], tmp_path / "g.mcap")
+    assert again.status == "complete"
+
+
+def test_what_begins_at_the_start_is_replayed_and_what_does_not_is_refused(tmp_path):
+    """A replay needs all rows up to the end of the log."""
+    cosim.run("academic", set={"scenario.stop": 0.2}, out=tmp_path / "a.mcap")
+    cut(tmp_path / "a.mcap", None, 0.1, tmp_path / "b.mcap")
+    cut(tmp_path / "a.mcap", 0.101, None, tmp_path / "c.mcap")
+    merged = merge([tmp_path / "b.mcap", tmp_path / "c.mcap"], tmp_path / "d.mcap")
+    assert cosim.diff(cosim.replay(merged), merged).equal
+    with pytest.raises(LogError, match=r"c\.mcap is partial, the part from 0\.101 s to 0\.2 s; a"):
+        cosim.replay(tmp_path / "c.mcap")
+    beginning = open_log(tmp_path / "b.mcap")
+    assert cosim.diff(cosim.replay(beginning), beginning).equal
+
+
+def test_slow_components_may_have_no_row_in_a_part(tmp_path):
+    """They go on where they were."""
+    rows = table(layout(period=500), 1000)
+    record(tmp_path / "a.mcap", lay=layout(period=500), rows=rows)
+    bounds = [(None, 0.3), (0.301, 0.4), (0.401, None)]
+    parts = []
+    for number, (first, last) in enumerate(bounds):
+        parts.append(tmp_path / f"{number}.mcap")
+        cut(tmp_path / "a.mcap", first, last, parts[-1])
+    assert len(open_log(parts[1]).time_ns("identifier")) == 0
+    assert merge(parts, tmp_path / "b.mcap").status == "complete"
+
+
+def test_a_log_whose_run_has_not_ended_is_cut_and_merged(whole, tmp_path):
+    """It has no result; its rows say where it ends."""
+    path, rows = whole
+    content = take_apart(path)
+    content.metadata = [item for item in content.metadata if item[0] != "cosim.result"]
+    put_together(content, tmp_path / "b.mcap")
+    first = cut(tmp_path / "b.mcap", None, 0.4, tmp_path / "c.mcap")
+    second = cut(tmp_path / "b.mcap", 0.401, None, tmp_path / "d.mcap")
+    assert (first.steps, second.steps) == (400, 1000)
+    merged = merge([first.path, second.path], tmp_path / "e.mcap")
+    assert (merged.status, merged.steps) == ("partial", 1000)
+    assert same_bits(merged["plant.u"], rows[:, 0])
+
+
+def test_logs_of_other_tools_are_cut_and_merged(whole, tmp_path):
+    """With channels mixed in their chunks."""
+    path, rows = whole
+    content = take_apart(path)
+    content.messages.sort(key=lambda message: message[1])
+    put_together(content, tmp_path / "b.mcap", chunk_size=1000)
+    part = cut(tmp_path / "b.mcap", 0.2, 0.4, tmp_path / "c.mcap")
+    assert same_bits(part["plant.u"], rows[200:401, 0])
+
+
+def test_a_cut_without_rows_is_refused(whole, tmp_path):
+    """And leaves no file."""
+    path, _ = whole
+    with pytest.raises(LogError, match=r"a\.mcap from 5 s: there is no row there"):
+        cut(path, 5.0, None, tmp_path / "b.mcap")
+    with pytest.raises(UsageError, match=r"found start = 2\.0 s behind stop = 1\.0 s"):
+        cut(path, 2.0, 1.0, tmp_path / "b.mcap")
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a.mcap"]
+
+
+def test_parts_that_do_not_follow_each_other_are_refused(whole, tmp_path):
+    """Overlapping ones, and those that leave rows out."""
+    path, _ = whole
+    cut(path, None, 0.5, tmp_path / "b.mcap")
+    cut(path, 0.5, None, tmp_path / "c.mcap")
+    cut(path, 0.502, None, tmp_path / "d.mcap")
+    with pytest.raises(LogError, match=r"'plant' up to 0\.5 s, .* begins at 0\.5 s: they overlap"):
+        merge([tmp_path / "b.mcap", tmp_path / "c.mcap"], tmp_path / "e.mcap")
+    with pytest.raises(LogError, match=r"rows are missing between them; needed the one at 0\.501"):
+        merge([tmp_path / "b.mcap", tmp_path / "d.mcap"], tmp_path / "e.mcap")
+    with pytest.raises(UsageError, match="found 1 log to merge; needed at least two"):
+        merge([path], tmp_path / "e.mcap")
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"lay": layout(period=10)}, "what their channels are differs"),
+        ({"kinds": {"plant": "lag"}}, "what their channels are differs"),
+        ({"metadata": {"cosim.connections": {"a": "b"}}}, "the metadata 'cosim.connections' diff"),
+        ({"rows": table(layout(), 1000, seed=2)}, "the result of the run differs"),
+    ],
+)
+def test_parts_of_other_runs_are_refused(whole, tmp_path, options, text):
+    """What they declare, what was recorded of the run, and how it ended must be the same."""
+    path, _ = whole
+    lay = options.get("lay", layout())
+    record(tmp_path / "other.mcap", steps=1000, **{"lay": lay, **options})
+    cut(path, None, 0.5, tmp_path / "b.mcap")
+    cut(tmp_path / "other.mcap", 0.501, None, tmp_path / "c.mcap")
+    with pytest.raises(LogError, match=text):
+        merge([tmp_path / "b.mcap", tmp_path / "c.mcap"], tmp_path / "e.mcap")
+    assert not (tmp_path / "e.mcap").exists()
+
+
+def test_a_log_that_exists_is_not_replaced_unless_asked(whole, tmp_path):
+    """Not even by a part of itself."""
+    path, rows = whole
+    with pytest.raises(LogError, match="exists; choose another path"):
+        cut(path, 0.2, 0.4, path)
+    cut(path, 0.2, 0.4, path, force=True)
+    assert same_bits(open_log(path)["plant.u"], rows[200:401, 0])
+
+
+def test_a_log_without_a_summary_is_refused(whole, tmp_path):
+    """Recovering it writes one."""
+    path, _ = whole
+    put_together(
+        take_apart(path),
+        tmp_path / "b.mcap",
+        repeat_channels=False,
+        repeat_schemas=False,
+        use_statistics=False,
+        use_summary_offsets=False,
+        index_types=IndexType.NONE,
+    )
+    with pytest.raises(LogError, match="has no summary; 'cosim recover' writes a log that has one"):
+        cut(tmp_path / "b.mcap", 0.2, 0.4, tmp_path / "c.mcap")

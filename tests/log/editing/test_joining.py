@@ -1,0 +1,100 @@
+"""A file of a log that was rotated is replayed with those before it."""
+
+from __future__ import annotations
+
+import pytest
+
+import cosim
+from cosim.errors import LogError, UsageError
+from cosim.log import open_log
+from cosim.log.editing.joining import open_joined
+from cosim.log.editing.merging import merge
+from cosim.report.verification import verify
+
+SHORT = {"scenario.stop": 2.0, "identifier.start": 0.5, "regressor.delays": [0.1, 0.2, 0.3]}
+
+
+@pytest.fixture
+def run(tmp_path):
+    """Run 2 s into three files; return the path of the first."""
+    last = cosim.run("academic", set=SHORT, out=tmp_path / "run.mcap", rotate="0.8s")
+    assert last.path == tmp_path / "run.part3.mcap"
+    return tmp_path / "run.mcap"
+
+
+@pytest.mark.parametrize(("limit", "count"), [("0.8s", 3), ("1MB", 2)])
+@pytest.mark.parametrize("block", [1, 1000])
+def test_the_merged_parts_have_the_hash_of_the_run_in_one_file(tmp_path, limit, count, block):
+    """For sizes and times, whatever the blocks are; the result is that of the run, too."""
+    stop = {"scenario.stop": 2.0 if limit == "0.8s" else 6.0}
+    whole = cosim.run("academic", set={**SHORT, **stop}, out=tmp_path / "one.mcap")
+    last = cosim.run(
+        "academic", set={**SHORT, **stop}, out=tmp_path / "run.mcap", rotate=limit, block=block
+    )
+    parts = [tmp_path / "run.mcap", *sorted(tmp_path.glob("run.part*.mcap"))]
+    assert len(parts) >= count
+    assert last.path == parts[-1]
+    merged = merge(parts, tmp_path / "merged.mcap")
+    assert merged.status == "complete"
+    assert merged.content_hash() == merged.recorded_hash == whole.recorded_hash
+    assert merged.results == whole.results
+    assert last.results["last"] == whole.results["last"]
+    assert verify(merged, cosim.replay(merged)).passed
+
+
+def test_the_last_part_replays_the_run(run, tmp_path):
+    """Bit for bit, and the log says nothing false; it is called by its own path."""
+    last = tmp_path / "run.part3.mcap"
+    whole = cosim.run("academic", set=SHORT)
+    again = cosim.replay(last)
+    assert cosim.diff(again, whole).equal
+    joined = open_joined(last)
+    assert (joined.path, joined.status) == (last, "complete")
+    assert verify(joined, again).passed
+    assert cosim.diff(cosim.replay(open_log(last)), whole).equal
+    assert open_log(run).status == "partial"
+
+
+def test_a_part_between_replays_what_is_before_its_end(run):
+    """And the first one alone."""
+    joined = open_joined(run.with_name("run.part2.mcap"))
+    assert (joined.status, joined.reason) == ("partial", "the part from 0.0 s to 1.599 s")
+    assert verify(joined, cosim.replay(joined)).passed
+    first = open_joined(run)
+    assert first.reason == "part 1 of its log, from 0.0 s to 0.799 s"
+    assert verify(first, cosim.replay(run)).passed
+
+
+def test_a_part_that_is_missing_is_named(run):
+    """So is one of another run."""
+    second = run.with_name("run.part2.mcap")
+    second.rename(run.with_name("x.mcap"))
+    text = r"run\.part3\.mcap is part 3 of its log; .* part 2 is missing: .*run\.part2\.mcap$"
+    with pytest.raises(LogError, match=text):
+        cosim.replay(run.with_name("run.part3.mcap"))
+    cosim.run("closed-loop", set={"scenario.stop": 0.1}, out=second)
+    with pytest.raises(LogError, match="are not of one run"):
+        cosim.replay(run.with_name("run.part3.mcap"))
+
+
+def test_a_log_that_is_only_called_like_a_part_is_replayed_alone(tmp_path):
+    """Its rows begin with its run."""
+    path = tmp_path / "run.part2.mcap"
+    whole = cosim.run("academic", set=SHORT, out=path)
+    assert open_joined(path).recorded_hash == whole.recorded_hash
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"rotate": "1GB"}, "found rotate, which is about the log at out, and no out;"),
+        ({"rotate": "1kB", "out": "run.mcap"}, "rotate: found '1kB'; needed at least 1MB"),
+        ({"rotate": 1e9, "out": "run.mcap"}, "rotate: found 1000000000.0; needed a size in B,"),
+    ],
+)
+def test_limits_are_refused_before_the_run(tmp_path, monkeypatch, options, text):
+    """Where they cannot be met, or there is no log."""
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(UsageError, match=text):
+        cosim.run("academic", **options)
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,314 @@
+"""What is intact in a damaged log is recovered, and what is lost is told."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import zlib
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+import cosim
+from cosim.errors import LogError
+from cosim.log import open_log
+from cosim.log.editing.cutting import cut
+from cosim.log.editing.lost import Interval, missing_rows
+from cosim.log.editing.recovering import recover
+from cosim.log.editing.salvage import salvage
+from tests.log.crafting import put_together, take_apart
+from tests.log.recordings import STEP_NS, layout, make_chunks_small, record, same_bits, table
+
+STEPS = 20_000
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    """Return the bytes of a log of several chunks a component, its rows and its chunk indexes."""
+    path = tmp_path_factory.mktemp("logs") / "a.mcap"
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        make_chunks_small(monkeypatch, 2**18)
+        rows = record(path, steps=STEPS, messages=[(0, "info", "run", "begin")])
+    with path.open("rb") as stream:
+        chunks = make_reader(stream).get_summary().chunk_indexes
+    assert len(chunks) > 4
+    return path.read_bytes(), rows, chunks
+
+
+def recovered(tmp_path, data):
+    """Recover a file of these bytes."""
+    (tmp_path / "broken.mcap").write_bytes(data)
+    return recover(tmp_path / "broken.mcap", tmp_path / "good.mcap", force=True)
+
+
+def check_rows(recovery, rows):
+    """Check that each row that is there has its bits, and each other one is told to be lost."""
+    log = open_log(recovery.log.path)
+    for name, period, columns in [("plant", 1, slice(0, 5)), ("identifier", 5, slice(5, 10))]:
+        steps = log.time_ns(name) // STEP_NS
+        assert same_bits(log.rows(name), rows[steps, columns])
+        told = recovery.rows[name]
+        lost = set()
+        for interval in told.lost:
+            own = range(interval.first_ns // STEP_NS, interval.last_ns // STEP_NS + 1, period)
+            assert len(own) == interval.count
+            lost |= set(own)
+        assert told.count == len(steps)
+        last = recovery.end_ns // STEP_NS
+        assert set(steps.tolist()) | lost == set(range(0, last + 1, period))
+        assert not set(steps.tolist()) & lost
+    assert log.content_hash() == log.recorded_hash
+    with log.path.open("rb") as stream:
+        sum(1 for _ in make_reader(stream, validate_crcs=True).iter_messages())
+
+
+def test_a_log_that_is_whole_comes_back_as_it_was(tmp_path, written):
+    """With its result: nothing is lost."""
+    data, rows, _ = written
+    recovery = recovered(tmp_path, data)
+    check_rows(recovery, rows)
+    assert recovery.log.status == "complete"
+    assert recovery.end_is_known
+    assert all(not own.lost for own in recovery.rows.values())
+    source = tmp_path / "a.mcap"
+    source.write_bytes(data)
+    assert cosim.diff(open_log(source), recovery.log).equal
+    assert recovery.log.messages() == open_log(source).messages()
+    assert recovery.log.results == open_log(source).results
+
+
+def test_one_flipped_bit_costs_one_chunk(tmp_path, written):
+    """Every other one is there, before it and behind it."""
+    data, rows, chunks = written
+    chunk = [chunk for chunk in chunks if 1 in chunk.message_index_offsets][1]
+    broken = bytearray(data)
+    broken[chunk.chunk_start_offset + chunk.chunk_length - 50] ^= 4
+    (tmp_path / "broken.mcap").write_bytes(broken)
+    assert len(salvage(tmp_path / "broken.mcap").chunks) == len(chunks) - 1
+    recovery = recovered(tmp_path, broken)
+    check_rows(recovery, rows)
+    assert recovery.log.status == "partial"
+    assert recovery.log.reason == "recovered from broken.mcap, which was damaged"
+    lost = sum(interval.count for own in recovery.rows.values() for interval in own.lost)
+    assert lost == sum(chunk_counts(data, chunk))
+
+
+def chunk_counts(data, chunk):
+    """Return how many messages of components a chunk has, by its message indexes."""
+    return [
+        int.from_bytes(data[start + 11 : start + 15], "little") // 16
+        for start in chunk.message_index_offsets.values()
+        if int.from_bytes(data[start + 9 : start + 11], "little") < 3
+    ]
+
+
+@pytest.mark.parametrize("number", range(1, 5))
+def test_a_truncated_log_has_the_chunks_before_its_end(tmp_path, written, number):
+    """The end of the run is not known then."""
+    data, rows, chunks = written
+    chunk = chunks[number]
+    recovery = recovered(tmp_path, data[: chunk.chunk_start_offset + chunk.chunk_length + 100])
+    check_rows(recovery, rows)
+    assert not recovery.end_is_known
+    assert recovery.log.status in ("interrupted", "partial")
+
+
+def test_a_run_that_was_cut_off_is_replayed(tmp_path):
+    """A log of cosim that lost its end, recovered."""
+    whole = cosim.run("academic", out=tmp_path / "a.mcap")
+    data = whole.path.read_bytes()
+    recovery = recovered(tmp_path, data[: len(data) * 2 // 3])
+    assert recovery.has_scenario
+    end = recovery.whole_until_ns / 1e9
+    assert 0.0 < end < 40.0
+    log = cut(recovery.log.path, None, end, tmp_path / "b.mcap")
+    assert log.end_ns == recovery.whole_until_ns
+    assert cosim.diff(log, cosim.replay(log)).equal
+
+
+@pytest.mark.parametrize("seed", range(25))
+def test_random_damage_loses_no_intact_chunk(tmp_path, written, seed):
+    """Bytes that are changed, left out, put in between, or zeros, anywhere behind the head."""
+    data, rows, chunks = written
+    generator = random.Random(seed)
+    broken = bytearray(data)
+    for _ in range(generator.randint(1, 3)):
+        start = generator.randrange(chunks[0].chunk_start_offset, len(broken))
+        length = min(generator.choice([1, 9, 300, 5000, 50_000]), len(broken) - start)
+        match generator.choice(["noise", "cut", "insert", "zeros"]):
+            case "noise":
+                broken[start : start + length] = generator.randbytes(length)
+            case "cut":
+                del broken[start : start + length]
+            case "insert":
+                broken[start:start] = generator.randbytes(length)
+            case _:
+                broken[start : start + length] = bytes(length)
+    (tmp_path / "broken.mcap").write_bytes(broken)
+    found = {bytes(broken[a:b]) for a, b in salvage(tmp_path / "broken.mcap").chunks}
+    for chunk in chunks:
+        start = chunk.chunk_start_offset
+        content = data[start : start + chunk.chunk_length]
+        assert (content in found) == (content in broken)
+    if found:
+        check_rows(recovered(tmp_path, broken), rows)
+
+
+def test_a_head_that_is_lost_is_taken_from_the_summary(tmp_path, written):
+    """Which repeats schemas and channels, but not metadata and attachments."""
+    data, rows, chunks = written
+    first = min(chunk.chunk_start_offset for chunk in chunks)
+    recovery = recovered(tmp_path, bytes(first) + data[first:])
+    check_rows(recovery, rows)
+    assert recovery.log.status == "complete"
+    assert not recovery.has_scenario
+
+
+def test_without_any_channel_nothing_says_what_rows_are(tmp_path, written):
+    """Neither head nor summary."""
+    data, _, chunks = written
+    first = min(chunk.chunk_start_offset for chunk in chunks)
+    last = max(chunk.chunk_start_offset + chunk.chunk_length for chunk in chunks)
+    with pytest.raises(LogError, match="no channel of a component is intact"):
+        recovered(tmp_path, data[first:last])
+    with pytest.raises(LogError, match="no row is intact; run it again"):
+        recovered(tmp_path, data[:first])
+    with pytest.raises(LogError, match="no channel of a component is intact"):
+        recovered(tmp_path, b"nothing of all that")
+    with pytest.raises(LogError, match="is empty"):
+        recovered(tmp_path, b"")
+    with pytest.raises(LogError, match="cannot be read"):
+        recover(tmp_path / "missing.mcap", tmp_path / "good.mcap")
+    assert [path.name for path in tmp_path.iterdir()] == ["broken.mcap"]
+
+
+def test_rows_of_a_component_of_many_channels_are_whole_or_lost(tmp_path):
+    """A row that one of its channels has lost cannot be told from none."""
+    lay = layout(wide=5000)
+    rows = table(lay, 300)
+    record(tmp_path / "a.mcap", lay=lay, rows=rows)
+    data = bytearray((tmp_path / "a.mcap").read_bytes())
+    with (tmp_path / "a.mcap").open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    (second,) = [n for n, channel in summary.channels.items() if channel.topic == "/wide.2"]
+    own = [c for c in summary.chunk_indexes if second in c.message_index_offsets]
+    data[own[0].chunk_start_offset + own[0].chunk_length - 20] ^= 1
+    recovery = recovered(tmp_path, data)
+    log = open_log(recovery.log.path)
+    steps = log.time_ns("wide") // STEP_NS
+    assert 0 < len(steps) < 301
+    assert same_bits(log.rows("wide"), rows[steps, 10:])
+    assert len(log.time_ns("plant")) == 301
+
+
+def test_of_a_part_only_its_own_rows_are_lost(tmp_path, written):
+    """Not those before and behind it, which its file never had."""
+    data, _, _ = written
+    (tmp_path / "a.mcap").write_bytes(data)
+    part = cut(tmp_path / "a.mcap", 5.0, 15.0, tmp_path / "b.mcap")
+    content = part.path.read_bytes()
+    whole = recovered(tmp_path, content)
+    assert all(not own.lost for own in whole.rows.values())
+    assert (whole.log.status, whole.log.content_hash()) == ("partial", part.content_hash())
+    broken = bytearray(content)
+    with part.path.open("rb") as stream:
+        chunks = make_reader(stream).get_summary().chunk_indexes
+    chunk = next(chunk for chunk in chunks if 1 in chunk.message_index_offsets)
+    broken[chunk.chunk_start_offset + chunk.chunk_length - 50] ^= 4
+    (interval,) = recovered(tmp_path, broken).rows["plant"].lost
+    assert interval.first_ns >= 5_000_000_000
+    assert interval.last_ns <= 15_000_000_000
+
+
+def test_a_component_of_which_a_channel_is_lost_is_told_as_lost(tmp_path):
+    """Its other channels have no row that is whole; the other components are there."""
+    lay = layout(wide=5000)
+    rows = table(lay, 50)
+    record(tmp_path / "a.mcap", lay=lay, rows=rows)
+    data = (tmp_path / "a.mcap").read_bytes()
+    assert data.count(b"cosim.columns\x09\x00\x00\x004096:5000") == 2  # head and summary
+    recovery = recovered(tmp_path, data.replace(b"4096:5000", b"4096:5001"))
+    assert recovery.rows["wide"].count == 0
+    assert recovery.rows["wide"].lost == (Interval(0, 50 * STEP_NS, 51),)
+    log = open_log(recovery.log.path)
+    assert list(log.channels) == ["plant", "identifier"]
+    assert same_bits(log.rows("plant"), rows[:, :5])
+
+
+def test_chunks_that_stand_twice_give_their_rows_once(tmp_path, written):
+    """As where a file was joined from pages of two states."""
+    data, rows, chunks = written
+    start = chunks[1].chunk_start_offset
+    piece = data[start : start + chunks[1].chunk_length]
+    recovery = recovered(tmp_path, data[:start] + piece + data[start:])
+    check_rows(recovery, rows)
+    assert recovery.log.status == "complete"
+
+
+def test_a_log_that_another_tool_has_written_is_recovered(tmp_path, written):
+    """With the rows of all components mixed in each chunk, in any order."""
+    data, rows, _ = written
+    (tmp_path / "a.mcap").write_bytes(data)
+    content = take_apart(tmp_path / "a.mcap")
+    content.messages = sorted(content.messages, key=lambda message: -message[1])
+    put_together(content, tmp_path / "b.mcap", chunk_size=100_000)
+    broken = bytearray((tmp_path / "b.mcap").read_bytes())
+    broken[len(broken) // 2] ^= 1
+    recovery = recovered(tmp_path, broken)
+    check_rows(recovery, rows)
+
+
+def test_an_uncompressed_chunk_is_not_taken_for_others(tmp_path):
+    """Its messages may look like records; what its CRC covers is skipped as a whole."""
+    lay = layout()
+    rows = table(lay, 3000)
+    inner = b"\x06" + (100).to_bytes(8, "little")
+    rows[:, 0] = np.frombuffer(inner[1:], "<f8")[0]
+    record(tmp_path / "a.mcap", rows=rows, compression="none")
+    recovery = recovered(tmp_path, (tmp_path / "a.mcap").read_bytes())
+    assert recovery.log.status == "complete"
+
+
+def test_a_killed_run_is_recovered(tmp_path):
+    """Whatever state its file is in."""
+    code = (
+        "import cosim\n"
+        "log = cosim.load('academic').set({'scenario.stop': 1000.0}).start(out='a.mcap')\n"
+        "log.step(100000)\n"
+        "print('written', flush=True)\n"
+        "log.step(800000)\n"
+    )
+    command = [sys.executable, "-c", code]
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE) as process:
+        process.stdout.readline()
+        os.kill(process.pid, signal.SIGKILL)
+    recovery = recover(tmp_path / "a.mcap", tmp_path / "b.mcap")
+    assert recovery.log.status == "interrupted"
+    assert cosim.diff(recovery.log, cosim.replay(recovery.log)).equal
+
+
+def test_missing_rows_are_told_by_their_instants():
+    """The closed form of a few cases."""
+    times = np.array([0, 10, 40, 50])
+    assert missing_rows(times, 10, 0, 50).lost == (Interval(20, 30, 2),)
+    assert missing_rows(times, 10, 0, 75).lost == (Interval(20, 30, 2), Interval(60, 70, 2))
+    assert missing_rows(np.array([20]), 10, 0, 29).lost == (Interval(0, 10, 2),)
+    none = missing_rows(np.empty(0, np.int64), 10, 5, 25)
+    assert (none.count, none.lost) == (0, (Interval(5, 25, 3),))
+
+
+def test_a_crc_of_nothing_vouches_for_nothing(tmp_path, written):
+    """A chunk whose writer gave no CRC may be anything."""
+    data, _, chunks = written
+    broken = bytearray(data)
+    start = chunks[0].chunk_start_offset
+    assert zlib.crc32(b"") == 0
+    broken[start + 9 + 24 : start + 9 + 28] = bytes(4)
+    recovery = recovered(tmp_path, broken)
+    assert recovery.log.status == "partial"
+    json.dumps(recovery.to_dict())

@@ -1,0 +1,131 @@
+"""A flipped bit or a missing end is harmless or reported: no log is read as another run."""
+
+from __future__ import annotations
+
+import random
+import re
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from cosim.core.recorders import EndOfRun
+from cosim.errors import LogError
+from cosim.log import Attachment, open_log
+from cosim.log.contents.messages import encode_log
+from cosim.log.mcap_file.records import MAGIC
+from cosim.log.writing.buffer import WaitingMessage
+from tests.log.mcap_file.paged import PagedStream
+from tests.log.recordings import STEP_NS, layout, make_chunks_small, plan, table
+from tests.log.writing.direct import content, open_store
+
+USED = rb"(?s)(?:(?!\0{64}).)+"  # all but long rows of zeros
+
+
+def long(count):
+    """Return the count of a test's long form."""
+    return pytest.param(count, marks=pytest.mark.campaign)
+
+
+def everything(path):
+    """Return all that a log says, as values that can be compared."""
+    log = open_log(path)
+    rows = {}
+    for name in log.channels:
+        times = log.time_ns(name)
+        rows[name] = (times.tobytes(), log.rows(name).tobytes())
+    return (
+        rows,
+        {name: dict(items) for name, items in log.metadata.items()},
+        {name: log.attachment(name) for name in log.attachments},
+        [(item.time_ns, item.level, item.source, item.text) for item in log.messages()],
+        log.content_hash(),
+        dict(log.kinds),
+        repr(log.channels),
+        {name: repr(design) for name, design in log.designs.items()},
+        log.status,
+        log.reason,
+        log.step_ns,
+        log.schedule,
+        log.results,
+    )
+
+
+def write():
+    """Write a log with messages and attachments; return it as a kill left it, and closed."""
+    attachment = Attachment("scenario.toml", "application/toml", b"[scenario]\nstep = 1000.0\n")
+    stream = PagedStream()
+    log = open_store(
+        stream,
+        plan(),
+        compression="zstd",
+        metadata={"cosim.component.plant": {"filter_rate": "1000.0"}},
+        attachments=[attachment],
+    )
+    rows = table(layout(), 1000)
+    for start, stop in [(0, 100), (100, 110), (110, 800), (800, 810), (810, 811)]:
+        time_ns = start * STEP_NS
+        text = encode_log(time_ns, "info", "run", f"row {start}")
+        log.add(content(rows, start, stop, [WaitingMessage(3, time_ns, text)]))
+    killed = bytes(stream.content)
+    log.close(EndOfRun("complete", ""), {"rms": 0.25})
+    return {"killed": killed, "closed": bytes(stream.content)}
+
+
+@pytest.fixture(scope="module")
+def written():
+    """Write a log of several chunks and a tail."""
+    with pytest.MonkeyPatch.context() as patch:
+        make_chunks_small(patch, 12_000)
+        return write()
+
+
+def outcome(path, data, truth):
+    """Return whether a damaged log is ``reported`` or ``harmless``.
+
+    A log that says something else than what was written fails the test.
+    """
+    path.write_bytes(data)
+    try:
+        found = everything(path)
+    except LogError:
+        return "reported"
+    assert found == truth
+    return "harmless"
+
+
+@pytest.mark.parametrize("state", ["closed", "killed"])
+@pytest.mark.parametrize("count", [300, long(5000)])
+def test_a_flipped_bit_is_harmless_or_reported(tmp_path, written, state, count):
+    """Wherever it is, but for the room that holds nothing: in metadata and indexes, too."""
+    data = written[state]
+    path = tmp_path / "a.mcap"
+    path.write_bytes(data)
+    truth = everything(path)
+    used = np.concatenate([np.arange(*match.span()) for match in re.finditer(USED, data)])
+    chance = random.Random(count)
+    outcomes = Counter()
+    for _ in range(count):
+        damaged = bytearray(data)
+        position = chance.choice(used)
+        bit = chance.randrange(8)
+        damaged[position] ^= 1 << bit
+        try:
+            outcomes[outcome(path, damaged, truth)] += 1
+        except AssertionError:
+            pytest.fail(f"bit {bit} of byte {position}")
+    assert outcomes["reported"] > count / 4
+
+
+@pytest.mark.parametrize("state", ["closed", "killed"])
+@pytest.mark.parametrize("count", [60, long(500)])
+def test_a_log_without_its_end_is_reported(tmp_path, written, state, count):
+    """Wherever it is cut."""
+    data = written[state]
+    path = tmp_path / "a.mcap"
+    chance = random.Random(count)
+    ends = [match.end() for match in re.finditer(re.escape(MAGIC), data)][:-1]
+    for stop in [*ends, *(chance.randrange(len(data)) for _ in range(count))]:
+        path.write_bytes(data[:stop])
+        with pytest.raises(LogError):
+            everything(path)

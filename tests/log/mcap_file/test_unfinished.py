@@ -1,0 +1,331 @@
+"""A log stands at its path from its first row on; before that, what stood there is untouched."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+
+import pytest
+
+from cosim.errors import GraphError, Interrupted, LogError, LogWriteError, NonFiniteError
+from cosim.log import McapRecorder, open_log
+from cosim.log.mcap_file import unfinished
+from cosim.log.writing import writer
+from tests.log.recordings import STEP_NS, blocks, layout, plan, record, same_bits, table
+from tests.log.writing.test_writer import FullDisk
+
+
+@pytest.fixture(params=[False, True], ids=["new", "force"])
+def force(request):
+    """Write to a free path, or in place of an old log."""
+    return request.param
+
+
+@pytest.fixture
+def path(tmp_path, force):
+    """Name the log; with ``force`` an old one of 10 steps stands there."""
+    if force:
+        record(tmp_path / "a.mcap", steps=10)
+    return tmp_path / "a.mcap"
+
+
+def untouched(path, force):
+    """Return whether nothing is left but the old log, if there was one."""
+    files = list(path.parent.iterdir())
+    if not force:
+        return not files
+    return files == [path] and open_log(path).steps == 10
+
+
+def attempt(path, force, *, error=None, rows=0):
+    """Begin a run, write some rows and end it with an error."""
+    run = list(blocks(table(layout(), 100), 10))
+    with McapRecorder(path, force=force) as recorder:
+        recorder.begin(plan())
+        for block, signals in run[:rows]:
+            recorder.write(block, signals)
+        if error is not None:
+            raise error
+
+
+@pytest.mark.parametrize(
+    "error", [GraphError("no"), LogError("no"), ValueError("bug"), KeyboardInterrupt()]
+)
+def test_a_run_refused_before_its_first_row_leaves_no_trace(path, force, error):
+    """Whatever stood there stays, and no other file."""
+    with pytest.raises(type(error)):
+        attempt(path, force, error=error)
+    assert untouched(path, force)
+
+
+@pytest.mark.parametrize(
+    "error", [NonFiniteError("y became nan"), LogWriteError("negative"), Interrupted("Ctrl-C")]
+)
+def test_a_run_that_failed_at_its_start_leaves_a_log(path, force, error):
+    """It has no rows, and the stop reason."""
+    with pytest.raises(type(error)):
+        attempt(path, force, error=error)
+    assert list(path.parent.iterdir()) == [path]
+    log = open_log(path)
+    assert log.steps == 0
+    assert len(log.rows("plant")) == 0
+    assert log.results["reason"] == str(error)
+
+
+def test_a_complete_run_without_rows_leaves_a_log(path, force):
+    """A run over no time is a run."""
+    attempt(path, force)
+    assert list(path.parent.iterdir()) == [path]
+    log = open_log(path)
+    assert log.status == "complete"
+    assert len(log.rows("plant")) == 0
+
+
+def test_the_log_stands_at_its_path_from_the_first_row_on(path, force):
+    """The same file under a hidden name before, and under no other after."""
+    with McapRecorder(path, force=force) as recorder:
+        recorder.begin(plan())
+        (hidden,) = set(path.parent.iterdir()) - {path}
+        assert hidden.name.startswith(".a.mcap.")
+        assert path.exists() == force
+        assert not force or open_log(path).steps == 10
+        growing = hidden.stat().st_ino
+        block, signals = next(blocks(table(layout(), 100), 10))
+        recorder.write(block, signals)
+        assert list(path.parent.iterdir()) == [path]
+        assert path.stat().st_ino == growing
+    assert path.stat().st_ino == growing
+
+
+@pytest.mark.parametrize("linked", [True, False])
+@pytest.mark.parametrize("rows", [0, 1])
+def test_a_file_that_came_meanwhile_is_not_replaced(tmp_path, monkeypatch, rows, linked):
+    """With and without hard links, at the first row and at the end of a run without any."""
+    path = tmp_path / "a.mcap"
+    if not linked:
+        monkeypatch.setattr(unfinished.os, "link", no_links)
+
+    run = list(blocks(table(layout(), 10), 10))
+
+    def fail():
+        with McapRecorder(path) as recorder:
+            recorder.begin(plan())
+            path.write_text("mine")
+            for block, signals in run[:rows]:
+                recorder.write(block, signals)
+
+    with pytest.raises(
+        LogError, match=r"a\.mcap exists by now; choose another path, or force=True"
+    ):
+        fail()
+    assert path.read_text() == "mine"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def no_links(source, target):
+    """Fail as on a file system without hard links."""
+    raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))
+
+
+def test_a_file_system_without_hard_links_will_do(tmp_path, monkeypatch):
+    """The name is reserved and then replaced."""
+    monkeypatch.setattr(unfinished.os, "link", no_links)
+    record(tmp_path / "a.mcap", steps=20)
+    assert open_log(tmp_path / "a.mcap").steps == 20
+    assert list(tmp_path.iterdir()) == [tmp_path / "a.mcap"]
+
+
+def test_a_folder_lost_before_the_first_row_is_an_error(tmp_path):
+    """There is nowhere to put the log."""
+
+    def fail():
+        with McapRecorder(tmp_path / "logs" / "a.mcap") as recorder:
+            recorder.begin(plan())
+            (hidden,) = (tmp_path / "logs").iterdir()
+            hidden.unlink()
+            (tmp_path / "logs").rmdir()
+            recorder.write(*next(blocks(table(layout(), 10), 10)))
+
+    with pytest.raises(LogError, match=r"a\.mcap cannot be created: No such file or directory"):
+        fail()
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), MemoryError()])
+@pytest.mark.parametrize(
+    "function", ["add_parts", "add_preamble", "LiveFile", "BackgroundWriter", "library_name"]
+)
+def test_an_interrupt_in_begin_leaves_no_trace(path, force, monkeypatch, function, error):
+    """Wherever it comes."""
+
+    def interrupt(*args, **kwargs):
+        raise error
+
+    monkeypatch.setattr(writer, function, interrupt)
+    with pytest.raises(type(error)):
+        attempt(path, force)
+    assert untouched(path, force)
+
+
+def test_a_disk_full_from_the_start_leaves_the_old_log(path, force, monkeypatch):
+    """What cannot even begin replaces nothing."""
+    monkeypatch.setattr(unfinished, "create", lambda path: FullDisk(path, 1))
+    with pytest.raises(LogError, match=r"a\.mcap cannot be written: No space left"):
+        attempt(path, force)
+    assert untouched(path, force)
+
+
+@pytest.mark.parametrize("force", [False, True])
+def test_a_folder_is_no_path_for_a_log(tmp_path, force):
+    """It is refused at once, with force too."""
+    with pytest.raises(LogError, match=r"is a folder; name a file, such as .*/run\.mcap"):
+        attempt(tmp_path, force)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_long_name_leaves_room_for_the_hidden_one(tmp_path):
+    """A file's name may have 255 bytes."""
+    path = tmp_path / ("ü" * 125 + ".mcap")
+    record(path, steps=5)
+    assert open_log(path).steps == 5
+
+
+def abandoned(tmp_path, name):
+    """Return the hidden file of a recorder whose process is killed before the first row."""
+    code = (
+        "import os, signal, sys\n"
+        "from tests.log.recordings import McapRecorder, plan\n"
+        "recorder = McapRecorder(sys.argv[1])\n"
+        "recorder.begin(plan())\n"
+        "os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    path = tmp_path / name
+    process = subprocess.run([sys.executable, "-c", code, str(path)], check=False)
+    assert process.returncode == -signal.SIGKILL
+    (hidden,) = tmp_path.glob(f".{name}.*.part")
+    return hidden
+
+
+def test_the_next_run_removes_what_a_killed_one_left(tmp_path):
+    """Its hidden file, but not that of another log, nor of a run that goes on."""
+    hidden = abandoned(tmp_path, "a.mcap")
+    other = abandoned(tmp_path, "b.mcap")
+    with McapRecorder(tmp_path / "a.mcap", numbered=True) as recorder:
+        recorder.begin(plan())
+        assert not hidden.exists()
+        assert other.exists()
+        with McapRecorder(tmp_path / "a.mcap", numbered=True) as second:
+            second.begin(plan())
+            assert len(list(tmp_path.glob(".a.mcap.*.part"))) == 2
+    assert {path.name for path in tmp_path.iterdir()} == {"a.mcap", "a-2.mcap", other.name}
+
+
+def test_a_log_that_is_written_is_not_replaced(tmp_path):
+    """A second run with ``force`` is refused, and the first goes on."""
+    path = tmp_path / "a.mcap"
+    run = list(blocks(table(layout(), 20), 10))
+
+    def replace_it():
+        with McapRecorder(path, force=True) as second:
+            second.begin(plan())
+            second.write(*run[0])
+
+    with McapRecorder(path) as recorder:
+        recorder.begin(plan())
+        recorder.write(*run[0])
+        with pytest.raises(LogError, match=r"a\.mcap is written by another run; choose another"):
+            replace_it()
+        recorder.write(*run[1])
+    assert open_log(path).steps == 20
+    assert list(tmp_path.iterdir()) == [path]
+    replace_it()
+    assert open_log(path).steps == 10
+
+
+@pytest.mark.parametrize(
+    ("harm", "reason"),
+    [
+        (lambda path: path.rename(path.with_name("b.mcap")), "it has been removed"),
+        (lambda path: path.parent.rename(path.parent.with_name("moved")), "or its folder has"),
+        (lambda path: os.replace(copied(path), path), "another file has taken its place"),
+    ],
+)
+def test_a_log_that_is_lost_is_an_error_at_the_write(tmp_path, harm, reason):
+    """What was written stays valid, wherever it is."""
+    path = tmp_path / "logs" / "a.mcap"
+    run = list(blocks(table(layout(), 3000), 10))
+
+    def go_on():
+        with McapRecorder(path, flush=0.0) as recorder:
+            recorder.begin(plan())
+            recorder.write(*run[0])
+            harm(path)
+            deadline = time.monotonic() + 60.0
+            for block, signals in run[1:]:
+                recorder.write(block, signals)
+            while time.monotonic() < deadline:
+                recorder.message(0, "info", "run", "still here")
+
+    with pytest.raises(LogWriteError, match=rf"a\.mcap cannot be written further: .*{reason}"):
+        go_on()
+    for log in tmp_path.rglob("*.mcap"):
+        assert open_log(log).status in {"failed", "unfinished"}
+
+
+def copied(path):
+    """Return the path of a copy."""
+    return shutil.copy(path, path.with_name("copy.mcap"))
+
+
+def test_a_log_that_is_written_can_be_read(tmp_path):
+    """What a reader has opened stays readable; where rows have moved it is to be opened again."""
+    path = tmp_path / "a.mcap"
+    rows = table(layout(), 3000)
+    texts = set()
+    with McapRecorder(path, flush=1e-3) as recorder:
+        recorder.begin(plan())
+        for block, signals in blocks(rows, 10):
+            recorder.write(block, signals)
+            log = open_log(path)
+            try:
+                found = log.rows("plant")
+            except LogError as error:
+                texts.add(str(error))
+            else:
+                assert same_bits(found, rows[: len(found), :5])
+    assert texts <= {f"{path} has changed since it was opened; open it again"}
+    assert open_log(path).steps == 3000
+
+
+def test_the_steps_of_a_log_that_is_written_are_those_when_it_was_opened(tmp_path):
+    """Also where a message is ahead of the rows, and these are written anew meanwhile."""
+    path = tmp_path / "a.mcap"
+    run = list(blocks(table(layout(), 100), 10))
+    with McapRecorder(path, flush=1e-3, metadata={"cosim.run": {"start_time": "0.0"}}) as recorder:
+        recorder.begin(plan())
+        recorder.message(500 * STEP_NS, "info", "run", "ahead")
+        recorder.write(*run[0])
+        wait_for_step(path, 10)
+        log = open_log(path)
+        for number, block in enumerate(run[1:], start=2):
+            recorder.write(*block)
+            wait_for_step(path, 10 * number)
+        with pytest.raises(LogError, match="has changed since it was opened"):
+            log.rows("plant")
+        assert (log.steps, log.end_ns) == (10, 10 * STEP_NS)
+
+
+def wait_for_step(path, step):
+    """Wait until a log that is written has the rows of a step."""
+    deadline = time.monotonic() + 60.0
+    last_step = 0
+    while last_step < step:
+        assert time.monotonic() < deadline
+        with suppress(LogError):  # its rows have moved since it was opened
+            last_step = open_log(path).steps

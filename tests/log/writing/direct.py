@@ -1,0 +1,33 @@
+"""The store of a log, driven flush by flush, without a thread and without waiting."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cosim.log.contents.layout import split_channel
+from cosim.log.contents.preamble import add_parts, add_preamble
+from cosim.log.mcap_file.head import FileHead
+from cosim.log.mcap_file.live_file import LiveFile
+from cosim.log.writing.buffer import RunContent, RunRows
+from cosim.log.writing.store import LogStore
+from tests.log.recordings import STEP_NS
+
+
+def open_store(stream, plan, *, compression="none", metadata=None, attachments=()):
+    """Return the store of a new log, written to a stream."""
+    head = FileHead(library="cosim/test")
+    parts = []
+    for channel in plan.layout.channels:
+        parts += split_channel(channel, kind="", step_ns=plan.step_ns)
+    numbered = list(zip(add_parts(head, parts), parts, strict=True))
+    add_preamble(head, plan, metadata=metadata or {}, attachments=attachments, kinds={})
+    file = LiveFile(stream, head.data, head.summary())
+    store = LogStore(file, plan, numbered, compression=compression)
+    store.begin(0)
+    return store
+
+
+def content(rows, start, stop, messages=()):
+    """Return rows ``start`` to ``stop`` of a run, and messages."""
+    steps = np.arange(start, stop, dtype=np.int64)
+    return RunContent(RunRows(steps, steps * STEP_NS, rows[start:stop]), messages)

@@ -1,0 +1,294 @@
+"""The log of a run in several files: each opens alone, and together they are the log of the run."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from cosim.errors import LogError, LogWriteError, UsageError
+from cosim.log import McapRecorder, open_log
+from cosim.log.editing.merging import merge
+from cosim.log.mcap_file.rotation import Rotation, part_paths, read_rotation
+from cosim.log.mcap_file.unfinished import UnfinishedLog
+from tests.log.recordings import (
+    STEP_NS,
+    blocks,
+    layout,
+    make_chunks_small,
+    plan,
+    record,
+    same_bits,
+    table,
+)
+
+MESSAGES = [(k * 100 * STEP_NS, "info", "run", f"message {k}") for k in range(11)]
+LATE = Rotation(None, 300 * STEP_NS, "0.3s")
+SMALL = Rotation(40_000, None, "40kB")
+
+
+def parts_of(path):
+    """Return the files of a log."""
+    further = [other for other in path.parent.glob(f"{path.stem}.part*.mcap")]
+    return part_paths(max([path, *further], key=lambda other: len(part_paths(other))))
+
+
+@pytest.mark.parametrize("size", [1, 1000])
+@pytest.mark.parametrize("rotation", [LATE, SMALL])
+@pytest.mark.parametrize("period", [1, 5, 7])
+def test_merged_parts_are_the_log_of_the_run(tmp_path, monkeypatch, size, rotation, period):
+    """The content hash is that of the same run in one file, whatever the blocks are."""
+    lay = layout(period=period)
+    one = tmp_path / "one.mcap"
+    path = tmp_path / "run.mcap"
+    with monkeypatch.context() as small:
+        make_chunks_small(small, 5_000)
+        rows = record(one, steps=1000, size=size, lay=lay, messages=MESSAGES)
+        record(path, size=size, lay=lay, rows=rows, messages=MESSAGES, rotation=rotation)
+    parts = parts_of(path)
+    assert len(parts) > 2
+    merged = merge(parts, tmp_path / "whole.mcap")
+    source = open_log(one)
+    assert (merged.status, merged.reason) == ("complete", "")
+    assert merged.recorded_hash == merged.content_hash() == source.recorded_hash
+    assert merged.messages() == source.messages()
+    assert merged.results == source.results
+
+
+def test_every_part_opens_alone(tmp_path):
+    """To stock readers, with the head of all, its own rows and hash; times and steps go on."""
+    path = tmp_path / "run.mcap"
+    rows = record(path, steps=1000, rotation=LATE, messages=MESSAGES)
+    first = open_log(path)
+    for number, part in enumerate(parts_of(path)):
+        log = open_log(part)
+        begin = 300 * number
+        end = min(begin + 299, 1000)
+        text = f"part {number + 1} of its log, from {begin / 1000} s to {end / 1000} s"
+        assert (log.status, log.reason) == ("partial", text)
+        assert (log.steps, log.end_ns) == (end, end * STEP_NS)
+        assert same_bits(log.rows("plant"), rows[begin : end + 1, :5])
+        assert np.array_equal(log.time_ns("identifier"), np.arange(begin, end + 1, 5) * STEP_NS)
+        assert log.recorded_hash == log.content_hash()
+        assert log.metadata["cosim.schedule"] == first.metadata["cosim.schedule"]
+        assert dict(log.channels) == dict(first.channels)
+        with part.open("rb") as stream:
+            found = list(make_reader(stream, validate_crcs=True).iter_messages(topics=["/plant"]))
+        assert [message.sequence for _, _, message in found] == list(range(begin, end + 1))
+    assert number == 3
+    assert log.results["rms"] == 0.25
+    assert log.metadata["cosim.partial"]["status"] == "complete"
+    assert "rms" not in first.results
+    assert "cosim.partial" not in first.metadata
+
+
+def test_parts_of_a_size_are_about_as_large(tmp_path, monkeypatch):
+    """By one piece too large at most; without compression a piece has an eighth."""
+    make_chunks_small(monkeypatch, 5_000)
+    path = tmp_path / "run.mcap"
+    record(path, steps=2000, rotation=Rotation(100_000, None, "100kB"), compression="none")
+    sizes = [part.stat().st_size for part in parts_of(path)]
+    assert len(sizes) > 2
+    for size in sizes[:-1]:
+        # The summary of so small chunks, and the end, come on top.
+        assert 100_000 <= size < 100_000 * 9 / 8 + 20_000
+
+
+def test_a_run_within_the_limit_leaves_an_ordinary_log(tmp_path):
+    """As without it."""
+    path = tmp_path / "run.mcap"
+    record(path, steps=299, rotation=LATE)
+    assert open_log(path).status == "complete"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_parts_of_an_earlier_run_are_refused_or_replaced(tmp_path):
+    """With the log that they belong to, when the new one is there; other files stay."""
+    path = tmp_path / "run.mcap"
+    record(path, steps=1000, rotation=LATE)
+    other = tmp_path / "run2.part2.mcap"
+    other.touch()
+    path.unlink()
+    with pytest.raises(LogError, match=r"run\.part2\.mcap exists, a part of an earlier log at .*r"):
+        record(path, steps=10)
+    assert len(parts_of(path)) == 4
+    record(path, steps=400, rotation=LATE, force=True)
+    assert [part.name for part in parts_of(path)] == ["run.mcap", "run.part2.mcap"]
+    record(path, steps=10, force=True)
+    assert sorted(tmp_path.iterdir()) == [path, other]
+
+
+def test_the_log_of_a_run_that_writes_a_later_part_is_not_replaced(tmp_path):
+    """Nobody writes to its first file any more."""
+    path = tmp_path / "run.mcap"
+    run = list(blocks(table(layout(), 800), 400))
+    with McapRecorder(path, rotation=LATE, flush=1e-3) as recorder:
+        recorder.begin(plan())
+        recorder.write(*run[0])
+        while not part_paths(tmp_path / "run.part2.mcap")[1].exists():
+            recorder.message(0, "info", "run", "waiting")
+        with pytest.raises(LogError, match=r"run\.part2\.mcap is written by another run"):
+            record(path, steps=10, force=True)
+        recorder.write(*run[1])
+    assert merge(parts_of(path), tmp_path / "whole.mcap").steps == 800
+
+
+def test_a_numbered_log_takes_no_name_with_parts(tmp_path):
+    """These would be taken for its own."""
+    (tmp_path / "run.part2.mcap").touch()
+    record(tmp_path / "run.mcap", steps=400, numbered=True, rotation=LATE)
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == ["run-2.mcap", "run-2.part2.mcap", "run.part2.mcap"]
+
+
+def test_a_name_that_is_taken_meanwhile_is_an_error_at_the_write(tmp_path):
+    """The file before is closed, and nothing is replaced."""
+    path = tmp_path / "run.mcap"
+    run = list(blocks(table(layout(), 600), 200))
+
+    def go_on():
+        with McapRecorder(path, rotation=LATE, flush=1e-3) as recorder:
+            recorder.begin(plan())
+            recorder.write(*run[0])
+            (tmp_path / "run.part2.mcap").write_text("mine")
+            recorder.write(*run[1])
+            recorder.write(*run[2])
+
+    with pytest.raises(LogWriteError, match=r"run\.part2\.mcap exists by now"):
+        go_on()
+    assert (open_log(path).status, open_log(path).steps) == ("partial", 299)
+    assert (tmp_path / "run.part2.mcap").read_text() == "mine"
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_a_disk_that_is_full_at_the_rotation_is_an_error_at_the_write(tmp_path, monkeypatch):
+    """The file that was written ends as that of a run that failed."""
+    create = UnfinishedLog.create
+
+    def refuse(self):
+        if "part" in self.path.stem:
+            raise OSError(28, "No space left on device")
+        return create(self)
+
+    monkeypatch.setattr(UnfinishedLog, "create", refuse)
+    with pytest.raises(LogWriteError, match=r"run\.mcap cannot be written further: No space left"):
+        record(tmp_path / "run.mcap", steps=1000, rotation=LATE)
+    log = open_log(tmp_path / "run.mcap")
+    assert (log.status, log.steps) == ("failed", 299)
+    assert log.content_hash() == log.recorded_hash
+
+
+def test_a_run_that_fails_in_a_later_part_says_so_there(tmp_path):
+    """And in the merged log."""
+    path = tmp_path / "run.mcap"
+    run = list(blocks(table(layout(), 800), 400))
+
+    def fail():
+        with McapRecorder(path, rotation=LATE) as recorder:
+            recorder.begin(plan())
+            recorder.write(*run[0])
+            raise ValueError("boom")
+
+    with pytest.raises(ValueError, match="boom"):
+        fail()
+    merged = merge(parts_of(path), tmp_path / "whole.mcap")
+    assert (merged.status, merged.reason) == ("failed", "ValueError: boom")
+    assert merged.steps == 400
+
+
+KILLED = """
+import os, signal, sys
+from cosim.errors import LogError
+from cosim.log import McapRecorder, open_log
+from cosim.log.mcap_file.rotation import Rotation
+from tests.log.recordings import STEP_NS, blocks, layout, plan, table
+
+def last_step(path):
+    try:
+        return open_log(path).steps
+    except LogError:  # none there yet, or its rows have moved since it was opened
+        return 0
+
+run = list(blocks(table(layout(), 800), 100))
+options = {"rotation": Rotation(None, 300 * STEP_NS, ""), "flush": 1e-3}
+metadata = {"cosim.run": {"start_time": "0.0"}}
+with McapRecorder(sys.argv[1], metadata=metadata, **options) as recorder:
+    recorder.begin(plan())
+    for block, signals in run[:7]:
+        recorder.write(block, signals)
+    third = sys.argv[1].replace(".mcap", ".part3.mcap")
+    while last_step(third) != 700:
+        recorder.message(0, "info", "run", "waiting")
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_a_run_that_is_killed_leaves_closed_parts_and_a_whole_one(tmp_path):
+    """Which knows its steps and its end, though its rows begin late, and messages come before."""
+    path = tmp_path / "run.mcap"
+    ended = subprocess.run([sys.executable, "-c", KILLED, str(path)], timeout=60, check=False)
+    assert ended.returncode == -signal.SIGKILL
+    parts = parts_of(path)
+    assert [open_log(part).status for part in parts] == ["partial", "partial", "unfinished"]
+    last = open_log(parts[2])
+    assert (last.steps, last.end_ns) == (700, 700 * STEP_NS)
+    merged = merge(parts, tmp_path / "whole.mcap")
+    assert (merged.status, merged.reason) == ("partial", "the part from 0.0 s to 0.7 s")
+    assert same_bits(merged.rows("plant"), table(layout(), 800)[:701, :5])
+
+
+@pytest.mark.parametrize(
+    ("text", "size", "span_ns"),
+    [
+        ("1GB", 10**9, None),
+        ("2.5 MB", 2_500_000, None),
+        ("4MiB", 2**22, None),
+        ("3000000B", 3_000_000, None),
+        ("0.002TB", 2 * 10**9, None),
+        ("1h", None, 3600 * 10**9),
+        ("2min", None, 120 * 10**9),
+        ("0.5s", None, 5 * 10**8),
+    ],
+)
+def test_sizes_and_times_are_read(text, size, span_ns):
+    """Sizes in powers of 10 or 2, times of the simulation."""
+    rotation = read_rotation(text)
+    assert (rotation.size, rotation.span_ns) == (size, span_ns)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("1 parsec", "found '1 parsec'; needed a size in B, kB, MB, GB, TB, KiB, MiB, GiB or a "),
+        ("1gb", "found '1gb'; needed a size in"),
+        ("GB", "found 'GB'; needed a size in"),
+        ("-1GB", "found '-1GB'; needed a size in"),
+        (5, "found 5; needed a size in"),
+        ("10kB", "found '10kB'; needed at least 1MB"),
+        ("0s", "found '0s'; needed a whole number of nanoseconds above 0"),
+        ("0.0000000001s", "needed a whole number of nanoseconds above 0"),
+        ("999999999999h", "needed a whole number of nanoseconds above 0"),
+    ],
+)
+def test_other_limits_are_refused(text, message):
+    """With what is needed."""
+    with pytest.raises(UsageError, match=f"rotate: {message}" if message[0] == "f" else message):
+        read_rotation(text)
+
+
+@pytest.mark.parametrize(
+    ("rotation", "message"),
+    [
+        (Rotation(5_000, None, "5kB"), r"found '5kB', and \d+ bytes that every file begins with"),
+        (Rotation(None, 4 * STEP_NS, "4ms"), r"found '4ms'; needed at least 0\.005 s, so that"),
+    ],
+)
+def test_every_file_has_room_for_rows(tmp_path, rotation, message):
+    """Refused before the first row; nothing is left."""
+    with pytest.raises(UsageError, match=message):
+        record(tmp_path / "run.mcap", steps=10, rotation=rotation)
+    assert list(tmp_path.iterdir()) == []

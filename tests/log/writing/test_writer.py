@@ -1,0 +1,389 @@
+"""What the recorder writes is an ordinary MCAP file, however the run ends."""
+
+from __future__ import annotations
+
+import errno
+import io
+import json
+import os
+import re
+import time
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import zstandard
+from google.protobuf import json_format
+from mcap.data_stream import ReadDataStream
+from mcap.reader import NonSeekingReader, make_reader
+from mcap.records import Chunk, MessageIndex
+
+import cosim
+from cosim.core.contracts import Stopped
+from cosim.core.recording import Recorder
+from cosim.errors import Interrupted, LogError, LogWriteError
+from cosim.log import Attachment, McapRecorder, open_log
+from cosim.log.contents.messages import decode_log
+from cosim.log.mcap_file import unfinished
+from cosim.log.mcap_file.live_file import PAGE
+from tests.log.contents.test_layout import message_class
+from tests.log.recordings import (
+    STEP_NS,
+    blocks,
+    layout,
+    make_chunks_small,
+    plan,
+    record,
+    same_bits,
+    table,
+)
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
+@pytest.mark.parametrize("make", [make_reader, NonSeekingReader])
+def test_stock_readers_see_every_bit(tmp_path, compression, make):
+    """Mcap's two readers, with CRCs checked, and protobuf decode every message as it was."""
+    path = tmp_path / "a.mcap"
+    rows = record(path, steps=300, compression=compression, kinds={"plant": "descriptor"})
+    reader = make(io.BytesIO(path.read_bytes()), validate_crcs=True)
+    decoded_rows = {"/plant": [], "/identifier": []}
+    for schema, channel, message in reader.iter_messages():
+        assert message.log_time == message.publish_time == message.sequence * STEP_NS
+        kind = message_class(schema.name, schema.data)
+        decoded = kind.FromString(message.data)
+        row = [getattr(decoded, field.name) for field in kind.DESCRIPTOR.fields]
+        decoded_rows[channel.topic].append(row)
+    assert same_bits(np.array(decoded_rows["/plant"]), rows[:, :5])
+    assert same_bits(np.array(decoded_rows["/identifier"]), rows[::5, 5:])
+
+
+@pytest.fixture
+def stock_reader(tmp_path):
+    """Record a run with metadata, an attachment and a message; open it with mcap's reader."""
+    scenario = Attachment("scenario.toml", "application/toml", b"[scenario]")
+    metadata = {"cosim.connections": {"plant.u": "u.y"}, "cosim.component.plant": {"m": "1.5"}}
+    record(
+        tmp_path / "a.mcap",
+        attachments=[scenario],
+        metadata=metadata,
+        messages=[(0, "info", "plant", "ready")],
+    )
+    with (tmp_path / "a.mcap").open("rb") as stream:
+        yield make_reader(stream, validate_crcs=True)
+
+
+def test_stock_reader_sees_header_and_summary(stock_reader):
+    """Everything is found through the summary."""
+    header = stock_reader.get_header()
+    assert header.profile == ""
+    assert header.library.startswith(f"cosim/{cosim.__version__} mcap-python/")
+    summary = stock_reader.get_summary()
+    schemas = {schema.name for schema in summary.schemas.values()}
+    assert schemas == {"cosim.plant", "cosim.identifier", "foxglove.Log"}
+    topics = [channel.topic for channel in summary.channels.values()]
+    assert topics == ["/plant", "/identifier", "/cosim/log"]
+    statistics = summary.statistics
+    assert statistics.channel_message_counts == {1: 1001, 2: 201, 3: 1}
+    assert statistics.message_start_time == 0
+    assert statistics.message_end_time == 1000 * STEP_NS
+
+
+def test_stock_reader_sees_metadata_attachments_and_messages(stock_reader):
+    """Every metadata record once."""
+    metadata = list(stock_reader.iter_metadata())
+    assert Counter(item.name for item in metadata) == Counter(
+        [
+            "cosim.run",
+            "cosim.env",
+            "cosim.schedule",
+            "cosim.connections",
+            "cosim.result",
+            "cosim.component.plant",
+            "cosim.component.identifier",
+        ]
+    )
+    by_name = {item.name: item.metadata for item in metadata}
+    assert by_name["cosim.env"]["cosim"] == cosim.__version__
+    attachments = {item.name: item.data for item in stock_reader.iter_attachments()}
+    assert attachments["scenario.toml"] == b"[scenario]"
+    ((schema, _, message),) = stock_reader.iter_messages(topics="/cosim/log")
+    decoded = message_class("foxglove.Log", schema.data).FromString(message.data)
+    assert json_format.MessageToDict(decoded) == {
+        "timestamp": "1970-01-01T00:00:00Z",
+        "level": "INFO",
+        "message": "ready",
+        "name": "plant",
+    }
+
+
+def test_message_indexes_lead_to_their_messages(tmp_path, monkeypatch):
+    """A reader that trusts the indexes reads one topic from a time on."""
+    make_chunks_small(monkeypatch, 20_000)
+    record(tmp_path / "a.mcap", steps=1000)
+    with (tmp_path / "a.mcap").open("rb") as stream:
+        reader = make_reader(stream)
+        assert len(reader.get_summary().chunk_indexes) > 3
+        for index in reader.get_summary().chunk_indexes:
+            assert set(index.message_index_offsets) <= {1, 2}
+            for channel_id, offset in index.message_index_offsets.items():
+                stream.seek(offset)
+                assert stream.read(1) == b"\x07"
+                assert int.from_bytes(stream.read(10)[8:], "little") == channel_id
+        assert sum(1 for _ in reader.iter_messages("/plant", starting_at=900 * STEP_NS)) == 101
+
+
+def test_message_indexes_lead_to_messages_of_any_size(tmp_path):
+    """Those of /cosim/log stand behind the rows, each where the one before ends."""
+    texts = ["a", "a longer one", "", "and the last"]
+    messages = [(k * STEP_NS, "info", "run", text) for k, text in enumerate(texts)]
+    record(tmp_path / "a.mcap", steps=10, messages=messages)
+    with (tmp_path / "a.mcap").open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+        (chunk,) = summary.chunk_indexes
+        (number,) = [n for n, c in summary.channels.items() if c.topic == "/cosim/log"]
+        stream.seek(chunk.chunk_start_offset + 9)
+        content = zstandard.decompress(Chunk.read(ReadDataStream(stream)).data)
+        stream.seek(chunk.message_index_offsets[number] + 9)
+        index = MessageIndex.read(ReadDataStream(stream))
+    assert [time_ns for time_ns, _ in index.records] == [time_ns for time_ns, *_ in messages]
+    for (_, offset), (time_ns, *_, text) in zip(index.records, messages, strict=True):
+        assert content[offset] == 5
+        length = int.from_bytes(content[offset + 1 : offset + 9], "little")
+        record_bytes = content[offset + 9 : offset + 9 + length]
+        assert int.from_bytes(record_bytes[:2], "little") == number
+        assert int.from_bytes(record_bytes[6:14], "little") == time_ns
+        assert decode_log(record_bytes[22:]) == ("info", "run", text)
+
+
+def test_the_summary_knows_when_a_late_run_began(tmp_path, monkeypatch):
+    """Its first and its last instant, of all chunks."""
+    make_chunks_small(monkeypatch, 700)
+    rows = table(layout(), 40)
+    with McapRecorder(tmp_path / "a.mcap") as recorder:
+        recorder.begin(plan())
+        for block, signals in blocks(rows, 7):
+            recorder.write(replace(block, time_ns=block.time_ns + 5 * STEP_NS), signals)
+    with (tmp_path / "a.mcap").open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert len(summary.chunk_indexes) > 3
+    assert summary.statistics.message_start_time == 5 * STEP_NS
+    assert summary.statistics.message_end_time == 45 * STEP_NS
+
+
+@pytest.mark.parametrize("period", [1, 5, 7])
+def test_content_does_not_depend_on_blocks_chunks_or_compression(tmp_path, monkeypatch, period):
+    """Equal runs have equal hashes and equal data."""
+    path = tmp_path / "a.mcap"
+    lay = layout(period=period)
+    hashes = set()
+    for block, compression, chunk in [
+        (1, "zstd", 2**20),
+        (7, "zstd", 3000),
+        (1000, "zstd", 2**20),
+        (7, "lz4", 100),
+        (1000, "none", 30_000),
+    ]:
+        make_chunks_small(monkeypatch, chunk)
+        rows = record(path, size=block, lay=lay, compression=compression, force=True)
+        log = open_log(path)
+        assert same_bits(log.rows("plant"), rows[:, :5])
+        assert same_bits(log.rows("identifier"), rows[::period, 5:])
+        steps = np.arange(0, 1001, period)
+        assert np.array_equal(log.time_ns("identifier"), steps * STEP_NS)
+        hashes.add(log.content_hash())
+        hashes.add(log.metadata["cosim.result"]["content_hash"])
+        hashes.add(log.results["content_hash"])
+    assert len(hashes) == 1
+
+
+def test_content_hash_covers_bits_names_and_times(tmp_path):
+    """One bit of one value changes the hash."""
+    rows = record(tmp_path / "a.mcap")
+    before = open_log(tmp_path / "a.mcap").content_hash()
+    rows.view(np.int64)[500, 2] ^= 1
+    record(tmp_path / "b.mcap", rows=rows)
+    assert open_log(tmp_path / "b.mcap").content_hash() != before
+
+
+def test_rows_are_in_the_file_after_the_flush_interval(tmp_path):
+    """While the run pauses, too; the file is an MCAP to every reader then."""
+    path = tmp_path / "a.mcap"
+    rows = table(layout(), 12)
+    with McapRecorder(path, flush=0.0) as recorder:
+        recorder.begin(plan())
+        for number, (block, signals) in enumerate(blocks(rows, 1)):
+            recorder.write(block, signals)
+            wait_for_rows(path, number + 2)
+    assert same_bits(open_log(path).rows("plant"), rows[:, :5])
+    with path.open("rb") as stream:
+        assert len(make_reader(stream).get_summary().chunk_indexes) == 1
+
+
+def wait_for_rows(path, count):
+    """Wait until a reader finds so many rows in a file that is written to."""
+    deadline = time.monotonic() + 60.0
+    while time.monotonic() < deadline:
+        with path.open("rb") as stream:
+            statistics = make_reader(stream).get_summary().statistics
+        if statistics.channel_message_counts[1] == count:
+            return
+    pytest.fail(f"no {count} rows")
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "reason"),
+    [
+        (ValueError("boom"), "failed", "ValueError: boom"),
+        (KeyboardInterrupt(), "interrupted", "interrupted by the user"),
+        (Interrupted("Ctrl-C"), "interrupted", "Ctrl-C"),
+        (Stopped(np.empty((0, 0)), "enough", failed=False), "complete", "enough"),
+        (Stopped(np.empty((0, 0)), "burst"), "failed", "burst"),
+    ],
+)
+def test_an_error_in_the_run_leaves_a_whole_file(tmp_path, error, status, reason):
+    """Everything written so far is there, with the stop reason; of a foreign error its type too."""
+    rows = table(layout(), 100)
+
+    def fail():
+        with McapRecorder(tmp_path / "a.mcap") as recorder:
+            recorder.begin(plan())
+            for block, signals in list(blocks(rows, 10))[:5]:
+                recorder.write(block, signals)
+            raise error
+
+    with pytest.raises(type(error)):
+        fail()
+    log = open_log(tmp_path / "a.mcap")
+    assert log.status == status
+    assert log.results["reason"] == reason
+    assert log.results["steps"] == 50
+    assert log.results["end_ns"] == 50 * STEP_NS
+    assert same_bits(log.rows("plant"), rows[:51, :5])
+    assert log.content_hash() == log.results["content_hash"]
+
+
+class FullDisk(io.FileIO):
+    """A sparse file on a disk with room for a number of pages."""
+
+    def __init__(self, path, room):
+        super().__init__(path, "x+")
+        self.room = room
+        self.pages = set()
+
+    def write(self, data):
+        page = self.tell() // PAGE
+        if page not in self.pages:
+            if len(self.pages) == self.room:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            self.pages.add(page)
+        left = PAGE - self.tell() % PAGE
+        return super().write(memoryview(data)[:left])
+
+
+@pytest.mark.parametrize("room", range(12, 36, 3))
+def test_a_full_disk_leaves_a_whole_file(tmp_path, monkeypatch, room):
+    """The error names file and reason; what was flushed is a valid file with a true hash."""
+    monkeypatch.setattr(unfinished, "create", lambda path: FullDisk(path, room))
+    make_chunks_small(monkeypatch, 5000)
+    message = r"a\.mcap cannot be written further: No space left on device; up to t = ([\d.]+) s"
+    with pytest.raises(LogWriteError, match=message) as raised:
+        record(tmp_path / "a.mcap", compression="none")
+    log = open_log(tmp_path / "a.mcap")
+    count = len(log.rows("plant"))
+    (end,) = re.findall(message, str(raised.value))
+    assert max(count - 1, 0) * STEP_NS / 1e9 == float(end)
+    rows = table(layout(), 1000)
+    assert same_bits(log.rows("plant"), rows[:count, :5])
+    if log.status == "failed":
+        assert log.results["steps"] == count - 1
+        assert log.content_hash() == log.results["content_hash"]
+    else:  # no room for the end of an ordinary file: it stays as it was written
+        assert log.status == "unfinished"
+    with (tmp_path / "a.mcap").open("rb") as stream:
+        reader = NonSeekingReader(stream, validate_crcs=True)
+        assert len(list(reader.iter_messages("/plant"))) == count
+
+
+def test_a_disk_full_from_the_start_leaves_nothing(tmp_path, monkeypatch):
+    """A log that cannot even begin is an error before the run."""
+    monkeypatch.setattr(unfinished, "create", lambda path: FullDisk(path, 1))
+    with pytest.raises(LogError, match=r"a\.mcap cannot be written: No space left"):
+        record(tmp_path / "a.mcap")
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_existing_file_needs_force(tmp_path):
+    """Nothing is overwritten unasked; a log that is open stays what it was."""
+    path = tmp_path / "new" / "a.mcap"
+    record(path, steps=10)
+    with pytest.raises(LogError, match=r"a\.mcap exists; .*force=True"):
+        record(path)
+    old = open_log(path)
+    record(path, steps=20, force=True)
+    assert len(open_log(path).rows("plant")) == 21
+    with pytest.raises(LogError, match="has changed since it was opened"):
+        old.rows("plant")
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path):
+    """A file in place of the folder is an error before the run."""
+    (tmp_path / "logs").write_text("")
+    with pytest.raises(LogError, match=r"logs/a\.mcap cannot be created"):
+        record(tmp_path / "logs" / "a.mcap")
+
+
+def test_a_run_that_never_begins_leaves_no_file(tmp_path):
+    """Without a plan nothing can be written."""
+
+    def fail():
+        with McapRecorder(tmp_path / "a.mcap"):
+            raise ValueError("no plan")
+
+    with pytest.raises(ValueError, match="no plan"):
+        fail()
+    assert not (tmp_path / "a.mcap").exists()
+
+
+def test_negative_times_are_refused(tmp_path):
+    """MCAP times are unsigned."""
+    with McapRecorder(tmp_path / "a.mcap") as recorder:
+        recorder.begin(plan())
+        (block, signals), *_ = blocks(table(layout(), 9), 1)
+        block.time_ns[0] = -1
+        with pytest.raises(LogWriteError, match="times of a log begin at 0"):
+            recorder.write(block, signals)
+
+
+def test_the_result_takes_numpy_values(tmp_path):
+    """What the report computes goes to result.json as it is."""
+    with McapRecorder(tmp_path / "a.mcap") as recorder:
+        recorder.begin(plan())
+        recorder.result({"theta": np.array([1.0, 2.0]), "count": np.int64(3)})
+        recorder.result({"ok": np.True_, "path": tmp_path})
+    result = json.loads(open_log(tmp_path / "a.mcap").attachment("result.json"))
+    assert result["theta"] == [1.0, 2.0]
+    assert result["count"] == 3
+    assert result["ok"] is True
+    assert result["path"] == str(tmp_path)
+
+
+def test_the_recorder_is_a_recorder(tmp_path):
+    """The contract holds by type; mypy checks the assignment."""
+    recorder: Recorder = McapRecorder(tmp_path / "a.mcap")
+    assert recorder
+
+
+def test_messages_before_the_file_are_in_it(tmp_path):
+    """A component may warn while the run is prepared; where nothing follows nothing is written."""
+    path = tmp_path / "a.mcap"
+    with McapRecorder(path) as recorder:
+        recorder.message(0, "warning", "plant", "early")
+        recorder.begin(plan())
+        recorder.message(0, "info", "run", "late")
+        recorder.write(*next(blocks(table(layout(), 10), 10)))
+    assert [message.text for message in open_log(path).messages()] == ["early", "late"]
+    recorder = McapRecorder(tmp_path / "b.mcap")
+    with recorder:
+        recorder.message(0, "warning", "plant", "early")
+    assert not (tmp_path / "b.mcap").exists()
