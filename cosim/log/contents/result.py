@@ -86,7 +86,7 @@ def last_part_group(
         Of the whole run, too; for the attachment.
     """
     part = _end_group(_part_items(number, first_ns, whole, content_hash), values)
-    return _joined(_record(PARTIAL, whole), part)
+    return _joined(result_record(PARTIAL, whole), part)
 
 
 def _part_items(
@@ -112,10 +112,11 @@ def _end_group(items: ResultItems, values: Mapping[str, Any]) -> RecordGroup:
     # Ours after the caller's: no caller may overwrite how the run ended.
     text = json.dumps({**values, **items}, default=_to_json, indent=2)
     attachment = attachment_group(RESULT_FILE, "application/json", text.encode())
-    return _joined(_record(RESULT, items), attachment)
+    return _joined(result_record(RESULT, items), attachment)
 
 
-def _record(name: str, items: ResultItems) -> RecordGroup:
+def result_record(name: str, items: ResultItems) -> RecordGroup:
+    """Return the metadata record ``name``: how a run or a part of it ended."""
     texts = {key: str(value) for key, value in items.items()}
     return metadata_group(name, add_checksum(name, texts))
 

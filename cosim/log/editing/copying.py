@@ -9,19 +9,16 @@ from io import RawIOBase
 from pathlib import Path
 from typing import Any
 
-from mcap import records
-
 from cosim.errors import LogError
 from cosim.log.contents.environment import library_name
-from cosim.log.contents.metadata import add_checksum, json_table
-from cosim.log.contents.result import PARTIAL, RESULT, RESULT_FILE
+from cosim.log.contents.metadata import json_table
+from cosim.log.contents.result import PARTIAL, RESULT, RESULT_FILE, result_record
 from cosim.log.editing.pieces import LogPieces
 from cosim.log.mcap_file.chunks import MessageBatch, separate_chunks
-from cosim.log.mcap_file.head import attachment_group, metadata_group
+from cosim.log.mcap_file.head import FileHead, attachment_group
 from cosim.log.mcap_file.live_file import LiveFile
 from cosim.log.mcap_file.paths import check_new_log, log_path
-from cosim.log.mcap_file.records import MAGIC, encoded
-from cosim.log.mcap_file.summary import FileSummary, IndexEntry, RecordGroup
+from cosim.log.mcap_file.summary import RecordGroup
 from cosim.log.mcap_file.unfinished import UnfinishedLog
 from cosim.log.mcap_file.workers import Workers
 from cosim.log.reading.reader import Log
@@ -95,35 +92,29 @@ def write_log(
 
 def _begun(stream: RawIOBase, pieces: LogPieces) -> LiveFile:
     """Begin a file with the pieces that every part of a run has."""
-    header = records.Header(profile="", library=library_name())
-    data = MAGIC + encoded(header, *pieces.schemas, *pieces.channels)
-    entries: list[IndexEntry] = []
-    groups = [metadata_group(name, dict(items)) for name, items in pieces.kept_metadata.items()]
+    head = FileHead(library=library_name())
+    head.copy(pieces.schemas, pieces.channels)
+    for name, items in pieces.kept_metadata.items():
+        head.metadata(name, dict(items))
     for item in pieces.kept_attachments:
-        groups.append(attachment_group(item.name, item.media_type, item.data))
-    for group in groups:
-        entries += group.placed(len(data))
-        data += group.data
-    summary = FileSummary(list(pieces.schemas), list(pieces.channels))
-    summary.add(entries)
-    return LiveFile(stream, data, summary)
+        head.attachment(item.name, item.media_type, item.data)
+    return LiveFile(stream, head.data, head.summary())
 
 
 def _end_groups(pieces: LogPieces, end: PartEnd, content_hash: str) -> list[RecordGroup]:
     """Return the records that tell of the end: those of the run, where all its rows are here."""
     of_run = pieces.run_result
     if of_run.get("content_hash") == content_hash:
-        groups = [metadata_group(RESULT, add_checksum(RESULT, of_run))]
+        groups = [result_record(RESULT, of_run)]
         if pieces.result_file is not None and PARTIAL not in pieces.metadata:
             groups.append(attachment_group(RESULT_FILE, "application/json", pieces.result_file))
         else:
             groups.append(_result_file(_whole_result(pieces.result_file, of_run)))
         return groups
     items: dict[str, Any] = {**asdict(end), "content_hash": content_hash}
-    texts = {key: str(value) for key, value in items.items()}
-    groups = [metadata_group(RESULT, add_checksum(RESULT, texts))]
+    groups = [result_record(RESULT, items)]
     if of_run:
-        groups.append(metadata_group(PARTIAL, add_checksum(PARTIAL, of_run)))
+        groups.append(result_record(PARTIAL, of_run))
     values = pieces.result_file if PARTIAL in pieces.metadata else None  # of the whole run
     groups.append(_result_file({**_values(values), **items}))
     return groups

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Sequence
 from typing import final
 
 from mcap import records
@@ -53,10 +54,14 @@ class FileHead:
         name, descriptors = schema
         schema_record = records.Schema(id=number, data=descriptors, encoding="protobuf", name=name)
         channel_record = records.Channel(number, topic, "protobuf", metadata, number)
-        self._schemas.append(schema_record)
-        self._channels.append(channel_record)
-        self._append(encoded(schema_record, channel_record))
+        self.copy([schema_record], [channel_record])
         return number
+
+    def copy(self, schemas: Sequence[records.Schema], channels: Sequence[records.Channel]) -> None:
+        """Add schemas and channels with the ids that they have."""
+        self._schemas += schemas
+        self._channels += channels
+        self._append(encoded(*schemas, *channels))
 
     def metadata(self, name: str, items: dict[str, str]) -> None:
         """Add a metadata record."""
