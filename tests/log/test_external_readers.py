@@ -10,6 +10,7 @@ import json
 import os
 import random
 import subprocess
+import sys
 from collections import defaultdict
 from itertools import accumulate
 from pathlib import Path
@@ -31,6 +32,7 @@ pytestmark = pytest.mark.external
 READERS = Path(os.environ.get("COSIM_READERS", "not-given"))
 MODULES = READERS / "node_modules"
 GO = READERS / "databeam_mcap_reader" / "mcap_cli"
+RUST = READERS / "rerun_sdk"
 
 
 @pytest.fixture(scope="module")
@@ -179,3 +181,18 @@ def json_names(path):
             by_number = sorted(kind.DESCRIPTOR.fields, key=lambda field: field.number)
             fields[channel.topic] = [field.json_name for field in by_number]
     return fields
+
+
+def test_the_rust_reader_decodes_the_same_values(logs, tmp_path):
+    """That of Rerun: its crate ``mcap``, and protobuf decoded in Rust, too."""
+    needs(RUST)
+    script = Path(__file__).with_name("read_by_rerun.py")
+    environment = {**os.environ, "PYTHONPATH": f"{RUST}{os.pathsep}{READERS}"}
+    command = [sys.executable, script, READERS, tmp_path, *logs]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert not done.returncode, done.stderr
+    for path, line in zip(logs, done.stdout.splitlines(), strict=True):
+        expected = {}
+        for topic, time_ns, rows in components(path):
+            expected[topic] = hashlib.sha256(hash_input(time_ns, rows)).hexdigest()
+        assert json.loads(line) == expected, path.name
