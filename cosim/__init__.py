@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from cosim.scenario.data_files.field_file import read_field_data
     from cosim.scenario.experiment_design.ranking import design
     from cosim.scenario.identifying import identify
-    from cosim.scenario.running.execution import load, replay, run
+    from cosim.scenario.running.execution import load, run
+    from cosim.scenario.running.replay import replay
 
 _HOMES = {
     "certificate": "cosim.report.certificate",
@@ -40,7 +41,7 @@ _HOMES = {
     "open_log": "cosim.log.reading.reader",
     "read_field_data": "cosim.scenario.data_files.field_file",
     "replay_sweep": "cosim.report.sweep",
-    "replay": "cosim.scenario.running.execution",
+    "replay": "cosim.scenario.running.replay",
     "run": "cosim.scenario.running.execution",
 }
 

@@ -170,6 +170,18 @@ def whole_argument(name: str, value: object) -> int | None:
     return int(value)
 
 
+def fillable_argument(name: str, value: object) -> None:
+    """Check an argument that is filled with results; None is none.
+
+    Raises
+    ------
+    UsageError
+        If it is no dict.
+    """
+    if value is not None and not isinstance(value, dict):
+        raise UsageError(f"{option(name)}: found {quoted(value)}; needed a dict, to fill")
+
+
 def callable_argument(name: str, value: object) -> None:
     """Check an argument that is called; None is none.
 

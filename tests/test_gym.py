@@ -12,7 +12,7 @@ from cosim.core.contracts import Stopped
 from cosim.errors import GraphError, UnknownSignalError, UsageError
 from cosim.gym import Env
 from cosim.report.verification import verify
-from cosim.scenario.running.execution import replay
+from cosim.scenario.running.replay import replay
 from cosim.scenario.session import Session
 
 pytestmark = pytest.mark.usefixtures("without_verdicts")

@@ -32,7 +32,7 @@ COMMANDS = LazyMapping[Callable[..., None]](
     "cosim.cli",
     {  # in the order of the help
         "run": "running.run",
-        "replay": "running.replay",
+        "replay": "replaying.replay",
         "diff": "comparing.diff",
         "hash": "hashing.hash_",
         "compare": "comparing.compare",

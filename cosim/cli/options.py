@@ -39,6 +39,18 @@ SetOption = Annotated[
     ),
 ]
 
+SwapOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--swap",
+        metavar="COMPONENT=PATH",
+        autocompletion=completion.complete_swap,
+        help="Replace a component by an FMU (x.fmu, x.fmu#me, x.fmu#cs), a recorded component "
+        "(.mcap) or samples with their times (.csv, .parquet, an .mcap of another tool). "
+        "Repeatable.",
+    ),
+]
+
 MapOption = Annotated[
     list[str] | None,
     typer.Option(

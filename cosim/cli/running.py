@@ -1,4 +1,4 @@
-"""The commands that compute: run and replay."""
+"""The command run."""
 
 from __future__ import annotations
 
@@ -10,19 +10,17 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
-from cosim import completion
 from cosim.cli.collecting import start_collecting
 from cosim.cli.options import (
     ForceOption,
     JsonOption,
-    LogArgument,
     MapOption,
-    OutOption,
     PlotOption,
     QuietOption,
     ScenarioArgument,
     SetOption,
     StopOption,
+    SwapOption,
     check_plot,
     given_values,
     print_notice,
@@ -40,18 +38,6 @@ if TYPE_CHECKING:
 
 
 BEGAN = perf_counter()
-
-SwapOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--swap",
-        metavar="COMPONENT=PATH",
-        autocompletion=completion.complete_swap,
-        help="Replace a component by an FMU (x.fmu, x.fmu#me, x.fmu#cs), a recorded component "
-        "(.mcap) or samples with their times (.csv, .parquet, an .mcap of another tool). "
-        "Repeatable.",
-    ),
-]
 
 RunOutOption = Annotated[
     Path | None,
@@ -290,167 +276,3 @@ def _dry_run(scenario: Scenario, *, as_json: bool) -> None:
     print_dry_run(reports, as_json=as_json)
     if reports.refusals:
         raise UsageError("\n".join([*reports.refusals, *reports.hints]))
-
-
-def replay(
-    log: LogArgument,
-    verify: Annotated[
-        bool,
-        typer.Option(
-            "--verify",
-            help="Check the log's content hash, and compare with the log what is computed again: "
-            "every signal, bit for bit, and what the log says of its run (truth, connections, "
-            "schedule, times, component tables, overrides, substeps, warnings, last row, "
-            "verdicts); exit 1 if one differs, with the first difference of every component. A "
-            "log is not signed: one of another run, put in its place as a whole, passes.",
-        ),
-    ] = False,
-    allow_code: Annotated[
-        bool,
-        typer.Option(
-            "--allow-code",
-            help="Compute components of kind python too: import the classes that the log names, "
-            "from this folder or as Python finds modules, and run their code. Else they are taken "
-            "from the log. Their sources have to be those of the run. With --rerun, run FMUs.",
-        ),
-    ] = False,
-    rerun: Annotated[
-        bool,
-        typer.Option(
-            "--rerun",
-            help="Compute plants too, so that --verify verifies them: those of models, and with "
-            "--allow-code FMUs, from the log (run --embed) or from where they were. Each has to be "
-            "that of the run, by its SHA-256. Without both flags no FMU is run.",
-        ),
-    ] = False,
-    begin: Annotated[
-        float | None,
-        typer.Option(
-            "--from",
-            metavar="T0",
-            help="Record, or compare with --verify, only from this communication point on [s]. All "
-            "is computed from the start, as a log has not the states of components: the rows are "
-            "those of the whole replay.",
-        ),
-    ] = None,
-    end: Annotated[
-        float | None,
-        typer.Option("--to", metavar="T1", help="And only up to this one; nothing behind is run."),
-    ] = None,
-    components: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--component",
-            metavar="NAME",
-            help="Compute this component alone, and take the others from the log. Repeatable.",
-        ),
-    ] = None,
-    scenario: Annotated[
-        str | None,
-        typer.Option(
-            metavar="SCENARIO",
-            help="Of a recording of another tool, which carries none: a shipped scenario by name, "
-            "or a .toml file. The components that --map names are taken from the recording.",
-            autocompletion=completion.complete_scenario,
-        ),
-    ] = None,
-    out: OutOption = None,
-    force: ForceOption = False,
-    changes: SetOption = None,
-    vary: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--vary",
-            metavar="COMPONENT.PARAMETER=V1,V2,...",
-            help="Replay with each of these values, and show what the results say as a table. "
-            "Repeatable: every combination, at most 1000. All are checked before the first is run. "
-            "Nothing is written, unless --out names a folder for their logs.",
-        ),
-    ] = None,
-    swaps: SwapOption = None,
-    maps: MapOption = None,
-    stop: StopOption = None,
-    plot: PlotOption = None,
-    as_json: JsonOption = False,
-    quiet: QuietOption = False,
-) -> None:
-    """Run a log's scenario again on its recorded plant.
-
-    The log is all that is needed; of another tool's, --scenario and --map, too.
-    """
-    from cosim.log.editing.joining import open_joined
-    from cosim.log.foreign.topics import is_foreign
-    from cosim.report.tables.run import print_summary, print_verification
-    from cosim.report.verification import verify as verify_replay
-    from cosim.scenario.running.execution import replay as replay_log
-
-    start_collecting()
-    imported = perf_counter()
-    source = log if is_foreign(log) else open_joined(log)
-    if verify and isinstance(source, Path):
-        raise UsageError(f"--verify compares with a log of cosim; {log} is of another tool")
-    if verify and stop is not None:
-        raise UsageError("--verify compares the whole log; leave out --stop")
-    window = None if begin is None and end is None else (begin, end)
-    edits = read_edits(changes, {"scenario.stop": stop})
-    swap = read_unique_pairs(swaps, "swap")
-    names = read_unique_pairs(maps, "map")
-    if vary:
-        if verify or plot is not None:
-            name = "--verify" if verify else "--plot"
-            raise UsageError(f"found --vary, many replays, and {name} of one; needed one of them")
-        from cosim.cli.sweeping import read_variations
-        from cosim.report.sweep import replay_sweep
-        from cosim.report.tables.sweep import print_sweep
-
-        values = read_variations(vary)
-        with show_progress(quiet or as_json) as progress, prints_to_stderr():
-            sweep = replay_sweep(
-                source,
-                vary=values,
-                set=edits,
-                swap=swap,
-                map=names,
-                allow_code=allow_code,
-                rerun=rerun,
-                window=window,
-                components=components or None,
-                scenario=scenario,
-                out=out,
-                force=force,
-                progress=progress,
-            )
-        print_sweep(sweep, as_json=as_json, quiet=quiet)
-        if not sweep.passed:
-            raise typer.Exit(1)
-        return
-    check_plot(plot, out)
-    with show_progress(quiet or as_json) as progress, prints_to_stderr():
-        notice = None if quiet else print_notice
-        again = replay_log(
-            source,
-            out=out,
-            force=force,
-            set=edits,
-            swap=swap,
-            map=names,
-            allow_code=allow_code,
-            rerun=rerun,
-            window=window,
-            components=components or None,
-            scenario=scenario,
-            progress=progress,
-            notice=notice,
-        )
-    if plot is not None:
-        from cosim.report.plots import plot_run
-
-        plot_run(again, plot)
-    if verify and not isinstance(source, Path):
-        verification = verify_replay(source, again)
-        print_verification(verification, source, path=log, as_json=as_json, quiet=quiet)
-        if not verification.passed:
-            raise typer.Exit(1)
-    else:
-        wall = {"imports": imported - BEGAN, "replay": perf_counter() - imported}
-        print_summary(again, wall=wall, profile=None, as_json=as_json, quiet=quiet)

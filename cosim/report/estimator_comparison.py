@@ -30,7 +30,8 @@ from cosim.scenario.recorded_metadata import (
     truth_of,
 )
 from cosim.scenario.recordings.recording import check_target
-from cosim.scenario.running.execution import load, replay, run
+from cosim.scenario.running.execution import load, run
+from cosim.scenario.running.replay import replay
 from cosim.temporary import TemporaryFolder
 from cosim.theory.quantiles import CONFIDENCE, normal_two_sided
 

@@ -14,9 +14,9 @@ from cosim.log import Log
 from cosim.report.summary import Identification, Summary, summarize
 from cosim.scenario.document.swap import PortNames
 from cosim.scenario.parsing import Scenario
-from cosim.scenario.recordings.recording import Progress, Target, check_target
-from cosim.scenario.running.combinations import combination_text, combinations
-from cosim.scenario.running.repeated_replay import RepeatedReplay, check_varied, repeated_replay
+from cosim.scenario.recordings.recording import Progress, Target
+from cosim.scenario.running.combinations import check_varied, combination_text, combinations
+from cosim.scenario.running.replay import Replays, replays_of
 
 ERROR: Final = " error"  # behind the name of what it is of
 HALF_WIDTH: Final = " half-width"
@@ -203,7 +203,7 @@ def replay_sweep(
     """
     callable_argument("progress", progress)
     force = truth_argument("force", force)
-    replays = repeated_replay(
+    replays = replays_of(
         log,
         set=set,
         swap=swap,
@@ -214,6 +214,18 @@ def replay_sweep(
         components=components,
         scenario=scenario,
     )
+    return sweep_of(replays, vary, out=out, force=force, progress=progress)
+
+
+def sweep_of(
+    replays: Replays,
+    vary: Mapping[str, Sequence[Any]],
+    *,
+    out: str | Path | None,
+    force: bool,
+    progress: Progress | None,
+) -> ReplaySweep:
+    """Replay with every combination of some values; parameters as of :func:`replay_sweep`."""
     rows = combinations(vary)
     check_varied(replays.changes, rows[0])
     folder = None if out is None else _folder(out, len(rows))
@@ -246,7 +258,7 @@ def _folder(out: str | Path, count: int) -> Path:
     return folder
 
 
-def _check_targets(replays: RepeatedReplay, paths: Sequence[Path | None], *, force: bool) -> None:
+def _check_targets(replays: Replays, paths: Sequence[Path | None], *, force: bool) -> None:
     """Check that logs can be written, where their folder is there already.
 
     Raises
@@ -255,9 +267,7 @@ def _check_targets(replays: RepeatedReplay, paths: Sequence[Path | None], *, for
         If one of them is there and not to be replaced, or there is none to be.
     """
     for path in paths:
-        if path is None:
-            check_target(None, force=force)
-        elif path.parent.exists():
+        if path is None or path.parent.exists():
             replays.check_target(path, force=force)
 
 
@@ -268,7 +278,7 @@ def _make(folder: Path) -> None:
         raise UsageError(f"{option('out')}: {folder}: {error.strerror}") from error
 
 
-def _check(replays: RepeatedReplay, values: Mapping[str, Any]) -> None:
+def _check(replays: Replays, values: Mapping[str, Any]) -> None:
     """Build and prepare a replay, to find what is wrong with it before any is run.
 
     Raises
@@ -283,7 +293,7 @@ def _check(replays: RepeatedReplay, values: Mapping[str, Any]) -> None:
 
 
 def _replayed(
-    replays: RepeatedReplay,
+    replays: Replays,
     values: Mapping[str, Any],
     target: Target,
     progress: Progress | None,
@@ -291,7 +301,7 @@ def _replayed(
     """Replay a combination; what fails in the run is a row, too."""
     path = None if target.out is None else Path(target.out)
     try:
-        again = replays.record(values, target, progress)
+        again = replays.record(values, target, progress=progress)
     except Interrupted:
         raise
     except RunError as error:

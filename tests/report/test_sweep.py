@@ -9,7 +9,7 @@ import cosim
 from cosim.errors import ScenarioError, UsageError
 from cosim.report.summary import summarize
 from cosim.report.sweep import results_of
-from cosim.scenario.running import repeated_replay
+from cosim.scenario.running import replay
 from tests.scenario.field_recordings import BOTH, LOOP, field_log
 
 END = {"scenario.stop": 8.0}  # past the start of the identification at 6.461 s
@@ -97,11 +97,22 @@ def test_the_log_is_opened_and_read_once(log, monkeypatch):
         rows.append(source.rows("plant"))
         return record_replay(source, *arguments, **options)
 
-    record_replay = repeated_replay.record_replay
-    monkeypatch.setattr(repeated_replay, "record_replay", recorded)
+    record_replay = replay.record_replay
+    monkeypatch.setattr(replay, "record_replay", recorded)
     cosim.replay_sweep(log.path, vary={"identifier.P0": [1e3, 1e6, 1e9]})
     assert len({id(source) for source in sources}) == 1
     assert all(np.shares_memory(rows[0], other) for other in rows[1:])
+
+
+def test_the_parts_of_a_rotated_log_are_replayed_together(log, tmp_path):
+    """As of one file; the sweep is called by the part that was named."""
+    last = cosim.run("academic-as-printed", out=tmp_path / "a.mcap", set=END, rotate="5s")
+    assert last.path.name == "a.part2.mcap"
+    vary = {"identifier.P0": [1e3, 1e9]}
+    parts = cosim.replay_sweep(last.path, vary=vary)
+    whole = cosim.replay_sweep(log, vary=vary)
+    assert parts.log == str(last.path)
+    assert [row.results for row in parts.rows] == [row.results for row in whole.rows]
 
 
 def test_all_combinations_are_checked_before_the_first_runs(log, tmp_path):

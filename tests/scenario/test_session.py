@@ -16,7 +16,7 @@ from cosim.fmi.component import Fmu
 from cosim.log import Log
 from cosim.report.verification import verify
 from cosim.scenario.exporting import export_component
-from cosim.scenario.running.execution import replay
+from cosim.scenario.running.replay import replay
 from tests.scenario.online import COARSE
 
 pytestmark = pytest.mark.usefixtures("without_verdicts")

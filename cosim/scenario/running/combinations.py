@@ -11,7 +11,7 @@ import numpy as np
 
 from cosim.arguments import mapping_argument
 from cosim.errors import UsageError, option, quoted
-from cosim.scenario.document.edits import plain
+from cosim.scenario.document.edits import plain, short
 
 MOST_COMBINATIONS: Final = 1000
 
@@ -63,3 +63,20 @@ def _values(key: str, values: object) -> list[Any]:
 def combination_text(values: Mapping[str, Any]) -> str:
     """Return a combination in words: ``identifier.P0 = 1000.0, observer.L = [8.0]``."""
     return ", ".join(f"{key} = {quoted(value)}" for key, value in values.items())
+
+
+def check_varied(changes: Mapping[str, Any], values: Mapping[str, Any]) -> None:
+    """Check that nothing is varied that is set, too.
+
+    Raises
+    ------
+    UsageError
+        If something is.
+    """
+    known = {short(key) for key in changes}
+    for key in values:
+        if short(key) in known:
+            raise UsageError(
+                f"found both {option('set', short(key))} and {option('vary', short(key))}; needed "
+                "one of them"
+            )

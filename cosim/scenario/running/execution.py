@@ -1,9 +1,9 @@
-"""Run a scenario, and run it again from its log."""
+"""Run a scenario."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -11,19 +11,17 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar, overload
 
 from cosim.arguments import (
     callable_argument,
+    fillable_argument,
     mapping_argument,
     number_argument,
-    path_argument,
     truth_argument,
     whole_argument,
 )
 from cosim.core.arguments import check_recorder
 from cosim.core.recorders import Memory
 from cosim.core.recording import Recorder
-from cosim.errors import UsageError, flag, option, quoted
+from cosim.errors import UsageError, flag, option
 from cosim.log import Log
-from cosim.log.editing.joining import open_joined
-from cosim.log.foreign.topics import is_foreign
 from cosim.log.mcap_file.rotation import Rotation, read_rotation
 from cosim.log.writing.background import FLUSH_INTERVAL
 from cosim.scenario.building.build import parse
@@ -41,12 +39,6 @@ from cosim.scenario.recordings.recording import (
     record,
     run_into,
 )
-from cosim.scenario.recordings.replay_request import (
-    check_replay_target,
-    record_replay,
-    replay_request,
-)
-from cosim.scenario.running.field_replay import check_field_options, with_recorded_components
 
 if TYPE_CHECKING:
     from cosim.scenario.certification.certificate import Certification
@@ -237,7 +229,7 @@ def run(
     block = whole_argument("block", block)
     callable_argument("progress", progress)
     callable_argument("notice", notice)
-    _check_profile(profile)
+    fillable_argument("profile", profile)
     if recorder is not None:
         check_recorder(recorder)
         _check_unaccompanied(out, notice, embed=embed)
@@ -379,11 +371,6 @@ def _shown(experiment: Experiment, live: LiveView, beside: Beside | None) -> Bes
     return shown
 
 
-def _check_profile(profile: object) -> None:
-    if profile is not None and not isinstance(profile, dict):
-        raise UsageError(f"{option('profile')}: found {quoted(profile)}; needed a dict, to fill")
-
-
 def _check_unaccompanied(out: str | Path | None, notice: Notice | None, *, embed: bool) -> None:
     """Check that nothing is given beside a recorder that is about a log file."""
     if embed:
@@ -401,120 +388,3 @@ def _check_unaccompanied(out: str | Path | None, notice: Notice | None, *, embed
             "found both a notice and a recorder; needed one of them: notice is called about the "
             "log at out"
         )
-
-
-def replay(
-    log: str | Path | Log,
-    *,
-    out: str | Path | None = None,
-    force: bool = False,
-    set: Mapping[str, Any] | None = None,
-    swap: Mapping[str, str | Path] | None = None,
-    map: Mapping[str, PortNames] | None = None,
-    allow_code: bool = False,
-    rerun: bool = False,
-    window: tuple[float | None, float | None] | None = None,
-    components: Sequence[str] | None = None,
-    scenario: str | Path | Scenario | None = None,
-    block: int | None = None,
-    progress: Progress | None = None,
-    notice: Notice | None = None,
-    profile: dict[str, float] | None = None,
-) -> Log | Memory:
-    """Run the scenario of a log again, with its recorded plants; only the log is needed.
-
-    Plants, FMUs, tables from files and components of users' classes are taken from the recording;
-    everything else is computed again. Designs are taken from the log too, except those of
-    components that ``set`` changes or that rest on one that it changes. No file is opened and no
-    class imported but those that ``set`` names.
-
-    Parameters
-    ----------
-    log : str, Path or Log
-        The recording of a run. A file of a log that was rotated is replayed with those before it,
-        which have to stand beside it.
-    out, force, block, progress, notice, profile
-        As of :func:`run`.
-    set : mapping of dotted key to value, optional
-        Such as ``{"observer.filter_rate": 500.0, "scenario.stop": 10.0}``. A class that it names,
-        ``{"relay.class": "relay:Relay"}``, is imported as it is now.
-    swap, map
-        As of :func:`run`. What takes the place of a component is computed, which runs the code of
-        an FMU; what it drives must be computed too.
-    allow_code : bool
-        Compute the components of users' classes too, which runs the code of the classes that the
-        log names. Each is found in the working directory or on sys.path, and has to be the one of
-        the run, by the hash of its source.
-    rerun : bool
-        Compute plants too: those of models, and with ``allow_code`` the FMUs of the run, from the
-        log (``run(..., embed=True)``) or from where they were; each has to be the one of the run,
-        by its SHA-256. Nothing of the plants is taken from the log then, and what drives them can
-        be changed.
-    window : (float or None, float or None), optional
-        Record only from one time to another [s], communication points; None: to where the
-        recording begins or ends. All is computed from the start, as components have states that a
-        log has not, so that the rows are those of the whole replay; nothing behind the window is.
-    components : sequence of str, optional
-        The only components to compute, such as ``["observer"]``; all others are taken from the log.
-    scenario : str, Path or Scenario, optional
-        That of a recording of another tool, which carries none: the mapped components are taken
-        from the recording, all others are computed. ``map`` names fields of the recording, such as
-        ``{"plant.y": "/drive/state.position"}``.
-
-    Returns
-    -------
-    Log or Memory
-        The recording: the log file if ``out`` is given.
-
-    Raises
-    ------
-    LogError
-        If the log cannot be read, is no log of a scenario, or does not fit its scenario.
-    FmuError
-        If an FMU that is to be run again is missing, or another one.
-    ScenarioError
-        If a class cannot be imported, or is another one than in the run.
-    UsageError
-        If ``set`` or ``swap`` changes the communication step, a recorded component, or what drives
-        one: its recording cannot follow. If there is no such window, or one of ``components`` is
-        not there or cannot be computed.
-    """
-    force = truth_argument("force", force)
-    callable_argument("progress", progress)
-    callable_argument("notice", notice)
-    _check_profile(profile)
-    if isinstance(log, str | Path) and is_foreign(path_argument("log", log)):
-        check_field_options(
-            allow_code=allow_code, rerun=rerun, window=window, components=components
-        )
-        loaded = scenario if isinstance(scenario, Scenario) or scenario is None else load(scenario)
-        return run(
-            with_recorded_components(loaded, path_argument("log", log), swaps=swap, maps=map),
-            out=out,
-            force=force,
-            set=set,
-            block=block,
-            progress=progress,
-            notice=notice,
-            profile=profile,
-        )
-    source = open_joined(log)
-    if scenario is not None:
-        raise UsageError(
-            f"{source.label} carries its own scenario; leave out {option('scenario')}, which is "
-            "for recordings of other tools"
-        )
-    request = replay_request(
-        source,
-        set=set,
-        swap=swap,
-        map=map,
-        allow_code=allow_code,
-        rerun=rerun,
-        window=window,
-        components=components,
-        block=block,
-    )
-    check_replay_target(source, out, force=force)
-    target = Target(out, force, notice=notice)
-    return record_replay(source, request, target, progress=progress, profile=profile)

@@ -1,0 +1,220 @@
+"""The command replay."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cosim import completion
+from cosim.cli.collecting import start_collecting
+from cosim.cli.options import (
+    ForceOption,
+    JsonOption,
+    LogArgument,
+    MapOption,
+    OutOption,
+    PlotOption,
+    QuietOption,
+    SetOption,
+    StopOption,
+    SwapOption,
+    check_plot,
+    print_notice,
+    prints_to_stderr,
+    read_edits,
+    read_unique_pairs,
+)
+from cosim.cli.sweeping import read_variations
+from cosim.errors import UsageError
+from cosim.terminal import show_progress
+
+if TYPE_CHECKING:
+    from cosim.scenario.running.replay import Replays
+
+BEGAN = perf_counter()
+
+VerifyOption = Annotated[
+    bool,
+    typer.Option(
+        "--verify",
+        help="Check the log's content hash, and compare with the log what is computed again: "
+        "every signal, bit for bit, and what the log says of its run (truth, connections, "
+        "schedule, times, component tables, overrides, substeps, warnings, last row, "
+        "verdicts); exit 1 if one differs, with the first difference of every component. A "
+        "log is not signed: one of another run, put in its place as a whole, passes.",
+    ),
+]
+
+AllowCodeOption = Annotated[
+    bool,
+    typer.Option(
+        "--allow-code",
+        help="Compute components of kind python too: import the classes that the log names, "
+        "from this folder or as Python finds modules, and run their code. Else they are taken "
+        "from the log. Their sources have to be those of the run. With --rerun, run FMUs.",
+    ),
+]
+
+RerunOption = Annotated[
+    bool,
+    typer.Option(
+        "--rerun",
+        help="Compute plants too, so that --verify verifies them: those of models, and with "
+        "--allow-code FMUs, from the log (run --embed) or from where they were. Each has to be "
+        "that of the run, by its SHA-256. Without both flags no FMU is run.",
+    ),
+]
+
+WindowBeginOption = Annotated[
+    float | None,
+    typer.Option(
+        "--from",
+        metavar="T0",
+        help="Record, or compare with --verify, only from this communication point on [s]. All "
+        "is computed from the start, as a log has not the states of components: the rows are "
+        "those of the whole replay.",
+    ),
+]
+
+WindowEndOption = Annotated[
+    float | None,
+    typer.Option("--to", metavar="T1", help="And only up to this one; nothing behind is run."),
+]
+
+ComponentOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--component",
+        metavar="NAME",
+        help="Compute this component alone, and take the others from the log. Repeatable.",
+    ),
+]
+
+FieldScenarioOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="SCENARIO",
+        help="Of a recording of another tool, which carries none: a shipped scenario by name, "
+        "or a .toml file. The components that --map names are taken from the recording.",
+        autocompletion=completion.complete_scenario,
+    ),
+]
+
+VaryOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--vary",
+        metavar="COMPONENT.PARAMETER=V1,V2,...",
+        help="Replay with each of these values, and show what the results say as a table. "
+        "Repeatable: every combination, at most 1000. All are checked before the first is run. "
+        "Nothing is written, unless --out names a folder for their logs.",
+    ),
+]
+
+
+def replay(
+    log: LogArgument,
+    verify: VerifyOption = False,
+    allow_code: AllowCodeOption = False,
+    rerun: RerunOption = False,
+    begin: WindowBeginOption = None,
+    end: WindowEndOption = None,
+    components: ComponentOption = None,
+    scenario: FieldScenarioOption = None,
+    out: OutOption = None,
+    force: ForceOption = False,
+    changes: SetOption = None,
+    vary: VaryOption = None,
+    swaps: SwapOption = None,
+    maps: MapOption = None,
+    stop: StopOption = None,
+    plot: PlotOption = None,
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Run a log's scenario again on its recorded plant.
+
+    The log is all that is needed; of another tool's, --scenario and --map, too.
+    """
+    from cosim.report.tables.run import print_summary, print_verification
+    from cosim.scenario.running.replay import replay_once, replays_of
+
+    start_collecting()
+    imported = perf_counter()
+    _check_choices(vary, plot, stop, verify=verify)
+    with prints_to_stderr():
+        replays = replays_of(
+            log,
+            set=read_edits(changes, {"scenario.stop": stop}),
+            swap=read_unique_pairs(swaps, "swap"),
+            map=read_unique_pairs(maps, "map"),
+            allow_code=allow_code,
+            rerun=rerun,
+            window=None if begin is None and end is None else (begin, end),
+            components=components or None,
+            scenario=scenario,
+        )
+    if verify and replays.source is None:
+        raise UsageError(f"--verify compares with a log of cosim; {log} is of another tool")
+    if vary:
+        _replay_each(replays, vary, out, force=force, as_json=as_json, quiet=quiet)
+        return
+    check_plot(plot, out)
+    notice = None if quiet else print_notice
+    with show_progress(quiet or as_json) as progress, prints_to_stderr():
+        again = replay_once(replays, out, force=force, progress=progress, notice=notice)
+    if plot is not None:
+        from cosim.report.plots import plot_run
+
+        plot_run(again, plot)
+    if verify and replays.source is not None:
+        from cosim.report.verification import verify as verify_replay
+
+        verification = verify_replay(replays.source, again)
+        print_verification(verification, replays.source, path=log, as_json=as_json, quiet=quiet)
+        if not verification.passed:
+            raise typer.Exit(1)
+        return
+    wall = {"imports": imported - BEGAN, "replay": perf_counter() - imported}
+    print_summary(again, wall=wall, profile=None, as_json=as_json, quiet=quiet)
+
+
+def _check_choices(
+    vary: list[str] | None, plot: Path | None, stop: float | None, *, verify: bool
+) -> None:
+    """Check that options go together.
+
+    Raises
+    ------
+    UsageError
+        If two of them do not.
+    """
+    if verify and stop is not None:
+        raise UsageError("--verify compares the whole log; leave out --stop")
+    if vary and (verify or plot is not None):
+        name = "--verify" if verify else "--plot"
+        raise UsageError(f"found --vary, many replays, and {name} of one; needed one of them")
+
+
+def _replay_each(
+    replays: Replays,
+    vary: list[str],
+    out: Path | None,
+    *,
+    force: bool,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Replay with every combination of values; exit with 1 if one fails."""
+    from cosim.report.sweep import sweep_of
+    from cosim.report.tables.sweep import print_sweep
+
+    values = read_variations(vary)
+    with show_progress(quiet or as_json) as progress, prints_to_stderr():
+        sweep = sweep_of(replays, values, out=out, force=force, progress=progress)
+    print_sweep(sweep, as_json=as_json, quiet=quiet)
+    if not sweep.passed:
+        raise typer.Exit(1)

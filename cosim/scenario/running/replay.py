@@ -1,0 +1,334 @@
+"""Replay a recording: once, or again and again, each time with other values.
+
+A log of cosim is opened and read once; a recording of another tool is read by every replay.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Protocol, final
+
+from cosim.arguments import (
+    callable_argument,
+    fillable_argument,
+    mapping_argument,
+    path_argument,
+    truth_argument,
+    whole_argument,
+)
+from cosim.core.recorders import Memory
+from cosim.errors import UsageError, option
+from cosim.log import Log
+from cosim.log.editing.joining import open_joined
+from cosim.log.foreign.topics import is_foreign
+from cosim.scenario.document.swap import PortNames
+from cosim.scenario.parsing import Scenario
+from cosim.scenario.preparing import build_experiment
+from cosim.scenario.recordings.recording import Notice, Progress, Target, check_target
+from cosim.scenario.recordings.replay_request import (
+    ReplayRequest,
+    check_replay_target,
+    prepared_replay,
+    record_replay,
+    replay_request,
+)
+from cosim.scenario.running.execution import load, run
+from cosim.scenario.running.field_replay import check_field_options, with_recorded_components
+
+
+class Replays(Protocol):
+    """A recording, and how it is replayed."""
+
+    @property
+    def label(self) -> str:
+        """Its path."""
+        ...
+
+    @property
+    def source(self) -> Log | None:
+        """The log; None: it is of another tool."""
+        ...
+
+    @property
+    def changes(self) -> Mapping[str, Any]:
+        """What all replays have."""
+        ...
+
+    def check(self, values: Mapping[str, Any]) -> None:
+        """Build and prepare the replay with some values; raise UsageError if it cannot be run."""
+        ...
+
+    def check_target(self, out: str | Path | None, *, force: bool) -> None:
+        """Refuse a path that the log of a replay cannot be written to."""
+        ...
+
+    def record(
+        self,
+        values: Mapping[str, Any],
+        target: Target,
+        *,
+        progress: Progress | None,
+        profile: dict[str, float] | None = None,
+    ) -> Log | Memory:
+        """Replay with some values."""
+        ...
+
+
+@final
+@dataclass(frozen=True)
+class LogReplays:
+    """Replays of a log of cosim."""
+
+    source: Log
+    request: ReplayRequest
+
+    @property
+    def label(self) -> str:
+        """Its path."""
+        return self.source.label
+
+    @property
+    def changes(self) -> Mapping[str, Any]:
+        """What all replays have."""
+        return self.request.changes
+
+    def check(self, values: Mapping[str, Any]) -> None:
+        """Build and prepare the replay with some values."""
+        with ExitStack() as resources:
+            experiment = prepared_replay(self.source, self._with(values), resources)
+            experiment.graph.prepare(experiment.clock.step_ns, experiment.designs)
+
+    def check_target(self, out: str | Path | None, *, force: bool) -> None:
+        """Refuse a path that the log of a replay cannot be written to."""
+        check_replay_target(self.source, out, force=force)
+
+    def record(
+        self,
+        values: Mapping[str, Any],
+        target: Target,
+        *,
+        progress: Progress | None,
+        profile: dict[str, float] | None = None,
+    ) -> Log | Memory:
+        """Replay with some values."""
+        request = self._with(values)
+        return record_replay(self.source, request, target, progress=progress, profile=profile)
+
+    def _with(self, values: Mapping[str, Any]) -> ReplayRequest:
+        return replace(self.request, changes={**self.changes, **values})
+
+
+@final
+@dataclass(frozen=True)
+class FieldReplays:
+    """Replays of a recording of another tool, by a scenario that takes components from it."""
+
+    path: Path
+    scenario: Scenario
+    changes: Mapping[str, Any]
+    block: int | None
+
+    @property
+    def label(self) -> str:
+        """Its path."""
+        return str(self.path)
+
+    @property
+    def source(self) -> None:
+        """It is no log of cosim."""
+        return None
+
+    def check(self, values: Mapping[str, Any]) -> None:
+        """Build and prepare the replay with some values."""
+        with ExitStack() as resources:
+            experiment = build_experiment(self._with(values), resources, self.block)
+            if experiment.plan is None:
+                experiment.graph.prepare(experiment.clock.step_ns)
+
+    def check_target(self, out: str | Path | None, *, force: bool) -> None:
+        """Refuse a path that the log of a replay cannot be written to."""
+        check_target(out, force=force)
+
+    def record(
+        self,
+        values: Mapping[str, Any],
+        target: Target,
+        *,
+        progress: Progress | None,
+        profile: dict[str, float] | None = None,
+    ) -> Log | Memory:
+        """Replay with some values."""
+        return run(
+            self._with(values),
+            out=target.out,
+            force=target.force,
+            block=self.block,
+            progress=progress,
+            notice=target.notice,
+            profile=profile,
+        )
+
+    def _with(self, values: Mapping[str, Any]) -> Scenario:
+        return self.scenario.edit(set={**self.changes, **values})
+
+
+def replays_of(
+    log: str | Path | Log,
+    *,
+    set: Mapping[str, Any] | None = None,
+    swap: Mapping[str, str | Path] | None = None,
+    map: Mapping[str, PortNames] | None = None,
+    allow_code: bool = False,
+    rerun: bool = False,
+    window: tuple[float | None, float | None] | None = None,
+    components: Sequence[str] | None = None,
+    scenario: str | Path | Scenario | None = None,
+    block: int | None = None,
+) -> Replays:
+    """Return a recording that can be replayed; parameters as of :func:`cosim.replay`.
+
+    Raises
+    ------
+    UsageError
+        If one of them does not go with the others or with the recording.
+    """
+    if isinstance(log, str | Path) and is_foreign(path_argument("log", log)):
+        check_field_options(
+            allow_code=allow_code, rerun=rerun, window=window, components=components
+        )
+        path = path_argument("log", log)
+        loaded = scenario if isinstance(scenario, Scenario) or scenario is None else load(scenario)
+        recorded = with_recorded_components(loaded, path, swaps=swap, maps=map)
+        changes = mapping_argument("set", set)
+        return FieldReplays(path, recorded, changes, whole_argument("block", block))
+    source = open_joined(log)
+    if scenario is not None:
+        raise UsageError(
+            f"{source.label} carries its own scenario; leave out {option('scenario')}, which is "
+            "for recordings of other tools"
+        )
+    request = replay_request(
+        source,
+        set=set,
+        swap=swap,
+        map=map,
+        allow_code=allow_code,
+        rerun=rerun,
+        window=window,
+        components=components,
+        block=block,
+    )
+    return LogReplays(source, request)
+
+
+def replay(
+    log: str | Path | Log,
+    *,
+    out: str | Path | None = None,
+    force: bool = False,
+    set: Mapping[str, Any] | None = None,
+    swap: Mapping[str, str | Path] | None = None,
+    map: Mapping[str, PortNames] | None = None,
+    allow_code: bool = False,
+    rerun: bool = False,
+    window: tuple[float | None, float | None] | None = None,
+    components: Sequence[str] | None = None,
+    scenario: str | Path | Scenario | None = None,
+    block: int | None = None,
+    progress: Progress | None = None,
+    notice: Notice | None = None,
+    profile: dict[str, float] | None = None,
+) -> Log | Memory:
+    """Run the scenario of a log again, with its recorded plants; only the log is needed.
+
+    Plants, FMUs, tables from files and components of users' classes are taken from the recording;
+    everything else is computed again. Designs are taken from the log too, except those of
+    components that ``set`` changes or that rest on one that it changes. No file is opened and no
+    class imported but those that ``set`` names.
+
+    Parameters
+    ----------
+    log : str, Path or Log
+        The recording of a run. A file of a log that was rotated is replayed with those before it,
+        which have to stand beside it.
+    out, force, block, progress, notice, profile
+        As of :func:`run`.
+    set : mapping of dotted key to value, optional
+        Such as ``{"observer.filter_rate": 500.0, "scenario.stop": 10.0}``. A class that it names,
+        ``{"relay.class": "relay:Relay"}``, is imported as it is now.
+    swap, map
+        As of :func:`run`. What takes the place of a component is computed, which runs the code of
+        an FMU; what it drives must be computed too.
+    allow_code : bool
+        Compute the components of users' classes too, which runs the code of the classes that the
+        log names. Each is found in the working directory or on sys.path, and has to be the one of
+        the run, by the hash of its source.
+    rerun : bool
+        Compute plants too: those of models, and with ``allow_code`` the FMUs of the run, from the
+        log (``run(..., embed=True)``) or from where they were; each has to be the one of the run,
+        by its SHA-256. Nothing of the plants is taken from the log then, and what drives them can
+        be changed.
+    window : (float or None, float or None), optional
+        Record only from one time to another [s], communication points; None: to where the
+        recording begins or ends. All is computed from the start, as components have states that a
+        log has not, so that the rows are those of the whole replay; nothing behind the window is.
+    components : sequence of str, optional
+        The only components to compute, such as ``["observer"]``; all others are taken from the log.
+    scenario : str, Path or Scenario, optional
+        That of a recording of another tool, which carries none: the mapped components are taken
+        from the recording, all others are computed. ``map`` names fields of the recording, such as
+        ``{"plant.y": "/drive/state.position"}``.
+
+    Returns
+    -------
+    Log or Memory
+        The recording: the log file if ``out`` is given.
+
+    Raises
+    ------
+    LogError
+        If the log cannot be read, is no log of a scenario, or does not fit its scenario.
+    FmuError
+        If an FMU that is to be run again is missing, or another one.
+    ScenarioError
+        If a class cannot be imported, or is another one than in the run.
+    UsageError
+        If ``set`` or ``swap`` changes the communication step, a recorded component, or what drives
+        one: its recording cannot follow. If there is no such window, or one of ``components`` is
+        not there or cannot be computed.
+    """
+    force = truth_argument("force", force)
+    callable_argument("progress", progress)
+    callable_argument("notice", notice)
+    fillable_argument("profile", profile)
+    replays = replays_of(
+        log,
+        set=set,
+        swap=swap,
+        map=map,
+        allow_code=allow_code,
+        rerun=rerun,
+        window=window,
+        components=components,
+        scenario=scenario,
+        block=block,
+    )
+    return replay_once(replays, out, force=force, progress=progress, notice=notice, profile=profile)
+
+
+def replay_once(
+    replays: Replays,
+    out: str | Path | None,
+    *,
+    force: bool,
+    progress: Progress | None,
+    notice: Notice | None,
+    profile: dict[str, float] | None = None,
+) -> Log | Memory:
+    """Replay without other values; parameters as of :func:`replay`."""
+    replays.check_target(out, force=force)
+    target = Target(out, force, notice=notice)
+    return replays.record({}, target, progress=progress, profile=profile)
