@@ -131,9 +131,10 @@ class Container:
             If it cannot be read, or is not the file it was.
         """
         stream = self._stream()
+        identity = _identity(stream)
+        is_other = identity[0] != self._identity[0]
         # A log that is still written keeps what was in it.
-        is_other = _identity(stream)[0] != self._identity[0]
-        if is_other or not (self.is_unfinished or _identity(stream) == self._identity):
+        if is_other or not (self.is_unfinished or identity == self._identity):
             stream.close()
             raise self._changed()
         return stream
@@ -327,15 +328,13 @@ class Container:
         """
         with self.open() as stream:
             record = self._record(stream, span, MOST_ATTACHED)
-        try:
-            _check_header(record, span)
-        except MALFORMED as error:
-            raise self.damage_error(span.start, f"an attachment cannot be read: {error}") from error
         checked = record[HEADER:-4]
         crc = int.from_bytes(record[-4:], "little")
-        if crc and zlib.crc32(checked) != crc:
-            raise self.damage_error(span.start, "the CRC of an attachment does not fit its content")
         try:
+            _check_header(record, span)
+            if crc and zlib.crc32(checked) != crc:
+                reason = "the CRC of an attachment does not fit its content"
+                raise self.damage_error(span.start, reason)
             return bytes(records.Attachment.read(_content(record)).data)
         except MALFORMED as error:
             raise self.damage_error(span.start, f"an attachment cannot be read: {error}") from error
