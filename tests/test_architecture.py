@@ -75,6 +75,7 @@ OUTSIDE = {
     "fmpy": {"fmi"},
     "mcap": {"log"},
     "google": {"log"},
+    "isal": {"log"},
     "zstandard": {"log"},
     "lz4": {"log"},
     "gymnasium": {"gym"},

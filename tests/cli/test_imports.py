@@ -3,7 +3,7 @@
 import subprocess
 import sys
 
-LIBRARIES = {"numpy", "mcap", "zstandard", "google", "pydantic", "typer", "rich"}
+LIBRARIES = {"numpy", "mcap", "isal", "zstandard", "google", "pydantic", "typer", "rich"}
 THEIR_OWN = {
     "annotated_doc",  # of typer
     "annotated_types",  # of pydantic

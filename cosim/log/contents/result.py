@@ -6,12 +6,12 @@ The attachment has the values that the caller adds, too.
 from __future__ import annotations
 
 import json
-import zlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
+from isal import isal_zlib
 
 from cosim.core.recorders import EndOfRun
 from cosim.instants import NANOSECONDS
@@ -124,7 +124,7 @@ def result_record(name: str, items: ResultItems) -> RecordGroup:
 def _joined(first: RecordGroup, second: RecordGroup) -> RecordGroup:
     entries = [*first.entries, *second.placed(len(first.data))]
     data = first.data + second.data
-    return RecordGroup(data, entries, zlib.crc32(data))
+    return RecordGroup(data, entries, isal_zlib.crc32(data))
 
 
 def _to_json(value: object) -> object:

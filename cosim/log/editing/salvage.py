@@ -13,13 +13,13 @@ from __future__ import annotations
 import mmap
 import re
 import struct
-import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from typing import Any, Final
 
+from isal import isal_zlib
 from mcap import records
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
@@ -201,6 +201,6 @@ def _check_channel(channel: records.Channel) -> None:
 
 def _attachment(data: bytes) -> records.Attachment:
     crc = int.from_bytes(data[-4:], "little")
-    if not crc or zlib.crc32(data[:-4]) != crc:
+    if not crc or isal_zlib.crc32(data[:-4]) != crc:
         raise ValueError("the CRC of an attachment does not fit its content")
     return records.Attachment.read(ReadDataStream(BytesIO(data)))

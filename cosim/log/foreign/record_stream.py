@@ -14,11 +14,11 @@ from __future__ import annotations
 
 import os
 import struct
-import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO, Final
 
+from isal import isal_zlib
 from mcap.opcode import Opcode
 
 from cosim.errors import LogError
@@ -44,7 +44,7 @@ def read_records(path: Path, stream: BinaryIO) -> Iterator[RecordBounds]:
     """
     size = os.fstat(stream.fileno()).st_size
     check_magic(path, stream, size)
-    crc = zlib.crc32(MAGIC)
+    crc = isal_zlib.crc32(MAGIC)
     position = len(MAGIC)
     while True:
         header = stream.read(HEADER)
@@ -58,20 +58,20 @@ def read_records(path: Path, stream: BinaryIO) -> Iterator[RecordBounds]:
         if opcode == Opcode.DATA_END:
             _check_data(path, position, stream.read(4), crc)
             return
-        crc = zlib.crc32(header, crc)
+        crc = isal_zlib.crc32(header, crc)
         if opcode in _READ:
             if length > MOST_BYTES:
                 reason = f"a record of {length} bytes, at most {MOST_BYTES} are read"
                 raise damage_error(path, position, reason)
             content = stream.read(length)
-            crc = zlib.crc32(content, crc)
+            crc = isal_zlib.crc32(content, crc)
             try:
                 yield from _records_of(opcode, content)
             except (ValueError, struct.error) as error:
                 raise damage_error(path, position, str(error)) from error
         else:
             for begin in range(0, length, _PIECE):
-                crc = zlib.crc32(stream.read(min(_PIECE, length - begin)), crc)
+                crc = isal_zlib.crc32(stream.read(min(_PIECE, length - begin)), crc)
         position = stop
 
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import io
 import os
 import struct
-import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, Final, NamedTuple
 
+from isal import isal_zlib
 from mcap import records
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
@@ -214,6 +214,6 @@ def _summary_records(stream: BinaryIO) -> list[tuple[int, bytes]]:
         raise ValueError(f"the summary is said to begin at byte {start}")
     stream.seek(start)
     content = stream.read(footer_start - start)
-    if declared and zlib.crc32(footer[:-4], zlib.crc32(content)) != declared:
+    if declared and isal_zlib.crc32(footer[:-4], isal_zlib.crc32(content)) != declared:
         raise ValueError("the CRC of the summary does not fit its content")
     return [(opcode, content[begin:stop]) for opcode, begin, stop in records_in(content)]

@@ -7,18 +7,17 @@ component reads no other.
 from __future__ import annotations
 
 import struct
-import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from isal import isal_zlib
 from mcap import records
 from mcap.opcode import Opcode
 
 from cosim.arrays import Nanoseconds
 from cosim.log.mcap_file.compression import Compression, compress
-from cosim.log.mcap_file.crc import combined_crc
 from cosim.log.mcap_file.records import HEADER, record_header
 from cosim.log.mcap_file.summary import IndexEntry, RecordGroup, placed_entry
 from cosim.log.mcap_file.workers import Workers
@@ -72,7 +71,7 @@ def _grouped(chunks: Sequence[_Chunk]) -> RecordGroup:
         entries.append(placed_entry(chunk.entry, position))
         parts += chunk.parts
         position += chunk.size
-        crc = combined_crc(crc, chunk.crc, chunk.size)
+        crc = isal_zlib.crc32_combine(crc, chunk.crc, chunk.size)
     return RecordGroup(b"".join(parts), entries, crc)
 
 
@@ -123,7 +122,7 @@ def _chunk(batches: Sequence[MessageBatch], compression: Compression) -> _Chunk:
     name = "" if compression == "none" else compression
     first_ns = int(min(batch.time_ns.min() for batch in batches))
     last_ns = int(max(batch.time_ns.max() for batch in batches))
-    content_crc = zlib.crc32(content)
+    content_crc = isal_zlib.crc32(content)
     header = _CHUNK_TIMES.pack(first_ns, last_ns, len(content), content_crc)
     header += struct.pack("<I", len(name)) + name.encode() + struct.pack("<Q", len(compressed))
     length = len(header) + len(compressed)
@@ -149,10 +148,10 @@ def _chunk(batches: Sequence[MessageBatch], compression: Compression) -> _Chunk:
     )
     head = record_header(Opcode.CHUNK, length) + header
     # Without a compression the CRC of the content is known already.
-    compressed_crc = content_crc if compressed is content else zlib.crc32(compressed)
-    crc = combined_crc(zlib.crc32(head), compressed_crc, len(compressed))
+    compressed_crc = content_crc if compressed is content else isal_zlib.crc32(compressed)
+    crc = isal_zlib.crc32_combine(isal_zlib.crc32(head), compressed_crc, len(compressed))
     for index in indexes:
-        crc = zlib.crc32(index, crc)
+        crc = isal_zlib.crc32(index, crc)
     parts = [head, compressed, *indexes]
     return _Chunk(parts, chunk_length + index_length, crc, IndexEntry(chunk_index, counts))
 

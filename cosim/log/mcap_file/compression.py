@@ -6,10 +6,10 @@ declared size is checked before anything is decompressed, and the decompressor i
 
 from __future__ import annotations
 
-import zlib
 from typing import Literal
 
 import zstandard
+from isal import isal_zlib
 
 Compression = Literal["zstd", "lz4", "none"]
 MOST_BYTES = 64 * 2**20  # a chunk of ours has about 1 to 32 MiB
@@ -59,7 +59,7 @@ def decompress(data: bytes, compression: str, *, size: int, crc: int) -> bytes:
         raise ValueError(f"compression {compression!r}, needed zstd, lz4 or none")
     if len(records) != size:
         raise ValueError(f"a chunk of another size than the {size} bytes declared")
-    if crc and zlib.crc32(records) != crc:
+    if crc and isal_zlib.crc32(records) != crc:
         raise ValueError("the CRC of a chunk does not fit its content")
     return records
 

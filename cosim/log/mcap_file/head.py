@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Sequence
 from typing import final
 
+from isal import isal_zlib
 from mcap import records
 
 from cosim.log.mcap_file.records import MAGIC, encoded
@@ -84,7 +84,7 @@ def metadata_group(name: str, items: dict[str, str]) -> RecordGroup:
     """Return a metadata record."""
     data = encoded(records.Metadata(name=name, metadata=items))
     index = records.MetadataIndex(offset=0, length=len(data), name=name)
-    return RecordGroup(data, [IndexEntry(index, {})], zlib.crc32(data))
+    return RecordGroup(data, [IndexEntry(index, {})], isal_zlib.crc32(data))
 
 
 def attachment_group(name: str, media_type: str, content: bytes) -> RecordGroup:
@@ -102,4 +102,4 @@ def attachment_group(name: str, media_type: str, content: bytes) -> RecordGroup:
         name=name,
         media_type=media_type,
     )
-    return RecordGroup(data, [IndexEntry(index, {})], zlib.crc32(data))
+    return RecordGroup(data, [IndexEntry(index, {})], isal_zlib.crc32(data))

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import os
 import struct
-import zlib
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO, Final, NamedTuple
 
+from isal import isal_zlib
 from mcap import records
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
@@ -92,7 +92,7 @@ def read_index(path: Path, stream: BinaryIO) -> LogIndex | None:
     section = stream.read(footer_start - start)
     if crc:
         footer_head = end[: FOOTER_SIZE - _CRC_SIZE]
-        is_whole = zlib.crc32(footer_head, zlib.crc32(section)) == crc
+        is_whole = isal_zlib.crc32(footer_head, isal_zlib.crc32(section)) == crc
     else:
         section = _sealed(section, start)
         is_whole = offset_start <= start + len(section) and bool(section)
@@ -110,7 +110,7 @@ def _sealed(section: bytes, start: int) -> bytes:
         if opcode == PAD:
             seal = section[position + HEADER : position + HEADER + SEAL.size]
             summary = section[:position]
-            fits = seal == SEAL.pack(start, position, zlib.crc32(summary))
+            fits = seal == SEAL.pack(start, position, isal_zlib.crc32(summary))
             return summary if fits else b""
         position += HEADER + length
     return b""

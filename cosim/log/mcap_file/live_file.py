@@ -37,12 +37,12 @@ import io
 import os
 import struct
 import sys
-import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, final
 
-from cosim.log.mcap_file.crc import combined_crc
+from isal import isal_zlib
+
 from cosim.log.mcap_file.records import (
     DATA_END_SIZE,
     END_SIZE,
@@ -159,7 +159,7 @@ class LiveFile:
         self._is_switching = False
         self._slots: dict[int, bytes] = {}  # what has been written to them, by position
         head += _padding(len(head))
-        self._crc = zlib.crc32(head)
+        self._crc = isal_zlib.crc32(head)
         self._end = len(head)
         self._active = 0
         self._frame = _frame(self._end + _SMALLEST_HOLE, len(summary.encoded(0).data))
@@ -200,8 +200,8 @@ class LiveFile:
             self._put(self._end, group)
         padding = _padding(self._end + len(group.data))
         self._summary.add(group.placed(self._end))
-        crc = combined_crc(self._crc, group.crc, len(group.data))
-        self._crc = zlib.crc32(padding, crc)
+        crc = isal_zlib.crc32_combine(self._crc, group.crc, len(group.data))
+        self._crc = isal_zlib.crc32(padding, crc)
         self._end += len(group.data) + len(padding)
         self._tail = None
 
@@ -216,7 +216,7 @@ class LiveFile:
             self._grow(self._end + size, len(encoded.data))
         # The CRC covers the summary, and the footer up to the CRC itself.
         footer_head = footer(start, encoded.offset_start)[:-_CRC_SIZE]
-        crc = zlib.crc32(footer_head, zlib.crc32(encoded.data))
+        crc = isal_zlib.crc32(footer_head, isal_zlib.crc32(encoded.data))
         end = data_end(self._crc)
         rest = end[HEADER:] + encoded.data + footer(start, encoded.offset_start, crc) + MAGIC
         self._write(self._end + HEADER, rest)
@@ -333,7 +333,7 @@ class LiveFile:
         start = position + DATA_END_SIZE
         pad_start = start + len(encoded.data)
         pad = record_header(PAD, footer_start - pad_start - HEADER)
-        seal = SEAL.pack(start, len(encoded.data), zlib.crc32(encoded.data))
+        seal = SEAL.pack(start, len(encoded.data), isal_zlib.crc32(encoded.data))
         content = data_end() + encoded.data + pad + seal
         # What a long file has had for long stands there already. If a write fails, who knows.
         known = self._slots.pop(position, b"")

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import struct
-import zlib
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO, final
 
+from isal import isal_zlib
 from mcap import records
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
@@ -332,7 +332,7 @@ class Container:
         crc = int.from_bytes(record[-4:], "little")
         try:
             _check_header(record, span)
-            if crc and zlib.crc32(checked) != crc:
+            if crc and isal_zlib.crc32(checked) != crc:
                 reason = "the CRC of an attachment does not fit its content"
                 raise self.damage_error(span.start, reason)
             return bytes(records.Attachment.read(_content(record)).data)
@@ -509,5 +509,5 @@ def _crc(stream: BinaryIO, start: int, stop: int) -> int:
     crc = 0
     for position in range(start, stop, _READ_BYTES):
         piece = stream.read(min(_READ_BYTES, stop - position))
-        crc = zlib.crc32(piece, crc)
+        crc = isal_zlib.crc32(piece, crc)
     return crc
