@@ -51,9 +51,10 @@ if TYPE_CHECKING:
     from cosim.core.linear import Linear, LinearModel
     from cosim.core.linearization import Linearized
     from cosim.core.master import run, simulate
+    from cosim.core.passing_recorders import Watched
     from cosim.core.port import Port
     from cosim.core.recorded import RunMessage
-    from cosim.core.recorders import EndOfRun, Memory, Nothing, Watched, end_of_run
+    from cosim.core.recorders import EndOfRun, Memory, Nothing, end_of_run
     from cosim.core.recording import MessageLevel, Plan, Recorder, Recording, SignalEvent
     from cosim.core.signals import Channel, Interface, Layout, Signal
     from cosim.core.simulation import Simulation
@@ -102,7 +103,7 @@ _HOMES = {
     "SimulationState": "cosim.core.stepping.states",
     "StepRows": "cosim.core.stepping.step_rows",
     "Stopped": "cosim.core.contracts",
-    "Watched": "cosim.core.recorders",
+    "Watched": "cosim.core.passing_recorders",
 }
 
 __all__ = [

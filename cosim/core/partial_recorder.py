@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from types import TracebackType
-from typing import Any, Final, Self, final
+from typing import Any, Final, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +12,8 @@ from numpy.typing import NDArray
 from cosim.arrays import Matrix
 from cosim.core.contracts import Block
 from cosim.core.partial import PartialRecord, RecordSelection, partial_layout
-from cosim.core.recording import MessageLevel, Plan, Recorder, SignalEvent, Substep
+from cosim.core.passing_recorders import PassingRecorder
+from cosim.core.recording import Plan, Recorder
 from cosim.core.selection import select_signals
 from cosim.core.signals import Channel
 from cosim.errors import UsageError, listing
@@ -71,7 +71,7 @@ def chosen_signals(
 
 
 @final
-class PartialRecorder:
+class PartialRecorder(PassingRecorder):
     """Passes on the chosen signals.
 
     Parameters
@@ -89,23 +89,11 @@ class PartialRecorder:
         *,
         beside: Mapping[str, Channel] = _NONE,
     ) -> None:
-        self._recorder = recorder
+        super().__init__(recorder)
         self._selection = selection
         self._beside = beside
         self._columns: slice | NDArray[np.intp] = slice(None)
         self._labels: frozenset[str] | None = None
-
-    def __enter__(self) -> Self:
-        self._recorder.__enter__()
-        return self
-
-    def __exit__(
-        self,
-        error_type: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._recorder.__exit__(error_type, error, trace)
 
     def begin(self, plan: Plan) -> None:
         """Pass on the plan of what is chosen."""
@@ -125,18 +113,6 @@ class PartialRecorder:
     def write(self, block: Block, signals: Matrix) -> None:
         """Pass on the columns that are chosen; the recorder picks the rows by their periods."""
         self._recorder.write(block, signals[:, self._columns])
-
-    def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
-        """Pass on."""
-        self._recorder.message(time_ns, level, source, text)
-
-    def event(self, event: SignalEvent) -> None:
-        """Pass on."""
-        self._recorder.event(event)
-
-    def substep(self, substep: Substep) -> None:
-        """Pass on."""
-        self._recorder.substep(substep)
 
     def result(self, values: Mapping[str, Any]) -> None:
         """Pass on; of the last row the elements that are chosen."""

@@ -6,7 +6,8 @@ import pytest
 
 from cosim.blocks import sine
 from cosim.core import Clock, Graph, Memory, run
-from cosim.core.recorders import Nothing, Watched
+from cosim.core.passing_recorders import Watched
+from cosim.core.recorders import Nothing
 from cosim.live.two_recorders import TwoRecorders
 
 

@@ -28,8 +28,9 @@ from cosim.arrays import Mask, Matrix
 from cosim.core.clock import nanoseconds
 from cosim.core.contracts import Block
 from cosim.core.graph import Graph
+from cosim.core.passing_recorders import Watched
 from cosim.core.port import Port
-from cosim.core.recorders import Nothing, Watched, close, end_of_run, error_text
+from cosim.core.recorders import Nothing, close, end_of_run, error_text
 from cosim.core.recording import Recorder
 from cosim.core.signals import Layout
 from cosim.errors import CosimError, Interrupted, RunError, UsageError, option

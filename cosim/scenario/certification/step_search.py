@@ -18,8 +18,9 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 from cosim.core.clock import nanoseconds
+from cosim.core.passing_recorders import Watched
 from cosim.core.recorded import find_signal
-from cosim.core.recorders import Nothing, Watched
+from cosim.core.recorders import Nothing
 from cosim.errors import CosimError, Interrupted, RunError, UnknownSignalError, UsageError, option
 from cosim.instants import NANOSECONDS
 from cosim.scenario.certification.certificate import Certifier, certifier_of

@@ -15,7 +15,8 @@ from cosim.core.contracts import Block
 from cosim.core.master import run as run_graph
 from cosim.core.partial import RecordSelection
 from cosim.core.partial_recorder import PartialRecorder
-from cosim.core.recorders import Memory, Watched
+from cosim.core.passing_recorders import Watched
+from cosim.core.recorders import Memory
 from cosim.core.recording import Recorder
 from cosim.errors import LogError, RunError, UsageError, flag, option
 from cosim.files import file_type

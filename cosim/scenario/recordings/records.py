@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, final
 
 from cosim.arrays import Matrix, Vector
 from cosim.core.conditions import until_text
@@ -16,9 +16,10 @@ from cosim.core.contracts import Block, Stopped
 from cosim.core.gain.loop_gain import LoopGain
 from cosim.core.partial import partial_layout
 from cosim.core.partial_recorder import chosen_signals
+from cosim.core.passing_recorders import PassingRecorder
 from cosim.core.recorded_run import SCENARIO_FILE
 from cosim.core.recorders import close, end_of_run, error_text
-from cosim.core.recording import MessageLevel, Plan, Recorder, SignalEvent, Substep
+from cosim.core.recording import MessageLevel, Plan, Recorder
 from cosim.core.signals import Channel
 from cosim.core.stages.substep_control import SUBSTEP_COUNTS, SubstepCounts
 from cosim.errors import Interrupted, RunError, listing
@@ -39,20 +40,17 @@ if TYPE_CHECKING:
 UNTIL = "until"
 
 
-class MessageRecorder:
+@final
+class MessageRecorder(PassingRecorder):
     """Records the messages of a run and of its FMUs beside its signals, with any recorder."""
 
     def __init__(self, recorder: Recorder, experiment: Experiment) -> None:
-        self._recorder = recorder
+        super().__init__(recorder)
         self._experiment = experiment
         self._reached_ns = experiment.clock.start_ns
         self._ahead: dict[str, list[Message]] = {}  # by FMU, of instants that are not reached yet
         self._last: Vector | None = None
         self._assessor = Assessor(experiment.graph, experiment.identified)
-
-    def __enter__(self) -> Self:
-        self._recorder.__enter__()
-        return self
 
     def __exit__(
         self,
@@ -137,29 +135,13 @@ class MessageRecorder:
 
         The warnings, the inputs that nothing drives, the messages of FMUs when they were loaded.
         """
-        self._recorder.begin(plan)
+        super().begin(plan)
         for name, text in _start_values(self._experiment):
             self._recorder.message(self._reached_ns, "info", name, text)
         for name, text in self._experiment.warnings:
             self._recorder.message(self._reached_ns, "warning", name, text)
         for name, messages in self._experiment.messages.items():
             self._record(name, messages, self._reached_ns)
-
-    def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
-        """Pass on."""
-        self._recorder.message(time_ns, level, source, text)
-
-    def event(self, event: SignalEvent) -> None:
-        """Pass on."""
-        self._recorder.event(event)
-
-    def substep(self, substep: Substep) -> None:
-        """Pass on."""
-        self._recorder.substep(substep)
-
-    def result(self, values: Mapping[str, Any]) -> None:
-        """Pass on."""
-        self._recorder.result(values)
 
     def write(self, block: Block, signals: Matrix) -> None:
         """Record the messages of the block, and pass it on."""

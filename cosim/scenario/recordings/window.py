@@ -7,22 +7,14 @@ computed.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Any, Final, Self
+from typing import Final, final
 
 from cosim.arrays import Matrix
 from cosim.core.clock import whole_steps
 from cosim.core.contracts import Block
-from cosim.core.recording import (
-    CompleteRecording,
-    MessageLevel,
-    Plan,
-    Recorder,
-    SignalEvent,
-    Substep,
-)
+from cosim.core.passing_recorders import PassingRecorder
+from cosim.core.recording import CompleteRecording, MessageLevel, Recorder, SignalEvent, Substep
 from cosim.errors import UsageError, quoted
 
 _ENDS: Final = 2  # of a window
@@ -114,7 +106,8 @@ def _point(source: CompleteRecording, time: object, verb: str) -> int:
     return whole_steps(time, source.step_ns, f"where the window {verb}", start_ns=first_ns)
 
 
-class WindowRecorder:
+@final
+class WindowRecorder(PassingRecorder):
     """Passes on what is in a window; its first communication point is number 0.
 
     Parameters
@@ -124,25 +117,9 @@ class WindowRecorder:
     """
 
     def __init__(self, recorder: Recorder, window: ReplayWindow) -> None:
-        self._recorder = recorder
+        super().__init__(recorder)
         self._index = window.index
         self._begin_ns = window.begin_ns
-
-    def __enter__(self) -> Self:
-        self._recorder.__enter__()
-        return self
-
-    def __exit__(
-        self,
-        error_type: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._recorder.__exit__(error_type, error, trace)
-
-    def begin(self, plan: Plan) -> None:
-        """Pass on."""
-        self._recorder.begin(plan)
 
     def write(self, block: Block, signals: Matrix) -> None:
         """Pass on the rows from the begin of the window on."""
@@ -167,7 +144,3 @@ class WindowRecorder:
         """Pass on what does not begin before the window."""
         if substep.begin_ns >= self._begin_ns:
             self._recorder.substep(substep)
-
-    def result(self, values: Mapping[str, Any]) -> None:
-        """Pass on."""
-        self._recorder.result(values)

@@ -15,7 +15,8 @@ from typing import Any, Final, final
 from cosim.arguments import number_argument
 from cosim.core.clock import Clock
 from cosim.core.contracts import Block
-from cosim.core.recorders import Watched, close
+from cosim.core.passing_recorders import Watched
+from cosim.core.recorders import close
 from cosim.core.recording import Recorder
 from cosim.errors import UsageError, option
 from cosim.scenario.recorded_metadata import REAL_TIME, Lateness
