@@ -27,7 +27,7 @@ from cosim.report.printable import printable
 
 if TYPE_CHECKING:
     from cosim.log import Log
-    from cosim.log.comparison.diff import LogDifference
+    from cosim.log.comparison.difference import LogDifference
     from cosim.report.comparing import Comparison
     from cosim.report.estimator_comparison import EstimatorComparison
 

@@ -26,7 +26,8 @@ from cosim.core.port import Port
 from cosim.core.recorders import Memory
 from cosim.errors import LogError, command, flag, listing
 from cosim.log import Log
-from cosim.log.comparison.diff import ElementDifference, LogDifference, SignalDifference, diff
+from cosim.log.comparison.diff import diff
+from cosim.log.comparison.difference import ElementDifference, LogDifference, SignalDifference
 from cosim.log.contents.environment import environment_changes
 from cosim.report.statements import (
     COMPARED,

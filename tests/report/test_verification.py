@@ -9,7 +9,7 @@ import cosim
 from cosim.cli import main
 from cosim.errors import LogError
 from cosim.log import open_log
-from cosim.log.comparison.diff import ElementDifference
+from cosim.log.comparison.difference import ElementDifference
 from cosim.report.verification import verify
 from tests.log.crafting import change_rows, put_together, take_apart
 

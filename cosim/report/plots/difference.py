@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from cosim.core.recording import Recording
-from cosim.log.comparison.diff import LogDifference, SignalDifference
+from cosim.log.comparison.difference import LogDifference, SignalDifference
 from cosim.report.plots.curves import (
     COLORS,
     WIDTH,

@@ -17,7 +17,7 @@ from cosim.report.tables.console import (
 )
 
 if TYPE_CHECKING:
-    from cosim.log.comparison.diff import LogDifference
+    from cosim.log.comparison.difference import LogDifference
     from cosim.log.comparison.event_difference import EventsDifference
     from cosim.report.comparing import Comparison, EstimateDifference
     from cosim.report.estimator_comparison import EstimatorComparison, EstimatorResult

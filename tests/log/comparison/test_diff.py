@@ -15,7 +15,8 @@ from cosim.core.recording import Plan, SignalEvent
 from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.errors import LogError
 from cosim.log import open_log
-from cosim.log.comparison.diff import ElementDifference, diff
+from cosim.log.comparison.diff import diff
+from cosim.log.comparison.difference import ElementDifference
 from cosim.log.comparison.event_difference import (
     ElementEvent,
     ElementEventDifference,
