@@ -14,6 +14,7 @@ from scipy.integrate import solve_ivp
 import cosim
 from cosim.cli import main
 from cosim.report.tables import console
+from tests.log.recordings import layout, record
 
 ROOT = Path(__file__).parent.parent
 PAGES = {
@@ -187,6 +188,19 @@ def test_an_environment_takes_15_lines(tmp_path, monkeypatch):
     assert names["truncated"]
     lines = [line for line in shown.splitlines() if line and not line.startswith("import")]
     assert len(lines) <= 15
+
+
+def test_the_content_hash_is_what_the_page_computes(tmp_path, monkeypatch, capsys):
+    """Of the shipped example, and of NaNs of all bits in more elements than a topic holds."""
+    monkeypatch.chdir(tmp_path)
+    run_command("cosim run academic --stop 8 --out logs/academic.mcap --quiet", capsys)
+    (block,) = blocks("logs", "python")
+    names = {}
+    exec(compile(block, "logs block", "exec"), names)
+    assert capsys.readouterr().out.strip() == cosim.open_log("logs/academic.mcap").recorded_hash
+    record(tmp_path / "wide.mcap", steps=20, lay=layout(wide=5000), compression="lz4")
+    wide = cosim.open_log("wide.mcap")
+    assert names["content_hash"]("wide.mcap") == wide.content_hash() == wide.recorded_hash
 
 
 def test_the_python_of_an_identification_runs(tmp_path, monkeypatch, capsys):
