@@ -134,6 +134,7 @@ ROOMS = {
         "document",
         "data_files",
         "user_kinds",
+        "recorded_tables",
         "recorded_metadata",
         "identification",
         "kinds",

@@ -12,9 +12,11 @@ from cosim.core.signals import Channel
 from cosim.errors import LogError, UnknownSignalError, command, flag, listing, nearest
 from cosim.report.summary import Summary, ValueOutcome, summarize
 from cosim.scenario.recorded_metadata import (
+    recorded_certificate,
+)
+from cosim.scenario.recorded_tables import (
     CertificateRecord,
     StepErrorRecord,
-    recorded_certificate,
 )
 
 

@@ -47,14 +47,16 @@ from cosim.log.contents.layout import signals_json
 from cosim.log.contents.result import PARTIAL_STATUS, RESULT, RESULT_FILE
 from cosim.scenario.recorded_metadata import (
     EIGENVALUE_FIGURES,
-    IdentificationRecord,
-    ParameterRecord,
     component_metadata,
     component_table,
     recorded_identification,
     recorded_substep_counts,
     recorded_warnings,
     run_metadata,
+)
+from cosim.scenario.recorded_tables import (
+    IdentificationRecord,
+    ParameterRecord,
 )
 from cosim.scenario.recordings.replaying import recorded_stop
 

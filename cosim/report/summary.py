@@ -22,12 +22,6 @@ from cosim.report.recorded_rows import beside_truth, element_names, has_signal, 
 from cosim.scenario.document.schema import truth_ports
 from cosim.scenario.identification.run_verdicts import OUTPUT_ERROR
 from cosim.scenario.recorded_metadata import (
-    ComponentRecord,
-    IdentificationRecord,
-    IrregularRecord,
-    Lateness,
-    ParameterRecord,
-    ReconstructionRecord,
     component_record,
     connected_sources,
     first_order_loops,
@@ -43,6 +37,14 @@ from cosim.scenario.recorded_metadata import (
     run_metadata,
     truth_of,
     until_came_true,
+)
+from cosim.scenario.recorded_tables import (
+    ComponentRecord,
+    IdentificationRecord,
+    IrregularRecord,
+    Lateness,
+    ParameterRecord,
+    ReconstructionRecord,
 )
 from cosim.theory.assessment.consistency import NOTHING_ELSE
 from cosim.theory.disturbances.excitation import describe_excitation, information

@@ -37,10 +37,12 @@ from cosim.report.statements import (
     contradictions,
 )
 from cosim.scenario.recorded_metadata import (
-    ReplayOrigin,
     component_record,
     recorded_substep_counts,
     replay_origin,
+)
+from cosim.scenario.recorded_tables import (
+    ReplayOrigin,
 )
 from cosim.scenario.recordings.replaying import recorded_document
 

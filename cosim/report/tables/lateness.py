@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from cosim.scenario.recorded_metadata import Lateness
+from cosim.scenario.recorded_tables import (
+    Lateness,
+)
 
 
 def lateness_text(lateness: Lateness) -> str:

@@ -15,7 +15,12 @@ from cosim.errors import UsageError, option
 from cosim.log import Log
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.document.swap import PortNames
-from cosim.scenario.recorded_metadata import ReplayOrigin, recorded_loop_gains
+from cosim.scenario.recorded_metadata import (
+    recorded_loop_gains,
+)
+from cosim.scenario.recorded_tables import (
+    ReplayOrigin,
+)
 from cosim.scenario.recordings.recording import Progress, Target, check_target, record
 from cosim.scenario.recordings.replaying import (
     Swaps,

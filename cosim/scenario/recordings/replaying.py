@@ -44,12 +44,14 @@ from cosim.scenario.document.swap import PortNames, component_table, is_map_key
 from cosim.scenario.kinds import KINDS, Kind
 from cosim.scenario.parsing import Scenario, read
 from cosim.scenario.recorded_metadata import (
-    CodeRecord,
     component_metadata,
     component_record,
     recorded_window,
     replay_origin,
     run_metadata,
+)
+from cosim.scenario.recorded_tables import (
+    CodeRecord,
 )
 from cosim.scenario.recordings.embedding import recorded_fmus
 from cosim.scenario.recordings.rerunning import fmu_paths, rerun_specs, with_recorded_reports
