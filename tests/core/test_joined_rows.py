@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from itertools import count, islice, pairwise
 
 import numpy as np
@@ -12,6 +11,7 @@ from hypothesis import strategies as st
 from cosim.core.joined_rows import joined_rows
 from cosim.core.selection import select_signals, selected_columns
 from cosim.core.signals import Channel, Interface, Signal
+from tests.log.recordings import numbered
 
 
 class Rows:
@@ -49,16 +49,6 @@ def components(draw):
         cuts = st.lists(st.integers(0, len(times)), max_size=5 if in_blocks else 0)
         drawn[name] = times, sorted(draw(cuts))
     return drawn
-
-
-def numbered(times):
-    """Return (instant, how many rows it had before) of each row."""
-    seen = Counter()
-    instants = []
-    for time in times:
-        instants.append((time, seen[time]))
-        seen[time] += 1
-    return instants
 
 
 @given(components())

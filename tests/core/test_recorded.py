@@ -3,26 +3,10 @@
 import numpy as np
 import pytest
 
-import cosim
 from cosim.core.port import Port
 from cosim.errors import LogError, UnknownSignalError
 
 SHORT = {"scenario.stop": 0.1}
-
-
-@pytest.fixture(scope="module")
-def in_memory():
-    return cosim.run("academic", set=SHORT)
-
-
-@pytest.fixture(scope="module")
-def from_file(tmp_path_factory):
-    return cosim.run("academic", set=SHORT, out=tmp_path_factory.mktemp("logs") / "academic.mcap")
-
-
-@pytest.fixture(params=["in_memory", "from_file"])
-def recorded(request):
-    return request.getfixturevalue(request.param)
 
 
 def test_a_run_is_a_mapping_of_its_signals(recorded):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 import numpy as np
 
 from cosim.core.contracts import Block
@@ -102,6 +104,16 @@ def make_chunks_small(monkeypatch, size):
     for module in (chunks, encoding, store):
         monkeypatch.setattr(module, "CHUNK_BYTES", size)
     monkeypatch.setattr(encoding, "_CHANNEL_BYTES", 0)
+
+
+def numbered(times):
+    """Return (instant, how many rows it had before) of each row."""
+    seen = Counter()
+    instants = []
+    for time in times:
+        instants.append((time, seen[time]))
+        seen[time] += 1
+    return instants
 
 
 def same_bits(a, b):

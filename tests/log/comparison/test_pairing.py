@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from itertools import pairwise
 
 import numpy as np
@@ -13,6 +12,7 @@ from hypothesis import strategies as st
 from cosim.errors import LogError
 from cosim.log.comparison import pairing
 from cosim.log.comparison.pairing import windows
+from tests.log.recordings import numbered
 
 
 @st.composite
@@ -30,16 +30,6 @@ def blocks(run):
     for first, last in pairwise(bounds):
         numbers = np.arange(first, last, dtype=float)[:, np.newaxis]
         yield np.array(times[first:last], dtype=np.int64), numbers
-
-
-def numbered(times):
-    """Return (instant, how many rows it had before) of each row."""
-    seen = Counter()
-    instants = []
-    for time in times:
-        instants.append((time, seen[time]))
-        seen[time] += 1
-    return instants
 
 
 @given(runs(), runs())

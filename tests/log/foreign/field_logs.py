@@ -1,13 +1,18 @@
-"""MCAP files of other tools, by the writers and encoders that are usual for them."""
+"""MCAP files of other tools, by the writers and encoders that are usual for them, and readers."""
 
 from __future__ import annotations
 
 import json
 
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
+from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
+from cosim.log.foreign.samples import read_fields
+
 EPOCH = 1_700_000_000_000_000_000  # ns: wall clock, as logs of the field have it
+STEP = 10_000_000  # ns
+COUNT = 300
 COMPRESSIONS = {
     "zstd": CompressionType.ZSTD,
     "lz4": CompressionType.LZ4,
@@ -77,3 +82,28 @@ def write_json(path, topics, *, schema=None, **options):
                 writer.add_message(channel, time_ns, data, time_ns + 7)
         writer.finish()
     return path
+
+
+def raw_file(folder, encoding, schema, messages, **options):
+    """Write messages of one topic as they are."""
+    path = folder / "raw.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream, **options)
+        writer.start()
+        number = 0 if schema is None else writer.register_schema(*schema)
+        channel = writer.register_channel("/topic", encoding, number)
+        for index, data in enumerate(messages):
+            writer.add_message(channel, EPOCH + index, data, EPOCH + index)
+        writer.finish()
+    return path
+
+
+def read(path, *fields, **options):
+    return read_fields(path, fields, **options)
+
+
+def decoded(path, factory, topic):
+    """Return the messages of a topic as the stock decoder has them."""
+    with path.open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[factory])
+        return [item.decoded_message for item in reader.iter_decoded_messages([topic])]

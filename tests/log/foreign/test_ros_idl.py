@@ -11,7 +11,7 @@ from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_
 
 from cosim.errors import LogError
 from cosim.log.foreign.samples import read_fields
-from tests.log.foreign.field_logs import EPOCH
+from tests.log.foreign.field_logs import EPOCH, raw_file
 
 COUNT = 50
 HEADER = """\
@@ -184,15 +184,9 @@ def test_messages_of_ros_itself_are_read(tmp_path, type_name):
             "pose.covariance[35]": [3.0],
             "twist.twist.angular.y": [8.0],
         }
-    path = tmp_path / "log.mcap"
-    with path.open("wb") as stream:
-        writer = Writer(stream)
-        writer.start("ros2")
-        schema = writer.register_schema(type_name, "ros2msg", definition.encode())
-        channel = writer.register_channel("/t", "cdr", schema)
-        writer.add_message(channel, EPOCH, bytes(types.serialize_cdr(message, type_name)), EPOCH)
-        writer.finish()
-    found = read_fields(path, [f"/t.{name}" for name in expected])
+    data = bytes(types.serialize_cdr(message, type_name))
+    path = raw_file(tmp_path, "cdr", (type_name, "ros2msg", definition.encode()), [data])
+    found = read_fields(path, [f"/topic.{name}" for name in expected])
     assert [samples.values[0].tolist() for samples in found] == list(expected.values())
 
 
@@ -213,16 +207,9 @@ def test_messages_of_ros_itself_are_read(tmp_path, type_name):
 )
 def test_schemas_that_cannot_be_understood_are_refused(tmp_path, definition, text):
     """With what is wrong."""
-    path = tmp_path / "log.mcap"
-    with path.open("wb") as stream:
-        writer = Writer(stream)
-        writer.start()
-        schema = writer.register_schema("Demo", "ros2idl", definition.encode())
-        channel = writer.register_channel("/t", "cdr", schema)
-        writer.add_message(channel, EPOCH, b"\0\1\0\0", EPOCH)
-        writer.finish()
+    path = raw_file(tmp_path, "cdr", ("Demo", "ros2idl", definition.encode()), [b"\0\1\0\0"])
     with pytest.raises(LogError) as refused:
-        read_fields(path, ["/t.x"])
+        read_fields(path, ["/topic.x"])
     assert text in str(refused.value)
 
 
@@ -230,13 +217,7 @@ def test_enumerations_and_several_names_of_one_type_are_read(tmp_path):
     """An enumeration is a number of 4 bytes."""
     mode = "enum Mode { OFF, @value(3) ON };"
     definition = f"module a {{ {mode} struct Demo {{ octet x, y[2]; a::Mode mode; }}; }};"
-    path = tmp_path / "log.mcap"
-    with path.open("wb") as stream:
-        writer = Writer(stream)
-        writer.start()
-        schema = writer.register_schema("a/Demo", "ros2idl", definition.encode())
-        channel = writer.register_channel("/t", "cdr", schema)
-        writer.add_message(channel, EPOCH, b"\0\1\0\0\1\2\3\0\3\0\0\0", EPOCH)
-        writer.finish()
-    found = read_fields(path, ["/t.x", "/t.y", "/t.mode"])
+    data = b"\0\1\0\0\1\2\3\0\3\0\0\0"
+    path = raw_file(tmp_path, "cdr", ("a/Demo", "ros2idl", definition.encode()), [data])
+    found = read_fields(path, ["/topic.x", "/topic.y", "/topic.mode"])
     assert [samples.values.tolist() for samples in found] == [[[1.0]], [[2.0, 3.0]], [[3.0]]]

@@ -502,14 +502,18 @@ def test_a_log_of_another_format_is_refused(tmp_path, monkeypatch):
         open_log(path)
 
 
+def rows_of_plant(content):
+    """Return where the messages of the plant stand among all."""
+    (plant,) = [number for number, channel in content.channels.items() if channel[0] == "/plant"]
+    return [index for index, message in enumerate(content.messages) if message[0] == plant]
+
+
 @pytest.mark.parametrize("row", [0, 3, -1])
 def test_a_log_whose_rows_are_not_those_of_its_steps_is_refused(tmp_path, row):
     """Also where its summary agrees with what is left: it is no whole run."""
     log = cosim.run("academic", set={"scenario.stop": 0.02}, out=tmp_path / "a.mcap")
     content = take_apart(log.path)
-    (plant,) = [number for number, channel in content.channels.items() if channel[0] == "/plant"]
-    rows = [message for message in content.messages if message[0] == plant]
-    content.messages.remove(rows[row])
+    del content.messages[rows_of_plant(content)[row]]
     path = put_together(content, tmp_path / "b.mcap")
     text = r"b\.mcap is damaged: 20 rows of 'plant'; needed 21, as the run recorded 20 steps"
     with pytest.raises(LogError, match=text):
@@ -521,10 +525,9 @@ def test_a_row_off_the_grid_is_named(tmp_path, row):
     """Its values may be right, but no run has a row there."""
     log = cosim.run("academic", set={"scenario.stop": 0.02}, out=tmp_path / "a.mcap")
     content = take_apart(log.path)
-    (plant,) = [number for number, channel in content.channels.items() if channel[0] == "/plant"]
-    rows = [index for index, message in enumerate(content.messages) if message[0] == plant]
-    number, time_ns, sequence, data = content.messages[rows[row]]
-    content.messages[rows[row]] = (number, time_ns + 1, sequence, data)
+    index = rows_of_plant(content)[row]
+    number, time_ns, sequence, data = content.messages[index]
+    content.messages[index] = (number, time_ns + 1, sequence, data)
     moved = open_log(put_together(content, tmp_path / "b.mcap"))
     text = r"b\.mcap is damaged: a row of 'plant' at t = .* s is off its grid: there are 0\.001 s"
     for read in (moved.load, moved.content_hash, lambda: moved.rows("plant")):

@@ -1,0 +1,225 @@
+"""Fields of messages of ROS 2: what the stock decoder says, as columns."""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+import pytest
+from mcap_ros2.decoder import DecoderFactory as RosDecoders
+from mcap_ros2.writer import Writer as RosWriter
+
+from cosim.errors import LogError
+from cosim.log.foreign.json_format import JsonFormat
+from tests.log.foreign.field_logs import (
+    COUNT,
+    EPOCH,
+    STEP,
+    decoded,
+    raw_file,
+    read,
+)
+
+IMU = """\
+std_msgs/Header header
+# a comment
+string<=40 label "unnamed # 1"
+uint8 STATUS_OK=0
+float64[9] covariance
+int16[] counts
+Axis[2] axes
+demo_msgs/Axis[<=5] more
+bool on
+float32 scale 1.5
+uint64 ticks
+string[] names
+builtin_interfaces/Duration lasting
+int8 last
+================================================================================
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+================================================================================
+MSG: demo_msgs/Axis
+uint8 number
+float64 x
+Empty nothing
+float32[3] y
+================================================================================
+MSG: demo_msgs/Empty
+"""
+IMU_FIELDS = (
+    "header.stamp.sec",
+    "covariance",
+    "covariance[3]",
+    "covariance[2:5]",
+    "counts[1]",
+    "axes[1].x",
+    "axes[0].y",
+    "more[1].y[2]",
+    "on",
+    "scale",
+    "ticks",
+    "lasting",
+    "last",
+)
+
+
+def axis(rng):
+    return {"number": int(rng.integers(256)), "x": rng.normal(), "y": rng.normal(size=3).tolist()}
+
+
+def imu_rows():
+    rng = np.random.default_rng(5)
+    for index in range(COUNT):
+        yield {
+            "header": {
+                "stamp": {"sec": 1_700_000_000 + index, "nanosec": index},
+                "frame_id": "f" * (index % 9),
+            },
+            "label": "l" * (index % 4),
+            "covariance": rng.normal(size=9).tolist(),
+            "counts": rng.integers(-99, 99, size=2 + index % 3).tolist(),
+            "axes": [axis(rng), axis(rng)],
+            "more": [axis(rng) for _ in range(2 + index % 2)],
+            "on": index % 2 == 0,
+            "scale": rng.normal(),
+            "ticks": 2**40 + index,
+            "names": ["n" * (index % 3), ""],
+            "lasting": {"sec": 1, "nanosec": 500_000_000},
+            "last": -index % 128,
+        }
+
+
+@pytest.fixture(scope="module")
+def imu(tmp_path_factory):
+    """Write messages of ROS 2; return the file and what the stock decoder reads."""
+    path = tmp_path_factory.mktemp("imu") / "imu.mcap"
+    with path.open("wb") as stream, RosWriter(stream, chunk_size=8192) as writer:
+        schema = writer.register_msgdef("demo_msgs/msg/Imu", IMU)
+        for index, row in enumerate(imu_rows()):
+            writer.write_message("/imu", schema, row, EPOCH + index * STEP)
+    return path, decoded(path, RosDecoders(), "/imu")
+
+
+def ros_value(message, field):
+    """Return what a name says of an object of the stock decoder."""
+    if field == "lasting":
+        return message.lasting.sec + message.lasting.nanosec / 1e9
+    return eval(f"message.{field}", {"message": message})
+
+
+@pytest.mark.parametrize("field", IMU_FIELDS)
+def test_fields_of_ros_are_what_the_stock_decoder_reads(imu, field):
+    """One by one, whatever is skipped before them."""
+    path, messages = imu
+    (samples,) = read(path, f"/imu.{field}")
+    expected = np.array([ros_value(message, field) for message in messages], np.float64)
+    np.testing.assert_array_equal(samples.values, expected.reshape(COUNT, -1))
+
+
+def test_fields_of_ros_are_read_together(imu):
+    """All at once, also twice the same and a part of another."""
+    path, messages = imu
+    found = read(path, *(f"/imu.{field}" for field in IMU_FIELDS), time="header.stamp")
+    for field, samples in zip(IMU_FIELDS, found, strict=True):
+        expected = np.array([ros_value(message, field) for message in messages], np.float64)
+        np.testing.assert_array_equal(samples.values, expected.reshape(COUNT, -1))
+        number = np.arange(COUNT)
+        np.testing.assert_array_equal(samples.time_ns, EPOCH + (10**9 + 1) * number)
+
+
+@pytest.mark.parametrize(
+    ("field", "text"),
+    [
+        ("header", "'header' is a message; needed a field of it that is a number; there is: head"),
+        ("header.frame_id", "'header.frame_id' is text; needed a number"),
+        ("header.stampp", "there is no field 'header.stampp'; did you mean 'header.stamp'?"),
+        ("axes.x", "'axes' is an array; needed one of its elements: axes[0]"),
+        ("axes[2].x", "'axes' has 2 elements, numbered from 0; needed [2]"),
+        ("covariance[9]", "'covariance' has 9 elements, numbered from 0; needed [9]"),
+        ("more[2].x", "message 1: 'more' has 2 elements, numbered from 0; needed [2]"),
+        ("counts", "message 2: it has 3 elements here and 2 in the first message"),
+        ("scale[0]", "'scale' is no array, so it has no elements"),
+        ("scale.x", "'scale' is a number, so there are no fields in it"),
+        ("label.x", "'label' is text, so there are no fields in it"),
+    ],
+)
+def test_what_is_no_number_of_ros_is_refused(imu, field, text):
+    """With the field, and what there is instead."""
+    with pytest.raises(LogError) as refused:
+        read(imu[0], f"/imu.{field}")
+    assert text in str(refused.value)
+
+
+def ros_file(folder, definition, body, *, name="demo_msgs/msg/Demo", encapsulation=b"\0\1\0\0"):
+    schema = (name, "ros2msg", definition.encode())
+    return raw_file(folder, "cdr", schema, [encapsulation + body])
+
+
+def test_both_byte_orders_are_read(tmp_path):
+    """Padding counts from the body on: a double behind a byte begins at 8."""
+    definition = "uint8 a\nfloat64 b\nint32[] c"
+    for number, order in ((0, ">"), (1, "<")):
+        body = struct.pack(f"{order}B7xdI2i", 7, -2.5, 2, 4, -5)
+        path = ros_file(tmp_path, definition, body, encapsulation=bytes((0, number, 0, 0)))
+        found = read(path, "/topic.a", "/topic.b", "/topic.c")
+        assert [samples.values.tolist() for samples in found] == [[[7.0]], [[-2.5]], [[4.0, -5.0]]]
+
+
+@pytest.mark.parametrize(
+    ("definition", "body", "options", "text"),
+    [
+        ("float64 x", b"", {}, "the message of 4 bytes ends within its fields"),
+        ("float64[] x", struct.pack("<I", 10**9), {}, "says that 1000000000 elements follow"),
+        ("float64[] x", struct.pack("<I12x", 9), {}, "says that 9 numbers follow, and ends"),
+        ("float64 x", b"", {"encapsulation": b"\0\7\0\0"}, "serialization 7; needed plain CDR"),
+        ("float64 x", b"", {"encapsulation": b"\0"}, "a message of 1 bytes; needed CDR"),
+        ("Other x", b"", {}, "its schema does not define demo_msgs/Other"),
+        ("Demo x", b"", {}, "its schema has demo_msgs/Demo inside itself"),
+        ("float64", b"", {}, "a line in demo_msgs/Demo that is no field: 'float64'"),
+        ("float64[0] x", b"", {}, "its schema has an array of 0 elements"),
+        ("int8 x\n===\nint8 y", b"", {}, "a definition without a line 'MSG: package/Name'"),
+        ("wstring w\nint8 x", b"", {}, "a wstring stands before a field that is wanted"),
+    ],
+)
+def test_damaged_messages_and_schemas_of_ros_are_refused(tmp_path, definition, body, options, text):
+    """Whatever a length says, no more is read than is there."""
+    with pytest.raises(LogError) as refused:
+        read(ros_file(tmp_path, definition, body, **options), "/topic.x")
+    assert text in str(refused.value)
+
+
+def test_definitions_that_multiply_are_refused(tmp_path):
+    """Ten of a message that has ten of another, and so on: no memory has all of their fields."""
+    parts = ["\n".join(f"M1 x{i}" for i in range(10))]
+    for level in range(1, 8):
+        inner = "int8" if level == 7 else f"M{level + 1}"
+        fields = "\n".join(f"{inner} x{i}" for i in range(10))
+        parts.append(f"MSG: demo_msgs/M{level}\n{fields}")
+    with pytest.raises(LogError, match="its schema has more than 10000 fields"):
+        read(ros_file(tmp_path, "\n===\n".join(parts), b""), "/topic.x0")
+
+
+def test_definitions_and_values_inside_each_other_are_bounded(tmp_path):
+    """A thousand levels are no error of Python."""
+    parts = ["M1 x", *(f"MSG: demo_msgs/M{i}\nM{i + 1} x" for i in range(1, 1000))]
+    with pytest.raises(LogError, match="its schema has messages inside each other, 50 deep"):
+        read(ros_file(tmp_path, "\n===\n".join(parts), b""), "/topic.x")
+    schema = ("Demo", "ros2idl", b"struct Demo { " + b"sequence<" * 5000)
+    with pytest.raises(LogError, match="its schema has a sequence of arrays or sequences"):
+        read(raw_file(tmp_path, "cdr", schema, [b""]), "/topic.x")
+    deep = b'{"x": 1, "a": ' + b'{"a": ' * 400 + b"1" + b"}" * 401
+    assert JsonFormat().fields(deep) == {"x": "number"}
+    with pytest.raises(LogError, match="message 1: the message is no JSON"):
+        read(raw_file(tmp_path, "json", None, [b"[" * 100_000]), "/topic.x")
+
+
+def test_a_time_is_one_by_what_is_in_it(tmp_path):
+    """A message of that name with other fields is a message."""
+    parts = ("builtin_interfaces/Time stamp", "===", "MSG: builtin_interfaces/Time")
+    definition = "\n".join([*parts, "int32 sec", "string nanosec"])
+    path = ros_file(tmp_path, definition, struct.pack("<iI", 5, 0))
+    assert read(path, "/topic.stamp.sec")[0].values.tolist() == [[5.0]]
+    with pytest.raises(LogError, match="'stamp' is a message; needed a field of it"):
+        read(path, "/topic.stamp")
