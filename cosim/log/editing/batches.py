@@ -22,13 +22,15 @@ _GATHERED_BYTES: Final = 2**22
 
 
 def gathered(
-    blocks: Iterable[bytes], dtypes: Mapping[int, np.dtype[np.void]], wanted: MessageFilter
+    blocks: Iterable[bytes | memoryview],
+    dtypes: Mapping[int, np.dtype[np.void]],
+    wanted: MessageFilter,
 ) -> Iterator[list[MessageBatch]]:
     """Yield the wanted messages of chunks, one batch a channel, many chunks at a time.
 
     Parameters
     ----------
-    blocks : iterable of bytes
+    blocks : iterable of bytes or memoryview
         The records of chunks.
     dtypes : mapping of channel id to dtype
         Of the rows of components.

@@ -6,7 +6,7 @@ declared size is checked before anything is decompressed, and the decompressor i
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, final
 
 import zstandard
 from isal import isal_zlib
@@ -27,12 +27,36 @@ def compress(data: memoryview, compression: Compression) -> bytes | memoryview:
     return data
 
 
+@final
+class Scratch:
+    """Memory for one chunk after another: pages that are new cost half as much as zstd itself."""
+
+    def __init__(self) -> None:
+        self._memory = memoryview(b"")
+
+    def of_size(self, size: int) -> memoryview:
+        """Return ``size`` bytes, the same ones again; what is in them is left as it was."""
+        if size > len(self._memory):
+            # A little more: chunks differ by some rows.
+            self._memory = memoryview(bytearray(size + size // 8))
+        return self._memory[:size]
+
+
 def decompress(data: bytes, compression: str, *, size: int, crc: int) -> bytes:
+    """Decompress a chunk's records and check them, as :func:`decompress_into` does."""
+    return bytes(decompress_into(Scratch(), data, compression, size=size, crc=crc))
+
+
+def decompress_into(
+    scratch: Scratch, data: bytes | memoryview, compression: str, *, size: int, crc: int
+) -> memoryview:
     """Decompress a chunk's records and check them.
 
     Parameters
     ----------
-    data : bytes
+    scratch : Scratch
+        Where they are decompressed to, if they are not ``data`` themselves.
+    data : bytes or memoryview
     compression : str
         As MCAP writes it: ``"zstd"``, ``"lz4"`` or empty.
     size : int
@@ -50,11 +74,11 @@ def decompress(data: bytes, compression: str, *, size: int, crc: int) -> bytes:
     if size > MOST_BYTES:
         raise ValueError(f"a chunk of {size} bytes, at most {MOST_BYTES} are read")
     if compression == "zstd":
-        records = _decompress_zstd(data, size)
+        records = _decompress_zstd(scratch, data, size)
     elif compression == "lz4":
         records = _decompress_lz4(data, size)
     elif not compression:
-        records = data
+        records = memoryview(data)
     else:
         raise ValueError(f"compression {compression!r}, needed zstd, lz4 or none")
     if len(records) != size:
@@ -64,25 +88,24 @@ def decompress(data: bytes, compression: str, *, size: int, crc: int) -> bytes:
     return records
 
 
-def _decompress_zstd(data: bytes, size: int) -> bytes:
+def _decompress_zstd(scratch: Scratch, data: bytes | memoryview, size: int) -> memoryview:
     try:
         frame_size = zstandard.get_frame_parameters(data).content_size
-        if frame_size == zstandard.CONTENTSIZE_UNKNOWN:
-            with zstandard.ZstdDecompressor().stream_reader(data) as stream:
-                return stream.read(size + 1)  # one more, to notice a longer chunk
-        if frame_size != size:
+        if frame_size not in (zstandard.CONTENTSIZE_UNKNOWN, size):
             raise ValueError(f"a chunk of {frame_size} bytes, {size} declared")
-        return zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
+        memory = scratch.of_size(size + 1)  # one more, to notice a longer chunk
+        with zstandard.ZstdDecompressor().stream_reader(data) as stream:
+            return memory[: stream.readinto(memory)]
     except zstandard.ZstdError as error:
         raise ValueError(f"a chunk cannot be decompressed: {error}") from error
 
 
-def _decompress_lz4(data: bytes, size: int) -> bytes:
+def _decompress_lz4(data: bytes | memoryview, size: int) -> memoryview:
     import lz4.frame  # rarely needed
 
     try:
         # One byte more than declared, to notice a longer chunk.
         decompressor = lz4.frame.LZ4FrameDecompressor()
-        return bytes(decompressor.decompress(data, max_length=size + 1))
+        return memoryview(decompressor.decompress(data, max_length=size + 1))
     except (RuntimeError, EOFError) as error:
         raise ValueError(f"a chunk cannot be decompressed: {error}") from error

@@ -7,7 +7,7 @@ import os
 import weakref
 from collections import deque
 from pathlib import Path
-from typing import Any, BinaryIO, Final, final
+from typing import Any, Final, final
 
 _MOST_HELD: Final = 64  # descriptors: a process may often have 1024
 
@@ -53,7 +53,7 @@ class OwnFile:
         except OSError:
             return False
 
-    def open(self) -> BinaryIO | None:
+    def open(self) -> io.BufferedReader | None:
         """Open it to read, from its start; None: it was let go."""
         if not self._close.alive:
             return None

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
+from io import BufferedReader
 from pathlib import Path
-from typing import BinaryIO
 
 from cosim.errors import LogError, flag, quoted
 from cosim.files import check_folder, regular
@@ -56,7 +56,7 @@ def check_new_log(path: Path, *, force: bool, numbered: bool) -> None:
         raise LogError(f"{path} cannot be created: {reason}") from error
 
 
-def open_file(path: Path) -> BinaryIO:
+def open_file(path: Path) -> BufferedReader:
     """Open a log to read; only a regular file can be one.
 
     Raises

@@ -5,26 +5,68 @@ Compression, CRCs and hashes of large pieces do: two threads take little more th
 
 from __future__ import annotations
 
+import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cached_property
 from itertools import chain, islice
+from threading import Lock
 from types import TracebackType
-from typing import Final, Self, TypeVar, final
+from typing import Final, Generic, Self, TypeVar, final
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 _THREADS: Final = 2
+# Beside who takes the results and does works too: more than there are processors wait for them.
+THREADS_AHEAD: Final = max(1, min(_THREADS, (os.cpu_count() or 1) - 1))
+AHEAD: Final = 4  # works that are begun and not done with
+
+
+@final
+class _Task(Generic[_Result]):
+    """A work that is done by whoever comes first."""
+
+    def __init__(self, work: Callable[[], _Result]) -> None:
+        self._work = work
+        self._claim = Lock()
+        self.outcome: Future[_Result] = Future()
+
+    def do(self) -> None:
+        """Do it, unless another has begun to."""
+        if not self._claim.acquire(blocking=False):
+            return
+        try:
+            self.outcome.set_result(self._work())
+        except BaseException as error:  # is raised where the result is asked for
+            self.outcome.set_exception(error)
+
+
+def _first_result(begun: deque[_Task[_Result]]) -> _Result:
+    """Take the first of some tasks; return its result, and do others rather than wait for it."""
+    for task in begun:
+        if begun[0].outcome.done():
+            break
+        task.do()
+    return begun.popleft().outcome.result()
 
 
 @final
 class Workers:
-    """Two threads, which are started when there is work for them."""
+    """Threads, which are started when there is work for them.
+
+    Parameters
+    ----------
+    threads : int
+        How many at most.
+    """
+
+    def __init__(self, threads: int = _THREADS) -> None:
+        self._threads = threads
 
     @cached_property
     def _executor(self) -> ThreadPoolExecutor:
-        return ThreadPoolExecutor(_THREADS, thread_name_prefix="cosim log")
+        return ThreadPoolExecutor(self._threads, thread_name_prefix="cosim log")
 
     def start(self, work: Callable[[], _Result]) -> Future[_Result]:
         """Let a thread do some work."""
@@ -38,19 +80,25 @@ class Workers:
         return list(self._executor.map(work, every))
 
     def ahead(self, works: Iterator[Callable[[], _Result]]) -> Iterator[_Result]:
-        """Yield the results of some works in their order; the next one is begun before."""
-        few = list(islice(works, _THREADS))
-        if len(few) < _THREADS:
+        """Yield the results of some works in their order; the next ones are begun before.
+
+        Who takes the results does some of the works, where it would wait. A work is taken from
+        ``works`` when the result of that ``AHEAD`` works before it is done with.
+        """
+        few = list(islice(works, 2))
+        if len(few) < 2:
             for work in few:
                 yield work()
             return
-        begun: deque[Future[_Result]] = deque()
+        begun: deque[_Task[_Result]] = deque()
         for work in chain(few, works):
-            begun.append(self.start(work))
-            if len(begun) == _THREADS:
-                yield begun.popleft().result()
+            task = _Task(work)
+            begun.append(task)
+            self.start(task.do)
+            if len(begun) == AHEAD:
+                yield _first_result(begun)
         while begun:
-            yield begun.popleft().result()
+            yield _first_result(begun)
 
     def close(self) -> None:
         """End the threads, when they have done what they began."""

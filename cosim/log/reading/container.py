@@ -12,7 +12,8 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
-from io import BytesIO
+from io import BufferedReader, BytesIO
+from itertools import cycle
 from pathlib import Path
 from typing import BinaryIO, final
 
@@ -24,13 +25,13 @@ from mcap.opcode import Opcode
 from mcap.summary import Summary
 
 from cosim.errors import LogError
-from cosim.log.mcap_file.compression import MOST_BYTES, decompress
+from cosim.log.mcap_file.compression import MOST_BYTES, Scratch, decompress_into
 from cosim.log.mcap_file.index import parse_summary, read_index
 from cosim.log.mcap_file.own_file import OwnFile
 from cosim.log.mcap_file.paths import open_file
 from cosim.log.mcap_file.records import FOOTER_SIZE, HEADER, record_header
 from cosim.log.mcap_file.walk import RecordSpan, damage_error, walk
-from cosim.log.mcap_file.workers import Workers
+from cosim.log.mcap_file.workers import AHEAD, THREADS_AHEAD, Workers
 from cosim.log.reading.scan import OtherRecord, scan
 
 # What parsing bytes from outside may raise.
@@ -54,6 +55,15 @@ class _ChunkHeader:
     crc: int
     compression: str
     data_length: int
+
+
+@final
+class _Memory:
+    """What one chunk at a time is read and decompressed to."""
+
+    def __init__(self) -> None:
+        self.data = Scratch()
+        self.records = Scratch()
 
 
 @final
@@ -122,7 +132,7 @@ class Container:
         if index is None:
             self._check_data(stream)
 
-    def open(self) -> BinaryIO:
+    def open(self) -> BufferedReader:
         """Open the file for a pass.
 
         Raises
@@ -142,7 +152,7 @@ class Container:
     def _changed(self) -> LogError:
         return LogError(f"{self.path} has changed since it was opened; open it again")
 
-    def _stream(self) -> BinaryIO:
+    def _stream(self) -> BufferedReader:
         stream = None if self.own is None else self.own.open()
         return open_file(self.path) if stream is None else stream
 
@@ -152,8 +162,10 @@ class Container:
         *,
         first_ns: int | None = None,
         last_ns: int | None = None,
-    ) -> Iterator[bytes]:
+    ) -> Iterator[memoryview]:
         """Yield the message records chunk by chunk, decompressed and checked.
+
+        Each is overwritten when the next one is asked for.
 
         Parameters
         ----------
@@ -172,8 +184,9 @@ class Container:
         for span in self.contents.data:
             if self._may_have(span, channel_ids, first_ns, last_ns):
                 wanted.append(span)
-        with self.open() as stream, Workers() as workers:
-            pieces = (self._piece(stream, span) for span in wanted)
+        memories = cycle([_Memory() for _ in range(AHEAD if self._is_compressed else 1)])
+        with self.open() as stream, Workers(THREADS_AHEAD) as workers:
+            pieces = (self._piece(stream, span, next(memories)) for span in wanted)
             if self._is_compressed:
                 yield from workers.ahead(pieces)
             else:
@@ -357,23 +370,30 @@ class Container:
             raise self.damage_error(span.start, reason)
         return _read(stream, span)
 
-    def _piece(self, stream: BinaryIO, span: RecordSpan) -> Callable[[], bytes]:
+    def _piece(
+        self, stream: BufferedReader, span: RecordSpan, memory: _Memory
+    ) -> Callable[[], memoryview]:
         """Read a chunk, or messages outside; return what decompresses and checks them."""
         if span.opcode != Opcode.CHUNK:
-            messages = self._record(stream, span)
+            messages = memoryview(self._record(stream, span))
             return lambda: messages
         try:
             header = _read_chunk_header(stream, span)
             # Before decompressing: no CRC covers the header, and a wrong size may be a huge one.
             self._check_chunk_index(span, header)
-            data = stream.read(header.data_length)
+            data = memory.data.of_size(header.data_length)
+            data = data[: stream.readinto(data)]
         except MALFORMED as error:
             raise self.damage_error(span.start, str(error)) from error
-        return partial(self._decompressed, span, header, data)
+        return partial(self._decompressed, span, header, data, memory.records)
 
-    def _decompressed(self, span: RecordSpan, header: _ChunkHeader, data: bytes) -> bytes:
+    def _decompressed(
+        self, span: RecordSpan, header: _ChunkHeader, data: memoryview, scratch: Scratch
+    ) -> memoryview:
         try:
-            return decompress(data, header.compression, size=header.size, crc=header.crc)
+            return decompress_into(
+                scratch, data, header.compression, size=header.size, crc=header.crc
+            )
         except MALFORMED as error:
             raise self.damage_error(span.start, str(error)) from error
 

@@ -230,7 +230,7 @@ class LogRows:
         *,
         first_ns: int | None = None,
         last_ns: int | None = None,
-    ) -> Iterator[bytes]:
+    ) -> Iterator[memoryview]:
         """Yield the chunks that have rows of some components and time."""
         channel_ids: set[int] = set()
         for name in components:

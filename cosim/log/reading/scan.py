@@ -34,16 +34,16 @@ class OtherRecord:
 
 
 def scan(
-    data: bytes, dtypes: Mapping[int, np.dtype[np.void]]
+    data: bytes | memoryview, dtypes: Mapping[int, np.dtype[np.void]]
 ) -> Iterator[tuple[int, Records] | OtherRecord]:
     """Yield the records in ``data`` in their order.
 
     Parameters
     ----------
-    data : bytes
+    data : bytes or memoryview
     dtypes : mapping of channel id to dtype
-        Consecutive messages of these channels are yielded together, as channel id and records; all
-        other records one by one.
+        Consecutive messages of these channels are yielded together, as channel id and records,
+        which share the memory of ``data``; all other records one by one, copied.
 
     Raises
     ------
@@ -61,7 +61,7 @@ def scan(
             channel_id = int.from_bytes(data[content : content + 2], "little")
             dtype = dtypes.get(channel_id)
         if dtype is None:
-            yield OtherRecord(opcode, channel_id, data[content:stop])
+            yield OtherRecord(opcode, channel_id, bytes(data[content:stop]))
         elif stop - position != dtype.itemsize:
             raise ValueError(
                 f"a message of {stop - position} bytes in channel {channel_id}, needed"
@@ -74,7 +74,7 @@ def scan(
         position = stop
 
 
-def _record_bounds(data: bytes, position: int) -> tuple[int, int]:
+def _record_bounds(data: bytes | memoryview, position: int) -> tuple[int, int]:
     """Return opcode and end of the record at ``position``.
 
     Raises
@@ -92,7 +92,9 @@ def _record_bounds(data: bytes, position: int) -> tuple[int, int]:
     return opcode, stop
 
 
-def _consecutive_messages(data: bytes, position: int, dtype: np.dtype[np.void]) -> Records:
+def _consecutive_messages(
+    data: bytes | memoryview, position: int, dtype: np.dtype[np.void]
+) -> Records:
     """Return the records from ``position`` on with opcode, length and channel of the first."""
     size = dtype.itemsize
     room = (len(data) - position) // size

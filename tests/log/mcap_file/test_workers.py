@@ -4,7 +4,7 @@ import threading
 
 import pytest
 
-from cosim.log.mcap_file.workers import Workers
+from cosim.log.mcap_file.workers import AHEAD, Workers
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 3, 50])
@@ -14,6 +14,41 @@ def test_results_come_in_the_order_of_the_work(count):
         works = ((lambda i=i: i * i) for i in range(count))
         assert list(workers.ahead(works)) == [i * i for i in range(count)]
         assert workers.map(lambda i: i * i, range(count)) == [i * i for i in range(count)]
+
+
+def test_who_takes_the_results_does_works_instead_of_waiting():
+    """The only thread is held by the first one, which ends when others have been done."""
+    others_are_done = threading.Event()
+    names = []
+
+    def first():
+        assert others_are_done.wait(60)
+
+    def other():
+        names.append(threading.current_thread().name)
+        others_are_done.set()
+
+    with Workers(1) as workers:
+        begun = threading.Event()
+        held = workers.start(lambda: (begun.set(), first()))
+        assert begun.wait(60)
+        assert len(list(workers.ahead(iter([other] * 6)))) == 6
+        held.result()
+    assert threading.current_thread().name in names
+
+
+def test_a_work_is_taken_when_the_results_before_it_are_done_with():
+    """So ``AHEAD`` of them may share as many pieces of memory in turn."""
+    taken = []
+
+    def works():
+        for number in range(20):
+            taken.append(number)
+            yield lambda number=number: number
+
+    with Workers() as workers:
+        for result in workers.ahead(works()):
+            assert len(taken) <= result + AHEAD
 
 
 def test_an_error_comes_in_its_place():

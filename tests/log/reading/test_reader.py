@@ -24,6 +24,7 @@ from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.errors import LogError, UsageError
 from cosim.log import McapRecorder, open_log
 from cosim.log.contents import preamble
+from cosim.log.mcap_file.workers import AHEAD
 from cosim.log.reading import rows as log_rows
 from tests.log.crafting import put_together, take_apart
 from tests.log.recordings import (
@@ -396,10 +397,36 @@ def test_reading_a_component_takes_little_more_memory_than_it_has(tmp_path, monk
     monkeypatch.setattr(log_rows, "_ALWAYS_AHEAD", 2**20)
     record(tmp_path / "a.mcap", steps=2000, lay=layout(wide=500))
     log = open_log(tmp_path / "a.mcap")
+    with (tmp_path / "a.mcap").open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    largest = max(index.uncompressed_size for index in summary.chunk_indexes)
+    assert len(summary.chunk_indexes) > 2 * AHEAD
     tracemalloc.start()
     rows = log.rows("plant")
-    assert tracemalloc.get_traced_memory()[1] < 4 * rows.nbytes + 8 * 50_000
+    # Of the chunks in hand, each compressed and not, with room for one an eighth larger.
+    in_hand = AHEAD * 2 * 9 / 8 * largest
+    assert tracemalloc.get_traced_memory()[1] < 4 * rows.nbytes + in_hand
     tracemalloc.stop()
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
+def test_chunks_read_one_behind_the_other_keep_their_rows(tmp_path, monkeypatch, compression):
+    """However they are read: their memory is that of chunks before them."""
+    make_chunks_small(monkeypatch, 10_000)
+    rows = record(tmp_path / "a.mcap", steps=2000, compression=compression)
+    log = open_log(tmp_path / "a.mcap")
+    with (tmp_path / "a.mcap").open("rb") as stream:
+        assert len(make_reader(stream).get_summary().chunk_indexes) > 3 * AHEAD
+    log.load()
+    for name, channel in log.channels.items():
+        assert same_bits(log.rows(name), rows[:: channel.period, channel.columns])
+    monkeypatch.setattr(log_rows, "_MOST_AHEAD", 0)
+    monkeypatch.setattr(log_rows, "_MOST_KEPT", 0)
+    for name, channel in open_log(tmp_path / "a.mcap").channels.items():
+        streamed = [values for _, values in open_log(tmp_path / "a.mcap").blocks(name)]
+        assert same_bits(np.vstack(streamed), rows[:: channel.period, channel.columns])
+        times = open_log(tmp_path / "a.mcap").time_ns(name)
+        assert np.array_equal(times, np.arange(len(times)) * channel.period * STEP_NS)
 
 
 def test_files_that_are_no_logs_are_named(path):
