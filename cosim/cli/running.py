@@ -169,9 +169,8 @@ def run(
     from cosim.scenario.running.execution import load
     from cosim.scenario.running.execution import run as run_scenario
 
-    if dry_run and (certify or find_step):
-        name = "--certify" if certify else "--find-step"
-        raise UsageError(f"found --dry-run, which runs nothing, and {name}; needed one of them")
+    if dry_run:
+        _check_dry_run(find_step, certify=certify)
     if find_step and step is not None:
         raise UsageError(
             "found both --find-step and --step; needed one of them: the search chooses the step"
@@ -182,11 +181,12 @@ def run(
     end_with_parent()
     note_own_end()
     imported = perf_counter()
-    edits = read_edits(changes, {"scenario.stop": stop, "scenario.step": step})
-    swap = read_unique_pairs(swaps, "swap")
-    names = read_unique_pairs(maps, "map")
     with prints_to_stderr():
-        edited = load(scenario).edit(swap=swap, map=names, set=edits)
+        edited = load(scenario).edit(
+            swap=read_unique_pairs(swaps, "swap"),
+            map=read_unique_pairs(maps, "map"),
+            set=read_edits(changes, {"scenario.stop": stop, "scenario.step": step}),
+        )
     start_collecting()
     if dry_run:
         _dry_run(edited, as_json=as_json)
@@ -195,12 +195,8 @@ def run(
         raise UsageError("--force replaces the log at --out; needed both, or neither")
     path = out or Path("logs") / f"{edited.name}.mcap"
     check_plot(plot, out)
-    if rotate is not None and (plot is not None or profile):
-        name = "--profile" if plot is None else "--plot"
-        raise UsageError(
-            f"found both --rotate and {name}, which shows a log of one file; needed one of them"
-        )
-    tolerances = read_numbers(find_step, "find-step")
+    if rotate is not None:
+        _check_rotated(plot, profile=profile)
     seconds: dict[str, float] | None = {} if profile else None
     with (
         shown_live(live, host, port, show) as server,
@@ -217,7 +213,7 @@ def run(
             embed=embed,
             profile=seconds,
             certify=certify,
-            find_step=tolerances,
+            find_step=read_numbers(find_step, "find-step"),
             realtime=realtime,
             live=server,
             flush=flush,
@@ -233,6 +229,22 @@ def run(
         print_rotated(log, wall=wall, as_json=as_json, quiet=quiet)
         return
     print_summary(log, wall=wall, profile=seconds, as_json=as_json, quiet=quiet)
+
+
+def _check_dry_run(find_step: list[str] | None, *, certify: bool) -> None:
+    """Check that nothing is asked for beside a dry run that only a run shows."""
+    if certify or find_step:
+        name = "--certify" if certify else "--find-step"
+        raise UsageError(f"found --dry-run, which runs nothing, and {name}; needed one of them")
+
+
+def _check_rotated(plot: Path | None, *, profile: bool) -> None:
+    """Check that nothing is asked for that is shown of a log of one file only."""
+    if plot is not None or profile:
+        name = "--profile" if plot is None else "--plot"
+        raise UsageError(
+            f"found both --rotate and {name}, which shows a log of one file; needed one of them"
+        )
 
 
 def _dry_run_in_child(

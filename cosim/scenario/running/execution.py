@@ -240,13 +240,7 @@ def run(
     pace = None if realtime is None else _pace_of(realtime)
     loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
     edited = loaded.edit(swap=swap, map=map, set=set)
-    certification: Certification | None = None
-    if find_step is not None:
-        edited, certification = _with_found_step(
-            edited, mapping_argument("find_step", find_step), progress
-        )
-    elif certify:
-        certification = _certification_of(edited, progress)
+    edited, certification = _certified(edited, find_step, progress, certify=certify)
     beside: Beside | None = None if certification is None else certification.beside
     with ExitStack() as resources:
         experiment = build_experiment(edited, resources, block)
@@ -319,22 +313,26 @@ def _rotation_of(rotate: str | None, *, is_logged: bool) -> Rotation | None:
     return read_rotation(rotate)
 
 
-def _certification_of(scenario: Scenario, progress: Progress | None) -> Certification:
+def _certified(
+    scenario: Scenario,
+    tolerances: Mapping[str, float] | None,
+    progress: Progress | None,
+    *,
+    certify: bool,
+) -> tuple[Scenario, Certification | None]:
+    """Return a scenario, with the step that keeps tolerances if any, and what certifies its run."""
     # Most runs need none of it.
-    from cosim.scenario.certification.certificate import certification_of
+    if tolerances is not None:
+        from cosim.scenario.certification.step_search import find_step
 
-    return certification_of(scenario, progress)
+        search = find_step(scenario, mapping_argument("find_step", tolerances), progress)
+        found = scenario.edit(set={"scenario.step": search.step})
+        return found, search.certifier.certification()
+    if certify:
+        from cosim.scenario.certification.certificate import certification_of
 
-
-def _with_found_step(
-    scenario: Scenario, tolerances: Mapping[str, float], progress: Progress | None
-) -> tuple[Scenario, Certification]:
-    """Return a scenario with the step that keeps tolerances, and what certifies its run."""
-    # Most runs need none of it.
-    from cosim.scenario.certification.step_search import find_step
-
-    search = find_step(scenario, tolerances, progress)
-    return scenario.edit(set={"scenario.step": search.step}), search.certifier.certification()
+        return scenario, certification_of(scenario, progress)
+    return scenario, None
 
 
 def _pace_of(factor: float) -> float:
