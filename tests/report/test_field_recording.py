@@ -111,7 +111,7 @@ def test_what_is_not_read_is_said(tmp_path, monkeypatch):
     assert content["topics"][1]["messages"] == 0
     problems = {row["topic"]: row["problem"] for row in content["not read"]}
     assert problems["/odd"].startswith("its messages are in 'cbor' with no schema; needed protobuf")
-    assert problems["/bad"].startswith("the message is no JSON")
+    assert problems["/bad"].startswith("the message is not JSON")
 
 
 def test_times_beyond_63_bits_are_refused(tmp_path):

@@ -46,7 +46,7 @@ def read_json(text: str | bytes) -> Any:
     except RecursionError as error:
         raise ValueError("it is nested too deeply") from error
     except UnicodeEncodeError as error:
-        raise ValueError("it has half a character") from error
+        raise ValueError("it has an unpaired surrogate") from error
     return value
 
 
@@ -98,7 +98,7 @@ def verify_checksum(name: str, items: Mapping[str, str]) -> dict[str, str]:
     content = dict(items)
     checksum = content.pop(CHECKSUM, None)
     if checksum != _checksum(name, content):
-        raise ValueError(f"metadata {name!r} is damaged: its checksum does not fit its content")
+        raise ValueError(f"metadata {name!r} is damaged: its checksum does not match its content")
     return content
 
 

@@ -101,6 +101,6 @@ def _add_comment(
 ) -> None:
     """Add the comment in front of a declaration, as protoc finds it behind ``//``."""
     location = file.source_code_info.location.add(path=path, span=(line, 0, 0))
-    # Names and descriptions may have half a character, which protobuf's strings may not.
+    # Names and descriptions may have unpaired surrogates, which strings of protobuf may not.
     readable = text.encode("utf-8", "replace").decode("utf-8")
     location.leading_comments = f" {readable}\n"

@@ -202,5 +202,5 @@ def _check_channel(channel: records.Channel) -> None:
 def _attachment(data: bytes) -> records.Attachment:
     crc = int.from_bytes(data[-4:], "little")
     if not crc or isal_zlib.crc32(data[:-4]) != crc:
-        raise ValueError("the CRC of an attachment does not fit its content")
+        raise ValueError("the CRC of an attachment does not match its content")
     return records.Attachment.read(ReadDataStream(BytesIO(data)))

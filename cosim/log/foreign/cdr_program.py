@@ -251,7 +251,7 @@ class _Strings:
     def __call__(self, body: CdrBody) -> None:
         """Skip them."""
         if self.type_name == "wstring":
-            raise FieldProblem("a wstring stands before a field that is wanted; none can be read")
+            raise FieldProblem("a wstring precedes a field that is needed, and cannot be read")
         count = body.length() if self.count == VARIABLE else self.count
         for _ in range(1 if count is None else count):
             length = body.length()

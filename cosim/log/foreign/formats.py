@@ -48,4 +48,4 @@ def _text(schema: ForeignSchema) -> str:
     try:
         return schema.data.decode()
     except UnicodeDecodeError as error:
-        raise FieldProblem(f"its schema {schema.name!r} is no text in UTF-8") from error
+        raise FieldProblem(f"its schema {schema.name!r} is not UTF-8 text") from error

@@ -48,7 +48,7 @@ def _decoded(data: bytes) -> Any:
     try:
         return json.loads(data)
     except (ValueError, RecursionError) as error:
-        raise FieldProblem(f"the message is no JSON: {error}") from error
+        raise FieldProblem(f"the message is not JSON: {error}") from error
 
 
 def _leaves(path: FieldPath, value: Any) -> Iterator[tuple[FieldPath, str]]:

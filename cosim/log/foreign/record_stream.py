@@ -95,7 +95,7 @@ def _check_data(path: Path, position: int, content: bytes, crc: int) -> None:
     """Check the CRC of all data, where the writer gave one."""
     declared = int.from_bytes(content, "little")
     if declared and declared != crc:
-        raise damage_error(path, position, "the CRC of the data does not fit")
+        raise damage_error(path, position, "the CRC of the data does not match")
 
 
 def _records_of(opcode: int, content: bytes) -> Iterator[RecordBounds]:

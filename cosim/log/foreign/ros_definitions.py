@@ -156,11 +156,11 @@ def check_messages(name: str, messages: RosMessages) -> None:
 
     def size(current: str, above: tuple[str, ...]) -> int:
         if current in above:
-            raise FieldProblem(f"its schema has {current} inside itself")
+            raise FieldProblem(f"in its schema {current} contains itself")
         if current in sizes:
             return sizes[current]
         if len(above) > MOST_LEVELS:
-            raise FieldProblem(f"its schema has messages inside each other, {MOST_LEVELS} deep")
+            raise FieldProblem(f"its schema nests messages {MOST_LEVELS} deep")
         if current not in messages:
             raise FieldProblem(f"its schema does not define {current}")
         total = 1

@@ -130,7 +130,7 @@ class _IdlReader:
     def definitions(self, scope: tuple[str, ...]) -> None:
         """Read definitions up to the end of a module, or of the text."""
         if len(scope) > MOST_LEVELS:
-            raise FieldProblem(f"its schema has more than {MOST_LEVELS} modules in each other")
+            raise FieldProblem(f"its schema nests more than {MOST_LEVELS} modules")
         while True:
             self._skip_annotations()
             if self._position == len(self._tokens) and not scope:

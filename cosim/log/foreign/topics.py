@@ -215,5 +215,5 @@ def _summary_records(stream: BinaryIO) -> list[tuple[int, bytes]]:
     stream.seek(start)
     content = stream.read(footer_start - start)
     if declared and isal_zlib.crc32(footer[:-4], isal_zlib.crc32(content)) != declared:
-        raise ValueError("the CRC of the summary does not fit its content")
+        raise ValueError("the CRC of the summary does not match its content")
     return [(opcode, content[begin:stop]) for opcode, begin, stop in records_in(content)]

@@ -90,7 +90,9 @@ def _exact(value: int) -> float:
     except OverflowError:
         number = NAN
     if number != value:
-        raise FieldProblem(f"it is {value}, which no float64 is; needed a whole number up to 2**53")
+        raise FieldProblem(
+            f"it is {value}, which no float64 represents; needed a whole number up to 2**53"
+        )
     return number
 
 

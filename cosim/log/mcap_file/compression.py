@@ -84,7 +84,7 @@ def decompress_into(
     if len(records) != size:
         raise ValueError(f"a chunk of another size than the {size} bytes declared")
     if crc and isal_zlib.crc32(records) != crc:
-        raise ValueError("the CRC of a chunk does not fit its content")
+        raise ValueError("the CRC of a chunk does not match its content")
     return records
 
 

@@ -97,7 +97,7 @@ def read_index(path: Path, stream: BinaryIO) -> LogIndex | None:
         section = _sealed(section, start)
         is_whole = offset_start <= start + len(section) and bool(section)
     if not is_whole:
-        raise damage_error(path, start, "the CRC of the summary does not fit its content")
+        raise damage_error(path, start, "the CRC of the summary does not match its content")
     summary = parse_summary(section)
     return LogIndex(summary, _contents(summary), is_unfinished=not crc)
 

@@ -346,7 +346,7 @@ class Container:
         try:
             _check_header(record, span)
             if crc and isal_zlib.crc32(checked) != crc:
-                reason = "the CRC of an attachment does not fit its content"
+                reason = "the CRC of an attachment does not match its content"
                 raise self.damage_error(span.start, reason)
             return bytes(records.Attachment.read(_content(record)).data)
         except MALFORMED as error:
@@ -431,7 +431,7 @@ class Container:
             if not self.contents.data_end < start < footer_start:
                 raise ValueError(f"it is said to begin at byte {start}")
             if footer.summary_crc and _crc(stream, start, crc_position) != footer.summary_crc:
-                raise ValueError("the CRC of the summary does not fit its content")
+                raise ValueError("the CRC of the summary does not match its content")
             section = [
                 self._record(stream, span) for span in self.contents.summary if span.start >= start
             ]
@@ -469,7 +469,7 @@ class Container:
             return
         crc = _crc(stream, 0, contents.data_end)
         if crc != contents.data_crc:
-            raise self.damage_error(contents.data_end, "the CRC of the data does not fit")
+            raise self.damage_error(contents.data_end, "the CRC of the data does not match")
 
 
 def _check_header(record: bytes, span: RecordSpan) -> None:

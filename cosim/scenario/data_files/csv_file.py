@@ -110,7 +110,7 @@ def read_lines(path: Path, file: str) -> list[str]:
     except UnicodeDecodeError as error:
         # not "from error": that one holds the content
         raise UsageError(
-            f"file {file} is no text in UTF-8 (byte {error.start}); save it in that encoding"
+            f"file {file} is not UTF-8 text (byte {error.start}); save it in that encoding"
         ) from None
     if "\0" in text:
         raise UsageError(f"file {file} is no text: it has the character 0; needed a table in UTF-8")

@@ -333,7 +333,7 @@ def _read_text(path: Path) -> str:
         ) from error
     except UnicodeDecodeError as error:
         raise ScenarioError(
-            f"{path}: is no text in UTF-8 (byte {error.start}); needed a scenario in TOML"
+            f"{path}: is not UTF-8 text (byte {error.start}); needed a scenario in TOML"
         ) from error
 
 

@@ -176,11 +176,11 @@ def test_both_byte_orders_are_read(tmp_path):
         ("float64 x", b"", {"encapsulation": b"\0\7\0\0"}, "serialization 7; needed plain CDR"),
         ("float64 x", b"", {"encapsulation": b"\0"}, "a message of 1 bytes; needed CDR"),
         ("Other x", b"", {}, "its schema does not define demo_msgs/Other"),
-        ("Demo x", b"", {}, "its schema has demo_msgs/Demo inside itself"),
+        ("Demo x", b"", {}, "in its schema demo_msgs/Demo contains itself"),
         ("float64", b"", {}, "a line in demo_msgs/Demo that is no field: 'float64'"),
         ("float64[0] x", b"", {}, "its schema has an array of 0 elements"),
         ("int8 x\n===\nint8 y", b"", {}, "a definition without a line 'MSG: package/Name'"),
-        ("wstring w\nint8 x", b"", {}, "a wstring stands before a field that is wanted"),
+        ("wstring w\nint8 x", b"", {}, "a wstring precedes a field that is needed"),
     ],
 )
 def test_damaged_messages_and_schemas_of_ros_are_refused(tmp_path, definition, body, options, text):
@@ -204,14 +204,14 @@ def test_definitions_that_multiply_are_refused(tmp_path):
 def test_definitions_and_values_inside_each_other_are_bounded(tmp_path):
     """A thousand levels are no error of Python."""
     parts = ["M1 x", *(f"MSG: demo_msgs/M{i}\nM{i + 1} x" for i in range(1, 1000))]
-    with pytest.raises(LogError, match="its schema has messages inside each other, 50 deep"):
+    with pytest.raises(LogError, match="its schema nests messages 50 deep"):
         read(ros_file(tmp_path, "\n===\n".join(parts), b""), "/topic.x")
     schema = ("Demo", "ros2idl", b"struct Demo { " + b"sequence<" * 5000)
     with pytest.raises(LogError, match="its schema has a sequence of arrays or sequences"):
         read(raw_file(tmp_path, "cdr", schema, [b""]), "/topic.x")
     deep = b'{"x": 1, "a": ' + b'{"a": ' * 400 + b"1" + b"}" * 401
     assert JsonFormat().fields(deep) == {"x": "number"}
-    with pytest.raises(LogError, match="message 1: the message is no JSON"):
+    with pytest.raises(LogError, match="message 1: the message is not JSON"):
         read(raw_file(tmp_path, "json", None, [b"[" * 100_000]), "/topic.x")
 
 

@@ -109,7 +109,7 @@ def test_damaged_messages_outside_chunks_are_refused(tmp_path):
     def change(data):
         data[data.index(b'"x": 1') + 5] = ord("2")
 
-    with pytest.raises(LogError, match="the CRC of the data does not fit"):
+    with pytest.raises(LogError, match="the CRC of the data does not match"):
         read(damaged(path, change), "/t.x")
 
 

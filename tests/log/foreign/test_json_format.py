@@ -57,7 +57,7 @@ def test_fields_in_json_are_what_json_says(tmp_path):
         ({"a": 1}, "a[0]", "'a' is no list, so it has no elements"),
         ({"a": 1}, "a.b", "'a' is no object, so it has no 'b'"),
         ({"a": []}, "a", "it has no elements; needed numbers"),
-        ({"a": 2**53 + 1}, "a", "it is 9007199254740993, which no float64 is"),
+        ({"a": 2**53 + 1}, "a", "it is 9007199254740993, which no float64 represents"),
         ({"a": float("inf")}, "a", "it is not finite; needed a finite number"),
     ],
 )
@@ -85,5 +85,5 @@ def test_an_array_of_varying_length_is_refused(tmp_path):
 def test_messages_that_are_no_json_are_refused(tmp_path):
     """The message is named, not quoted."""
     path = raw_file(tmp_path, "json", None, [b"{"])
-    with pytest.raises(LogError, match="message 1: the message is no JSON"):
+    with pytest.raises(LogError, match="message 1: the message is not JSON"):
         read(path, "/topic.a")

@@ -200,8 +200,8 @@ def test_messages_of_ros_itself_are_read(tmp_path, type_name):
         ("struct Demo { sequence<sequence<long>> x; };", "a sequence of arrays or sequences"),
         ("struct Demo { long x[N]; };", "its schema has 'N' where a number is needed"),
         ("struct Demo { Other x; };", "its schema does not define Other"),
-        ("struct Demo { Demo x; };", "its schema has Demo inside itself"),
-        ("module a {" * 60, "its schema has more than 50 modules in each other"),
+        ("struct Demo { Demo x; };", "in its schema Demo contains itself"),
+        ("module a {" * 60, "its schema nests more than 50 modules"),
         ("struct Other { long x; };", "its schema does not define Demo"),
     ],
 )

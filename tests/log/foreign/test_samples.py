@@ -90,7 +90,7 @@ def test_a_topic_of_two_schemas_is_refused(tmp_path):
         ("cbor", None, "messages are in 'cbor' with no schema; needed protobuf, json, and cdr"),
         ("cdr", ("x", "omgidl", b""), "in 'cdr' with a schema in 'omgidl'; needed protobuf"),
         ("protobuf", None, "in 'protobuf' with no schema"),
-        ("cdr", ("x", "ros2msg", b"\xff"), "its schema 'x' is no text in UTF-8"),
+        ("cdr", ("x", "ros2msg", b"\xff"), "its schema 'x' is not UTF-8 text"),
     ],
 )
 def test_unknown_encodings_are_refused(tmp_path, encoding, schema, text):

@@ -483,7 +483,7 @@ def test_a_flip_in_messages_outside_chunks_is_found(path, tmp_path):
     position = data.index(content.messages[5][3]) + 4  # inside of a double
     data[position] ^= 1
     copy.write_bytes(data)
-    with pytest.raises(LogError, match="the CRC of the data does not fit"):
+    with pytest.raises(LogError, match="the CRC of the data does not match"):
         open_log(copy)
 
 

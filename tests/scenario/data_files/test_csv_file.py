@@ -65,8 +65,8 @@ def test_the_ways_to_write_one_table(written, content):
         (b"0,1\n1,2\n", "has numbers in line 1; needed the names of its 2 columns there"),
         (b"t,u,u\n0,1,2\n", "has 2 columns 'u'; needed a name of its own for each"),
         (b"t,u\n0,\x001\n", "is no text: it has the character 0"),
-        ("t,u\n0,1\n".encode("utf-16"), r"is no text in UTF-8 \(byte 0\); save it in that"),
-        ("t,größe\n0,1\n".encode("latin-1"), r"is no text in UTF-8 \(byte 4\)"),
+        ("t,u\n0,1\n".encode("utf-16"), r"is not UTF-8 text \(byte 0\); save it in that"),
+        ("t,größe\n0,1\n".encode("latin-1"), r"is not UTF-8 text \(byte 4\)"),
         (b"t" + b",u" * MOST_COLUMNS + b"\n0\n", "has 100001 columns; needed at most 100000"),
     ],
 )

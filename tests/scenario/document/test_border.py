@@ -301,7 +301,7 @@ PATHS = ["a" * 300, "a" * 5000, "a\0b", "\ud800"]
 
 @pytest.mark.parametrize("path", PATHS, ids=range(len(PATHS)))
 def test_paths_that_no_file_can_have_are_refused(path):
-    """Too long, with NUL, with half a character: by everything that takes a path."""
+    """Too long, with NUL, with an unpaired surrogate: by everything that takes a path."""
     table = {"kind": "table", "file": path}
     for call in (
         lambda: cosim.load(f"{path}.toml"),
