@@ -12,10 +12,10 @@ import numpy as np
 from mcap import records
 
 from cosim.errors import GraphError, LogError
-from cosim.instants import last_nanosecond
 from cosim.log.contents.layout import Part, read_part, record_dtype
 from cosim.log.contents.metadata import verify_checksum
 from cosim.log.contents.result import PARTIAL, PARTIAL_STATUS, RESULT, RESULT_FILE
+from cosim.log.contents.run_start import recorded_start_ns
 from cosim.log.mcap_file.paths import open_file
 from cosim.log.reading.container import MALFORMED
 
@@ -65,12 +65,8 @@ class LogPieces:
 
     @property
     def start_ns(self) -> int:
-        """The start time of the run [ns]; 0 if it is not recorded."""
-        text = self.metadata.get("cosim.run", {}).get("start_time", "0.0")
-        try:
-            return last_nanosecond(float(text))
-        except (ValueError, OverflowError):
-            return 0
+        """Where the rows of the run begin [ns]; 0 if that is not recorded."""
+        return recorded_start_ns(self.metadata) or 0
 
     @property
     def step_ns(self) -> int:

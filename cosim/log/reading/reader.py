@@ -26,7 +26,6 @@ from cosim.core.recording import SignalEvent, Substep
 from cosim.core.selection import select_signals
 from cosim.core.signals import Channel
 from cosim.errors import GraphError, LogError, UsageError, command, nearest, option, quoted
-from cosim.instants import last_nanosecond
 from cosim.log.contents.layout import Part, read_number, read_part
 from cosim.log.contents.messages import decode_event, decode_log, decode_substep
 from cosim.log.contents.metadata import (
@@ -39,6 +38,7 @@ from cosim.log.contents.metadata import (
 from cosim.log.contents.preamble import EVENT_TOPIC, FORMAT, LOG_TOPIC, STEP_TOPIC
 from cosim.log.contents.record_selection import read_partial
 from cosim.log.contents.result import PARTIAL_STATUS, RESULT, RESULT_FILE
+from cosim.log.contents.run_start import recorded_start_ns
 from cosim.log.contents.signal_hashes import hash_signals
 from cosim.log.mcap_file.own_file import OwnFile
 from cosim.log.mcap_file.paths import log_path
@@ -243,11 +243,8 @@ class Log(RecordedRun):
     @property
     def _run_start_ns(self) -> int:
         """When the run began [ns]; where that is not recorded, the first instant of the file."""
-        text = self._metadata.get("cosim.run", {}).get("start_time", "")
-        try:
-            return last_nanosecond(float(text))
-        except (ValueError, OverflowError):
-            return self._message_start_ns
+        start_ns = recorded_start_ns(self._metadata)
+        return self._message_start_ns if start_ns is None else start_ns
 
     @property
     def begins_late(self) -> bool:

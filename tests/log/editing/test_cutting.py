@@ -89,6 +89,15 @@ def test_what_begins_at_the_start_is_replayed_and_what_does_not_is_refused(tmp_p
     assert cosim.diff(cosim.replay(beginning), beginning).equal
 
 
+def test_the_steps_of_a_replay_of_a_span_are_counted_from_its_beginning(tmp_path):
+    """As in the log of the replay, of which this is a part."""
+    cosim.run("academic", set={"scenario.stop": 0.4}, out=tmp_path / "a.mcap")
+    span = cosim.replay(tmp_path / "a.mcap", window=(0.2, 0.4), out=tmp_path / "b.mcap")
+    assert span.steps == 200
+    assert cut(span.path, None, 0.3, tmp_path / "c.mcap").steps == 100
+    assert cut(span.path, 0.3, None, tmp_path / "d.mcap").steps == 200
+
+
 def test_slow_components_may_have_no_row_in_a_part(tmp_path):
     """They go on where they were."""
     rows = table(layout(period=500), 1000)

@@ -225,6 +225,22 @@ def test_of_a_part_only_its_own_rows_are_lost(tmp_path, written):
     assert interval.last_ns <= 15_000_000_000
 
 
+def test_of_a_replay_of_a_span_only_its_own_rows_are_lost(tmp_path, monkeypatch):
+    """Not those before it, which were computed and never recorded."""
+    make_chunks_small(monkeypatch, 2**14)
+    cosim.run("academic", set={"scenario.stop": 2.0}, out=tmp_path / "a.mcap")
+    span = cosim.replay(tmp_path / "a.mcap", window=(1.0, 2.0), out=tmp_path / "b.mcap")
+    content = bytearray(span.path.read_bytes())
+    with span.path.open("rb") as stream:
+        chunk = make_reader(stream).get_summary().chunk_indexes[3]
+    content[chunk.chunk_start_offset + chunk.chunk_length - 50] ^= 4
+    recovery = recovered(tmp_path, bytes(content))
+    lost = [interval for own in recovery.rows.values() for interval in own.lost]
+    assert lost
+    assert all(interval.first_ns >= 1_000_000_000 for interval in lost)
+    assert recovery.log.steps == span.steps == 1000
+
+
 def test_a_component_of_which_a_channel_is_lost_is_told_as_lost(tmp_path):
     """Its other channels have no row that is whole; the other components are there."""
     lay = layout(wide=5000)

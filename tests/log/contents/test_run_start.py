@@ -1,0 +1,27 @@
+"""Where the rows of a run begin is the start time, or that of the span that a replay recorded."""
+
+import pytest
+
+from cosim.log.contents.run_start import recorded_start_ns
+
+
+@pytest.mark.parametrize(
+    ("run", "start_ns"),
+    [
+        ({"start_time": "0.25"}, 250_000_000),
+        ({"start_time": "0.25", "replay": '{"window": null}'}, 250_000_000),
+        ({"start_time": "0.25", "replay": '{"window": [6.1, 7.0]}'}, 6_100_000_000),
+        ({"start_time": "0.25", "replay": '{"window": [0.0, 7.0]}'}, 0),
+        ({}, None),
+        ({"start_time": "soon"}, None),
+        ({"start_time": "inf"}, None),
+        ({"start_time": "0.0", "replay": "[]"}, None),
+        ({"start_time": "0.0", "replay": '{"window": {"a": 1}}'}, None),
+        ({"start_time": "0.0", "replay": '{"window": [[]]}'}, None),
+        ({"start_time": "0.0", "replay": '{"window": 5}'}, None),
+    ],
+)
+def test_the_start_is_read_from_what_is_recorded_of_the_run(run, start_ns):
+    """None where that is nothing, or no time."""
+    assert recorded_start_ns({"cosim.run": run}) == start_ns
+    assert recorded_start_ns({}) is None
