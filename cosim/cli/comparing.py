@@ -89,19 +89,19 @@ def diff(
         typer.Option(
             "--tol",
             metavar="SIGNAL=VALUE",
-            help="Absolute tolerance of a signal, or of all that match a pattern, in the place of "
-            "both: '*.delta=1e-3'. The last that matches counts. Repeatable.",
+            help="Absolute tolerance of a signal, or of all that match a pattern, instead of "
+            "--atol and --rtol: '*.delta=1e-3'. If several match, the last one counts. Repeatable.",
         ),
     ] = None,
     plot: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Plot the signal that is farthest apart."),
+        typer.Option(metavar="FILE", help="Plot the signal that differs most."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Compare two logs signal by signal, or only the SIGNALs given.
+    """Compare two logs signal by signal.
 
-    Exit 1 outside the tolerance.
+    Exit 1 if a signal is outside the tolerance.
     """
     from cosim.log import open_log
     from cosim.log.comparison.diff import diff as compare_logs

@@ -27,9 +27,9 @@ def cut(
     stop: ToOption = None,
     force: ForceOption = False,
 ) -> None:
-    """Write a span of time of a log to a log of its own.
+    """Write a span of time of a log to a new log.
 
-    It opens like any other and says that it is partial; 'cosim merge' joins such parts again.
+    That opens like any other and says that it is partial; 'cosim merge' joins such parts again.
     """
     from cosim.log.editing.cutting import cut as cut_log
 
@@ -48,7 +48,7 @@ def merge(
 ) -> None:
     """Join logs of consecutive spans of one run.
 
-    Logs of other runs, logs that overlap and logs that leave rows out between them are refused.
+    Logs of other runs, overlapping logs and logs with rows missing between them are refused.
     """
     from cosim.log.editing.merging import merge as merge_logs
 
@@ -61,9 +61,9 @@ def recover(
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Write what is intact in a damaged log to a new one.
+    """Write what is intact in a damaged log to a new log.
 
-    That is every chunk whose CRC fits, also behind what is damaged. Shows which rows are lost.
+    That is every chunk whose CRC matches, also behind the damage. Shows which rows are lost.
     """
     from cosim.log.editing.recovering import recover as recover_log
     from cosim.report.tables.recovery import print_recovery

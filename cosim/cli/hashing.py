@@ -12,14 +12,14 @@ from cosim.cli.options import JsonOption, LogArgument, print_notice
 def hash_(
     log: LogArgument,
     signals: Annotated[
-        bool, typer.Option("--signals", help="A line for each signal too: its times and bits.")
+        bool, typer.Option("--signals", help="Add a line for each signal: its times and bits.")
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Print the content hash of a log.
 
     It covers name, times and bits of every signal; compression and chunks do not change it.
-    Exit 1 where the run recorded another one.
+    Exit 1 if the run recorded another one.
     """
     from cosim.log import open_log
     from cosim.report.tables.console import print_json, print_line

@@ -34,8 +34,8 @@ LiveOption = Annotated[
     bool,
     typer.Option(
         "--live",
-        help="Show the run to Foxglove or Lichtblick while it goes on, beside the log; with "
-        "--realtime at the pace of the wall clock.",
+        help="Show the run in Foxglove or Lichtblick while it goes on, in addition to the log; "
+        "with --realtime at the pace of the wall clock.",
     ),
 ]
 
@@ -55,19 +55,17 @@ def play(
         list[str] | None,
         typer.Argument(
             metavar="[SIGNAL]...",
-            help="Components, signals or patterns such as '*.delta' to show, with all of the "
-            "channels that hold them; default: all.",
+            help="Components, signals or patterns such as '*.delta' to show, with the channels "
+            "that contain them as a whole; default: all.",
         ),
     ] = None,
     speed: Annotated[
-        float, typer.Option(metavar="FACTOR", help="Simulated time by wall time.")
+        float, typer.Option(metavar="FACTOR", help="Simulated time per wall time.")
     ] = 1.0,
     loop: Annotated[
         bool, typer.Option("--loop", help="Begin again at the end, until Ctrl-C.")
     ] = False,
-    wait: Annotated[
-        bool, typer.Option("--wait", help="Begin when a viewer has subscribed.")
-    ] = False,
+    wait: Annotated[bool, typer.Option("--wait", help="Wait for a viewer before playing.")] = False,
     host: HostOption = None,
     port: PortOption = None,
     layout: Annotated[
@@ -77,10 +75,10 @@ def play(
         ),
     ] = None,
 ) -> None:
-    """Play a log to Foxglove or Lichtblick in real time.
+    """Play a log in Foxglove or Lichtblick in real time.
 
-    Both open the address that is printed as a Foxglove WebSocket. How late it was is printed at the
-    end.
+    Both connect to the printed address as a Foxglove WebSocket. At the end it prints how late it
+    was.
     """
     from cosim.live.playback import Playback
     from cosim.log import open_log

@@ -40,11 +40,11 @@ VerifyOption = Annotated[
     bool,
     typer.Option(
         "--verify",
-        help="Check the log's content hash, and compare with the log what is computed again: "
-        "every signal, bit for bit, and what the log says of its run (truth, connections, "
-        "schedule, times, component tables, overrides, substeps, warnings, last row, "
-        "verdicts); exit 1 if one differs, with the first difference of every component. A "
-        "log is not signed: one of another run, put in its place as a whole, passes.",
+        help="Check the log's content hash, and compare everything that is computed again with the "
+        "log: every signal, bit for bit, and what the log says about its run (truth, "
+        "connections, schedule, times, component tables, overrides, substeps, warnings, last "
+        "row, verdicts). Exits with 1 if something differs, and shows the first difference of "
+        "every component. A log is not signed: the log of another run passes in its place.",
     ),
 ]
 
@@ -52,9 +52,10 @@ AllowCodeOption = Annotated[
     bool,
     typer.Option(
         "--allow-code",
-        help="Compute components of kind python too: import the classes that the log names, "
-        "from this folder or as Python finds modules, and run their code. Else they are taken "
-        "from the log. Their sources have to be those of the run. With --rerun, run FMUs.",
+        help="Compute components of kind python, too: import the classes that the log names, from "
+        "this folder or from where Python finds modules, and run their code. Without it they "
+        "are taken from the log. Their sources have to be those of the run. With --rerun, run "
+        "FMUs, too.",
     ),
 ]
 
@@ -62,9 +63,9 @@ RerunOption = Annotated[
     bool,
     typer.Option(
         "--rerun",
-        help="Compute plants too, so that --verify verifies them: those of models, and with "
-        "--allow-code FMUs, from the log (run --embed) or from where they were. Each has to be "
-        "that of the run, by its SHA-256. Without both flags no FMU is run.",
+        help="Compute plants, too, so that --verify verifies them: those made from models and, "
+        "with --allow-code, FMUs, from the log (run --embed) or from their original paths. "
+        "Each has to be the one of the run, by its SHA-256. Without both flags no FMU runs.",
     ),
 ]
 
@@ -73,15 +74,20 @@ WindowBeginOption = Annotated[
     typer.Option(
         "--from",
         metavar="T0",
-        help="Record, or compare with --verify, only from this communication point on [s]. All "
-        "is computed from the start, as a log has not the states of components: the rows are "
-        "those of the whole replay.",
+        help="Record, or compare with --verify, only from this communication point on [s]. "
+        "Everything is computed from the start, because a log does not contain the states of "
+        "components: the rows are those of the whole replay.",
     ),
 ]
 
 WindowEndOption = Annotated[
     float | None,
-    typer.Option("--to", metavar="T1", help="And only up to this one; nothing behind is run."),
+    typer.Option(
+        "--to",
+        metavar="T1",
+        help="Record, or compare, only up to this communication point [s]; nothing after it is "
+        "computed.",
+    ),
 ]
 
 ComponentOption = Annotated[
@@ -89,7 +95,7 @@ ComponentOption = Annotated[
     typer.Option(
         "--component",
         metavar="NAME",
-        help="Compute this component alone, and take the others from the log. Repeatable.",
+        help="Compute only this component, and take the others from the log. Repeatable.",
     ),
 ]
 
@@ -97,8 +103,8 @@ FieldScenarioOption = Annotated[
     str | None,
     typer.Option(
         metavar="SCENARIO",
-        help="Of a recording of another tool, which carries none: a shipped scenario by name, "
-        "or a .toml file. The components that --map names are taken from the recording.",
+        help="Scenario for a recording of another tool, which carries none: a shipped scenario by "
+        "name, or a .toml file. The components that --map names are taken from the recording.",
         autocompletion=completion.complete_scenario,
     ),
 ]
@@ -109,8 +115,8 @@ VaryOption = Annotated[
         "--vary",
         metavar="COMPONENT.PARAMETER=V1,V2,...",
         help="Replay with each of these values, and show what the results say as a table. "
-        "Repeatable: every combination, at most 1000. All are checked before the first is run. "
-        "Nothing is written, unless --out names a folder for their logs.",
+        "Repeatable, for every combination, at most 1000. All are checked before the first "
+        "one runs. Nothing is written, unless --out names a folder for the logs.",
     ),
 ]
 
@@ -137,7 +143,7 @@ def replay(
 ) -> None:
     """Run a log's scenario again on its recorded plant.
 
-    The log is all that is needed; of another tool's, --scenario and --map, too.
+    Only the log is needed; for a recording of another tool, --scenario and --map, too.
     """
     from cosim.report.tables.run import print_summary, print_verification
     from cosim.scenario.running.replay import replay_once, replays_of

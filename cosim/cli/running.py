@@ -102,8 +102,8 @@ FlushOption = Annotated[
     float | None,
     typer.Option(
         metavar="SECONDS",
-        help="After how much wall time a row is in the log at the latest: a run that is killed "
-        "leaves a log that opens, without the last of these.  [default: 1.0]",
+        help="Wall time after which a row is in the log at the latest. A run that is killed leaves "
+        "a log that opens, without the rows of that time. [default: 1.0]",
     ),
 ]
 
@@ -119,9 +119,9 @@ RotateOption = Annotated[
     str | None,
     typer.Option(
         metavar="LIMIT",
-        help="Go on in a next file, x.part2.mcap, x.part3.mcap, ..., where the log has this size "
-        "(B, kB, MB, GB, TB, KiB, MiB, GiB) or simulated time (s, min, h), such as 1GB or 1h. "
-        "Each opens alone; 'cosim merge' joins them.",
+        help="Continue in a next file, x.part2.mcap, x.part3.mcap, ..., when the log reaches this "
+        "size (B, kB, MB, GB, TB, KiB, MiB, GiB) or simulated time (s, min, h), such as 1GB "
+        "or 1h. Each file opens alone; 'cosim merge' joins them.",
     ),
 ]
 

@@ -291,7 +291,7 @@ class Verification:
         lines = [f"then: {_difference_text(element)}" for element in others[:_MOST_SHOWN]]
         further = len(others) - _MOST_SHOWN
         if further > 0:
-            lines.append(f"then: {further} components more")
+            lines.append(f"then: {further} more components")
         return lines
 
     def to_dict(self) -> dict[str, Any]:
@@ -368,7 +368,7 @@ def _status(
         return "unrecorded", "the log has no signal of it"
     missing = recorded.missing(source.channels).get(name)
     if missing:
-        return "partial", f"the log has not its {listing(missing)}"
+        return "partial", f"the log does not have its {listing(missing)}"
     return "partial", f"the log has one of its rows in {source.channels[name].period} steps"
 
 

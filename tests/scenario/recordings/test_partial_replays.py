@@ -203,7 +203,8 @@ def test_a_verification_names_what_it_did_not_check(part):
     lines = "\n".join(verification.lines)
     assert "has no signal of it: u, delta, identifier" in lines
     assert (
-        "only as far as the log, which is partial, has it: regressor (the log has not its " in lines
+        "only as far as the log, which is partial, has it: regressor (the log does not have its "
+        in lines
     )
     thinned = part(["u.y"], 5)
     (first, *_) = verify(thinned, cosim.replay(thinned)).components
