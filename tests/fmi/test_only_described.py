@@ -2,6 +2,8 @@
 
 import json
 import os
+import subprocess
+import sys
 
 import pytest
 
@@ -95,6 +97,35 @@ def test_a_dry_run_of_an_fmu_that_ends_the_process(call, tmp_path):
     assert code == 1
     text = "the process that loaded FMUs and classes was ended by one of them, with exit code 0"
     assert text in err
+
+
+@pytest.mark.parametrize(
+    ("option", "expected_code", "last_words"),
+    [
+        ("--dry-run", 0, "the scenario can run\n"),
+        ("--out=a.mcap", 0, "a.mcap\n"),
+        ("--stop=0.05", 2, "nearest: 0.1 s\n"),
+    ],
+)
+def test_how_a_binary_bears_the_end_of_the_process_is_no_result(
+    tmp_path, option, expected_code, last_words
+):
+    """One that pins itself and crashes behind the command: the exit code is the command's."""
+    end = tmp_path / "end.c"
+    end.write_text(
+        "#define _GNU_SOURCE\n#include <dlfcn.h>\n#include <signal.h>\n"
+        "static void crash(void) { raise(SIGSEGV); }\n"
+        "__attribute__((constructor)) static void pin(void)\n"
+        "{ Dl_info own; dladdr((void *)&crash, &own); dlopen(own.dli_fname, RTLD_NOW); }\n"
+        "__attribute__((destructor)) static void end(void) { crash(); }\n"
+    )
+    xml = XML.replace('canGetAndSetFMUstate="true"', "")
+    compile_fmu(tmp_path / "marked.fmu", xml, "rogue2.c", end, defines=("ROGUE=GOOD",))
+    (tmp_path / "marked.toml").write_text(SCENARIO)
+    command = [sys.executable, "-m", "cosim", "run", "marked.toml", option]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == expected_code, done.stderr
+    assert (done.stdout + done.stderr).endswith(last_words)
 
 
 def test_the_child_does_it_itself(call, marked, monkeypatch):
