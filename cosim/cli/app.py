@@ -19,12 +19,7 @@ from cosim.cli.collecting import start_collecting
 from cosim.errors import CosimError, shell_language
 from cosim.lazy import LazyMapping
 from cosim.report.printable import printable
-from cosim.terminal import (
-    ended_by_signals,
-    keep_stdout,
-    open_standard_streams,
-    outlive_terminal,
-)
+from cosim.terminal import ended_by_signals, keep_stdout, open_standard_streams, outlive_terminal
 from cosim.unanswered import ended_if_unanswered
 from cosim.version import __version__
 

@@ -21,9 +21,7 @@ from cosim.live.server import LiveServer
 from cosim.log import Log
 from cosim.log.contents.messages import encode_event, encode_log, encode_substep
 from cosim.log.contents.preamble import EVENT_TOPIC, LOG_TOPIC, STEP_TOPIC
-from cosim.scenario.recorded_tables import (
-    Lateness,
-)
+from cosim.scenario.recorded_tables import Lateness
 from cosim.scenario.running.real_time import BLOCK, RealTimePace
 
 _NANOSECONDS: Final = 1_000_000_000

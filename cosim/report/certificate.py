@@ -11,13 +11,8 @@ from cosim.core.recording import Recording
 from cosim.core.signals import Channel
 from cosim.errors import LogError, UnknownSignalError, command, flag, listing, nearest
 from cosim.report.summary import Summary, ValueOutcome, summarize
-from cosim.scenario.recorded_metadata import (
-    recorded_certificate,
-)
-from cosim.scenario.recorded_tables import (
-    CertificateRecord,
-    StepErrorRecord,
-)
+from cosim.scenario.recorded_metadata import recorded_certificate
+from cosim.scenario.recorded_tables import CertificateRecord, StepErrorRecord
 
 
 @dataclass(frozen=True)

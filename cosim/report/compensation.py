@@ -9,12 +9,8 @@ import numpy as np
 from cosim.arrays import Matrix, Vector, as_columns
 from cosim.core.recording import Recording
 from cosim.errors import LogError
-from cosim.scenario.recorded_metadata import (
-    recorded_start,
-)
-from cosim.scenario.recorded_tables import (
-    CompensationRecord,
-)
+from cosim.scenario.recorded_metadata import recorded_start
+from cosim.scenario.recorded_tables import CompensationRecord
 from cosim.theory.compensation.activation import Activation
 
 LAST_PART = 0.25  # of the time since then, over which the error that is left is averaged

@@ -24,13 +24,8 @@ from cosim.scenario.kinds.identification import IdentifierKind
 from cosim.scenario.kinds.methods import METHODS, IdentificationMethod
 from cosim.scenario.kinds.variants import foreign_keys
 from cosim.scenario.parsing import Scenario
-from cosim.scenario.recorded_metadata import (
-    recorded_identification,
-    truth_of,
-)
-from cosim.scenario.recorded_tables import (
-    ParameterRecord,
-)
+from cosim.scenario.recorded_metadata import recorded_identification, truth_of
+from cosim.scenario.recorded_tables import ParameterRecord
 from cosim.scenario.recordings.recording import check_target
 from cosim.scenario.running.execution import load, run
 from cosim.scenario.running.replay import replay

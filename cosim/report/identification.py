@@ -11,9 +11,7 @@ from cosim.report.summary import noise_text
 from cosim.scenario.identification.irregular import IrregularPart, irregular_part
 from cosim.scenario.identification.run_verdicts import plain_amplitudes
 from cosim.scenario.identifying import IdentifierRecord, LogIdentification
-from cosim.scenario.recorded_tables import (
-    IdentificationRecord,
-)
+from cosim.scenario.recorded_tables import IdentificationRecord
 from cosim.theory.assessment.validation import Validation, ValidationVerdict
 from cosim.theory.bounded.feasible_program import Watch
 

@@ -54,11 +54,8 @@ from cosim.scenario.recorded_metadata import (
     recorded_warnings,
     run_metadata,
 )
-from cosim.scenario.recorded_tables import (
-    IdentificationRecord,
-    ParameterRecord,
-)
-from cosim.scenario.recordings.replaying import recorded_stop
+from cosim.scenario.recorded_tables import IdentificationRecord, ParameterRecord
+from cosim.scenario.recordings.recorded_scenario import recorded_stop
 
 COMPARED_UNFINISHED = (
     "truth, connections, schedule, times, component tables, overrides, substeps, warnings"

@@ -41,10 +41,8 @@ from cosim.scenario.recorded_metadata import (
     recorded_substep_counts,
     replay_origin,
 )
-from cosim.scenario.recorded_tables import (
-    ReplayOrigin,
-)
-from cosim.scenario.recordings.replaying import recorded_document
+from cosim.scenario.recorded_tables import ReplayOrigin
+from cosim.scenario.recordings.recorded_scenario import recorded_document
 
 _MOST_SHOWN = 8  # contradictions, or components
 _HASH_FITS = "the content hash is the one that its run recorded"

@@ -16,12 +16,8 @@ from cosim.log import McapRecorder, open_log
 from cosim.report.summary import summarize
 from cosim.scenario.document.document import shipped
 from cosim.scenario.exporting import export_component
-from cosim.scenario.recorded_metadata import (
-    replay_origin,
-)
-from cosim.scenario.recorded_tables import (
-    ReplayOrigin,
-)
+from cosim.scenario.recorded_metadata import replay_origin
+from cosim.scenario.recorded_tables import ReplayOrigin
 from tests.fmi import eventful, lag
 
 SHORT = {"scenario.stop": 7.0}  # past the start of the identification at 6.461 s

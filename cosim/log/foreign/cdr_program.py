@@ -12,13 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final, TypeAlias
 
 from cosim.log.foreign.field_path import FieldPath, FieldProblem, Step
-from cosim.log.foreign.ros_definitions import (
-    PRIMITIVES,
-    STRINGS,
-    VARIABLE,
-    RosField,
-    RosMessages,
-)
+from cosim.log.foreign.ros_definitions import PRIMITIVES, STRINGS, VARIABLE, RosField, RosMessages
 
 _LENGTH_ALIGNMENT: Final = 4
 _ALIGNMENTS: Final = 8

@@ -14,12 +14,8 @@ from cosim.core.recording import Recording
 from cosim.errors import LogError, UsageError
 from cosim.scenario.context.build_records import BuildRecords
 from cosim.scenario.context.named_files import NamedFiles
-from cosim.scenario.recorded_metadata import (
-    component_record,
-)
-from cosim.scenario.recorded_tables import (
-    LinearizationRecord,
-)
+from cosim.scenario.recorded_metadata import component_record
+from cosim.scenario.recorded_tables import LinearizationRecord
 
 if TYPE_CHECKING:
     from cosim.fmi.component import Fmu

@@ -11,12 +11,8 @@ from cosim.errors import UsageError, option
 from cosim.scenario.context.build_records import BuildRecords
 from cosim.scenario.document.problems import TableProblems
 from cosim.scenario.kinds import Kind
-from cosim.scenario.recorded_metadata import (
-    component_record,
-)
-from cosim.scenario.recorded_tables import (
-    CodeRecord,
-)
+from cosim.scenario.recorded_metadata import component_record
+from cosim.scenario.recorded_tables import CodeRecord
 
 if TYPE_CHECKING:
     from cosim.scenario.user_kinds.user_code import UserClass

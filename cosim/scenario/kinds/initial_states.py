@@ -15,9 +15,7 @@ import numpy as np
 from cosim.arrays import Vector
 from cosim.core.graph import Graph
 from cosim.core.signals import Channel
-from cosim.scenario.recorded_tables import (
-    StateChangeRecord,
-)
+from cosim.scenario.recorded_tables import StateChangeRecord
 from cosim.theory.plants.descriptor import UserCoordinates
 
 INITIAL_STATES: Final = "initial_states"  # the key of the results

@@ -15,21 +15,12 @@ from cosim.errors import UsageError, option
 from cosim.log import Log
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.document.swap import PortNames
-from cosim.scenario.recorded_metadata import (
-    recorded_loop_gains,
-)
-from cosim.scenario.recorded_tables import (
-    ReplayOrigin,
-)
+from cosim.scenario.recorded_metadata import recorded_loop_gains
+from cosim.scenario.recorded_tables import ReplayOrigin
+from cosim.scenario.recordings.recorded_scenario import recorded_document
 from cosim.scenario.recordings.recording import Progress, Target, check_target, record
-from cosim.scenario.recordings.replaying import (
-    Swaps,
-    check_changes,
-    rebuilt,
-    recorded_document,
-    valid_designs,
-    with_setting_designs,
-)
+from cosim.scenario.recordings.replay_changes import Swaps, check_changes
+from cosim.scenario.recordings.replaying import rebuilt, valid_designs, with_setting_designs
 from cosim.scenario.recordings.window import ReplayWindow, window_of
 
 

@@ -19,12 +19,8 @@ from cosim.core.passing_recorders import Watched
 from cosim.core.recorders import close
 from cosim.core.recording import Recorder
 from cosim.errors import UsageError, option
-from cosim.scenario.recorded_metadata import (
-    REAL_TIME,
-)
-from cosim.scenario.recorded_tables import (
-    Lateness,
-)
+from cosim.scenario.recorded_metadata import REAL_TIME
+from cosim.scenario.recorded_tables import Lateness
 
 BLOCK: Final = 0.01  # s of wall time between two waits, about
 

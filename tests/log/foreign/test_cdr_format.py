@@ -11,14 +11,7 @@ from mcap_ros2.writer import Writer as RosWriter
 
 from cosim.errors import LogError
 from cosim.log.foreign.json_format import JsonFormat
-from tests.log.foreign.field_logs import (
-    COUNT,
-    EPOCH,
-    STEP,
-    decoded,
-    raw_file,
-    read,
-)
+from tests.log.foreign.field_logs import COUNT, EPOCH, STEP, decoded, raw_file, read
 
 IMU = """\
 std_msgs/Header header

@@ -6,13 +6,7 @@ import pytest
 from mcap.writer import CompressionType, Writer
 
 from cosim.errors import LogError
-from tests.log.foreign.field_logs import (
-    COMPRESSIONS,
-    COUNT,
-    EPOCH,
-    read,
-    write_json,
-)
+from tests.log.foreign.field_logs import COMPRESSIONS, COUNT, EPOCH, read, write_json
 
 
 def damaged(path, change):

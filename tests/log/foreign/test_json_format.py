@@ -6,14 +6,7 @@ import numpy as np
 import pytest
 
 from cosim.errors import LogError
-from tests.log.foreign.field_logs import (
-    COUNT,
-    EPOCH,
-    STEP,
-    raw_file,
-    read,
-    write_json,
-)
+from tests.log.foreign.field_logs import COUNT, EPOCH, STEP, raw_file, read, write_json
 
 
 def test_fields_in_json_are_what_json_says(tmp_path):

@@ -9,15 +9,7 @@ from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoders
 from mcap_protobuf.writer import Writer as ProtobufWriter
 
 from cosim.errors import LogError
-from tests.log.foreign.field_logs import (
-    COUNT,
-    EPOCH,
-    STEP,
-    decoded,
-    raw_file,
-    read,
-    state_class,
-)
+from tests.log.foreign.field_logs import COUNT, EPOCH, STEP, decoded, raw_file, read, state_class
 
 
 @pytest.fixture(scope="module")

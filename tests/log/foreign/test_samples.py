@@ -6,14 +6,7 @@ import pytest
 from mcap.writer import IndexType, Writer
 
 from cosim.errors import LogError
-from tests.log.foreign.field_logs import (
-    COMPRESSIONS,
-    COUNT,
-    EPOCH,
-    raw_file,
-    read,
-    write_json,
-)
+from tests.log.foreign.field_logs import COMPRESSIONS, COUNT, EPOCH, raw_file, read, write_json
 
 FORMS = [
     *({"compression": compression} for compression in COMPRESSIONS.values()),

@@ -1,0 +1,79 @@
+"""Whether a log has the rows that a replay of its scenario goes through."""
+
+from __future__ import annotations
+
+from cosim.core.clock import Clock
+from cosim.core.recording import CompleteRecording
+from cosim.errors import LogError
+from cosim.log.contents.result import PARTIAL_STATUS
+from cosim.scenario.recorded_metadata import recorded_window, replay_origin
+
+
+def check_whole(source: CompleteRecording) -> None:
+    """Check that a log has all rows up to its end: nothing can be computed without those before.
+
+    Raises
+    ------
+    LogError
+        If it is a window of a replay, or a part of a log that leaves rows out.
+    """
+    if source.status == PARTIAL_STATUS and not _has_all_rows(source):
+        raise LogError(
+            f"{source.label} is partial, {source.reason}; a replay needs all rows from the start "
+            "of the run on: 'cosim merge' joins parts, 'cosim cut --to' keeps what is whole"
+        )
+    window = recorded_window(source)
+    if window is not None:
+        raise LogError(
+            f"{source.label}: found a replay from {window[0]} s to {window[1]} s alone; needed a "
+            f"log from the start of its run on, such as {replay_origin(source).log}"
+        )
+
+
+def _has_all_rows(source: CompleteRecording) -> bool:
+    """Return whether every component has its rows from the start of the run to the end here."""
+    start_ns = source.end_ns - source.steps * source.step_ns
+    for name, channel in source.channels.items():
+        times = source.time_ns(name)
+        if len(times) != source.steps // channel.period + 1 or int(times[0]) != start_ns:
+            return False
+    return True
+
+
+def check_end(source: CompleteRecording) -> None:
+    """Check that the recorded end is that of the rows: a replay would go on to it.
+
+    Raises
+    ------
+    LogError
+        If there is no step in the log, or its rows end elsewhere.
+    """
+    end_ns = source.end_ns
+    if source.steps == 0:
+        raise LogError("the log has no step to replay; it ends where it begins")
+    channel = next(iter(source.channels.values()))
+    times = source.time_ns(channel.name).tolist() or [0]
+    first_ns = times[0]
+    last_ns = times[-1]
+    is_last = 0 <= end_ns - last_ns < channel.period * source.step_ns
+    if end_ns != first_ns + source.steps * source.step_ns or not is_last:
+        raise LogError(
+            f"{source.label}: it is said to end at {end_ns / 1e9} s after {source.steps} steps, "
+            f"but the rows of {channel.name!r} end at {last_ns / 1e9} s"
+        )
+
+
+def check_clock(clock: Clock, source: CompleteRecording) -> None:
+    """Check that a scenario has the communication points of the rows in its log.
+
+    Raises
+    ------
+    LogError
+        If it has not.
+    """
+    first_ns = source.end_ns - source.steps * source.step_ns
+    if (clock.start_ns, clock.step_ns) != (first_ns, source.step_ns):
+        raise LogError(
+            f"{source.label}: its scenario has steps of {clock.step_ns} ns from {clock.start_ns} "
+            f"ns on, its rows of {source.step_ns} ns from {first_ns} ns on"
+        )
