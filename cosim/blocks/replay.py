@@ -9,9 +9,9 @@ import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector, as_columns
 from cosim.core.contracts import Design, Stopped
-from cosim.core.partial import declared_channels, partial_of, reduced_interface
 from cosim.core.port import Port
-from cosim.core.recorded import find_channel
+from cosim.core.recorded.partial import declared_channels, partial_of, reduced_interface
+from cosim.core.recorded.signals import find_channel
 from cosim.core.recording import Recording
 from cosim.core.signals import Channel, Interface, Signal
 from cosim.errors import GraphError, LogError

@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     from cosim.core.master import run, simulate
     from cosim.core.passing_recorders import Watched
     from cosim.core.port import Port
-    from cosim.core.recorded import RunMessage
+    from cosim.core.recorded.signals import RunMessage
     from cosim.core.recorders import EndOfRun, Memory, Nothing, end_of_run
     from cosim.core.recording import MessageLevel, Plan, Recorder, Recording, SignalEvent
     from cosim.core.signals import Channel, Interface, Layout, Signal
@@ -95,7 +95,7 @@ _HOMES = {
     "Rollback": "cosim.core.contracts",
     "run": "cosim.core.master",
     "run_members": "cosim.core.ensemble",
-    "RunMessage": "cosim.core.recorded",
+    "RunMessage": "cosim.core.recorded.signals",
     "Signal": "cosim.core.signals",
     "SignalEvent": "cosim.core.recording",
     "simulate": "cosim.core.master",

@@ -17,7 +17,7 @@ from cosim.arrays import Matrix, Vector
 from cosim.core.arguments import check_type
 from cosim.core.clock import Clock, whole_steps
 from cosim.core.contracts import Stopped
-from cosim.core.recorded import find_signal
+from cosim.core.recorded.signals import find_signal
 from cosim.core.signals import Layout
 from cosim.errors import ClockError, UnknownSignalError, UsageError, quoted
 from cosim.instants import NANOSECONDS

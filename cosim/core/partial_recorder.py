@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Matrix
 from cosim.core.contracts import Block
-from cosim.core.partial import PartialRecord, RecordSelection, partial_layout
 from cosim.core.passing_recorders import PassingRecorder
+from cosim.core.recorded.partial import PartialRecord, RecordSelection, partial_layout
+from cosim.core.recorded.selection import select_signals
 from cosim.core.recording import Plan, Recorder
-from cosim.core.selection import select_signals
 from cosim.core.signals import Channel
 from cosim.errors import UsageError, listing
 

@@ -15,8 +15,8 @@ from cosim.arrays import Mask, Matrix, Nanoseconds, read_only
 from cosim.core.arguments import check_type
 from cosim.core.contracts import Block, Stopped
 from cosim.core.growing_rows import GrowingRows
-from cosim.core.recorded import RunMessage, find_channel
-from cosim.core.recorded_run import RecordedRun, blocks_within
+from cosim.core.recorded.run import RecordedRun, blocks_within
+from cosim.core.recorded.signals import RunMessage, find_channel
 from cosim.core.recording import MessageLevel, Plan, Recorder, RowMemory, SignalEvent, Substep
 from cosim.core.signals import Channel
 from cosim.errors import CosimError, Interrupted, LogError, UsageError, nearest

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Nanoseconds
 from cosim.core.contracts import Block, Design
-from cosim.core.partial import PartialChannels, PartialRecord
 from cosim.core.port import Port
+from cosim.core.recorded.partial import PartialChannels, PartialRecord
 from cosim.core.signals import Channel, FaultKind, Layout
 from cosim.instants import duration, last_nanosecond
 

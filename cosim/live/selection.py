@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from cosim.core.recorded import find_channel
-from cosim.core.selection import is_pattern, select_signals
+from cosim.core.recorded.selection import is_pattern, select_signals
+from cosim.core.recorded.signals import find_channel
 from cosim.core.signals import Channel
 from cosim.log.contents.layout import Part
 

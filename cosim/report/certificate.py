@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from cosim.core.partial import declared_channels
+from cosim.core.recorded.partial import declared_channels
 from cosim.core.recording import Recording
 from cosim.core.signals import Channel
 from cosim.errors import LogError, UnknownSignalError, command, flag, listing, nearest

@@ -12,9 +12,9 @@ import numpy as np
 
 from cosim.core.connections import Connection, unit_reached
 from cosim.core.graph import Graph
-from cosim.core.partial import declared_channels
 from cosim.core.port import Port
-from cosim.core.recorded import RunMessage
+from cosim.core.recorded.partial import declared_channels
+from cosim.core.recorded.signals import RunMessage
 from cosim.core.recording import SignalEvent
 from cosim.core.signals import Channel, Signal
 from cosim.report.certificate import certificate_of

@@ -8,7 +8,7 @@ import numpy as np
 
 from cosim.arrays import Matrix, Nanoseconds, as_columns
 from cosim.core.port import Port
-from cosim.core.recorded import find_signal
+from cosim.core.recorded.signals import find_signal
 from cosim.core.recording import Recording
 from cosim.core.signals import Signal
 from cosim.errors import LogError, UnknownSignalError

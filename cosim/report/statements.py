@@ -35,8 +35,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.core.partial import declared_channels
 from cosim.core.port import Port
+from cosim.core.recorded.partial import declared_channels
 from cosim.core.recorders import Memory
 from cosim.core.recording import Substep
 from cosim.core.signals import Channel, Interface, element_names

@@ -13,8 +13,8 @@ import numpy as np
 
 from cosim.arrays import Matrix, Vector, as_columns
 from cosim.core.gain.loop_gain import LoopGain
-from cosim.core.partial import declared_channels, is_recorded_whole
-from cosim.core.recorded import find_signal
+from cosim.core.recorded.partial import declared_channels, is_recorded_whole
+from cosim.core.recorded.signals import find_signal
 from cosim.core.recording import Recording
 from cosim.core.stages.substep_control import SubstepCounts
 from cosim.errors import LogError

@@ -21,8 +21,8 @@ from dataclasses import asdict, dataclass
 from typing import Any, Final, Literal, TypeAlias
 
 from cosim.core.clock import nanoseconds
-from cosim.core.partial import declared_channels
 from cosim.core.port import Port
+from cosim.core.recorded.partial import declared_channels
 from cosim.core.recorders import Memory
 from cosim.errors import LogError, command, flag, listing
 from cosim.log import Log

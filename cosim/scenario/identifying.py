@@ -19,7 +19,7 @@ from cosim.arrays import Matrix, Nanoseconds, Vector, as_columns
 from cosim.core.clock import seconds
 from cosim.core.connections import conversions_of
 from cosim.core.port import Port
-from cosim.core.recorded import RecordedSignals
+from cosim.core.recorded.signals import RecordedSignals
 from cosim.core.recording import CompleteRecording
 from cosim.core.structure.ports import Ports
 from cosim.errors import UsageError, nearest, quoted

@@ -8,8 +8,8 @@ from typing import Any, Final, TypeVar
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from cosim.core.gain.loop_gain import LoopGain
-from cosim.core.partial import partial_of
-from cosim.core.recorded import find_signal
+from cosim.core.recorded.partial import partial_of
+from cosim.core.recorded.signals import find_signal
 from cosim.core.recording import Recording
 from cosim.core.signals import Channel
 from cosim.core.simulation import NEVER_TRUE

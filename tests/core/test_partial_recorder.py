@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cosim.core.contracts import Block
-from cosim.core.partial import RecordSelection, reduced_interface
 from cosim.core.partial_recorder import PartialRecorder, chosen_signals
+from cosim.core.recorded.partial import RecordSelection, reduced_interface
 from cosim.core.recorders import Memory
 from cosim.core.recording import Plan
 from cosim.core.signals import Channel, Interface, Layout, Signal

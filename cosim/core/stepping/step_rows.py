@@ -10,7 +10,7 @@ import numpy as np
 from cosim.arrays import Matrix, Nanoseconds
 from cosim.core.clock import Clock
 from cosim.core.port import Port
-from cosim.core.recorded import find_signal
+from cosim.core.recorded.signals import find_signal
 from cosim.core.signals import Layout
 
 

@@ -15,11 +15,11 @@ from dataclasses import replace
 from functools import partial
 
 from cosim.arrays import Matrix, Nanoseconds
-from cosim.core.partial import partial_of
 from cosim.core.port import Port
-from cosim.core.recorded import find_signal
+from cosim.core.recorded.partial import partial_of
+from cosim.core.recorded.selection import is_pattern, matches
+from cosim.core.recorded.signals import find_signal
 from cosim.core.recording import Recording
-from cosim.core.selection import is_pattern, matches
 from cosim.errors import LogError, UnknownSignalError, nearest
 from cosim.log.comparison.difference import (
     LEFT_OUT,

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from struct import pack
 from typing import NamedTuple, TypeAlias
 
-from cosim.core.partial import partial_of
 from cosim.core.port import Port
-from cosim.core.recorded import find_signal
+from cosim.core.recorded.partial import partial_of
+from cosim.core.recorded.signals import find_signal
 from cosim.core.recording import EventCause, Recording, SignalEvent
 from cosim.errors import LogError
 

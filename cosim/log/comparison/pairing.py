@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Nanoseconds
-from cosim.core.joined_rows import numbered_instants
+from cosim.core.recorded.joined_rows import numbered_instants
 from cosim.errors import LogError
 from cosim.log.reading.stream import TimedRows
 

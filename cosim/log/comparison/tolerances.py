@@ -9,7 +9,7 @@ from typing import final
 
 import numpy as np
 
-from cosim.core.selection import matches
+from cosim.core.recorded.selection import matches
 from cosim.errors import UsageError, nearest, option
 
 

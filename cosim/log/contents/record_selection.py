@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final
 
-from cosim.core.partial import PartialRecord, RecordSelection
+from cosim.core.recorded.partial import PartialRecord, RecordSelection
 from cosim.core.signals import Channel
 from cosim.log.contents.layout import Part, read_number, read_part
 from cosim.log.contents.metadata import compact, json_table, json_texts

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 
-from cosim.core.recorded import RecordedPort
+from cosim.core.recorded.signals import RecordedPort
 from cosim.core.recording import Recording
 from cosim.log.contents.content import hash_input
 

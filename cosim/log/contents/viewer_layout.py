@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from cosim.core.recorded import RecordedPort, find_signal
+from cosim.core.recorded.signals import RecordedPort, find_signal
 from cosim.core.signals import Channel, Signal
 from cosim.log.contents.message_paths import message_paths
 

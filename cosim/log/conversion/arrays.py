@@ -15,7 +15,7 @@ import numpy as np
 from numpy.lib.format import write_array
 
 from cosim.arrays import Matrix, Nanoseconds
-from cosim.core.recorded import RecordedPort
+from cosim.core.recorded.signals import RecordedPort
 from cosim.errors import UsageError
 from cosim.instants import NANOSECONDS
 from cosim.log.conversion.choice import LogChoice, signal_facts

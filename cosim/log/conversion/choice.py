@@ -6,10 +6,15 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from cosim.core.joined_rows import JoinedRows, joined_rows
-from cosim.core.recorded import RecordedPort
-from cosim.core.recorded_run import RecordedRun, RecordedWindow, span_ns
-from cosim.core.selection import SelectedColumn, select_signals, selected_columns, split_names
+from cosim.core.recorded.joined_rows import JoinedRows, joined_rows
+from cosim.core.recorded.run import RecordedRun, RecordedWindow, span_ns
+from cosim.core.recorded.selection import (
+    SelectedColumn,
+    select_signals,
+    selected_columns,
+    split_names,
+)
+from cosim.core.recorded.signals import RecordedPort
 from cosim.core.signals import Signal
 from cosim.log.reading.reader import open_log
 

@@ -13,9 +13,9 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Final, final
 
-from cosim.core.joined_rows import JoinedRows, joined_rows
-from cosim.core.recorded_run import RecordedWindow, span_ns
-from cosim.core.selection import SelectedColumn, split_names
+from cosim.core.recorded.joined_rows import JoinedRows, joined_rows
+from cosim.core.recorded.run import RecordedWindow, span_ns
+from cosim.core.recorded.selection import SelectedColumn, split_names
 from cosim.errors import LogError
 from cosim.log.contents.result import PART_REASON, PARTIAL, PARTIAL_STATUS
 from cosim.log.conversion.choice import LogChoice

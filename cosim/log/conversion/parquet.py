@@ -10,8 +10,8 @@ from typing import Any, BinaryIO, Final
 
 import numpy as np
 
-from cosim.core.frames import TIME
-from cosim.core.joined_rows import JoinedRows
+from cosim.core.recorded.frames import TIME
+from cosim.core.recorded.joined_rows import JoinedRows
 from cosim.errors import UsageError
 from cosim.instants import NANOSECONDS
 from cosim.log.conversion.choice import LogChoice, signal_facts

@@ -18,9 +18,9 @@ from typing import Final, Protocol, TypeAlias
 import numpy as np
 
 from cosim.arrays import Nanoseconds
-from cosim.core.frames import TIME
-from cosim.core.joined_rows import JoinedRows
-from cosim.core.selection import SelectedColumn
+from cosim.core.recorded.frames import TIME
+from cosim.core.recorded.joined_rows import JoinedRows
+from cosim.core.recorded.selection import SelectedColumn
 from cosim.errors import UsageError, nearest
 from cosim.instants import NANOSECONDS
 

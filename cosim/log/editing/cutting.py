@@ -8,7 +8,7 @@ from typing import final
 import numpy as np
 
 from cosim.arrays import Mask, Nanoseconds
-from cosim.core.recorded_run import RecordedWindow, span_ns
+from cosim.core.recorded.run import RecordedWindow, span_ns
 from cosim.errors import LogError
 from cosim.log.contents.result import PARTIAL_STATUS, span_text
 from cosim.log.editing.batches import gathered

@@ -10,7 +10,7 @@ from typing import Any, final
 import numpy as np
 
 from cosim.arrays import Mask, Nanoseconds
-from cosim.core.recorded_run import SCENARIO_FILE
+from cosim.core.recorded.run import SCENARIO_FILE
 from cosim.errors import GraphError, LogError
 from cosim.instants import NANOSECONDS
 from cosim.log.contents.result import PARTIAL_STATUS, RESULT

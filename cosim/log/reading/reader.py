@@ -18,12 +18,12 @@ from mcap.opcode import Opcode
 from cosim.arguments import log_argument
 from cosim.arrays import Mask, Matrix, Nanoseconds
 from cosim.core.contracts import Design
-from cosim.core.partial import PartialChannels, declared_channels
-from cosim.core.recorded import RunMessage, find_channel
-from cosim.core.recorded_run import RecordedRun, blocks_within
+from cosim.core.recorded.partial import PartialChannels, declared_channels
+from cosim.core.recorded.run import RecordedRun, blocks_within
+from cosim.core.recorded.selection import select_signals
+from cosim.core.recorded.signals import RunMessage, find_channel
 from cosim.core.recorders import Memory
 from cosim.core.recording import SignalEvent, Substep
-from cosim.core.selection import select_signals
 from cosim.core.signals import Channel
 from cosim.errors import GraphError, LogError, UsageError, command, nearest, option, quoted
 from cosim.log.contents.layout import Part, read_number, read_part

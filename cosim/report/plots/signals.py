@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from cosim.core.recorded.selection import split_names
 from cosim.core.recording import Recording
-from cosim.core.selection import split_names
 from cosim.errors import UsageError
 from cosim.report.plots.curves import DASHES, Curve, Style, color_styles, curves_of, draw_curves
 from cosim.report.plots.picture import Picture, PictureOptions, need_plot

@@ -13,9 +13,9 @@ from cosim.blocks.replay import Replay
 from cosim.core.clock import Clock, start_nanoseconds
 from cosim.core.contracts import Component
 from cosim.core.graph import Graph
-from cosim.core.partial import declared_channels
 from cosim.core.partial_recorder import chosen_signals
 from cosim.core.port import Port
+from cosim.core.recorded.partial import declared_channels
 from cosim.core.recording import Recording
 from cosim.core.signals import Channel, Interface
 from cosim.core.stepping.actions import AT_CONDITION, Action, ConditionalAction, TimedAction

@@ -19,7 +19,7 @@ from typing import Any, Final
 
 from cosim.core.clock import nanoseconds
 from cosim.core.passing_recorders import Watched
-from cosim.core.recorded import find_signal
+from cosim.core.recorded.signals import find_signal
 from cosim.core.recorders import Nothing
 from cosim.errors import CosimError, Interrupted, RunError, UnknownSignalError, UsageError, option
 from cosim.instants import NANOSECONDS

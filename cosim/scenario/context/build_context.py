@@ -15,7 +15,7 @@ from cosim.blocks.replay import Replay
 from cosim.core.clock import Clock, nanoseconds, seconds
 from cosim.core.contracts import Component
 from cosim.core.port import Port
-from cosim.core.recorded import find_channel
+from cosim.core.recorded.signals import find_channel
 from cosim.core.recording import Recording
 from cosim.core.signals import Interface
 from cosim.core.structure.ports import unknown_port

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Final, Literal
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator
 
-from cosim.core.partial import RecordSelection
+from cosim.core.recorded.partial import RecordSelection
 from cosim.errors import quoted
 from cosim.units import base_unit, unknown_unit
 

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Nanoseconds, as_columns
-from cosim.core.partial import PartialChannels, PartialRecord, reduced_interface
-from cosim.core.recorded import find_channel, find_signal
-from cosim.core.recorded_run import blocks_within
+from cosim.core.recorded.partial import PartialChannels, PartialRecord, reduced_interface
+from cosim.core.recorded.run import blocks_within
+from cosim.core.recorded.signals import find_channel, find_signal
 from cosim.core.recording import Recording, SignalEvent, SignalNames, Substep
 from cosim.core.signals import Channel
 from cosim.errors import LogError, quoted

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from cosim.core.partial import declared_channels
-from cosim.core.recorded_run import SCENARIO_FILE
+from cosim.core.recorded.partial import declared_channels
+from cosim.core.recorded.run import SCENARIO_FILE
 from cosim.core.recording import CompleteRecording
 from cosim.errors import LogError, command
 from cosim.log.contents.metadata import json_table

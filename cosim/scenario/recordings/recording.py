@@ -13,9 +13,9 @@ from time import perf_counter
 from cosim.arrays import Matrix
 from cosim.core.contracts import Block
 from cosim.core.master import run as run_graph
-from cosim.core.partial import RecordSelection
 from cosim.core.partial_recorder import PartialRecorder
 from cosim.core.passing_recorders import Watched
+from cosim.core.recorded.partial import RecordSelection
 from cosim.core.recorders import Memory
 from cosim.core.recording import Recorder
 from cosim.errors import LogError, RunError, UsageError, flag, option

@@ -14,10 +14,10 @@ from cosim.core.conditions import until_text
 from cosim.core.connections import Connection
 from cosim.core.contracts import Block, Stopped
 from cosim.core.gain.loop_gain import LoopGain
-from cosim.core.partial import partial_layout
 from cosim.core.partial_recorder import chosen_signals
 from cosim.core.passing_recorders import PassingRecorder
-from cosim.core.recorded_run import SCENARIO_FILE
+from cosim.core.recorded.partial import partial_layout
+from cosim.core.recorded.run import SCENARIO_FILE
 from cosim.core.recorders import close, end_of_run, error_text
 from cosim.core.recording import MessageLevel, Plan, Recorder
 from cosim.core.signals import Channel

@@ -20,8 +20,8 @@ from dataclasses import dataclass, replace
 from typing import Final, final
 
 from cosim.core.connections import Connection
-from cosim.core.partial import PartialRecord, RecordSelection, partial_of
 from cosim.core.port import Port
+from cosim.core.recorded.partial import PartialRecord, RecordSelection, partial_of
 from cosim.core.recording import CompleteRecording
 from cosim.core.signals import Channel
 from cosim.core.structure.cycles import strongly_connected

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cosim.core.contracts import Design
-from cosim.core.partial import declared_channels, partial_of
 from cosim.core.port import Port
+from cosim.core.recorded.partial import declared_channels, partial_of
 from cosim.core.recording import CompleteRecording, SignalEvent
 from cosim.core.signals import Interface
 from cosim.core.stepping.actions import Action

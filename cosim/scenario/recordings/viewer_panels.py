@@ -10,7 +10,7 @@ import numpy as np
 
 from cosim.core.connections import Connection
 from cosim.core.port import Port
-from cosim.core.recorded import RecordedPort, find_signal
+from cosim.core.recorded.signals import RecordedPort, find_signal
 from cosim.core.signals import Channel
 from cosim.errors import UnknownSignalError
 from cosim.log.contents.viewer_layout import ViewerPanel, output_panels

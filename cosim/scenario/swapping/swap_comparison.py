@@ -17,8 +17,8 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.core.contracts import prepare
-from cosim.core.partial import declared_channels
 from cosim.core.port import Port
+from cosim.core.recorded.partial import declared_channels
 from cosim.core.recording import CompleteRecording, Plan
 from cosim.core.signals import Causality, Interface
 from cosim.errors import CosimError, GraphError, ScenarioError

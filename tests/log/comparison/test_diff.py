@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cosim.core.contracts import Block
-from cosim.core.recorded_run import blocks_within
+from cosim.core.recorded.run import blocks_within
 from cosim.core.recorders import Memory
 from cosim.core.recording import Plan, SignalEvent
 from cosim.core.signals import Channel, Interface, Layout, Signal

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from cosim.core.recorded import find_signal
+from cosim.core.recorded.signals import find_signal
 from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.log import Attachment, Log, McapRecorder
 from cosim.log.contents.message_paths import message_paths

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Nanoseconds, Vector, as_columns
-from cosim.core.partial import PartialRecord, partial_of
 from cosim.core.port import Port
+from cosim.core.recorded.partial import PartialRecord, partial_of
 from cosim.core.recording import MessageLevel, SignalNames
 from cosim.core.signals import Channel, Signal
 from cosim.errors import GraphError, LogError, UnknownSignalError, nearest

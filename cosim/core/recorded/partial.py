@@ -22,7 +22,7 @@ class RecordSelection:
     Parameters
     ----------
     signals : tuple of str or None
-        Names and patterns, as :func:`cosim.core.selection.select_signals` takes them; None: all.
+        Names and patterns, as of :func:`cosim.core.recorded.selection.select_signals`; None: all.
     every : int
         Communication steps between rows, at least 1.
     """

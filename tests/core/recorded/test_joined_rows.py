@@ -8,8 +8,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cosim.core.joined_rows import joined_rows
-from cosim.core.selection import select_signals, selected_columns
+from cosim.core.recorded.joined_rows import joined_rows
+from cosim.core.recorded.selection import select_signals, selected_columns
 from cosim.core.signals import Channel, Interface, Signal
 from tests.log.recordings import numbered
 

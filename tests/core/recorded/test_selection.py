@@ -2,7 +2,7 @@
 
 import pytest
 
-from cosim.core.selection import matches, select_signals, selected_columns, split_names
+from cosim.core.recorded.selection import matches, select_signals, selected_columns, split_names
 from cosim.core.signals import Channel, Interface, Signal
 from cosim.errors import LogError, UnknownSignalError, UsageError
 

@@ -12,9 +12,9 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-from cosim.core.partial import partial_of
 from cosim.core.port import Port, split_element
-from cosim.core.recorded import RecordedPort, find_signal
+from cosim.core.recorded.partial import partial_of
+from cosim.core.recorded.signals import RecordedPort, find_signal
 from cosim.core.signals import Channel, Signal
 from cosim.errors import UnknownSignalError, UsageError, nearest, quoted
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.core.recorded_run import span_ns
+from cosim.core.recorded.run import span_ns
 from cosim.core.recorders import Memory
 from cosim.errors import LogError, UnknownSignalError, UsageError
 from cosim.log.comparison.diff import diff

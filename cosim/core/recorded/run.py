@@ -18,8 +18,8 @@ import numpy as np
 
 from cosim.arguments import number_argument
 from cosim.arrays import Mask, Matrix, Nanoseconds, Vector
-from cosim.core.partial import declared_channels
-from cosim.core.recorded import RecordedSignals, RunMessage, find_channel
+from cosim.core.recorded.partial import declared_channels
+from cosim.core.recorded.signals import RecordedSignals, RunMessage, find_channel
 from cosim.core.recording import SignalEvent, Substep
 from cosim.core.signals import Channel
 from cosim.errors import LogError, UsageError, quoted
@@ -169,7 +169,7 @@ class RecordedRun(RecordedSignals):
         LogError
             If a signal is unknown, or the file is damaged.
         """
-        from cosim.core.frames import to_pandas  # few need it
+        from cosim.core.recorded.frames import to_pandas  # few need it
 
         return to_pandas(self, signals)
 
@@ -185,7 +185,7 @@ class RecordedRun(RecordedSignals):
         LogError
             If a signal is unknown, or the file is damaged.
         """
-        from cosim.core.frames import to_polars  # few need it
+        from cosim.core.recorded.frames import to_polars  # few need it
 
         return to_polars(self, signals)
 
@@ -201,7 +201,7 @@ class RecordedRun(RecordedSignals):
         LogError
             If a signal is unknown, or the file is damaged.
         """
-        from cosim.core.frames import to_xarray  # few need it
+        from cosim.core.recorded.frames import to_xarray  # few need it
 
         return to_xarray(self, signals)
 

@@ -1,8 +1,8 @@
 """Runs as tables of pandas, polars and xarray, which are imported when they are asked for.
 
-All three have the rule of :mod:`cosim.core.joined_rows`: one row at every instant at which one of
-the chosen components has one, NaN where another has none there; polars has null there, as it tells
-no value from NaN.
+All three have the rule of :mod:`cosim.core.recorded.joined_rows`: one row at every instant at which
+one of the chosen components has one, NaN where another has none there; polars has null there, as it
+tells no value from NaN.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from cosim.arrays import Vector
-from cosim.core.joined_rows import JoinedRows, TableSource, joined_rows
-from cosim.core.recorded import RecordedPort
-from cosim.core.selection import SelectedColumn, select_signals, selected_columns
+from cosim.core.recorded.joined_rows import JoinedRows, TableSource, joined_rows
+from cosim.core.recorded.selection import SelectedColumn, select_signals, selected_columns
+from cosim.core.recorded.signals import RecordedPort
 from cosim.errors import UsageError
 from cosim.instants import NANOSECONDS
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import NAN, Matrix, Nanoseconds
-from cosim.core.selection import SelectedColumn
+from cosim.core.recorded.selection import SelectedColumn
 from cosim.core.signals import Channel
 
 _INSTANT = np.dtype([("time", "<i8"), ("count", "<i8")])
