@@ -205,14 +205,15 @@ class _Selection:
     def _wanted_rows(self, number: int, time_ns: Nanoseconds) -> Mask:
         all_times = self._times[self._names[number]]
         taken = self._taken[number]
-        places = np.searchsorted(all_times, time_ns)
-        places[places == len(all_times)] = 0
         wanted: Mask = np.zeros(len(time_ns), np.bool_)
         if not len(all_times):
             return wanted
-        _, firsts = np.unique(places, return_index=True)
-        wanted[firsts] = True
-        wanted &= (all_times[places] == time_ns) & ~taken[places]
+        places = np.searchsorted(all_times, time_ns)
+        places[places == len(all_times)] = 0
+        # First: a row that is not wanted has the place of the next one that is.
+        possible = np.flatnonzero((all_times[places] == time_ns) & ~taken[places])
+        _, firsts = np.unique(places[possible], return_index=True)
+        wanted[possible[firsts]] = True
         taken[places[wanted]] = True
         return wanted
 

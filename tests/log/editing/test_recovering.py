@@ -21,6 +21,7 @@ from cosim.log.editing.cutting import cut
 from cosim.log.editing.lost import Interval, missing_rows
 from cosim.log.editing.recovering import recover
 from cosim.log.editing.salvage import salvage
+from cosim.log.writing import encoding
 from tests.log.crafting import put_together, take_apart
 from tests.log.recordings import STEP_NS, layout, make_chunks_small, record, same_bits, table
 
@@ -187,8 +188,13 @@ def test_without_any_channel_nothing_says_what_rows_are(tmp_path, written):
     assert [path.name for path in tmp_path.iterdir()] == ["broken.mcap"]
 
 
-def test_rows_of_a_component_of_many_channels_are_whole_or_lost(tmp_path):
-    """A row that one of its channels has lost cannot be told from none."""
+@pytest.mark.parametrize("flush", [2**20, 2**21])
+def test_rows_of_a_component_of_many_channels_are_whole_or_lost(tmp_path, monkeypatch, flush):
+    """A row that one of its channels has lost cannot be told from none.
+
+    In long flushes the chunks of the channels end at different rows.
+    """
+    monkeypatch.setattr(encoding, "_CHANNEL_BYTES", flush)
     lay = layout(wide=5000)
     rows = table(lay, 300)
     record(tmp_path / "a.mcap", lay=lay, rows=rows)
