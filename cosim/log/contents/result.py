@@ -122,9 +122,9 @@ def result_record(name: str, items: ResultItems) -> RecordGroup:
 
 
 def _joined(first: RecordGroup, second: RecordGroup) -> RecordGroup:
-    entries = [*first.entries, *second.placed(len(first.data))]
-    data = first.data + second.data
-    return RecordGroup(data, entries, isal_zlib.crc32(data))
+    entries = [*first.entries, *second.placed(first.size)]
+    crc = isal_zlib.crc32_combine(first.crc, second.crc, second.size)
+    return RecordGroup([*first.parts, *second.parts], entries, crc)
 
 
 def _to_json(value: object) -> object:

@@ -26,7 +26,6 @@ CHUNK_BYTES: Final = 2**20  # of records, uncompressed
 _SMALL: Final = 2**14  # bytes: channels with less share a chunk
 _CHUNK_TIMES = struct.Struct("<QQQI")  # first and last time, size, CRC
 _INDEX_HEADER = struct.Struct("<BQHI")  # opcode, length, channel id, bytes of entries
-_INDEX_ENTRY = np.dtype([("log_time", "<u8"), ("offset", "<u8")])
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,16 +49,23 @@ class _Chunk:
 
 
 def one_chunk(batches: Sequence[MessageBatch], compression: Compression) -> RecordGroup:
-    """Return all messages as one chunk."""
-    return _grouped([_chunk(batches, compression)])
+    """Return all messages as one chunk, in memory of its own."""
+    chunk = _chunk(batches, compression)
+    return RecordGroup([b"".join(chunk.parts)], [chunk.entry], chunk.crc)
 
 
 def separate_chunks(
     batches: Sequence[MessageBatch], compression: Compression, workers: Workers
 ) -> RecordGroup:
-    """Return the messages of every channel as chunks of their own; channels with few share some."""
-    chunks = workers.map(lambda content: _chunk(content, compression), _contents(batches))
-    return _grouped(chunks)
+    """Return the messages of every channel as chunks of their own; channels with few share some.
+
+    Without a compression they share the memory of the batches.
+    """
+    contents = _contents(batches)
+    if compression == "none":
+        # So little work that threads would mostly wait for the interpreter, each for the other.
+        return _grouped([_chunk(content, compression) for content in contents])
+    return _grouped(workers.map(lambda content: _chunk(content, compression), contents))
 
 
 def _grouped(chunks: Sequence[_Chunk]) -> RecordGroup:
@@ -72,7 +78,7 @@ def _grouped(chunks: Sequence[_Chunk]) -> RecordGroup:
         parts += chunk.parts
         position += chunk.size
         crc = isal_zlib.crc32_combine(crc, chunk.crc, chunk.size)
-    return RecordGroup(b"".join(parts), entries, crc)
+    return RecordGroup(parts, entries, crc)
 
 
 def _contents(batches: Sequence[MessageBatch]) -> Iterator[list[MessageBatch]]:
@@ -161,9 +167,9 @@ def _message_indexes(batches: Sequence[MessageBatch]) -> list[bytes]:
     indexes = []
     batch_start = 0
     for batch in batches:
-        entries = np.empty(len(batch.time_ns), _INDEX_ENTRY)
-        entries["log_time"] = batch.time_ns
-        entries["offset"] = batch.offsets + batch_start
+        entries = np.empty((len(batch.time_ns), 2), "<i8")
+        entries[:, 0] = batch.time_ns
+        np.add(batch.offsets, batch_start, out=entries[:, 1])
         length = _INDEX_HEADER.size - HEADER + entries.nbytes
         header = _INDEX_HEADER.pack(Opcode.MESSAGE_INDEX, length, batch.channel_id, entries.nbytes)
         indexes.append(header + entries.tobytes())

@@ -73,7 +73,7 @@ class FileHead:
 
     def _add(self, group: RecordGroup) -> None:
         self._entries += group.placed(self._size)
-        self._append(group.data)
+        self._append(b"".join(group.parts))
 
     def _append(self, data: bytes) -> None:
         self._parts.append(data)
@@ -84,7 +84,7 @@ def metadata_group(name: str, items: dict[str, str]) -> RecordGroup:
     """Return a metadata record."""
     data = encoded(records.Metadata(name=name, metadata=items))
     index = records.MetadataIndex(offset=0, length=len(data), name=name)
-    return RecordGroup(data, [IndexEntry(index, {})], isal_zlib.crc32(data))
+    return RecordGroup([data], [IndexEntry(index, {})], isal_zlib.crc32(data))
 
 
 def attachment_group(name: str, media_type: str, content: bytes) -> RecordGroup:
@@ -102,4 +102,4 @@ def attachment_group(name: str, media_type: str, content: bytes) -> RecordGroup:
         name=name,
         media_type=media_type,
     )
-    return RecordGroup(data, [IndexEntry(index, {})], isal_zlib.crc32(data))
+    return RecordGroup([data], [IndexEntry(index, {})], isal_zlib.crc32(data))

@@ -172,7 +172,7 @@ class LiveFile:
     @property
     def size(self) -> int:
         """What the file holds, without its hole and the room for the summary [bytes]."""
-        return self._end if self._tail is None else self._end + len(self._tail.group.data)
+        return self._end if self._tail is None else self._end + self._tail.group.size
 
     def commit(self, group: RecordGroup) -> None:
         """Add records for good, in place of the tail if there is one."""
@@ -180,14 +180,14 @@ class LiveFile:
         self.keep_tail()
 
     def replace_tail(self, group: RecordGroup) -> None:
-        """Put records in place of the tail, or begin one."""
+        """Put records in place of the tail, or begin one; their memory stays in use for it."""
         tail = self._tail
         if tail is None or self._fits_before(tail, group):
             self._put(self._end, group)
             return
         behind_tail = tail.hole + HEADER
         # Twice as far into the hole as it is long: before that there is room for it, to be kept.
-        with_room = self._end + 2 * (len(group.data) + 2 * HEADER)
+        with_room = self._end + 2 * (group.size + 2 * HEADER)
         self._put(max(behind_tail, with_room), group)
 
     def keep_tail(self) -> None:
@@ -198,11 +198,11 @@ class LiveFile:
         group = tail.group
         if tail.start != self._end:
             self._put(self._end, group)
-        padding = _padding(self._end + len(group.data))
+        padding = _padding(self._end + group.size)
         self._summary.add(group.placed(self._end))
-        crc = isal_zlib.crc32_combine(self._crc, group.crc, len(group.data))
+        crc = isal_zlib.crc32_combine(self._crc, group.crc, group.size)
         self._crc = isal_zlib.crc32(padding, crc)
-        self._end += len(group.data) + len(padding)
+        self._end += group.size + len(padding)
         self._tail = None
 
     def close(self) -> None:
@@ -231,13 +231,13 @@ class LiveFile:
         self._stream.close()
 
     def _fits_before(self, tail: _Tail, group: RecordGroup) -> bool:
-        return self._end + len(group.data) + 2 * HEADER <= tail.start
+        return self._end + group.size + 2 * HEADER <= tail.start
 
     def _put(self, position: int, group: RecordGroup) -> None:
         """Write records into the hole and switch to them; they are the tail then."""
         self._check_switched()
-        padding = _padding(position + len(group.data))
-        hole = position + len(group.data) + len(padding)
+        padding = _padding(position + group.size)
+        hole = position + group.size + len(padding)
         entries = group.placed(position)
         encoded = self._encoded(entries)
         has_room = hole + HEADER + _RESERVE <= self._frame.data_end
@@ -247,7 +247,8 @@ class LiveFile:
         # First all that may need space on the disk, where no reader looks.
         is_at_end = position == self._end
         hidden = HEADER if is_at_end else 0
-        self._write(position + hidden, memoryview(group.data)[hidden:])
+        first_part, *others = group.parts
+        self._write(position + hidden, memoryview(first_part)[hidden:], *others)
         if padding:
             self._write(hole - len(padding), padding)
         self._write_hole(hole, self._frame)
@@ -257,7 +258,7 @@ class LiveFile:
         # Then the switches. Where the footer leads, a whole record has to stand before and after.
         self._is_switching = True
         if is_at_end:
-            self._write(self._end, group.data[:HEADER])
+            self._write(self._end, first_part[:HEADER])
             self._write(self._frame.footer, footer(*place))
         else:
             self._write(self._frame.footer, footer(*place))
@@ -356,14 +357,16 @@ class LiveFile:
         if self._is_switching:
             raise OSError(errno.EIO, os.strerror(errno.EIO))
 
-    def _write(self, position: int, data: bytes | memoryview) -> None:
+    def _write(self, position: int, *parts: bytes | memoryview) -> None:
+        """Write parts one behind the other."""
         self._stream.seek(position)
-        remaining = memoryview(data)
-        while remaining:
-            written = self._stream.write(remaining)
-            if not written:
-                raise OSError(errno.ENOSPC, "the file takes no more bytes")
-            remaining = remaining[written:]
+        for part in parts:
+            remaining = memoryview(part)
+            while remaining:
+                written = self._stream.write(remaining)
+                if not written:
+                    raise OSError(errno.ENOSPC, "the file takes no more bytes")
+                remaining = remaining[written:]
 
     def _synchronize(self) -> None:
         if self._sync:

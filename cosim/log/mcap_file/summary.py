@@ -37,7 +37,7 @@ SummaryEncoder: TypeAlias = Callable[[int], EncodedSummary]
 class IndexEntry:
     """What the summary needs of a record, or of a chunk."""
 
-    index: IndexRecord  # its offsets are those in ``RecordGroup.data`` until it is placed
+    index: IndexRecord  # its offsets are those in its ``RecordGroup`` until it is placed
     counts: dict[int, int]  # messages by channel id
 
 
@@ -47,15 +47,21 @@ class RecordGroup:
 
     Parameters
     ----------
-    data : bytes
+    parts : sequence of bytes or memoryview
+        The records, one part behind the other; the first one has the header of a record whole.
     entries : sequence of IndexEntry
     crc : int
-        CRC-32 of the data.
+        CRC-32 of all parts.
     """
 
-    data: bytes
+    parts: Sequence[bytes | memoryview]
     entries: Sequence[IndexEntry]
     crc: int
+
+    @property
+    def size(self) -> int:
+        """The length of all parts [bytes]."""
+        return sum(map(len, self.parts))
 
     def placed(self, position: int) -> list[IndexEntry]:
         """Return the entries of the group where it begins at ``position``."""

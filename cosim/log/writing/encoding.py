@@ -18,7 +18,7 @@ from cosim.log.mcap_file.chunks import CHUNK_BYTES, MessageBatch
 from cosim.log.mcap_file.records import HEADER
 from cosim.log.writing.buffer import RunContent, RunRows, WaitingMessage
 
-_CHANNEL_BYTES = 2**20  # of a channel in a flush, as long as there are few
+_CHANNEL_BYTES = 2**21  # of a channel in a flush, as long as there are few
 _LARGEST_FLUSH = 2**23  # bytes of records
 _BUFFER_BYTES = 2**22  # of rows, where long periods leave few of them in a chunk
 _DOUBLE_BYTES = 8
@@ -78,14 +78,15 @@ class MessageEncoder:
         time_ns = rows.time_ns[selected]
         records = self._records(channel_id, part.size, len(time_ns))
         records["sequence"] = rows.steps[selected].astype(np.uint32)
-        records["log_time"] = time_ns
-        records["publish_time"] = time_ns
+        unsigned_ns = time_ns.view(np.uint64)  # else numpy would convert each
+        records["log_time"] = unsigned_ns
+        records["publish_time"] = unsigned_ns
         part_start = part.channel.start + part.columns.start
         for group, columns in group_columns(part.size).items():
             start = part_start + columns.start
             stop = part_start + columns.stop
             records[group]["value"] = rows.values[selected, start:stop]
-        offsets = np.arange(len(records), dtype=np.int64) * records.itemsize
+        offsets = np.arange(0, records.nbytes, records.itemsize)
         return MessageBatch(channel_id, records.view(np.uint8).data, time_ns, offsets)
 
     def _records(self, channel_id: int, size: int, count: int) -> Records:

@@ -211,7 +211,7 @@ class LogStore:
             content, start_ns=self._start_ns, step_ns=self._plan.step_ns
         )
         if not batches:
-            return RecordGroup(b"", (), 0)
+            return RecordGroup((), (), 0)
         if is_separate and self._has_few_channels:
             return separate_chunks(batches, self._compression, self._workers)
         return one_chunk(batches, self._compression)

@@ -205,8 +205,8 @@ def filler():
         message_start_time=0,
         uncompressed_size=len(data),
     )
-    data = chunk + message_index
-    return RecordGroup(data, [IndexEntry(index, {log_channel: 0})], zlib.crc32(data))
+    crc = zlib.crc32(chunk + message_index)
+    return RecordGroup([chunk, message_index], [IndexEntry(index, {log_channel: 0})], crc)
 
 
 def check(job, reported):

@@ -95,8 +95,8 @@ def chunk(first, count, size):
     entries = [(5 * (first + row), row * length) for row in range(count)]
     message_index = encoded(records.MessageIndex(1, entries))
     index.message_index_length = len(message_index)
-    whole = data + message_index
-    return RecordGroup(whole, [IndexEntry(index, {1: count})], zlib.crc32(whole))
+    crc = zlib.crc32(data + message_index)
+    return RecordGroup([data, message_index], [IndexEntry(index, {1: count})], crc)
 
 
 def _data(number, size):
