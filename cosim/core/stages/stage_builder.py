@@ -11,8 +11,9 @@ import numpy as np
 
 from cosim.core.port import Port
 from cosim.core.stages.coupling import Cascade, Loop, NestedStages, Stage
+from cosim.core.stages.divided_step import OutsideColumns
 from cosim.core.stages.member import Member
-from cosim.core.stages.substep_control import OutsideColumns, SubstepControl, SubstepTolerance
+from cosim.core.stages.substep_control import SubstepControl, SubstepTolerance
 from cosim.core.stages.torn_inputs import KeptInputs, TornInputs
 from cosim.core.structure.checked_connections import CheckedConnections
 from cosim.core.structure.cycles import groups_in_order

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Vector
 from cosim.core.recording import Recording, Substep
+from cosim.core.stages.divided_step import OutsideColumns
 from cosim.core.stages.member import Member
 from cosim.core.stages.spans import Span, StepPart
 from cosim.errors import GraphError, LogError
@@ -132,22 +133,6 @@ class SubstepCounts:
         if substep.error > self.worst_error:
             self.worst_error = substep.error
             self.worst_time = substep.begin
-
-
-@dataclass(frozen=True, slots=True)
-class OutsideColumns:
-    """The columns of a row that drive a loop from outside.
-
-    Between communication points those of ``linear`` are interpolated, those of ``start`` keep their
-    values from the start of the step, those of ``end`` have them from its end. Those of ``jumping``
-    have left limits at its end, in ``limits``.
-    """
-
-    linear: NDArray[np.intp]
-    start: NDArray[np.intp]
-    end: NDArray[np.intp]
-    jumping: NDArray[np.intp]
-    limits: NDArray[np.intp]
 
 
 @final

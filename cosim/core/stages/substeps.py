@@ -38,23 +38,15 @@ from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 
-from cosim.arrays import Matrix, Vector, read_only
+from cosim.arrays import Matrix, Vector
 from cosim.core.contracts import Block, Stopped
 from cosim.core.recording import Substep
-from cosim.core.stages.coupling import (
-    Advancing,
-    Cut,
-    OperationName,
-    Stage,
-    call,
-    keep_limits,
-    stop_of,
-)
-from cosim.core.stages.member import END, Member
+from cosim.core.stages.coupling import Advancing, Cut, Stage, stop_of
+from cosim.core.stages.divided_step import DividedStep, kept_columns
+from cosim.core.stages.followed_loop import FollowedLoop
 from cosim.core.stages.spans import Span, StepPart
-from cosim.core.stages.substep_control import OutsideColumns, RecordedSubsteps, SubstepControl
+from cosim.core.stages.substep_control import SubstepControl
 from cosim.errors import RunError
-from cosim.instants import duration, last_nanosecond
 
 EVENTS: Final = 1000  # in one communication step
 
@@ -77,47 +69,6 @@ class _Taken(NamedTuple):
 
 
 @final
-class _Step:
-    """A communication step: a block of one step, and its rows, of which the second is filled."""
-
-    def __init__(self, block: Block, signals: Matrix) -> None:
-        self.block = block
-        self.signals = signals
-        self.begin, self.end = block.time.tolist()
-        self.events = 0
-        first_ns, last_ns = block.time_ns.tolist()
-        self.span = Span(self.begin, self.end, first_ns, last_ns, is_step=True)
-
-    def rows(
-        self, begin: float, end: float, row: Vector, outside: OutsideColumns
-    ) -> tuple[Block, Matrix]:
-        """Return a part of the step, between two times in it [s], as a block with its rows.
-
-        The first one is ``row``; the second has what drives the loop from outside.
-        """
-        time_ns = np.array([last_nanosecond(begin), last_nanosecond(end)])
-        block = Block(self.block.index, time_ns, np.array([begin, end]), duration(begin, end))
-        rows = np.array([row, row])
-        self._drive(rows[1], end, outside)
-        return block, rows
-
-    def _drive(self, row: Vector, end: float, outside: OutsideColumns) -> None:
-        first, last = self.signals
-        if end == self.end:
-            for columns in (outside.linear, outside.start, outside.end, outside.limits):
-                row[columns] = last[columns]
-            return
-        left = last.copy()
-        left[outside.jumping] = last[outside.limits]
-        linear = outside.linear
-        fraction = duration(self.begin, end) / self.block.h
-        row[linear] = first[linear] + fraction * (left[linear] - first[linear])
-        row[outside.start] = first[outside.start]
-        row[outside.end] = left[outside.end]
-        row[outside.limits] = row[outside.jumping]
-
-
-@final
 class SubsteppedLoop:
     """Advances a loop in substeps.
 
@@ -131,34 +82,26 @@ class SubsteppedLoop:
 
     def __init__(self, loop: Stage, control: SubstepControl, advancing: Advancing) -> None:
         members = loop.members
-        self._loop = loop
-        self._refreshed = {name for kind, name in loop.order if kind == "refresh"}
         self._control = control
         self._members = members
         self._locating = [m for m in members if m.channel.interface.locates_events]
-        by_name = {member.name: member for member in members}
-        self._in_order = [by_name[name] for kind, name in loop.order if kind == "advance"]
-        self._extrapolated = {member.name: _extrapolated(loop, member) for member in members}
-        self._gives_others = loop.kept is not None or any(self._extrapolated.values())
         self._advancing = advancing
-        columns = [member.column_numbers for member in members]
-        limits = [m.jumps.own_limits for m in members if m.jumps is not None]
-        self._columns = np.concatenate([*columns, *limits])
-        self._limits = np.concatenate([np.empty(0, np.intp), *limits])
+        self._columns = kept_columns(members)
+        self._following = FollowedLoop(loop, control)
 
     def advance(self, block: Block, signals: Matrix) -> None:
         """Fill rows 1 to K of its columns; see :class:`cosim.core.stages.coupling.Advancing`."""
         for k in range(block.steps):
-            step = _Step(block.part(k, k + 1), signals[k : k + 2])
+            step = DividedStep(block.part(k, k + 1), signals[k : k + 2])
             try:
                 if self._control.recorded is None:
                     self._advance(step)
                 else:
-                    self._follow(step, self._control.recorded)
+                    self._following.advance(step, self._control.recorded)
             except Cut as cut:
                 raise Cut(k, cut.error, cut.component) from cut
 
-    def _advance(self, step: _Step) -> None:
+    def _advance(self, step: DividedStep) -> None:
         control = self._control
         waiting = [control.first(step.span)]  # the next one last
         row = step.signals[0].copy()
@@ -187,7 +130,7 @@ class SubsteppedLoop:
 
     def _attempt(
         self,
-        step: _Step,
+        step: DividedStep,
         part: StepPart,
         row: Vector,
         coarse: Vector | None,
@@ -209,7 +152,7 @@ class SubsteppedLoop:
         fine = self._take(step, second, half.end)
         return fine._replace(middle=half.end, error=self._error(row, coarse, fine.end))
 
-    def _take(self, step: _Step, part: StepPart, row: Vector) -> _Taken:
+    def _take(self, step: DividedStep, part: StepPart, row: Vector) -> _Taken:
         """Advance the loop over a part at once."""
         block, rows = step.rows(part.begin, part.end, row, self._control.outside)
         try:
@@ -218,7 +161,7 @@ class SubsteppedLoop:
             return _Taken(None, cut=cut)
         return _Taken(rows[1], self._event_inside(step, part))
 
-    def _event_inside(self, step: _Step, part: StepPart) -> _Event | None:
+    def _event_inside(self, step: DividedStep, part: StepPart) -> _Event | None:
         """Return the first event of a component inside a part that was taken, at neither end.
 
         Raises
@@ -238,7 +181,9 @@ class SubsteppedLoop:
         inside = [event for event in events if part.begin + close < event.time < part.end - close]
         return min(inside, default=None)
 
-    def _divide(self, step: _Step, part: StepPart, event: _Event, waiting: list[StepPart]) -> None:
+    def _divide(
+        self, step: DividedStep, part: StepPart, event: _Event, waiting: list[StepPart]
+    ) -> None:
         """Put what is before an event inside a part, and what is behind it, in the place of it.
 
         Raises
@@ -280,109 +225,6 @@ class SubsteppedLoop:
         self._add(second, error=taken.error, event=part.event, row=taken.end)
         return taken.end
 
-    def _follow(self, step: _Step, recorded: RecordedSubsteps) -> None:
-        """Take recorded substeps, each with the recorded inputs at both of its ends.
-
-        They are kept with the outputs that are computed now.
-        """
-        row = step.signals[0]
-        computed = step.signals
-        for substep in recorded.between(step.begin, step.end):
-            if not substep.accepted:
-                self._control.add(substep)
-                continue
-            block, rows = step.rows(substep.begin, substep.end, row, self._control.outside)
-            rows[1, self._columns] = substep.values
-            computed = rows.copy()
-            given = self._given(rows)
-            for member in recorded.live:
-                self._advance_alone(member, block, rows, given, computed)
-            values = tuple(computed[1, self._columns].tolist())
-            self._control.add(substep._replace(values=values))
-            row = rows[1]
-        for member in recorded.live:
-            step.signals[1, member.outputs] = computed[1, member.outputs]
-        for member in recorded.copied:
-            step.signals[1, member.outputs] = self._call(
-                "advance", member, step.block, step.signals
-            )
-        for member in self._members:
-            step.signals[1, member.inputs] = row[member.inputs]
-        step.signals[1, self._limits] = computed[1, self._limits]
-
-    def _given(self, rows: Matrix) -> Matrix:
-        """Return rows of which the second has the inputs that components advanced with.
-
-        Those that are extrapolated had outputs from the begin of the substep.
-        """
-        if not self._gives_others:
-            return rows
-        given = rows.copy()
-        for member in self._members:
-            member.keep_outputs(given)
-        for member in self._in_order:
-            member.gather_left(given)
-            if self._loop.kept is None:
-                given[1, member.outputs] = rows[1, member.outputs]
-        return given
-
-    def _advance_alone(
-        self, member: Member, block: Block, rows: Matrix, given: Matrix, computed: Matrix
-    ) -> None:
-        """Advance a component over a substep of which all signals are known.
-
-        Parameters
-        ----------
-        member : Member
-        block : Block
-        rows : Matrix, shape (2, width)
-            All signals at both ends.
-        given : Matrix, shape (2, width)
-            The same with the inputs that it advanced with.
-        computed : Matrix, shape (2, width)
-            Takes its outputs, and the left limits of those that jump.
-        """
-        if self._loop.kept is not None:
-            kept, _ = self._loop.kept.inputs_of(member)
-            rows = rows.copy()
-            rows[1, kept] = given[1, kept]
-        jumps = member.reads_jumps(rows)
-        taken = self._with_left_inputs(member, rows) if jumps else rows
-        extrapolated = self._extrapolated[member.name]
-        if extrapolated:
-            taken = taken.copy()
-            taken[1, extrapolated] = given[1, extrapolated]
-        computed[1, member.outputs] = self._call("advance", member, block, taken)
-        failure = keep_limits("advance", member, block.time, computed)
-        if failure is not None:
-            raise Cut(0, failure, member.name)
-        if jumps or (extrapolated and member.name in self._refreshed):
-            computed[1, member.outputs] = self._call("right", member, block, rows)
-
-    def _with_left_inputs(self, member: Member, rows: Matrix) -> Matrix:
-        """Return rows of which the second has left limits in its inputs, where these jump."""
-        taken = rows.copy()
-        member.gather(taken, END)
-        right = taken[1, member.inputs].copy()
-        member.gather_left(taken)
-        left = taken[1, member.inputs]
-        # What does not jump is taken as it was recorded: a loop may have solved for it.
-        taken[1, member.inputs] = np.where(left == right, rows[1, member.inputs], left)
-        return taken
-
-    def _call(self, kind: OperationName, member: Member, block: Block, rows: Matrix) -> Vector:
-        """Advance a component over one step, or evaluate its outputs at the end.
-
-        Raises
-        ------
-        Cut
-            If it stops there, also at its end.
-        """
-        try:
-            return call(kind, member, block.time, block.h, member.inputs_over(read_only(rows)))
-        except Stopped as stop:
-            raise Cut(0, stop, member.name) from stop
-
     def _error(self, row: Vector, coarse: Vector | None, fine: Vector | None) -> float:
         """Return the error that is estimated of the two halves, in units of what is tolerated."""
         if coarse is None or fine is None:
@@ -420,13 +262,3 @@ class SubsteppedLoop:
     def _restore(self, states: Sequence[Any]) -> None:
         for member, state in zip(self._members, states, strict=True):
             member.component.restore(state)
-
-
-def _extrapolated(loop: Stage, member: Member) -> list[int]:
-    """Return the columns of inputs that a component advances with, but that end otherwise."""
-    columns: list[int] = []
-    if member.takes_latest:
-        for name in loop.extrapolated.get(member.name, ()):
-            places = member.channel.signal_columns[name]
-            columns += range(places.start, places.stop)
-    return columns
