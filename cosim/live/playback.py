@@ -13,18 +13,17 @@ from typing import Final, final
 
 import numpy as np
 
-from cosim.arguments import number_argument
 from cosim.arrays import Matrix, Nanoseconds
-from cosim.errors import LogError, UsageError, option
+from cosim.errors import LogError
+from cosim.instants import NANOSECONDS
 from cosim.live.publisher import Publisher
 from cosim.live.server import LiveServer
 from cosim.log import Log
 from cosim.log.contents.messages import encode_event, encode_log, encode_substep
 from cosim.log.contents.preamble import EVENT_TOPIC, LOG_TOPIC, STEP_TOPIC
 from cosim.scenario.recorded_tables import Lateness
-from cosim.scenario.running.real_time import BLOCK, RealTimePace
+from cosim.scenario.running.real_time import BLOCK, RealTimePace, pace_of
 
-_NANOSECONDS: Final = 1_000_000_000
 _LONGEST_SLEEP: Final = 0.05  # s, until it is looked whether playback is to end
 
 
@@ -90,8 +89,8 @@ class Playback:
         self._check = check
         self._now = now
         self._sleep = sleep
-        factor = _speed(speed)
-        self._window_ns = max(1, round(BLOCK * factor * _NANOSECONDS))
+        factor = pace_of(speed, "speed")
+        self._window_ns = max(1, round(BLOCK * factor * NANOSECONDS))
         self._publisher = Publisher(
             self._connection,
             log.channels,
@@ -108,7 +107,7 @@ class Playback:
         if not known:
             raise LogError(f"{log.path} has no rows to play")
         self._start_ns = min(known)
-        start = self._start_ns / _NANOSECONDS
+        start = self._start_ns / NANOSECONDS
         self._pace = RealTimePace(factor, start, now=now, sleep=self._sleep_watched)
         server.listen()
 
@@ -144,8 +143,8 @@ class Playback:
             self._check()
             # The first row is there at the start.
             counts = shift_ns > 0 or end_ns > self._start_ns
-            later = shift_ns / _NANOSECONDS
-            self._pace.reach(end_ns / _NANOSECONDS, later=later, counts=counts)
+            later = shift_ns / NANOSECONDS
+            self._pace.reach(end_ns / NANOSECONDS, later=later, counts=counts)
             for cursor in cursors:
                 for time_ns, rows in cursor.take(end_ns):
                     self._publisher.add_rows(cursor.component, time_ns, rows)
@@ -210,13 +209,6 @@ class _Cursor:
                 return
             self._time_ns, self._rows = block
             self._first = 0
-
-
-def _speed(speed: object) -> float:
-    value = number_argument("speed", speed)
-    if not 0.0 < value < float("inf"):
-        raise UsageError(f"{option('speed')}: found {value}; needed a finite number above 0")
-    return value
 
 
 def _messages(log: Log) -> list[tuple[str, int, bytes]]:

@@ -115,7 +115,7 @@ class RealTimePace:
             close(recorder, error)
 
 
-def pace_of(factor: object) -> float:
+def pace_of(factor: object, name: str = "realtime") -> float:
     """Return how much simulated time passes by wall time.
 
     Raises
@@ -123,9 +123,9 @@ def pace_of(factor: object) -> float:
     UsageError
         If it is no number above 0.
     """
-    value = number_argument("realtime", factor)
+    value = number_argument(name, factor)
     if not (math.isfinite(value) and value > 0.0):
-        raise UsageError(f"{option('realtime')}: found {value}; needed a finite number above 0")
+        raise UsageError(f"{option(name)}: found {value}; needed a finite number above 0")
     return value
 
 
