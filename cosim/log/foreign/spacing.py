@@ -24,7 +24,7 @@ class Spacing:
     late : int
         Messages that stand behind one of a later time.
     repeated : int
-        Messages of an instant that another one has.
+        Messages of an instant that a later one in the file has, too.
     median_ns, largest_ns : int
         Distances of instants that follow each other; 0: there is one instant.
     largest_at_ns : int
@@ -52,8 +52,8 @@ class Spacing:
             texts.append(f"{self.late} of {self.count} messages behind later ones, sorted by time")
         if self.repeated:
             texts.append(
-                f"{self.repeated} of {self.count} messages at an instant that another one has, of "
-                "which the last in the file counts"
+                f"{self.repeated} of {self.count} messages not taken, as a later one in the file "
+                "has the same instant"
             )
         return "; ".join(texts)
 

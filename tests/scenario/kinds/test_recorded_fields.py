@@ -180,15 +180,15 @@ def test_disorder_and_gaps_are_said(loop, tmp_path):
     )
     rows = [(EPOCH + i * STEP_NS, {"x": i}) for i in range(COUNT) if not 200 < i < 205]
     rows[100], rows[101] = rows[101], rows[100]
-    rows.insert(10, (rows[9][0], {"x": 99}))
+    rows[10:10] = [(rows[9][0], {"x": 98}), (rows[9][0], {"x": 99})]  # three of one instant
     path = write_json(tmp_path / "bad.mcap", {"/t": rows})
     out = tmp_path / "run.mcap"
     log = cosim.run(loop.swap(plant=path, map={"plant.y": "/t.x"}), out=out)
     text = warnings_of(open_log(out))
     assert (
-        "topic '/t': 1 of 397 messages behind later ones, sorted by time; 1 of 397 messages at an "
-        "instant that another one has, of which the last in the file counts; the largest gap is "
-        "0.05 s, from t = 2 s on, the median distance 0.01 s"
+        "topic '/t': 1 of 398 messages behind later ones, sorted by time; 2 of 398 messages not "
+        "taken, as a later one in the file has the same instant; the largest gap is 0.05 s, from "
+        "t = 2 s on, the median distance 0.01 s"
     ) in text
     assert log["plant.y"][9] == 99.0
     assert log["plant.y"][100] == 100.0
