@@ -278,6 +278,8 @@ def blocks_within(
 class RecordedWindow(RecordedRun):
     """The part of a run in some time; see :meth:`RecordedRun.window`.
 
+    Its methods raise what those of the run raise.
+
     Parameters
     ----------
     run : RecordedRun
@@ -317,13 +319,7 @@ class RecordedWindow(RecordedRun):
         return self._run.attachments
 
     def attachment(self, name: str) -> bytes:
-        """Return the content of an attachment.
-
-        Raises
-        ------
-        LogError
-            If there is none of that name, or it is damaged.
-        """
+        """Return the content of an attachment."""
         return self._run.attachment(name)
 
     @property
@@ -371,27 +367,11 @@ class RecordedWindow(RecordedRun):
         return self._run.end_ns - self._steps_left_out * self.step_ns
 
     def rows(self, component: str) -> Matrix:
-        """Return the rows of a component here: applied inputs, then outputs; shape (N, width).
-
-        Raises
-        ------
-        UnknownSignalError
-            If there is no such component; names the nearest.
-        LogError
-            If the file is damaged.
-        """
+        """Return the rows of a component here: applied inputs, then outputs; shape (N, width)."""
         return self._times_and_rows(component)[1]
 
     def time_ns(self, component: str) -> Nanoseconds:
-        """Return the instants of a component's rows here, shape (N,) [ns].
-
-        Raises
-        ------
-        UnknownSignalError
-            If there is no such component; names the nearest.
-        LogError
-            If the file is damaged.
-        """
+        """Return the instants of a component's rows here, shape (N,) [ns]."""
         return self._times_and_rows(component)[0]
 
     def _times_and_rows(self, component: str) -> tuple[Nanoseconds, Matrix]:
@@ -410,15 +390,7 @@ class RecordedWindow(RecordedRun):
     def blocks(
         self, component: str, *, first_ns: int | None = None, last_ns: int | None = None
     ) -> Iterator[tuple[Nanoseconds, Matrix]]:
-        """Yield times and rows of a component here, in order of time, some at a time.
-
-        Raises
-        ------
-        UnknownSignalError
-            If there is no such component; names the nearest.
-        LogError
-            If the file is damaged.
-        """
+        """Yield times and rows of a component here, in order of time, some at a time."""
         first, last = self._bounds(first_ns, last_ns)
         return self._run.blocks(component, first_ns=first, last_ns=last)
 
@@ -429,15 +401,7 @@ class RecordedWindow(RecordedRun):
         first_ns: int | None = None,
         last_ns: int | None = None,
     ) -> Iterator[tuple[str, Nanoseconds, Matrix]]:
-        """Yield names, times and rows of components here as they come, each in order of time.
-
-        Raises
-        ------
-        UnknownSignalError
-            If there is no such component; names the nearest.
-        LogError
-            If the file is damaged.
-        """
+        """Yield names, times and rows of components here as they come, each in order of time."""
         first, last = self._bounds(first_ns, last_ns)
         return self._run.blocks_of(components, first_ns=first, last_ns=last)
 
@@ -448,46 +412,20 @@ class RecordedWindow(RecordedRun):
         return max(firsts, default=None), min(lasts, default=None)
 
     def load(self, *components: str) -> None:
-        """Read the rows of several components here; none named: all.
-
-        Raises
-        ------
-        UnknownSignalError
-            If there is no such component; names the nearest.
-        LogError
-            If the file is damaged.
-        """
+        """Read the rows of several components here; none named: all."""
         for name in components or tuple(self.channels):
             self._times_and_rows(name)
 
     def messages(self) -> list[RunMessage]:
-        """Return the messages here, in the order of time.
-
-        Raises
-        ------
-        LogError
-            If the file is damaged.
-        """
+        """Return the messages here, in the order of time."""
         return [message for message in self._run.messages() if self._has(message.time_ns)]
 
     def events(self) -> list[SignalEvent]:
-        """Return the jumps of signals here, in the order of time.
-
-        Raises
-        ------
-        LogError
-            If the file is damaged.
-        """
+        """Return the jumps of signals here, in the order of time."""
         return [event for event in self._run.events() if self._has(event.time_ns)]
 
     def substeps(self) -> list[Substep]:
-        """Return the substeps that begin here, in the order of where they begin.
-
-        Raises
-        ------
-        LogError
-            If the file is damaged.
-        """
+        """Return the substeps that begin here, in the order of where they begin."""
         return [substep for substep in self._run.substeps() if self._has(substep.begin_ns)]
 
     def _has(self, time_ns: int) -> bool:

@@ -27,7 +27,8 @@ from cosim.log.mcap_file.rotation import Rotation, check_no_parts
 from cosim.log.writing.background import FLUSH_INTERVAL
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.recordings.interrupting import interruptible
-from cosim.scenario.recordings.records import MessageRecorder, attachments_of, metadata_of
+from cosim.scenario.recordings.message_recorder import MessageRecorder
+from cosim.scenario.recordings.records import attachments_of, metadata_of
 
 Progress = Callable[[float, float], None]  # simulated time, end [s]
 Notice = Callable[[str], None]

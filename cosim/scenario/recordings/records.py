@@ -1,221 +1,24 @@
-"""What a recording keeps of an experiment beside its signals: metadata, messages, attachments."""
+"""What a recording keeps of an experiment from the start: metadata and attachments."""
 
 from __future__ import annotations
 
 import json
-import math
-from collections.abc import Iterator, Sequence
 from dataclasses import asdict
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, final
+from typing import Any
 
-from cosim.arrays import Matrix, Vector
-from cosim.core.conditions import until_text
 from cosim.core.connections import Connection
-from cosim.core.contracts import Block, Stopped
 from cosim.core.gain.loop_gain import LoopGain
 from cosim.core.partial_recorder import chosen_signals
-from cosim.core.passing_recorders import PassingRecorder
 from cosim.core.recorded.partial import partial_layout
 from cosim.core.recorded.run import SCENARIO_FILE
-from cosim.core.recorders import close, end_of_run, error_text
-from cosim.core.recording import MessageLevel, Plan, Recorder
 from cosim.core.signals import Channel
-from cosim.core.stages.substep_control import SUBSTEP_COUNTS, SubstepCounts
-from cosim.errors import Interrupted, RunError, listing
-from cosim.interrupts import uninterrupted
 from cosim.log import Attachment
 from cosim.log.contents.viewer_layout import LAYOUT_FILE, layout_json
 from cosim.scenario.actions.settings import SETTINGS
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.building.fingerprint import fingerprint
-from cosim.scenario.identification.run_verdicts import IDENTIFICATION, Assessor
-from cosim.scenario.kinds.initial_states import INITIAL_STATES, change_text, changed_states
 from cosim.scenario.recordings.viewer_panels import viewer_panels
 from cosim.units import Conversion
-
-if TYPE_CHECKING:
-    from cosim.fmi.binary.messages import Message
-
-UNTIL = "until"
-
-
-@final
-class MessageRecorder(PassingRecorder):
-    """Records the messages of a run and of its FMUs beside its signals, with any recorder."""
-
-    def __init__(self, recorder: Recorder, experiment: Experiment) -> None:
-        super().__init__(recorder)
-        self._experiment = experiment
-        self._reached_ns = experiment.clock.start_ns
-        self._ahead: dict[str, list[Message]] = {}  # by FMU, of instants that are not reached yet
-        self._last: Vector | None = None
-        self._assessor = Assessor(experiment.graph, experiment.identified)
-
-    def __exit__(
-        self,
-        error_type: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        ended = self._terminate(error)
-        try:
-            with uninterrupted():
-                self._conclude(ended)
-        finally:
-            close(self._recorder, ended)
-        if ended is not None and ended is not error:
-            raise ended
-
-    def _terminate(self, error: BaseException | None) -> BaseException | None:
-        """End the run of every FMU; return what the run as a whole ended with."""
-        try:
-            for name, fmu in self._experiment.fmus.items():
-                try:
-                    fmu.terminate()
-                except RunError as failure:
-                    text = f"{name!r} failed at the end of the run: {failure}"
-                    if end_of_run(error).status == "complete":
-                        error = RunError(text)
-                    else:
-                        self._recorder.message(self._reached_ns, "error", name, text)
-        except KeyboardInterrupt as interruption:  # an FMU may take long
-            return interruption
-        return error
-
-    def _conclude(self, error: BaseException | None) -> None:
-        """Record what is known at the end: last messages, the error, the last row.
-
-        Where the run ended early, FMUs may be ahead of its end: of them there are the messages up
-        to the end of the step that was not completed.
-        """
-        self._record_messages(self._reached_ns + self._experiment.clock.step_ns)
-        if error is not None:
-            self._recorder.message(self._reached_ns, _level(error), "run", error_text(error))
-        self._record_until(error)
-        self._record_substeps()
-        if self._last is not None:
-            labels = self._experiment.graph.labels()
-            last = {}
-            for label, value in zip(labels, self._last.tolist(), strict=True):
-                last[label] = value if math.isfinite(value) else None
-            self._recorder.result({"last": last})
-            is_regular = error is None or self._came_true(error)
-            if is_regular and self._experiment.identified:
-                self._recorder.result({IDENTIFICATION: self._assessor.results()})
-
-    def _came_true(self, error: BaseException | None) -> bool:
-        """Return whether the condition came true that ends the run, by what it ended with."""
-        until = self._experiment.until
-        return until is not None and end_of_run(error).reason.startswith(until_text(until))
-
-    def _record_until(self, error: BaseException | None) -> None:
-        """Record whether the condition came true that ends the run, where it looked for one."""
-        until = self._experiment.until
-        if until is None:
-            return
-        self._recorder.result({UNTIL: self._came_true(error)})
-        if error is None:
-            text = f"{until_text(until)}: never came true"
-            self._recorder.message(self._reached_ns, "info", "run", text)
-
-    def _record_substeps(self) -> None:
-        """Record how many substeps loops took, and whether some miss the tolerance."""
-        counts = [control.counts for control in self._experiment.graph.substep_controls]
-        if not counts:
-            return
-        self._recorder.result({SUBSTEP_COUNTS: [asdict(count) for count in counts]})
-        for count in counts:
-            if count.missed:
-                text = missed_text(count)
-                self._recorder.message(self._reached_ns, "warning", count.components[0], text)
-
-    def begin(self, plan: Plan) -> None:
-        """Pass on, then record what is known before the run.
-
-        The warnings, the inputs that nothing drives, the messages of FMUs when they were loaded.
-        """
-        super().begin(plan)
-        for name, text in _start_values(self._experiment):
-            self._recorder.message(self._reached_ns, "info", name, text)
-        for name, text in self._experiment.warnings:
-            self._recorder.message(self._reached_ns, "warning", name, text)
-        for name, messages in self._experiment.messages.items():
-            self._record(name, messages, self._reached_ns)
-
-    def write(self, block: Block, signals: Matrix) -> None:
-        """Record the messages of the block, and pass it on."""
-        if self._last is None:
-            self._record_initial_states(signals[0])
-        end_ns = int(block.time_ns[-1])
-        self._record_messages(end_ns)
-        self._reached_ns = end_ns
-        self._recorder.write(block, signals)
-        self._last = signals[-1].copy()
-        self._assessor.take(block, signals)
-
-    def _record_initial_states(self, row: Vector) -> None:
-        """Record which initial states are others than those that the scenario gives."""
-        experiment = self._experiment
-        changed = changed_states(experiment.graph, experiment.given_states, row)
-        plain = {}
-        for name, changes in changed.items():
-            self._recorder.message(self._reached_ns, "warning", name, change_text(changes))
-            plain[name] = [change.model_dump() for change in changes]
-        if plain:
-            self._recorder.result({INITIAL_STATES: plain})
-
-    def _record_messages(self, until_ns: int) -> None:
-        """Record the new messages of all FMUs, and those that have waited for their instants."""
-        for name, fmu in self._experiment.fmus.items():
-            self._record(name, [*self._ahead.pop(name, []), *fmu.drain()], until_ns)
-
-    def _record(self, name: str, messages: Sequence[Message], until_ns: int) -> None:
-        """Record messages at their own time; where there is none, at the time reached before.
-
-        Those behind ``until_ns`` wait.
-        """
-        ahead = []
-        for message in messages:
-            time, level, category, text = message
-            time_ns = self._reached_ns if time is None else round(time * 1e9)
-            if time_ns > until_ns:
-                ahead.append(message)
-                continue
-            labelled = f"{category}: {text}" if category else text
-            self._recorder.message(time_ns, level, name, labelled)
-        if ahead:
-            self._ahead[name] = ahead
-
-
-def _start_values(experiment: Experiment) -> Iterator[tuple[str, str]]:
-    """Yield the components with inputs that nothing drives, and the values that these keep."""
-    texts: dict[str, list[str]] = {}
-    for port, values in experiment.graph.unconnected.items():
-        value = ", ".join(map(repr, values))
-        texts.setdefault(port.component, []).append(f"{port.name} = {value}")
-    for name, inputs in texts.items():
-        yield name, f"not connected, so at their start values: {'; '.join(inputs)}"
-
-
-def missed_text(counts: SubstepCounts) -> str:
-    """Return how far some substeps of a loop miss the tolerance."""
-    return (
-        f"the loop of {listing(counts.components)}: {counts.missed} of {counts.accepted} substeps "
-        f"miss the tolerance and cannot be shorter, at worst by a factor of "
-        f"{counts.worst_error:.3g} at t = {counts.worst_time} s; needed a smaller "
-        "scenario.substeps.min, larger tolerances, or coupling = 'newton'"
-    )
-
-
-def _level(error: BaseException) -> MessageLevel:
-    match error:
-        case Stopped(failed=False):
-            return "info"
-        case Interrupted() | KeyboardInterrupt() | SystemExit() | GeneratorExit():
-            return "warning"
-        case _:
-            return "error"
 
 
 def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:

@@ -14,8 +14,9 @@ from cosim.errors import RunError, UsageError
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.preparing import build_experiment
+from cosim.scenario.recordings.message_recorder import MessageRecorder
 from cosim.scenario.recordings.recording import Target, check_target, chosen_of, log_recorder
-from cosim.scenario.recordings.records import MessageRecorder, metadata_of
+from cosim.scenario.recordings.records import metadata_of
 from cosim.scenario.session import Opened, Session
 
 
