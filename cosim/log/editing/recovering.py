@@ -258,5 +258,5 @@ def _end(
     first_row = min(int(own[0]) for own in times.values() if len(own))
     begins = first_row == pieces.start_ns and is_beginning(rows)
     status = "interrupted" if begins else PARTIAL_STATUS
-    text = f"recovered from {path.name}, which was damaged"
+    text = f"recovered from {path.name}"
     return PartEnd(status, text, pieces.steps_to(last_row), last_row)

@@ -129,21 +129,25 @@ def _incomplete(
     if stream.read() == MAGIC:
         return damage_error(path, position, "no whole record begins there")
     return LogError(
-        f"{path} is truncated at byte {size}: the run was killed before it could close the log, or"
-        f" still goes on, and there is no complete summary; {_rescue(stream, contents)}"
+        f"{path} is truncated at byte {size}: its end is missing, as where a copy of it broke off; "
+        f"{_rescue(stream, contents)}"
     )
 
 
 def _rescue(stream: BinaryIO, contents: FileContents) -> str:
-    """Return up to which time a truncated file is whole, and the way out, for its error."""
+    """Return what is left of a truncated file, and the way out, for its error.
+
+    A chunk holds rows of some components, so that others may end long before it.
+    """
     chunks = contents.chunks
     if not chunks:
-        return "no row is whole: run it again"
+        return "it has no whole row: run it again"
     last = chunks[-1]
     stream.seek(last.start + HEADER + 8)  # behind the time of its first message
     end_ns = int.from_bytes(stream.read(8), "little")
     return (
-        f"it is whole up to t = {end_ns / 1e9} s: run it again, or save that with 'cosim recover'"
+        f"its last whole chunk ends at t = {end_ns / 1e9} s: run it again, or save what is whole "
+        "with 'cosim recover', which says what is lost"
     )
 
 

@@ -256,29 +256,29 @@ def test_truncated_files_are_refused_with_the_byte(path, share):
     message = "is no MCAP file"
     if share:
         message = (
-            rf"a\.mcap is truncated at byte {path.stat().st_size}: the run was killed before it"
-            r" could close the log, .*: run it again"
+            rf"a\.mcap is truncated at byte {path.stat().st_size}: its end is missing"
+            r", as where a copy of it broke off; .*: run it again"
         )
     with pytest.raises(LogError, match=message):
         open_log(path)
 
 
 @pytest.mark.parametrize(("whole", "more"), [(2, 0), (1, -1), (0, -1)])
-def test_the_error_of_a_truncated_file_names_the_time_up_to_which_it_is_whole(
+def test_the_error_of_a_truncated_file_names_the_end_of_its_last_whole_chunk(
     path, monkeypatch, whole, more
 ):
-    """The end of its last whole chunk."""
+    """Up to there it need not be whole: another component may have its last rows before."""
     make_chunks_small(monkeypatch, 5000)
     record(path)
     with path.open("rb") as stream:
         chunks = make_reader(stream).get_summary().chunk_indexes
     last = chunks[1] if whole else chunks[0]
     os.truncate(path, last.chunk_start_offset + last.chunk_length + more)
-    message = "no row is whole: run it"
+    message = "it has no whole row: run it"
     if whole:
         end = chunks[whole - 1].message_end_time / 1e9
-        message = f"it is whole up to t = {end} s: run it again, or"
-    with pytest.raises(LogError, match=f"no complete summary; {message}"):
+        message = f"its last whole chunk ends at t = {end} s: run it again, or"
+    with pytest.raises(LogError, match=f"broke off; {message}"):
         open_log(path)
 
 
