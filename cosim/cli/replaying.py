@@ -150,7 +150,7 @@ def replay(
 
     start_collecting()
     imported = perf_counter()
-    _check_choices(vary, plot, stop, verify=verify)
+    _check_choices(vary, plot, stop, verify=verify, changes=changes)
     with prints_to_stderr():
         replays = replays_of(
             log,
@@ -189,7 +189,12 @@ def replay(
 
 
 def _check_choices(
-    vary: list[str] | None, plot: Path | None, stop: float | None, *, verify: bool
+    vary: list[str] | None,
+    plot: Path | None,
+    stop: float | None,
+    *,
+    verify: bool,
+    changes: list[str] | None,
 ) -> None:
     """Check that options go together.
 
@@ -200,6 +205,8 @@ def _check_choices(
     """
     if verify and stop is not None:
         raise UsageError("--verify compares the whole log; leave out --stop")
+    if verify and any(change.startswith("scenario.stop=") for change in changes or ()):
+        raise UsageError("--verify compares the whole log; leave out --set scenario.stop")
     if vary and (verify or plot is not None):
         name = "--verify" if verify else "--plot"
         raise UsageError(f"found --vary, many replays, and {name} of one; needed one of them")

@@ -57,12 +57,18 @@ from cosim.scenario.recorded_metadata import (
 from cosim.scenario.recorded_tables import IdentificationRecord, ParameterRecord
 from cosim.scenario.recordings.recorded_scenario import recorded_stop
 
-COMPARED_UNFINISHED = (
-    "truth, connections, schedule, times, component tables, overrides, substeps, warnings"
+_ALWAYS_COMPARED = (
+    "connections",
+    "schedule",
+    "times",
+    "component tables",
+    "overrides",
+    "substeps",
+    "warnings",
 )
-COMPARED = f"{COMPARED_UNFINISHED}, last row, verdicts"
 NOT_COMPARED = (
-    "designs, certificates, why the run ended, its machine, what FMUs and files say of themselves"
+    "designs, gains of loops, certificates, why the run ended, its machine, what FMUs and files "
+    "say of themselves"
 )
 
 # An n-fold eigenvalue moves by eps**(1/n) with the last bits of its matrix, which depend on the
@@ -118,6 +124,22 @@ def contradictions(
     return tuple(differing)
 
 
+def compared_statements(source: Log, again: Log | Memory) -> str:
+    """Return what :func:`contradictions` compares of a log and its replay, in words."""
+    statements = _Statements(source, again, ())
+    names = list(_ALWAYS_COMPARED)
+    if statements.has_all:
+        names.insert(0, "truth")
+    if statements.has_last_row:
+        names.append("last row")
+    if statements.has_verdicts:
+        names.append("verdicts")
+    text = ", ".join(names)
+    if not statements.has_all:
+        text += f"; all as far as they are about {', '.join(again.channels)}"
+    return text
+
+
 class _Statements:
     """The statements of a log, each beside what its replay says."""
 
@@ -126,9 +148,22 @@ class _Statements:
         self._again = again
         self._computed = frozenset(computed)
         self._known = declared_channels(again.channels)
-        self._has_all = _elements_of(self._known) == _elements_of(
-            declared_channels(source.channels)
-        )
+        self.has_all = _elements_of(self._known) == _elements_of(declared_channels(source.channels))
+
+    @property
+    def has_last_row(self) -> bool:
+        """Whether the log has a last row of its own: a part has none, or that of the whole run."""
+        if self._source.status in ("unfinished", PARTIAL_STATUS):
+            return False
+        return isinstance(self._source.results.get("last"), dict)
+
+    @property
+    def has_verdicts(self) -> bool:
+        """Whether the replay has a verdict for each that the log has."""
+        if self._source.status == "unfinished":
+            return False
+        recorded = recorded_identification(self._source)
+        return recorded.keys() <= recorded_identification(self._again).keys()
 
     def pairs(self) -> Iterator[_Statement]:
         """Yield them all."""
@@ -145,7 +180,7 @@ class _Statements:
         source = self._source
         recorded = run_metadata(source)
         expected = run_metadata(self._again)
-        left_out = _OTHER_KEYS if self._has_all else _OTHER_KEYS | _OF_ALL_KEYS
+        left_out = _OTHER_KEYS if self.has_all else _OTHER_KEYS | _OF_ALL_KEYS
         for key in sorted((expected.keys() | recorded.keys()) - left_out):
             yield key, recorded.get(key), expected.get(key)
         yield "overrides", self._event_bits(source), self._event_bits(self._again)
@@ -154,7 +189,7 @@ class _Statements:
         if source.status == "complete" and not source.reason:
             yield "end of the run [ns]", source.end_ns, int(Decimal(repr(stop)).scaleb(9))
         stages = list(self._again.schedule)
-        if self._has_all:
+        if self.has_all:
             yield "stages", source.schedule, stages
         else:
             own = [stage for stage in stages if not self._computed.isdisjoint(stage.split())]
@@ -172,14 +207,14 @@ class _Statements:
             is_known = channel is not None and (
                 event.cause in OF_COMPONENTS or port.find(channel.by_name) is not None
             )
-            if self._has_all or is_known:
+            if self.has_all or is_known:
                 values = tuple(value.hex() for value in (*event.values, *event.parameters))
                 events.append((event.time_ns, event.cause, event.signal, values))
         return events
 
     def _of_substeps(self) -> Iterator[_Statement]:
         recorded = _substeps_before(self._source.end_ns, self._source)
-        if not self._has_all:
+        if not self.has_all:
             loops = {counts.components[0] for counts in recorded_substep_counts(self._again)}
             recorded = [substep for substep in recorded if substep.loop in loops]
         expected = _substeps_before(self._source.end_ns, self._again)
@@ -193,7 +228,7 @@ class _Statements:
     def _of_connections(self) -> Iterator[_Statement]:
         recorded = self._source.metadata.get("cosim.connections", {})
         expected = self._again.metadata["cosim.connections"]
-        ports = {**expected, **recorded} if self._has_all else expected
+        ports = {**expected, **recorded} if self.has_all else expected
         for port in ports:
             yield f"connection to {port!r}", recorded.get(port), expected.get(port)
 
@@ -229,7 +264,7 @@ class _Statements:
         expected_warnings = self._own(recorded_warnings(self._again))
         messages = self._own_messages(self._source)
         expected_messages = self._own_messages(self._again)
-        if not self._has_all:  # of what is not here there is no warning
+        if not self.has_all:  # of what is not here there is no warning
             warnings = [entry for entry in warnings if entry in expected_warnings]
             messages = [entry for entry in messages if entry in expected_messages]
         yield "warnings", warnings, expected_warnings
@@ -259,7 +294,7 @@ class _Statements:
         if self._source.status == "complete":  # else the run may have taken some beyond the end
             counts = recorded_substep_counts(self._source)
             expected_counts = recorded_substep_counts(self._again)
-            if not self._has_all:
+            if not self.has_all:
                 loops = [own.components for own in expected_counts]
                 counts = tuple(own for own in counts if own.components in loops)
             yield f"counts of substeps in {RESULT_FILE}", counts, expected_counts
@@ -269,11 +304,11 @@ class _Statements:
         own = self._again.results["last"].items()
         expected = {label: value for label, value in own if label in recorded_labels}
         last = results.get("last")
-        if last is None and self._source.status == "failed":
-            return  # on a full disk, where not even the last rows could be kept
+        if last is None and self._source.status in ("failed", "interrupted"):
+            return  # on a full disk, or recovered: not even the last rows could be kept
         if not isinstance(last, dict):
             last = {}
-        labels = {**expected, **last} if self._has_all else expected
+        labels = {**expected, **last} if self.has_all else expected
         for label in labels:
             yield f"last row in {RESULT_FILE}: {label}", last.get(label), expected.get(label)
 
@@ -283,7 +318,7 @@ class _Statements:
         if not recorded:
             return
         expected = recorded_identification(self._again)
-        names = {**expected, **recorded} if self._has_all else expected
+        names = {**expected, **recorded} if self.has_all else expected
         for name in names:
             computed = _parameters(recorded.get(name))
             needed = _parameters(expected.get(name))

@@ -22,18 +22,17 @@ from typing import Any, Final, Literal, TypeAlias
 
 from cosim.core.clock import nanoseconds
 from cosim.core.port import Port
-from cosim.core.recorded.partial import declared_channels
+from cosim.core.recorded.partial import RecordSelection, declared_channels
 from cosim.core.recorders import Memory
-from cosim.errors import LogError, command, flag, listing
+from cosim.errors import LogError, UsageError, command, flag, listing
 from cosim.log import Log
 from cosim.log.comparison.diff import diff
 from cosim.log.comparison.difference import ElementDifference, LogDifference, SignalDifference
 from cosim.log.contents.environment import environment_changes
 from cosim.report.statements import (
-    COMPARED,
-    COMPARED_UNFINISHED,
     NOT_COMPARED,
     Contradiction,
+    compared_statements,
     contradictions,
 )
 from cosim.scenario.recorded_metadata import (
@@ -45,7 +44,7 @@ from cosim.scenario.recorded_tables import ReplayOrigin
 from cosim.scenario.recordings.recorded_scenario import recorded_document
 
 _MOST_SHOWN = 8  # contradictions, or components
-_HASH_FITS = "the content hash is the one that its run recorded"
+_HASH_FITS = "the content hash is the recorded one"
 _NO_HASH = "no content hash to check: the log is unfinished, as its run was killed or still goes on"
 _NOT_WHOLE: Final[Mapping[str, str]] = {
     "partial": "verified only as far as the log, which is partial, has it",
@@ -142,6 +141,10 @@ class Verification:
         and the present one.
     window : (float, float) or None
         The part of the log that was compared [s]; None: all of it.
+    statements : str
+        What the log says of its run that was compared, in words.
+    is_changed : bool
+        Whether the scenario was changed for the replay.
     """
 
     recorded_hash: str | None
@@ -156,6 +159,8 @@ class Verification:
     components: tuple[ComponentVerification, ...]
     environment: Mapping[str, tuple[str, str]]
     window: tuple[float, float] | None = None
+    statements: str = ""
+    is_changed: bool = False
 
     @property
     def passed(self) -> bool:
@@ -188,8 +193,9 @@ class Verification:
         lines = [_HASH_FITS if self.recorded_hash is not None else _NO_HASH]
         if self.window is None:
             lines.append(equal)
-            compared = COMPARED_UNFINISHED if self.recorded_hash is None else COMPARED
-            lines.append(f"what the log says of its run is what the replay computes: {compared}")
+            lines.append(
+                f"what the log says of its run is what the replay computes: {self.statements}"
+            )
         else:
             begin, end = self.window
             lines.append(f"{equal}, and all events, from {begin} s to {end} s")
@@ -246,19 +252,21 @@ class Verification:
         problems = []
         if not self._has_recorded_hash:
             problems.append(
-                "the rows are not those that its run recorded: their content hash is "
-                f"{self.found_hash}, recorded {self.recorded_hash}"
+                "the rows, or what is declared of their signals, were changed after they were "
+                f"recorded: the content hash is {self.found_hash}, recorded {self.recorded_hash}"
             )
         if not self.difference.same_rows:
             problems.append(f"the replay differs from the log; first: {self._first}")
             problems += self._later
         if self.window is not None and not self.difference.events.equal:
             problems.append(self._event_problem)
-        for contradiction in self.contradictions[:_MOST_SHOWN]:
-            problems.append(f"the log contradicts its scenario: {contradiction}")
+        what = "the log contradicts its scenario"
+        if self.is_changed:
+            what = "the log differs from the replay, whose scenario was changed"
+        problems += [f"{what}: {entry}" for entry in self.contradictions[:_MOST_SHOWN]]
         further = len(self.contradictions) - _MOST_SHOWN
         if further > 0:
-            problems.append(f"the log contradicts its scenario: {further} times more")
+            problems.append(f"{what}: {further} times more")
         return problems
 
     @property
@@ -423,7 +431,10 @@ def verify(source: Log, again: Log | Memory) -> Verification:
     ------
     LogError
         If the log is damaged, has no content hash, or says what cannot be understood.
+    UsageError
+        If the replay was asked to record less than the log has.
     """
+    _check_selection(source, again)
     recorded_hash = source.recorded_hash
     found_hash = source.content_hash()
     origin = replay_origin(again)
@@ -458,4 +469,39 @@ def verify(source: Log, again: Log | Memory) -> Verification:
         _components(source, again, difference, origin),
         environment_changes(source),
         window,
+        compared_statements(source, again),
+        _is_changed(source, again),
     )
+
+
+def _check_selection(source: Log, again: Log | Memory) -> None:
+    """Check that a replay has not been asked to record less than its log has.
+
+    Raises
+    ------
+    UsageError
+        If it has: what it left out would pass unseen.
+    """
+    if again.partial is None:
+        return
+    selection = again.partial.selection
+    of_log = RecordSelection() if source.partial is None else source.partial.selection
+    has_signals = selection.signals in (None, ("*",), of_log.signals)
+    if not has_signals or of_log.every % selection.every:
+        raise UsageError(
+            f"a verification compares all that {source.label} has; found a replay that records "
+            f"{selection} alone; leave that out"
+        )
+
+
+def _is_changed(source: Log, again: Log | Memory) -> bool:
+    """Return whether the scenario of a replay has other edits than that of its log."""
+    return _edits(again) != _edits(source)
+
+
+def _edits(run: Log | Memory) -> tuple[Any, ...]:
+    """Return what makes the scenario of a run; its end is that of the log in every replay."""
+    document = recorded_document(run)
+    changes = dict(document.changes)
+    changes.pop("scenario.stop", None)
+    return document.text, dict(document.swaps), dict(document.maps), changes

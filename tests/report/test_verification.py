@@ -7,9 +7,10 @@ import pytest
 
 import cosim
 from cosim.cli import main
-from cosim.errors import LogError
+from cosim.errors import LogError, UsageError
 from cosim.log import open_log
 from cosim.log.comparison.difference import ElementDifference
+from cosim.log.editing.cutting import cut
 from cosim.report.verification import verify
 from tests.log.crafting import change_rows, put_together, take_apart
 
@@ -65,7 +66,7 @@ def test_changed_rows_that_nothing_follows_from_are_found(valid, tmp_path, colum
     assert verification.difference.equal
     assert not verification.passed
     assert verification.found_hash != verification.recorded_hash
-    assert "the rows are not those that its run recorded" in verification.problems[0]
+    assert "were changed after they were recorded" in verification.problems[0]
 
 
 def test_a_forged_hash_is_not_found_where_nothing_is_computed(valid, tmp_path):
@@ -181,3 +182,97 @@ def test_only_a_replay_is_verified(valid):
     """A run says nothing of what was copied."""
     with pytest.raises(LogError, match="this is no replay"):
         verify(open_log(valid), open_log(valid))
+
+
+@pytest.fixture(scope="module")
+def identified(tmp_path_factory):
+    """Record a run that is long enough for a verdict; return its path."""
+    path = tmp_path_factory.mktemp("identified") / "a.mcap"
+    cosim.run("academic", out=path, set={"scenario.stop": 8.0, "scenario.step": 0.01})
+    return path
+
+
+def forged_results(log, path, change):
+    """Write a log with another ``result.json``; return its path."""
+    content = take_apart(log)
+    attachments = []
+    for name, data in content.attachments:
+        if name == "result.json":
+            results = json.loads(data)
+            change(results)
+            data = json.dumps(results).encode()
+        attachments.append((name, data))
+    content.attachments = attachments
+    return put_together(content, path)
+
+
+def forge(results):
+    """Give other verdicts, and another last row."""
+    for parameter in results["identification"]["identifier"]["parameters"]:
+        parameter["verdict"] = "NOT IDENTIFIABLE"
+    for label in results["last"]:
+        if label.startswith("observer."):
+            results["last"][label] = 7.0
+
+
+def statements_line(verification):
+    """Return what is said of the statements that were compared."""
+    (line,) = [line for line in verification.lines if line.startswith("what the log says")]
+    return line
+
+
+def test_what_a_partial_replay_does_not_compute_is_not_said_to_agree(tmp_path):
+    """Between rows that were left out no observer is computed: its forged values are unseen."""
+    settings = {"scenario.stop": 8.0, "scenario.step": 0.01, "record.every": 7}
+    cosim.run("academic", out=tmp_path / "a.mcap", set=settings)
+    path = forged_results(tmp_path / "a.mcap", tmp_path / "b.mcap", forge)
+    verification = verify(open_log(path), cosim.replay(path))
+    assert verification.passed
+    line = statements_line(verification)
+    assert "verdicts" not in line
+    assert "truth" not in line
+    assert line.endswith("all as far as they are about u, delta")
+
+
+def test_forged_verdicts_are_found_where_they_are_said_to_agree(identified, tmp_path):
+    """All components of a whole log are computed or copied."""
+    line = statements_line(verify(open_log(identified), cosim.replay(identified)))
+    assert line.endswith(
+        "truth, connections, schedule, times, component tables, overrides, "
+        "substeps, warnings, last row, verdicts"
+    )
+    path = forged_results(identified, tmp_path / "b.mcap", forge)
+    found = {entry.statement for entry in verify(open_log(path), cosim.replay(path)).contradictions}
+    assert {"verdicts on 'identifier'", "last row in result.json: observer.u"} <= found
+
+
+def test_a_part_is_not_said_to_have_the_last_row_of_the_replay(identified, tmp_path):
+    """What its result says of a last row is that of the whole run, and not compared."""
+    part = cut(identified, None, 4.0, tmp_path / "part.mcap")
+    assert "last row" not in statements_line(verify(part, cosim.replay(part)))
+
+
+@pytest.mark.parametrize(
+    "changes", [{"record.every": 10}, {"record.signals": ["u.y"]}], ids=["every", "signals"]
+)
+def test_a_replay_that_records_less_than_its_log_verifies_nothing(valid, changes):
+    """What it left out would pass unseen."""
+    again = cosim.replay(valid, set=changes)
+    with pytest.raises(UsageError, match=r"compares all that .* has; found a replay that records"):
+        verify(open_log(valid), again)
+
+
+def test_a_changed_scenario_is_not_called_that_of_the_log(valid):
+    """What differs from a what-if replay does not contradict the log's own scenario."""
+    again = cosim.replay(valid, set={"observer.filter_rate": 500.0})
+    problems = "\n".join(verify(open_log(valid), again).problems)
+    assert "contradicts its scenario" not in problems
+    assert "differs from the replay, whose scenario was changed: table of 'observer'" in problems
+
+
+def test_the_end_of_a_verified_replay_is_that_of_the_log(valid, capsys):
+    """As for ``--stop``: what is behind would not be compared."""
+    with pytest.raises(SystemExit) as left:
+        main(["replay", str(valid), "--verify", "--set", "scenario.stop=0.02"])
+    assert left.value.code == 2
+    assert "leave out --set scenario.stop" in capsys.readouterr().err

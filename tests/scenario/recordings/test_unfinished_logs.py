@@ -12,6 +12,7 @@ from mcap.reader import make_reader
 
 import cosim
 from cosim.errors import LogError, UsageError
+from cosim.log.editing.recovering import recover
 from cosim.report.verification import verify
 
 
@@ -68,6 +69,19 @@ def test_a_killed_log_is_verified_without_a_hash(killed, tmp_path):
     broken.write_bytes(data)
     with pytest.raises(LogError, match="is damaged at byte"):
         verify(cosim.open_log(broken), cosim.replay(broken))
+
+
+def test_what_was_recovered_of_a_killed_log_is_verified(killed, tmp_path):
+    """It has a hash, which no run recorded, and nothing of how the run ended."""
+    path, _ = killed
+    log = recover(path, tmp_path / "saved.mcap").log
+    assert (log.status, log.reason) == ("interrupted", "recovered from killed.mcap")
+    verification = verify(log, cosim.replay(log))
+    assert verification.passed
+    lines = "\n".join(verification.lines)
+    assert "the content hash is the recorded one" in lines
+    assert "run recorded" not in lines
+    assert "last row" not in lines
 
 
 def test_an_unfinished_log_may_be_moved_and_copied(killed, tmp_path):
