@@ -25,8 +25,8 @@ from cosim.core.recorded.signals import RunMessage, find_channel
 from cosim.core.recorders import Memory
 from cosim.core.recording import SignalEvent, Substep
 from cosim.core.signals import Channel
-from cosim.errors import GraphError, LogError, UsageError, command, nearest, option, quoted
-from cosim.log.contents.layout import Part, read_number, read_part
+from cosim.errors import GraphError, LogError, UsageError, nearest, quoted
+from cosim.log.contents.layout import read_number
 from cosim.log.contents.messages import decode_event, decode_log, decode_substep
 from cosim.log.contents.metadata import (
     decode_design,
@@ -43,6 +43,7 @@ from cosim.log.contents.signal_hashes import hash_signals
 from cosim.log.mcap_file.own_file import OwnFile
 from cosim.log.mcap_file.paths import log_path
 from cosim.log.reading.container import MALFORMED, Container
+from cosim.log.reading.declarations import read_channels, read_parts
 from cosim.log.reading.rows import LogRows
 from cosim.log.reading.stream import TimedRows
 
@@ -91,8 +92,9 @@ class Log(RecordedRun):
         self._declared = self._file.channels()
         self._metadata = self._read_metadata()
         self._check_format()
-        self._parts = self._read_parts()
-        self._channels: Mapping[str, Channel] = MappingProxyType(self._read_channels())
+        self._parts = read_parts(self.path, self._declared)
+        channels = read_channels(self.path, self._parts.values())
+        self._channels: Mapping[str, Channel] = MappingProxyType(channels)
         self._kinds = {part.channel.name: part.kind for part in self._parts.values()}
         self._recognize_partial()
         self._attachments = self._file.attachments()
@@ -559,66 +561,6 @@ class Log(RecordedRun):
             raise LogError(
                 f"{self.path}: written in log format {log_format!r}, by another version of cosim; "
                 f"needed format {FORMAT!r}: run its scenario again"
-            )
-
-    def _read_parts(self) -> dict[int, Part]:
-        """Read the parts of the components from their channels' metadata, by channel id."""
-        parts = {}
-        for number, channel in self._declared.items():
-            if "cosim.component" not in channel.metadata:
-                continue
-            try:
-                parts[number] = read_part(channel.metadata)
-            except (*MALFORMED, GraphError) as error:
-                raise LogError(
-                    f"{self.path}: channel {channel.topic!r} cannot be understood: {error}"
-                ) from error
-        if not parts:
-            topics = [channel.topic for channel in self._declared.values()]
-            joined = ", ".join(topics) or "no channels at all"
-            raise LogError(
-                f"{self.path} has no channels of cosim, which carry 'cosim.component';"
-                f" found: {joined}; of a recording of another tool {command('info')} lists the "
-                f"fields, and {option('swap')} takes them"
-            )
-        return parts
-
-    def _read_channels(self) -> dict[str, Channel]:
-        """Return the components in the order of the row, each checked to be whole."""
-        # By name too: a component without signals starts where the next one does.
-        parts = sorted(
-            self._parts.values(), key=lambda part: (part.channel.start, part.channel.name)
-        )
-        channels = {part.channel.name: part.channel for part in parts}
-        columns: dict[str, list[slice]] = {name: [] for name in channels}
-        for part in parts:
-            name = part.channel.name
-            if part.channel != channels[name] or part.step_ns != parts[0].step_ns:
-                raise LogError(f"{self.path}: the channels of {name!r} declare different things")
-            columns[name].append(part.columns)
-        for name, channel in channels.items():
-            self._check_whole(channel, columns[name])
-        return channels
-
-    def _check_whole(self, channel: Channel, columns: list[slice]) -> None:
-        """Check that the parts of a component tile its row.
-
-        Raises
-        ------
-        LogError
-            If some columns are missing, or recorded more than once.
-        """
-        spans = sorted((span.start, span.stop) for span in columns)
-        column = 0
-        is_contiguous = True
-        for start, stop in spans:
-            is_contiguous &= start == column
-            column = stop
-        width = channel.columns.stop - channel.start
-        if not is_contiguous or column != width:
-            raise LogError(
-                f"{self.path}: component {channel.name!r} is not complete: its channels hold"
-                f" columns {spans}, needed 0 to {width} once"
             )
 
     def _recognize_partial(self) -> None:
