@@ -47,7 +47,7 @@ def write_log(
     out: Path,
     pieces: LogPieces,
     batches: Iterable[list[MessageBatch]],
-    end: Callable[[], PartEnd],
+    end: Callable[[str], PartEnd],
     *,
     force: bool,
 ) -> Log:
@@ -61,7 +61,7 @@ def write_log(
     pieces : LogPieces
     batches : iterable of list of MessageBatch
     end : callable
-        Is called when all messages are written.
+        Is called with the content hash when all messages are written.
     force : bool
         Replace a file that stands there.
 
@@ -79,7 +79,7 @@ def write_log(
                 file.commit(separate_chunks(group, "zstd", workers))
         file.keep_tail()
         content_hash = Log(target.path, target.own).content_hash()
-        for group_of_end in _end_groups(pieces, end(), content_hash):
+        for group_of_end in _end_groups(pieces, end(content_hash), content_hash):
             file.commit(group_of_end)
         file.close()
         target.publish()

@@ -54,7 +54,7 @@ def cut(
     pieces = read_pieces(log.path)
     span = _Span(first_ns, last_ns)
 
-    def end() -> PartEnd:
+    def end(_: str) -> PartEnd:
         if span.first_row is None:
             raise LogError(f"{RecordedWindow(log, first_ns, last_ns).label}: there is no row there")
         steps = pieces.steps_to(span.last_row)

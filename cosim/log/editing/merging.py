@@ -57,8 +57,9 @@ def merge(paths: Sequence[Path], out: Path, *, force: bool = False) -> Log:
     UsageError
         If there are less than two.
     LogError
-        If they are no spans of one run, overlap, or rows are missing between them; if one cannot be
-        read, or ``out`` cannot be written.
+        If they are no spans of one run, overlap, or rows are missing between them; if the rows of
+        one, or of all, are not those that were recorded; if one cannot be read, or ``out`` cannot
+        be written.
     """
     if len(paths) < 2:
         raise UsageError(f"found {len(paths)} log to merge; needed at least two")
@@ -70,7 +71,17 @@ def merge(paths: Sequence[Path], out: Path, *, force: bool = False) -> Log:
     last_row = max(span.end for span in spans)
     text = part_text(spans[0].begin, last_row)
     end = PartEnd(PARTIAL_STATUS, text, known.steps_to(last_row), last_row)
-    return write_log(out, known, _batches(spans), lambda: end, force=force)
+
+    def checked_end(content_hash: str) -> PartEnd:
+        of_run = known.run_result.get("content_hash", content_hash)
+        if content_hash != of_run and _has_all_rows(spans, known):
+            raise LogError(
+                f"the rows of {spans[0].log.path} and those behind it are as many as the run had, "
+                f"and not its own: their content hash is {content_hash}, that of the run {of_run}"
+            )
+        return end
+
+    return write_log(out, known, _batches(spans), checked_end, force=force)
 
 
 def _span(path: Path) -> _RunPart:
@@ -82,7 +93,44 @@ def _span(path: Path) -> _RunPart:
             bounds[name] = int(times[0][0]), int(times[-1][-1])
     if not bounds:
         raise LogError(f"{path} has no rows; leave it out")
+    _check_hash(log)
     return _RunPart(log, read_pieces(log.path), bounds)
+
+
+def _check_hash(log: Log) -> None:
+    """Check that the rows of a log are those that were recorded.
+
+    Raises
+    ------
+    LogError
+        If they are not: what is made of them would get a hash that fits.
+    """
+    recorded = log.recorded_hash
+    if recorded is None:
+        return
+    found = log.content_hash()
+    if found != recorded:
+        raise LogError(
+            f"{log.path}: its rows, or what is declared of their signals, were changed after they "
+            f"were recorded: the content hash is {found}, recorded {recorded}"
+        )
+
+
+def _has_all_rows(spans: Sequence[_RunPart], pieces: LogPieces) -> bool:
+    """Return whether consecutive parts have as many rows of every component as the run had."""
+    end = pieces.run_result.get("end_ns", "")
+    if not end.isdecimal():
+        return False
+    for part in pieces.parts.values():
+        bounds = [
+            span.bounds[part.channel.name] for span in spans if part.channel.name in span.bounds
+        ]
+        if not bounds:
+            return False
+        period_ns = part.channel.period * part.step_ns
+        if bounds[0][0] > pieces.start_ns or bounds[-1][1] + period_ns <= int(end):
+            return False
+    return True
 
 
 def _check_same_run(a: _RunPart, b: _RunPart) -> None:

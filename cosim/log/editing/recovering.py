@@ -108,7 +108,7 @@ def recover(path: Path, out: Path, *, force: bool = False) -> RecoveredLog:
     rows, end_ns, end_is_known = _missing(declared, times)
     end = _end(path, pieces, rows, times)
     batches = gathered(intact_blocks(path, found), pieces.dtypes, selection.wanted)
-    log = write_log(out, pieces, batches, lambda: end, force=force)
+    log = write_log(out, pieces, batches, lambda _: end, force=force)
     return RecoveredLog(log, rows, end_ns, end_is_known)
 
 

@@ -10,6 +10,7 @@ from cosim.log import open_log
 from cosim.log.editing.joining import open_joined
 from cosim.log.editing.merging import merge
 from cosim.report.verification import verify
+from tests.log.crafting import change_rows, put_together, take_apart
 
 SHORT = {"scenario.stop": 2.0, "identifier.start": 0.5, "regressor.delays": [0.1, 0.2, 0.3]}
 
@@ -98,3 +99,42 @@ def test_limits_are_refused_before_the_run(tmp_path, monkeypatch, options, text)
     with pytest.raises(UsageError, match=text):
         cosim.run("academic", **options)
     assert list(tmp_path.iterdir()) == []
+
+
+def changed(path, *, forged=False):
+    """Change a value of the plant that nothing is computed from; all checksums are right."""
+    content = take_apart(path)
+
+    def change(number, values):
+        if number == 50:
+            values[-1] *= 2.0
+
+    change_rows(content, "plant", change)
+    put_together(content, path)
+    if forged:
+        found = open_log(path).content_hash()
+        for name, items in content.metadata:
+            if name == "cosim.result":
+                items["content_hash"] = found
+        put_together(content, path)
+
+
+def test_a_changed_row_of_an_earlier_part_is_found(run):
+    """A replay copies the row, and would equal it; a merged log would have a hash that fits."""
+    changed(run)
+    text = r"run\.mcap: its rows, .* were changed after they were recorded: the content hash is"
+    with pytest.raises(LogError, match=text):
+        cosim.replay(run.with_name("run.part2.mcap"))
+    parts = [run, run.with_name("run.part2.mcap"), run.with_name("run.part3.mcap")]
+    with pytest.raises(LogError, match=text):
+        merge(parts, run.with_name("merged.mcap"))
+
+
+def test_all_parts_have_the_hash_of_their_run(run):
+    """A part whose hash was computed anew, too."""
+    changed(run, forged=True)
+    parts = [run, run.with_name("run.part2.mcap"), run.with_name("run.part3.mcap")]
+    with pytest.raises(LogError, match=r"are as many as the run had, and not its own"):
+        merge(parts, run.with_name("merged.mcap"))
+    assert not run.with_name("merged.mcap").exists()
+    assert merge(parts[:2], run.with_name("two.mcap")).status == "partial"
