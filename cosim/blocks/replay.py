@@ -82,14 +82,14 @@ class Replay:
         blocks = [rows[:, recorded.n_u :] for _, rows in recording.blocks(component)]
         self._rows = blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
         if channel.period > 1 and recording.end_ns > time_ns[-1]:
-            # the run went on behind the last row of a component that has not one in every step
+            # the run went on behind the last row of a component that lacks some steps
             self._rows = np.concatenate([self._rows, self._rows[-1:]])
             time_ns = np.append(time_ns, recording.end_ns)
         self._time = time_ns / 1e9
         self._step = recorded_step(self._time, self._rows)
         self._never = np.zeros(1, np.int32)
         if not self._limits:
-            # what may jump, but is not recorded to, has not jumped
+            # what may jump, but has no recorded jump, has not jumped
             self._step.left_outputs = (self._never.ctypes.data, self._rows.ctypes.data)
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:

@@ -63,7 +63,7 @@ def recover(
 ) -> None:
     """Write what is intact in a damaged log to a new log.
 
-    That is every chunk whose CRC matches, also behind the damage. Shows which rows are lost.
+    That is every chunk whose CRC matches, also after the damage. Shows which rows are lost.
     """
     from cosim.log.editing.recovering import recover as recover_log
     from cosim.report.tables.recovery import print_recovery

@@ -13,7 +13,7 @@ from cosim.core.recording import MessageLevel, Plan, Recorder, SignalEvent, Subs
 
 
 class PassingRecorder:
-    """Passes everything on; a subclass says what it does else.
+    """Passes everything on; a subclass says what else it does.
 
     Rows are computed in the memory of the other recorder only where a subclass offers it.
 

@@ -246,7 +246,7 @@ class Recording(Protocol):
         Raises
         ------
         LogError
-            If a signal is unknown, or several have not the same instants.
+            If a signal is unknown, or several have different instants.
         """
         ...
 

@@ -551,7 +551,7 @@ def test_events_are_repeated_in_the_order_of_time():
     assert memory["x.y"][4:].tolist() == simulation.step(37)["x.y"][:, 0].tolist()
     assert memory.events() == events
     earlier = [*events, SignalEvent(2 * 10**8, "release", "x.u", (0.0,))]
-    with pytest.raises(LogError, match=r"an event at t = 0.2 s: found behind a later one"):
+    with pytest.raises(LogError, match=r"an event at t = 0.2 s: found after a later one"):
         repeat(driven_lag(), clock(), Memory(), events=earlier)
     between = [SignalEvent(10**8 + 1, "override", "x.u", (2.0,))]
     with pytest.raises(LogError, match=r"t = 0.100000001 s: that is no communication point"):

@@ -473,7 +473,7 @@ def test_a_state_beyond_the_stop_is_refused():
         saved = sim.state
     with scenario(**{"scenario.stop": 0.05}).start() as shorter:
         with pytest.raises(
-            UsageError, match=r"state: found one at t = 0\.08 s, behind the stop at 0\.05 s; needed"
+            UsageError, match=r"state: found one at t = 0\.08 s, after the stop at 0\.05 s; needed"
         ):
             shorter.state = saved
         assert shorter.step().steps == 1

@@ -245,7 +245,7 @@ def span_ns(
             raise UsageError(f"{name}: found {value!r}; needed a finite number of seconds")
     if t0 is not None and t1 is not None and t1 < t0:
         raise UsageError(
-            f"found {names[0]} = {t0} s behind {names[1]} = {t1} s; needed the earlier one first"
+            f"found {names[0]} = {t0} s after {names[1]} = {t1} s; needed the earlier one first"
         )
     first_ns = None if t0 is None else first_nanosecond(_within_range(t0))
     last_ns = None if t1 is None else last_nanosecond(_within_range(t1))

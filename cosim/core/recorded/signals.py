@@ -218,7 +218,7 @@ class RecordedSignals(Mapping[str, NDArray[np.float64]]):
         Raises
         ------
         LogError
-            If there is none, if one is unknown, or if they have not the same instants.
+            If there is none, if one is unknown, or if they have different instants.
         """
         is_list = isinstance(signals, Sequence) and len(signals) > 0
         if not is_list or not all(isinstance(signal, str | Port) for signal in signals):

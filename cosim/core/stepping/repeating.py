@@ -111,7 +111,7 @@ def repeat(
                     break
                 if index < simulation.index:
                     t = time_ns / 1e9
-                    raise LogError(f"an event at t = {t} s: found behind a later one; sort them")
+                    raise LogError(f"an event at t = {t} s: found after a later one; sort them")
                 simulation.pass_to(index)
                 _apply(simulation, list(jumps), graph, recorded, settings or {})
             simulation.pass_to(clock.steps)

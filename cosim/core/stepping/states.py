@@ -162,7 +162,7 @@ class States:
         if state.index > self._clock.steps:
             time = (self._clock.start_ns + state.index * self._clock.step_ns) / 1e9
             raise UsageError(
-                f"state: found one at t = {time} s, behind the stop at {self._clock.stop} s; "
+                f"state: found one at t = {time} s, after the stop at {self._clock.stop} s; "
                 "needed an earlier one, or a later stop"
             )
         if state.origin is not simulation:

@@ -107,7 +107,7 @@ def diff(
 
 
 def _is_thinned(run: Recording, component: str) -> bool:
-    """Return whether a run has not every row of a component."""
+    """Return whether a run lacks rows of a component."""
     recorded = partial_of(run.channels)
     if recorded is None:
         return False

@@ -72,7 +72,7 @@ class SignalDifference:
         ``component.signal``.
     status : str
         ``equal``: the same bits at the same times; ``within`` or ``outside`` the tolerance;
-        ``other times``: within it where both have values, but they have not the same instants;
+        ``other times``: within it where both have values, but their instants differ;
         ``other size``, ``only in a``, ``only in b``: not compared; ``not recorded in a`` or
         ``b``: neither, as that log is partial, which is no difference.
     rows : tuple of int

@@ -103,7 +103,7 @@ class SignalComparison:
             self._first = _first_outside(self.name, outside, times, values_a, values_b)
 
     def result(self, thinned: tuple[bool, bool]) -> SignalDifference:
-        """Return how the signal compares in two runs, of which some have not every row."""
+        """Return how the signal compares in two runs, of which some lack rows."""
         return SignalDifference(
             self.name,
             self._status(*thinned),

@@ -49,7 +49,7 @@ class Spacing:
         """Return what is wrong with the order of the messages; empty: nothing is."""
         texts = []
         if self.late:
-            texts.append(f"{self.late} of {self.count} messages behind later ones, sorted by time")
+            texts.append(f"{self.late} of {self.count} messages out of order, sorted by time")
         if self.repeated:
             texts.append(
                 f"{self.repeated} of {self.count} messages not taken, as a later one in the file "

@@ -246,7 +246,7 @@ def _duration_ns(text: str, duration: str) -> int:
     UsageError
         If it is none, not positive, or no whole number of nanoseconds.
     """
-    found = f"condition {quoted(text)}: found {quoted(duration.strip())} behind 'for'"
+    found = f"condition {quoted(text)}: found {quoted(duration.strip())} after 'for'"
     needed = "needed a duration, such as 10 ms, 1 s, or 0.5 in seconds"
     match = _DURATION.fullmatch(duration.strip())
     if match is None:

@@ -34,7 +34,7 @@ def print_recovery(recovery: RecoveredLog, *, as_json: bool) -> None:
     print_table(table)
     end = recovery.end_ns / NANOSECONDS
     if not recovery.end_is_known:
-        print_line(f"rows behind {end} s, if there were any, are lost, too: the file has no end")
+        print_line(f"rows after {end} s, if there were any, are lost, too: the file has no end")
     if not recovery.has_scenario:
         print_line("its scenario is lost: it can be read, but not replayed")
     log = recovery.log

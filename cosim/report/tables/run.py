@@ -159,7 +159,7 @@ def _add_loops(table: Table, summary: Summary) -> None:
             where += f" {gain.action}"
         table.add_row("loop gain", "", "", f"{where}: {gain_text(gain)}")
     if len(behind) > MOST_GAINS:
-        text = f"{len(behind) - MOST_GAINS} more behind actions; --json shows them"
+        text = f"{len(behind) - MOST_GAINS} more after actions; --json shows them"
         table.add_row("loop gain", "", "", text)
 
 

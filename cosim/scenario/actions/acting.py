@@ -162,7 +162,7 @@ class ActionChecker:
                 other = together.another(index, name)
                 if other is not None and other < number and not builder.is_fmu(name):
                     raise GraphError(
-                        f"{name!r} is set by actions.{other} too, before or behind a condition; "
+                        f"{name!r} is set by actions.{other} too, before or after a condition; "
                         "needed one action that sets it, or times"
                     )
                 self._take(number, index, builder.action(name, values))

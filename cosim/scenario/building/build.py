@@ -272,7 +272,7 @@ class Builder:
         Raises
         ------
         UsageError
-            If the log has not all of its outputs.
+            If the log lacks one of its outputs.
         """
         assert self._recording is not None, "only a replay leaves components out"
         outputs = component.interface.outputs

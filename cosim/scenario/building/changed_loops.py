@@ -84,7 +84,7 @@ def changed_loops(
             behind = replace(loops, clock=clock, linearized=now.scaled())
             key = ("actions", min(changed.values()))
             names = frozenset(changed)
-            text = f"behind the action at {at} s"
+            text = f"after the action at {at} s"
             yield ChangedLoops(key, text, True, names, behind, now.not_linearized)
     for number, action in actions.items():
         if action.when is None:
@@ -92,7 +92,7 @@ def changed_loops(
         after, names = changes.of(action, beginning, AT_CONDITION)
         if names:
             behind = replace(loops, linearized=after.scaled())
-            text = f"behind the action when {action.when!r}, taken as at the start"
+            text = f"after the action when {action.when!r}, taken as at the start"
             key = ("actions", number)
             yield ChangedLoops(key, text, False, names, behind, after.not_linearized)
 

@@ -133,7 +133,7 @@ def component_table(name: str, path: str) -> Tables:
     interface_type = None if suffix is None else suffix[2]
     if interface_type not in (None, "me", "cs"):
         raise UsageError(
-            f"found '#{interface_type}' behind the path, needed '#me' (model exchange) "
+            f"found '#{interface_type}' after the path, needed '#me' (model exchange) "
             "or '#cs' (co-simulation)"
         )
     match file_type(file):

@@ -161,7 +161,7 @@ def test_a_bound_that_is_no_finite_number_is_refused(two_rates, value):
 def test_bounds_in_the_wrong_order_are_refused(two_rates):
     """Rather than an empty window."""
     log, _ = two_rates
-    with pytest.raises(UsageError, match=r"found t0 = 2\.0 s behind t1 = 1\.0 s"):
+    with pytest.raises(UsageError, match=r"found t0 = 2\.0 s after t1 = 1\.0 s"):
         log.window(2.0, 1.0)
 
 

@@ -256,5 +256,5 @@ def test_a_choice_of_what_is_not_there_is_refused(recorded):
     log, _ = recorded
     with pytest.raises(UnknownSignalError, match=r"no signal matches 'x\.\*'"):
         choose(log.path, ["x.*"], None, None)
-    with pytest.raises(UsageError, match=r"found --from = 2\.0 s behind --to = 1\.0 s"):
+    with pytest.raises(UsageError, match=r"found --from = 2\.0 s after --to = 1\.0 s"):
         choose(log.path, None, 2.0, 1.0)

@@ -140,7 +140,7 @@ def test_a_cut_without_rows_is_refused(whole, tmp_path):
     path, _ = whole
     with pytest.raises(LogError, match=r"a\.mcap from 5 s: there is no row there"):
         cut(path, 5.0, None, tmp_path / "b.mcap")
-    with pytest.raises(UsageError, match=r"found start = 2\.0 s behind stop = 1\.0 s"):
+    with pytest.raises(UsageError, match=r"found start = 2\.0 s after stop = 1\.0 s"):
         cut(path, 2.0, 1.0, tmp_path / "b.mcap")
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.mcap"]
 

@@ -236,14 +236,14 @@ CASES = {
         'set = { "g.K" = 1.0 }\n[[actions]]\nat = 1.0\nset = { "g.K" = 2.0 }',
         r"actions\.1\.set\.g\.K: is set by actions\.0 at the same instant; needed one of them",
     ),
-    "before or behind a condition": (
+    "before or after a condition": (
         'set = { "g.K" = 1.0 }\n[[actions]]\nwhen = "x.y > 1"\nset = { "g.K" = 2.0 }',
-        r"actions\.1\.set\.g\.K: 'g' is set by actions\.0 too, before or behind a condition",
+        r"actions\.1\.set\.g\.K: 'g' is set by actions\.0 too, before or after a condition",
     ),
     "at two conditions": (
         'set = { "x.time_constant" = 1.0 }\n[[actions]]\nwhen = "x.y > 1"\nset = { "g.K" = 2.0 }\n'
         '[[actions]]\nwhen = "x.y > 2"\nset = { "g.K" = 3.0 }',
-        r"actions\.2\.set\.g\.K: 'g' is set by actions\.1 too, before or behind a condition",
+        r"actions\.2\.set\.g\.K: 'g' is set by actions\.1 too, before or after a condition",
     ),
     "twice at one condition": (
         'set = { "x.time_constant" = 1.0 }\n[[actions]]\nwhen = "x.y > 1"\nset = { "g.K" = 2.0 }\n'

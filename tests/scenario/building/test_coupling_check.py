@@ -281,7 +281,7 @@ def test_a_parameter_that_makes_the_coupling_unstable_is_refused_before_the_run(
     with pytest.raises(ScenarioError) as caught:
         cosim.run(path)
     text = str(caught.value)
-    begin = f"{path}:3: actions.0: behind the action at 4.0 s, the loop of pid, plant: coupling"
+    begin = f"{path}:3: actions.0: after the action at 4.0 s, the loop of pid, plant: coupling"
     assert text.startswith(begin)
     assert "multiplies an error by 1e18 over the rest of the run, more than 10; needed step" in text
     assert 'needed step = 0.05 or coupling = "newton"; coupling_check = "warn" runs it' in text
@@ -290,7 +290,7 @@ def test_a_parameter_that_makes_the_coupling_unstable_is_refused_before_the_run(
     memory = cosim.run(path, set=WARN)
     assert abs(memory["plant.y"][-1]) > 1e10
     ((_, warning),) = recorded_warnings(memory)
-    assert warning.startswith("behind the action at 4.0 s, the loop of pid, plant: coupling")
+    assert warning.startswith("after the action at 4.0 s, the loop of pid, plant: coupling")
 
 
 def test_a_gain_behind_an_action_is_that_of_a_run_with_its_value(setting, tmp_path, capsys):
@@ -300,7 +300,7 @@ def test_a_gain_behind_an_action_is_that_of_a_run_with_its_value(setting, tmp_pa
     first, behind = recorded_loop_gains(log)
     (own,) = recorded_loop_gains(cosim.run(path, set={"pid.gain": 5.0, "actions": []}))
     assert (first.action, first.steps) == ("", 100)
-    assert (behind.action, behind.steps) == ("behind the action at 4.0 s", 60)
+    assert (behind.action, behind.steps) == ("after the action at 4.0 s", 60)
     assert (behind.rho, behind.rate) == (own.rho, own.rate)
     assert recorded_loop_gains(cosim.replay(log)) == (first, behind)
     outside = [{"at": 1.0, "set": {"alone.K": 3.0, "setpoint.value": 2.0}}]
@@ -329,14 +329,14 @@ def test_a_parameter_at_a_condition_is_warned_of(setting, capsys):
     assert abs(memory["plant.y"][-1] - 1.0) < 0.05
     ((_, warning),) = recorded_warnings(memory)
     assert warning.startswith(
-        "behind the action when 'plant.y > 5', taken as at the start, the loop of pid, plant: "
+        "after the action when 'plant.y > 5', taken as at the start, the loop of pid, plant: "
     )
     with pytest.raises(SystemExit) as left:
         main(["check", str(path)])
     assert not left.value.code
     output = capsys.readouterr().out
     assert (
-        "pid, plant behind the action when 'plant.y > 5', taken as at the start\tnot dec" in output
+        "pid, plant after the action when 'plant.y > 5', taken as at the start\tnot dec" in output
     )
 
 
@@ -345,7 +345,7 @@ def test_cosim_check_says_what_a_run_would(setting, capsys):
         main(["check", str(setting("at = 4.0", 60.0))])
     assert left.value.code == 1
     output = capsys.readouterr().out
-    assert "coupling of pid, plant behind the action at 4.0 s\tNOT FULFILLED" in output
+    assert "coupling of pid, plant after the action at 4.0 s\tNOT FULFILLED" in output
 
 
 def test_a_gain_behind_what_is_done_to_an_fmu_is_not_known(setting, tmp_path):
@@ -363,7 +363,7 @@ def test_a_gain_behind_what_is_done_to_an_fmu_is_not_known(setting, tmp_path):
     first, behind = recorded_loop_gains(cosim.run(path))
     assert first.rho is not None
     assert (behind.rho, behind.unknown) == (None, ("a",))
-    assert behind.action == "behind the action at 0.5 s"
+    assert behind.action == "after the action at 0.5 s"
 
 
 def test_of_many_actions_a_summary_shows_some(setting, capsys):
@@ -378,7 +378,7 @@ def test_of_many_actions_a_summary_shows_some(setting, capsys):
         main(["run", str(path), "--out", str(path.with_suffix(".mcap"))])
     lines = [line for line in capsys.readouterr().out.splitlines() if "loop gain" in line]
     assert len(lines) == 1 + 5 + 1
-    assert lines[-1].endswith("3 more behind actions; --json shows them")
+    assert lines[-1].endswith("3 more after actions; --json shows them")
     assert len(recorded_loop_gains(cosim.open_log(path.with_suffix(".mcap")))) == 9
 
 
@@ -401,7 +401,7 @@ def test_a_fault_that_multiplies_an_input_is_checked_as_another_gain_is(setting)
     assert behind.rho == pytest.approx(own.rho, rel=1e-12)
     assert released.rho == pytest.approx(first.rho, rel=1e-12)
     faults[2]["gain"] = 30.0
-    with pytest.raises(ScenarioError, match=r"actions\.2: behind the action at 4\.0 s, the loop"):
+    with pytest.raises(ScenarioError, match=r"actions\.2: after the action at 4\.0 s, the loop"):
         cosim.run(path, set={"actions": faults})
 
 
@@ -436,5 +436,5 @@ def test_the_action_that_changes_a_loop_is_the_one_that_is_named(setting):
         {"at": 4.0, "signal": "pid.setpoint", "offset": 1.0},
         {"at": 4.0, "set": {"pid.gain": 60.0}},
     ]
-    with pytest.raises(ScenarioError, match=r"actions\.1: behind the action at 4\.0 s, the loop"):
+    with pytest.raises(ScenarioError, match=r"actions\.1: after the action at 4\.0 s, the loop"):
         cosim.run(setting("at = 4.0", 2.0), set={"actions": actions})

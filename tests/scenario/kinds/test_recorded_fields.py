@@ -186,7 +186,7 @@ def test_disorder_and_gaps_are_said(loop, tmp_path):
     log = cosim.run(loop.swap(plant=path, map={"plant.y": "/t.x"}), out=out)
     text = warnings_of(open_log(out))
     assert (
-        "topic '/t': 1 of 398 messages behind later ones, sorted by time; 2 of 398 messages not "
+        "topic '/t': 1 of 398 messages out of order, sorted by time; 2 of 398 messages not "
         "taken, as a later one in the file has the same instant; the largest gap is 0.05 s, from "
         "t = 2 s on, the median distance 0.01 s"
     ) in text

@@ -378,7 +378,7 @@ def test_all_that_is_wrong_is_reported_at_once(other):
         ),
         (
             'plant = "x.fmu#xx"',
-            r"found '#xx' behind the path, needed '#me' \(model exchange\) "
+            r"found '#xx' after the path, needed '#me' \(model exchange\) "
             r"or '#cs' \(co-simulation\)",
         ),
         (
