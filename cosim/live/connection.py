@@ -41,7 +41,7 @@ def load_sdk() -> ModuleType:
             "viewers need foxglove-sdk, which is not installed: pip install 'cosim[live]', or, in "
             "a clone of cosim, pip install -e '.[live]'"
         ) from error
-    # What it says of viewers is for those who ask for it; else Python would print some of it.
+    # Without a handler Python would print some of its messages about viewers.
     logging.getLogger("foxglove").addHandler(logging.NullHandler())
     return foxglove
 

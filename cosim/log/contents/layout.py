@@ -45,7 +45,7 @@ _CHECKSUM_NAME = "cosim.channel"  # metadata of channels have no name of their o
 _CACHED_SIZES = 64  # most components have one of few sizes
 # fields of a signal that were there from the first log on
 _ALWAYS_WRITTEN = ("name", "size", "unit", "variability", "optional", "type", "role")
-# one only scales tolerances, the other is for people
+# the nominal value only scales tolerances, the description is for people
 _NOT_HASHED = ("nominal", "description")
 _DOUBLE_WIRE_TYPE = 1  # of protobuf: 64 bits
 

@@ -84,7 +84,7 @@ class FollowedLog:
         """
         failures = 0
         while True:
-            # Before the look at the rows: what ends behind it may have written more.
+            # Before the rows are read: a run that ends after that may have written more of them.
             may_grow = is_written(self._path)
             next_before = self._next_ns
             try:

@@ -63,7 +63,7 @@ def separate_chunks(
     """
     contents = _contents(batches)
     if compression == "none":
-        # So little work that threads would mostly wait for the interpreter, each for the other.
+        # There is so little to do that threads would mostly wait for the interpreter.
         return _grouped([_chunk(content, compression) for content in contents])
     return _grouped(workers.map(lambda content: _chunk(content, compression), contents))
 

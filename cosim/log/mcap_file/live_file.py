@@ -336,7 +336,7 @@ class LiveFile:
         pad = record_header(PAD, footer_start - pad_start - HEADER)
         seal = SEAL.pack(start, len(encoded.data), isal_zlib.crc32(encoded.data))
         content = data_end() + encoded.data + pad + seal
-        # What a long file has had for long stands there already. If a write fails, who knows.
+        # Only what has changed is written. After a write that failed, what stands there is unknown.
         known = self._slots.pop(position, b"")
         for piece in _differences(known, content):
             self._write(position + piece.start, memoryview(content)[piece])

@@ -18,14 +18,15 @@ from typing import Final, Generic, Self, TypeVar, final
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 _THREADS: Final = 2
-# Beside who takes the results and does works too: more than there are processors wait for them.
+# Beside the caller, who takes the results and makes some calls, too: more threads than processors
+# would only wait.
 THREADS_AHEAD: Final = max(1, min(_THREADS, (os.cpu_count() or 1) - 1))
-AHEAD: Final = 4  # works that are begun and not done with
+AHEAD: Final = 4  # calls that are begun while the result of the first one is still used
 
 
 @final
 class _Task(Generic[_Result]):
-    """A work that is done by whoever comes first."""
+    """A call that is made by whoever comes first."""
 
     def __init__(self, work: Callable[[], _Result]) -> None:
         self._work = work
@@ -33,7 +34,7 @@ class _Task(Generic[_Result]):
         self.outcome: Future[_Result] = Future()
 
     def do(self) -> None:
-        """Do it, unless another has begun to."""
+        """Make the call, unless another thread has begun to."""
         if not self._claim.acquire(blocking=False):
             return
         try:
@@ -43,7 +44,7 @@ class _Task(Generic[_Result]):
 
 
 def _first_result(begun: deque[_Task[_Result]]) -> _Result:
-    """Take the first of some tasks; return its result, and do others rather than wait for it."""
+    """Remove the first of some tasks and return its result; do others rather than wait for it."""
     for task in begun:
         if begun[0].outcome.done():
             break
@@ -80,10 +81,10 @@ class Workers:
         return list(self._executor.map(work, every))
 
     def ahead(self, works: Iterator[Callable[[], _Result]]) -> Iterator[_Result]:
-        """Yield the results of some works in their order; the next ones are begun before.
+        """Yield the results of some calls in their order; the next ones are begun before.
 
-        Who takes the results does some of the works, where it would wait. A work is taken from
-        ``works`` when the result of that ``AHEAD`` works before it is done with.
+        Where the caller would wait for a result it makes one of the calls itself. A call is taken
+        from ``works`` when the result of the call ``AHEAD`` before it is no longer used.
         """
         few = list(islice(works, 2))
         if len(few) < 2:

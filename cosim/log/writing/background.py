@@ -172,7 +172,7 @@ class BackgroundWriter:
 
     def _write_filling(self) -> None:
         buffer = self._filling
-        # After the look at it: what was full before it comes first.
+        # Looked at after the buffer: one that was full before it has to be written first.
         if buffer is not None and self._full.empty():
             self._write(buffer)
 
