@@ -13,7 +13,7 @@ from cosim.errors import LogError
 from cosim.log.contents.result import PARTIAL_STATUS, span_text
 from cosim.log.editing.batches import gathered
 from cosim.log.editing.copying import PartEnd, write_log
-from cosim.log.editing.pieces import read_pieces
+from cosim.log.editing.pieces import LogPieces, read_pieces
 from cosim.log.reading.container import Container
 from cosim.log.reading.reader import Log, open_log
 
@@ -27,9 +27,10 @@ def cut(
     names: tuple[str, str] = ("start", "stop"),
     force: bool = False,
 ) -> Log:
-    """Write the rows and messages in ``start <= t <= stop`` to a log; return it.
+    """Write the rows in ``start <= t <= stop`` to a log, with their messages; return it.
 
-    Only chunks that have any of that time are read.
+    A message between two communication points goes with the rows behind it, as the substeps do that
+    lead there. Only chunks that have any of that time are read.
 
     Parameters
     ----------
@@ -52,7 +53,8 @@ def cut(
     first_ns, last_ns = span_ns(start, stop, names)
     log = open_log(path)
     pieces = read_pieces(log.path)
-    span = _Span(first_ns, last_ns)
+    messages = _message_span(pieces, first_ns, last_ns)
+    span = _Span((first_ns, last_ns), messages)
 
     def end(_: str) -> PartEnd:
         if span.first_row is None:
@@ -62,28 +64,50 @@ def cut(
             PARTIAL_STATUS, part_text(span.first_row, span.last_row), steps, span.last_row
         )
 
-    blocks = Container(log.path).blocks(first_ns=first_ns, last_ns=last_ns)
+    blocks = Container(log.path).blocks(first_ns=messages[0], last_ns=last_ns)
     batches = gathered(blocks, pieces.dtypes, span.has)
     return write_log(out, pieces, batches, end, force=force)
 
 
+def _message_span(
+    pieces: LogPieces, first_ns: int | None, last_ns: int | None
+) -> tuple[int | None, int | None]:
+    """Return from when to when messages go with the rows of a span [ns]."""
+    first_message = None
+    last_message = None
+    if first_ns is not None:
+        first_message = pieces.point_before(first_ns - 1) + 1
+    if last_ns is not None:
+        last_message = pieces.point_before(last_ns)
+    return first_message, last_message
+
+
 @final
 class _Span:
-    """Says which messages are in a span of time, and keeps which rows of it there are."""
+    """Says which messages are in a span of time, and keeps which rows of it there are.
 
-    def __init__(self, first_ns: int | None, last_ns: int | None) -> None:
-        self._first_ns = first_ns
-        self._last_ns = last_ns
+    Parameters
+    ----------
+    rows_ns, messages_ns : (int or None, int or None)
+        The first and the last instant of rows, and of other messages [ns]; None: of all.
+    """
+
+    def __init__(
+        self, rows_ns: tuple[int | None, int | None], messages_ns: tuple[int | None, int | None]
+    ) -> None:
+        self._rows_ns = rows_ns
+        self._messages_ns = messages_ns
         self.first_row: int | None = None
         self.last_row = 0
 
     def has(self, number: int, time_ns: Nanoseconds, contents: list[bytes] | None) -> Mask:
         """Return which of some messages are in it."""
+        first_ns, last_ns = self._rows_ns if contents is None else self._messages_ns
         inside = np.ones(len(time_ns), np.bool_)
-        if self._first_ns is not None:
-            inside &= time_ns >= self._first_ns
-        if self._last_ns is not None:
-            inside &= time_ns <= self._last_ns
+        if first_ns is not None:
+            inside &= time_ns >= first_ns
+        if last_ns is not None:
+            inside &= time_ns <= last_ns
         if contents is None and inside.any():
             own = time_ns[inside]
             first = int(own.min())

@@ -77,6 +77,11 @@ class LogPieces:
         """Return the number of the communication step that ends at a time [ns]."""
         return max((time_ns - self.start_ns) // self.step_ns, 0)
 
+    def point_before(self, time_ns: int) -> int:
+        """Return the last communication point at or before a time [ns]."""
+        steps = (time_ns - self.start_ns) // self.step_ns
+        return self.start_ns + steps * self.step_ns
+
     @property
     def kept_metadata(self) -> dict[str, Mapping[str, str]]:
         """The metadata that every part of the run has."""

@@ -76,6 +76,21 @@ def test_parts_that_are_merged_are_the_log_again(whole, tmp_path):
     assert again.status == "complete"
 
 
+@pytest.mark.parametrize(
+    ("last", "first"), [(0.3, 0.301), (0.3004, 0.301), (0.3008, 0.3009), (0.3, 0.3005)]
+)
+def test_messages_between_two_rows_go_with_the_row_behind_them(tmp_path, last, first):
+    """As substeps do, so that parts whose rows are all rows have all messages, once."""
+    messages = [(k * STEP_NS // 4, "info", "run", f"message {k}") for k in range(1100, 1300)]
+    record(tmp_path / "a.mcap", steps=1000, messages=messages)
+    before = cut(tmp_path / "a.mcap", None, last, tmp_path / "b.mcap")
+    behind = cut(tmp_path / "a.mcap", first, None, tmp_path / "c.mcap")
+    assert [message.text for message in before.messages()][-1] == "message 1200"
+    assert [message.text for message in behind.messages()][0] == "message 1201"
+    merged = merge([tmp_path / "b.mcap", tmp_path / "c.mcap"], tmp_path / "d.mcap")
+    assert merged.messages() == open_log(tmp_path / "a.mcap").messages()
+
+
 def test_what_begins_at_the_start_is_replayed_and_what_does_not_is_refused(tmp_path):
     """A replay needs all rows up to the end of the log."""
     cosim.run("academic", set={"scenario.stop": 0.2}, out=tmp_path / "a.mcap")
