@@ -22,6 +22,7 @@ from cosim.log.mcap_file.summary import RecordGroup
 RESULT = "cosim.result"
 RESULT_FILE = "result.json"
 PARTIAL = "cosim.partial"  # the result of the whole run, in the log of a part of it
+WHOLE = "whole"  # in the result file of a part: what the one of the whole run has
 PARTIAL_STATUS = "partial"  # of a log that lacks rows of its run
 PART_REASON = "part "  # what the reason of a file of several begins with, before its number
 

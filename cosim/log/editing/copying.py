@@ -12,7 +12,7 @@ from typing import Any
 from cosim.errors import LogError
 from cosim.log.contents.environment import library_name
 from cosim.log.contents.metadata import json_table
-from cosim.log.contents.result import PARTIAL, RESULT, RESULT_FILE, result_record
+from cosim.log.contents.result import PARTIAL, RESULT, RESULT_FILE, WHOLE, result_record
 from cosim.log.editing.pieces import LogPieces
 from cosim.log.mcap_file.chunks import MessageBatch, separate_chunks
 from cosim.log.mcap_file.head import FileHead, attachment_group
@@ -115,8 +115,10 @@ def _end_groups(pieces: LogPieces, end: PartEnd, content_hash: str) -> list[Reco
     groups = [result_record(RESULT, items)]
     if of_run:
         groups.append(result_record(PARTIAL, of_run))
-    values = pieces.result_file if PARTIAL in pieces.metadata else None  # of the whole run
-    groups.append(_result_file({**_values(values), **items}))
+    values = _values(pieces.result_file)
+    if PARTIAL not in pieces.metadata:  # they are of the whole run, whose last row is another one
+        values = {WHOLE: values} if of_run and values else {}
+    groups.append(_result_file({**values, **items}))
     return groups
 
 
@@ -126,7 +128,9 @@ def _whole_result(of_part: bytes | None, of_run: Mapping[str, str]) -> dict[str,
     for key in ("steps", "end_ns"):
         if of_run.get(key, "").isdecimal():
             items[key] = int(of_run[key])
-    return {**_values(of_part), **items}
+    values = _values(of_part)
+    whole = values.get(WHOLE)
+    return {**(whole if isinstance(whole, dict) else values), **items}
 
 
 def _values(result_file: bytes | None) -> dict[str, Any]:
