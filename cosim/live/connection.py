@@ -144,7 +144,7 @@ class ViewerConnection:
         return topic
 
     def listen(self) -> None:
-        """Let viewers connect.
+        """Start the server, so that viewers can connect.
 
         Raises
         ------
@@ -166,14 +166,14 @@ class ViewerConnection:
             raise self._address.refusal(str(error)) from error
 
     def set_time(self, time_ns: int) -> None:
-        """Tell viewers the time of the messages that follow, where it goes on."""
+        """Send viewers the time of the messages that follow, where it goes on."""
         assert self._server is not None
         if time_ns > self._last_ns:
             self._last_ns = time_ns
             self._server.broadcast_time(time_ns)
 
     def turn_back(self) -> None:
-        """Let the next time be an earlier one."""
+        """Allow the next time to be an earlier one."""
         self._last_ns = -1
 
     def wait_for_viewer(self, check: Callable[[], None]) -> None:

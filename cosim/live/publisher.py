@@ -100,7 +100,7 @@ class Publisher:
         self._waiting.append((time_ns, self._topics[topic], data))
 
     def advertise(self, topic: str) -> None:
-        """Let viewers subscribe to a topic beside the rows."""
+        """Add a topic beside the rows, for viewers to subscribe to."""
         schema = _SCHEMAS[topic]
         self._topics[topic] = self._connection.topic(
             topic, schema_name=schema.name, schema=schema.serialized, metadata={}
@@ -111,9 +111,9 @@ class Publisher:
         self._waiting.sort(key=itemgetter(0))
         instants = sorted({time_ns for time_ns, _, _ in self._waiting})
         stride = -(-len(instants) // MOST_TIMES)
-        told = {*instants[::stride], *instants[-1:]} if instants else set()
+        marked = {*instants[::stride], *instants[-1:]} if instants else set()
         for time_ns, topic, data in self._waiting:
-            if time_ns in told:
+            if time_ns in marked:
                 self._connection.set_time(time_ns)
             topic.publish(time_ns, data)
         self._waiting.clear()

@@ -98,7 +98,7 @@ class LiveServer:
         return self.connection
 
     def listen(self) -> None:
-        """Let viewers connect, when all topics are there.
+        """Start the server, when all topics are there, so that viewers can connect.
 
         Raises
         ------

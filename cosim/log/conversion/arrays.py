@@ -18,7 +18,7 @@ from cosim.arrays import Matrix, Nanoseconds
 from cosim.core.recorded.signals import RecordedPort
 from cosim.errors import UsageError
 from cosim.instants import NANOSECONDS
-from cosim.log.conversion.choice import LogChoice, signal_facts
+from cosim.log.conversion.choice import LogChoice, signal_metadata
 
 TIME_KEY: Final = "t:"  # before a component's name; no signal has a name without a dot
 SIGNALS_KEY: Final = "signals"
@@ -33,7 +33,7 @@ def write_npz(stream: BinaryIO, choice: LogChoice) -> None:
     JSON text with unit, description, role, variability and type by name.
     """
     with zipfile.ZipFile(stream, "w", allowZip64=True) as archive:
-        about = {name: signal_facts(port.signal) for name, port in choice.selection.items()}
+        about = {name: signal_metadata(port.signal) for name, port in choice.selection.items()}
         _write_entry(archive, SIGNALS_KEY, np.array(json.dumps(about)))
         for component, names, time_ns, rows in _by_component(choice):
             _write_entry(archive, f"{TIME_KEY}{component}", time_ns / NANOSECONDS)
@@ -64,7 +64,7 @@ def write_mat(stream: BinaryIO, choice: LogChoice) -> None:
     from scipy.io.matlab import MatWriteError
 
     variables: dict[str, Any] = {SIGNALS_KEY: None}
-    facts: dict[str, dict[str, str]] = {}
+    described: dict[str, dict[str, str]] = {}
     for component, names, time_ns, rows in _by_component(choice):
         time_name = _legal_name(f"t_{component}", variables)
         variables[time_name] = time_ns / NANOSECONDS
@@ -72,8 +72,8 @@ def write_mat(stream: BinaryIO, choice: LogChoice) -> None:
             variable = _legal_name(name, variables)
             variables[variable] = _values(rows, choice.selection[name])
             own = {"name": name, "variable": variable, "time": time_name}
-            facts[name] = own | _NOT_DECLARED | signal_facts(choice.selection[name].signal)
-    variables[SIGNALS_KEY] = _struct_array([facts[name] for name in choice.selection])
+            described[name] = own | _NOT_DECLARED | signal_metadata(choice.selection[name].signal)
+    variables[SIGNALS_KEY] = _struct_array([described[name] for name in choice.selection])
     try:
         savemat(stream, variables, long_field_names=True, oned_as="column")
     except MatWriteError as error:

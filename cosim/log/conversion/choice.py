@@ -53,11 +53,11 @@ class LogChoice:
         return joined_rows(self.run, self.columns)
 
 
-def signal_facts(signal: Signal) -> dict[str, str]:
+def signal_metadata(signal: Signal) -> dict[str, str]:
     """Return what a signal is, as far as that is declared: texts by what they say."""
-    facts = {"unit": signal.unit or "", "description": signal.description}
-    facts |= {"role": signal.role, "variability": signal.variability, "type": signal.type}
-    return {key: text for key, text in facts.items() if text}
+    metadata = {"unit": signal.unit or "", "description": signal.description}
+    metadata |= {"role": signal.role, "variability": signal.variability, "type": signal.type}
+    return {key: text for key, text in metadata.items() if text}
 
 
 def choose(

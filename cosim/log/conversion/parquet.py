@@ -14,7 +14,7 @@ from cosim.core.recorded.frames import TIME
 from cosim.core.recorded.joined_rows import JoinedRows
 from cosim.errors import UsageError
 from cosim.instants import NANOSECONDS
-from cosim.log.conversion.choice import LogChoice, signal_facts
+from cosim.log.conversion.choice import LogChoice, signal_metadata
 
 _MOST_ROWS: Final = 2**16  # of a group
 
@@ -27,7 +27,7 @@ def write_parquet(stream: BinaryIO, choice: LogChoice) -> None:
     fields = [arrow.field(TIME, arrow.float64(), nullable=False, metadata={"unit": "s"})]
     for column in choice.columns:
         fields.append(
-            arrow.field(column.name, arrow.float64(), metadata=signal_facts(column.signal))
+            arrow.field(column.name, arrow.float64(), metadata=signal_metadata(column.signal))
         )
     about = {"source": choice.run.label, "status": choice.run.status}
     schema = arrow.schema(fields, metadata=about)

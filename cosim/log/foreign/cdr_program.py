@@ -29,7 +29,7 @@ class Wanted:
         return bool(self.slots or self.inside)
 
     def add(self, path: FieldPath, slot: int) -> None:
-        """Have a slot take what is at a path."""
+        """Add a slot that takes what is at a path."""
         if not path:
             self.slots.append(slot)
             return

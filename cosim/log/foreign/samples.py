@@ -90,7 +90,7 @@ def read_fields(
             raise LogError(f"{path} has no topic of {name!r}; {_topics_text(name, topics)}")
         if topic not in collectors:
             collectors[topic] = _Collector(path, topics[topic], time, time_unit_ns)
-        collectors[topic].ask(name)
+        collectors[topic].add_field(name)
     for collector in collectors.values():
         collector.begin()
     kept = 0
@@ -178,8 +178,8 @@ class _Collector:
         self._stamps = array("q")
         self._pick: Picker
 
-    def ask(self, field: str) -> None:
-        """Have a field of the topic kept."""
+    def add_field(self, field: str) -> None:
+        """Add a field of the topic that is kept."""
         self._columns.append(_Column(field))
 
     def begin(self) -> None:

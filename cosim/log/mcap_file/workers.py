@@ -70,7 +70,7 @@ class Workers:
         return ThreadPoolExecutor(self._threads, thread_name_prefix="cosim log")
 
     def start(self, work: Callable[[], _Result]) -> Future[_Result]:
-        """Let a thread do some work."""
+        """Start some work in a thread."""
         return self._executor.submit(work)
 
     def map(self, work: Callable[[_Item], _Result], items: Iterable[_Item]) -> list[_Result]:

@@ -156,7 +156,7 @@ class FieldDataKind(PlantKind):
         if data.discrete and self.interpolation != "zero-order":
             context.warn(
                 name,
-                f"{data.source}: straight lines between truth values or enumerations, "
+                f"{data.source}: linear interpolation between Booleans or enumerations, "
                 f"{', '.join(data.discrete)}: between two samples they are neither; "
                 'interpolation = "zero-order" keeps the last one',
             )

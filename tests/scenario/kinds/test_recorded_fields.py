@@ -166,7 +166,9 @@ def test_straight_lines_between_truth_values_are_said(loop, tmp_path):
     swapped = loop.swap(plant=path, map={"plant.y": "/t.on"})
     shifted = swapped.set({"plant.offset": (EPOCH + STEP_NS // 2) / 1e9})
     log = cosim.run(shifted, out=tmp_path / "line.mcap")
-    assert "straight lines between truth values or enumerations, /t.on: between" in warnings_of(log)
+    assert "linear interpolation between Booleans or enumerations, /t.on: between" in warnings_of(
+        log
+    )
     held = cosim.run(shifted.set({"plant.interpolation": "zero-order"}), out=tmp_path / "h.mcap")
     assert "truth values" not in warnings_of(held)
     assert set(held["plant.y"].tolist()) == {0.0, 1.0}
