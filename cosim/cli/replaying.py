@@ -145,7 +145,7 @@ def replay(
 
     Only the log is needed; for a recording of another tool, --scenario and --map, too.
     """
-    from cosim.report.tables.run import print_summary, print_verification
+    from cosim.report.tables.run import print_summary
     from cosim.scenario.running.replay import replay_once, replays_of
 
     start_collecting()
@@ -177,6 +177,7 @@ def replay(
 
         plot_run(again, plot)
     if verify and replays.source is not None:
+        from cosim.report.tables.verification import print_verification
         from cosim.report.verification import verify as verify_replay
 
         verification = verify_replay(replays.source, again)

@@ -1,4 +1,4 @@
-"""The table after a run, and the result of a verification."""
+"""The table after a run."""
 
 from __future__ import annotations
 
@@ -32,7 +32,6 @@ from cosim.report.tables.lateness import lateness_text
 from cosim.scenario.building.coupling_check import gain_text
 from cosim.scenario.kinds.initial_states import change_text
 from cosim.scenario.recorded_metadata import (
-    component_record,
     recorded_start,
     recorded_state_changes,
     recorded_warnings,
@@ -41,7 +40,6 @@ from cosim.scenario.recorded_metadata import (
 
 if TYPE_CHECKING:
     from cosim.report.compensation import CompensationSummary
-    from cosim.report.verification import Verification
 
 LONGEST_PRIMES = 4  # of a derivative
 
@@ -354,30 +352,3 @@ def _profile_table(profile: Mapping[str, float]) -> Table:
         percent = f"{100 * seconds / total:.1f}" if total else ""
         table.add_row(name, f"{seconds:.4f}", percent)
     return table
-
-
-def print_verification(
-    verification: Verification, source: Recording, *, path: Path, as_json: bool, quiet: bool
-) -> None:
-    """Print what a replay proves of its log."""
-    if as_json:
-        print_json(verification.to_dict())
-    elif verification.passed and not quiet:
-        for line in verification.lines:
-            print_line(f"{path}: {line}")
-    if verification.passed:
-        return
-    if not as_json:
-        for problem in verification.problems:
-            print_line(f"{path}: {problem}", error=True)
-        if verification.contradictions or not verification.difference.same_rows:
-            _warn_of_environment(verification, source)
-
-
-def _warn_of_environment(verification: Verification, source: Recording) -> None:
-    for key, (recorded, current) in verification.environment.items():
-        print_line(f"note: {key} was {recorded}, is {current}", error=True)
-    for name in source.channels:
-        bits = component_record(source, name).bits
-        if bits is not None:
-            print_line(f"note: {name}: {bits}", error=True)

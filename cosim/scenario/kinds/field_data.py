@@ -29,12 +29,7 @@ from cosim.errors import UsageError
 from cosim.instants import NANOSECONDS
 from cosim.native.step import LARGEST_MEMORY
 from cosim.scenario.data_files.field_file import listed_columns, read_field_data
-from cosim.scenario.data_files.recorded_fields import (
-    MCAP,
-    check_asked,
-    read_samples,
-    recorded_data,
-)
+from cosim.scenario.data_files.recorded_fields import MCAP, check_asked, read_samples, recorded_data
 from cosim.scenario.document.schema import Number, UnitName, Whole
 from cosim.scenario.kinds.base import BuildContext
 from cosim.scenario.kinds.plants import PlantKind
