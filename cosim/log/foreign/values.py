@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, Final, Protocol
 
@@ -125,7 +126,8 @@ def nanoseconds_in(value: Any, unit_ns: int) -> int:
         raise FieldProblem(f"it is {_what(value)}; needed a time")
     if isinstance(value, int):
         return value * unit_ns
-    scaled = value * unit_ns
-    if not abs(scaled) < 2**63:
+    if not abs(value * unit_ns) < 2**63:
         raise FieldProblem("it is not finite, or too large; needed a time")
-    return round(scaled)
+    # apart: the product of both, of 19 digits, would be rounded to 16
+    rest, whole = math.modf(value)
+    return int(whole) * unit_ns + round(rest * unit_ns)
