@@ -179,6 +179,7 @@ def replay_sweep(
     Parameters
     ----------
     log : str, Path or Log
+        As of :func:`cosim.replay`: of a log that was rotated with the files before it.
     vary : mapping of dotted key to sequence of values
         Such as ``{"identifier.P0": [1e3, 1e6], "observer.filter_rate": [100.0, 300.0]}``; there
         are at most 1000 combinations.

@@ -15,8 +15,6 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from statistics import median
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 
@@ -25,6 +23,7 @@ from cosim.core.clock import Clock
 from cosim.core.contracts import Block
 from cosim.core.graph import Graph
 from cosim.core.master import run as run_graph
+from cosim.core.passing_recorders import PassingRecorder
 from cosim.core.recorders import Nothing
 from cosim.core.recording import Plan, Recorder
 from cosim.fmi.component import load
@@ -53,28 +52,13 @@ class Captured(Nothing):
         self.blocks.append((kept, signals.copy()))
 
 
-class Timed:
+class Timed(PassingRecorder):
     """Measures how long each block holds up the run."""
 
     def __init__(self, recorder: McapRecorder) -> None:
-        self._recorder = recorder
+        super().__init__(recorder)
         self.writes: list[float] = []
         self.between: list[float] = []
-
-    def __enter__(self) -> Self:
-        self._recorder.__enter__()
-        return self
-
-    def __exit__(
-        self,
-        error_type: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._recorder.__exit__(error_type, error, trace)
-
-    def __getattr__(self, name: str) -> object:
-        return getattr(self._recorder, name)
 
     def begin(self, plan: Plan) -> None:
         """Pass on."""

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 LONGEST_PRIMES = 4  # of a derivative
 
-MOST_GAINS: Final = 5  # behind actions, of a table
+MOST_GAINS: Final = 5  # after actions, in a table
 
 
 def print_summary(
