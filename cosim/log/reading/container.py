@@ -10,7 +10,6 @@ import os
 import struct
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass
 from functools import cached_property, partial
 from io import BufferedReader, BytesIO
 from itertools import cycle
@@ -32,6 +31,7 @@ from cosim.log.mcap_file.paths import open_file
 from cosim.log.mcap_file.records import FOOTER_SIZE, HEADER, record_header
 from cosim.log.mcap_file.walk import RecordSpan, damage_error, walk
 from cosim.log.mcap_file.workers import AHEAD, THREADS_AHEAD, Workers
+from cosim.log.reading.chunk_header import ChunkHeader, read_chunk_header
 from cosim.log.reading.scan import OtherRecord, scan
 
 # What parsing bytes from outside may raise.
@@ -39,22 +39,8 @@ MALFORMED = (McapError, ValueError, KeyError, TypeError, OverflowError, struct.e
 
 _READ_BYTES = 2**22
 MOST_ATTACHED = 2**28  # bytes of an attachment
-_CHUNK_HEADER = struct.Struct("<QQQI")  # first and last time, size, CRC
-_LONGEST_NAME = 16  # of a compression, more than any that is known
 _ATTEMPTS = 5  # to open a file that a run writes to
 _ATTACHMENT_TIMES = 16  # bytes: log time, creation time
-
-
-@dataclass(frozen=True, slots=True)
-class _ChunkHeader:
-    """A chunk's record up to its data."""
-
-    first_ns: int
-    last_ns: int
-    size: int  # of the records, uncompressed [bytes]
-    crc: int
-    compression: str
-    data_length: int
 
 
 @final
@@ -378,9 +364,9 @@ class Container:
             messages = memoryview(self._record(stream, span))
             return lambda: messages
         try:
-            header = _read_chunk_header(stream, span)
+            header = read_chunk_header(stream, span)
             # Before decompressing: no CRC covers the header, and a wrong size may be a huge one.
-            self._check_chunk_index(span, header)
+            header.check(self._chunk_indexes.get(span.start))
             data = memory.data.of_size(header.data_length)
             data = data[: stream.readinto(data)]
         except MALFORMED as error:
@@ -388,7 +374,7 @@ class Container:
         return partial(self._decompressed, span, header, data, memory.records)
 
     def _decompressed(
-        self, span: RecordSpan, header: _ChunkHeader, data: memoryview, scratch: Scratch
+        self, span: RecordSpan, header: ChunkHeader, data: memoryview, scratch: Scratch
     ) -> memoryview:
         try:
             return decompress_into(
@@ -396,26 +382,6 @@ class Container:
             )
         except MALFORMED as error:
             raise self.damage_error(span.start, str(error)) from error
-
-    def _check_chunk_index(self, span: RecordSpan, header: _ChunkHeader) -> None:
-        """Check a chunk's header, which no CRC covers, against the chunk's index.
-
-        Raises
-        ------
-        ValueError
-            If they differ.
-        """
-        index = self._chunk_indexes.get(span.start)
-        if index is None:
-            return
-        differs = (
-            index.message_start_time != header.first_ns
-            or index.message_end_time != header.last_ns
-            or index.uncompressed_size != header.size
-            or index.compression != header.compression
-        )
-        if differs:
-            raise ValueError("a chunk differs from its index")
 
     def _read_summary(self, stream: BinaryIO) -> Summary:
         """Read the summary; an empty one if there is none."""
@@ -483,29 +449,6 @@ def _check_header(record: bytes, span: RecordSpan) -> None:
     expected = record_header(span.opcode, span.size - HEADER)
     if record[:HEADER] != expected or len(record) != span.size:
         raise ValueError("another record than its index says")
-
-
-def _read_chunk_header(stream: BinaryIO, span: RecordSpan) -> _ChunkHeader:
-    """Read a chunk up to its data.
-
-    Raises
-    ------
-    ValueError, struct.error
-        If the record is too short, or another than its index says.
-    """
-    stream.seek(span.start)
-    if stream.read(HEADER) != record_header(span.opcode, span.size - HEADER):
-        raise ValueError("no chunk there, though its index says so")
-    fixed = stream.read(_CHUNK_HEADER.size)
-    first_ns, last_ns, size, crc = _CHUNK_HEADER.unpack(fixed)
-    name_length = int.from_bytes(stream.read(4), "little")
-    compression = stream.read(min(name_length, _LONGEST_NAME)).decode()
-    (data_length,) = struct.unpack("<Q", stream.read(8))
-    if stream.tell() + data_length > span.stop:
-        raise ValueError(f"a chunk with {data_length} bytes of data in a record of {span.size}")
-    if data_length > MOST_BYTES:
-        raise ValueError(f"a chunk of {data_length} bytes, at most {MOST_BYTES} are read")
-    return _ChunkHeader(first_ns, last_ns, size, crc, compression, data_length)
 
 
 def _identity(stream: BinaryIO) -> tuple[int, int, int]:
