@@ -14,7 +14,7 @@ from typing import Final
 
 from cosim.core.clock import LARGEST_NS
 from cosim.core.signals import Channel
-from cosim.errors import LogError, UsageError, flag, option, quoted
+from cosim.errors import UsageError, option, quoted
 from cosim.instants import NANOSECONDS
 
 _SIZES: Final = {
@@ -135,19 +135,3 @@ def further_parts(first: Path) -> list[Path]:
             if match is not None and match[1] == first.stem and path.suffix == first.suffix:
                 found.append((int(match[2]), path))
     return [path for _, path in sorted(found)]
-
-
-def check_no_parts(first: Path, *, force: bool) -> None:
-    """Check that no further files of an earlier log stand beside the path of a new one.
-
-    Raises
-    ------
-    LogError
-        If there are, and they shall stay.
-    """
-    parts = [] if force else further_parts(first)
-    if parts:
-        raise LogError(
-            f"{parts[0]} exists, a part of an earlier log at {first}; choose another path, or "
-            f"{flag('force')} to replace that log with its parts"
-        )

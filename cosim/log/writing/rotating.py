@@ -17,9 +17,10 @@ from cosim.core.recorders import EndOfRun
 from cosim.errors import LogError
 from cosim.log.mcap_file.head import FileHead
 from cosim.log.mcap_file.live_file import LiveFile
-from cosim.log.mcap_file.rotation import Rotation, further_parts, part_path
-from cosim.log.mcap_file.unfinished import UnfinishedLog, check_not_written
+from cosim.log.mcap_file.rotation import Rotation, part_path
+from cosim.log.mcap_file.unfinished import UnfinishedLog
 from cosim.log.writing.buffer import RunContent
+from cosim.log.writing.replaced_parts import replaced_parts
 from cosim.log.writing.store import LogStore
 
 _PIECES: Final = 8  # of a file, before compression: it becomes no larger by more than one
@@ -93,13 +94,12 @@ class RotatingLog:
         Raises
         ------
         LogError
-            If that cannot be done, or a file that would be replaced or removed is written.
+            If that cannot be done, or a file that would be replaced or removed is written, or is
+            no part of a log.
         """
         if self._first.published:
             return
-        replaced = further_parts(self._first.path) if self._force else []
-        for path in replaced:
-            check_not_written(path)
+        replaced = replaced_parts(self._first.path) if self._force else []
         self._first.publish()
         for path in replaced:
             with suppress(OSError):  # the next file of this log cannot get its name then

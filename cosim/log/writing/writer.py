@@ -31,11 +31,12 @@ from cosim.log.mcap_file.compression import Compression
 from cosim.log.mcap_file.head import FileHead
 from cosim.log.mcap_file.live_file import LiveFile
 from cosim.log.mcap_file.paths import check_new_log, log_path
-from cosim.log.mcap_file.rotation import Rotation, check_no_parts
+from cosim.log.mcap_file.rotation import Rotation
 from cosim.log.mcap_file.unfinished import UnfinishedLog
 from cosim.log.reading.reader import Log
 from cosim.log.writing.background import FLUSH_INTERVAL, BackgroundWriter
 from cosim.log.writing.buffer import RunContent, WaitingMessage
+from cosim.log.writing.replaced_parts import check_no_parts
 from cosim.log.writing.rotating import RotatingLog
 from cosim.log.writing.size import size_bound
 from cosim.log.writing.store import LogStore
@@ -141,7 +142,8 @@ class McapRecorder:
             If the file exists and is to stay, the path is a folder, or its folder takes no files.
         """
         check_new_log(self.path, force=self._force, numbered=self._numbered)
-        check_no_parts(self.path, force=self._force or self._numbered)
+        if not self._numbered:
+            check_no_parts(self.path, force=self._force)
         return self
 
     def __exit__(

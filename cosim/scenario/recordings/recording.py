@@ -23,8 +23,9 @@ from cosim.files import file_type
 from cosim.log import Log, McapRecorder
 from cosim.log.contents.result import PARTIAL_STATUS
 from cosim.log.mcap_file.paths import check_new_log, log_path
-from cosim.log.mcap_file.rotation import Rotation, check_no_parts
+from cosim.log.mcap_file.rotation import Rotation
 from cosim.log.writing.background import FLUSH_INTERVAL
+from cosim.log.writing.replaced_parts import check_no_parts
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.recordings.interrupting import interruptible
 from cosim.scenario.recordings.message_recorder import MessageRecorder
@@ -90,7 +91,8 @@ def check_target(out: str | Path | None, *, force: bool = False, numbered: bool 
     if file_type(path) != "log":
         raise UsageError(f"{out}: a log needs a path that ends in .mcap")
     check_new_log(path, force=force, numbered=numbered)
-    check_no_parts(path, force=force or numbered)
+    if not numbered:
+        check_no_parts(path, force=force)
 
 
 def record(

@@ -113,13 +113,29 @@ def test_parts_of_an_earlier_run_are_refused_or_replaced(tmp_path):
     other = tmp_path / "run2.part2.mcap"
     other.touch()
     path.unlink()
-    with pytest.raises(LogError, match=r"run\.part2\.mcap exists, a part of an earlier log at .*r"):
+    with pytest.raises(LogError, match=r"run\.part2\.mcap exists, as a part of an earlier log"):
         record(path, steps=10)
     assert len(parts_of(path)) == 4
     record(path, steps=400, rotation=LATE, force=True)
     assert [part.name for part in parts_of(path)] == ["run.mcap", "run.part2.mcap"]
     record(path, steps=10, force=True)
     assert sorted(tmp_path.iterdir()) == [path, other]
+
+
+@pytest.mark.parametrize("content", ["text", "log"])
+def test_a_file_that_is_only_called_like_a_part_is_not_removed(tmp_path, content):
+    """It may be anybody's; what is no log says nothing of being a part of one."""
+    path = tmp_path / "run.mcap"
+    record(path, steps=10)
+    other = tmp_path / "run.part2.mcap"
+    if content == "text":
+        other.write_text("mine")
+    else:
+        record(other, steps=10)
+    before = path.read_bytes(), other.read_bytes()
+    with pytest.raises(LogError, match=r"run\.part2\.mcap is called like a part of .* is none"):
+        record(path, steps=20, force=True)
+    assert (path.read_bytes(), other.read_bytes()) == before
 
 
 def test_the_log_of_a_run_that_writes_a_later_part_is_not_replaced(tmp_path):
