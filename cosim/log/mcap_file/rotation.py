@@ -135,3 +135,9 @@ def further_parts(first: Path) -> list[Path]:
             if match is not None and match[1] == first.stem and path.suffix == first.suffix:
                 found.append((int(match[2]), path))
     return [path for _, path in sorted(found)]
+
+
+def all_parts(path: Path) -> list[Path]:
+    """Return the paths of all files of a log of which one is given, by their names."""
+    first = part_paths(path)[0]
+    return [first, *further_parts(first)]

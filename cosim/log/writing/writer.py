@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Mapping, Sequence
 from io import RawIOBase
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self, final
+from typing import Any, Final, Self, final
 
 from cosim.arrays import Matrix
 from cosim.core.contracts import Block
 from cosim.core.recorders import EndOfRun, end_of_run
 from cosim.core.recording import MessageLevel, Plan, SignalEvent, Substep
 from cosim.errors import LogError, LogWriteError, RunError
+from cosim.instants import NANOSECONDS
 from cosim.interrupts import uninterrupted
 from cosim.log.contents.environment import library_name
 from cosim.log.contents.layout import Part, split_channel
@@ -40,6 +42,8 @@ from cosim.log.writing.replaced_parts import check_no_parts
 from cosim.log.writing.rotating import RotatingLog
 from cosim.log.writing.size import size_bound
 from cosim.log.writing.store import LogStore
+
+_GONE: Final = (errno.ENOENT, errno.ESTALE)  # the file at its path is not that of the run
 
 
 @final
@@ -335,7 +339,8 @@ class McapRecorder:
         except OSError:
             self._store.abandon()
         self._files.discard()
-        raise LogWriteError(
-            f"{self._files.path} cannot be written further: {reason}; up to "
-            f"t = {self._store.last_row.end_ns / 1e9} s it is a valid file"
-        ) from error
+        text = f"{self._files.path} cannot be written further: {reason}"
+        if error.errno not in _GONE:
+            end_ns = self._store.last_row.end_ns
+            text += f"; the log is valid up to t = {end_ns / NANOSECONDS} s"
+        raise LogWriteError(text) from error

@@ -13,6 +13,7 @@ from cosim.arguments import mapping_argument, texts_argument, truth_argument, wh
 from cosim.core.recorders import Memory
 from cosim.errors import UsageError, option
 from cosim.log import Log
+from cosim.log.mcap_file.rotation import all_parts
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.document.swap import PortNames
 from cosim.scenario.recorded_metadata import recorded_loop_gains
@@ -124,10 +125,18 @@ def check_replay_target(source: Log, out: str | Path | None, *, force: bool) -> 
     Raises
     ------
     UsageError
-        If it is the log that is replayed, or as from ``check_target``.
+        If it is the log that is replayed, another file of that where it was rotated, or as from
+        ``check_target``.
     """
-    if out is not None and os.path.realpath(out) == os.path.realpath(source.path):
-        raise UsageError(f"{out} is the log that is replayed; choose another path")
+    if out is not None:
+        target = os.path.realpath(out)
+        if target == os.path.realpath(source.path):
+            raise UsageError(f"{out} is the log that is replayed; choose another path")
+        if target in map(os.path.realpath, all_parts(source.path)):
+            raise UsageError(
+                f"{out} is a file of the log that is replayed, which was rotated; choose another "
+                "path"
+            )
     check_target(out, force=force)
 
 

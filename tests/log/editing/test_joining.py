@@ -138,3 +138,16 @@ def test_all_parts_have_the_hash_of_their_run(run):
         merge(parts, run.with_name("merged.mcap"))
     assert not run.with_name("merged.mcap").exists()
     assert merge(parts[:2], run.with_name("two.mcap")).status == "partial"
+
+
+@pytest.mark.parametrize("name", ["run.mcap", "run.part2.mcap", "run.part3.mcap"])
+def test_a_replay_does_not_replace_a_file_of_its_log(run, name):
+    """It reads those before its own, and would remove those behind."""
+    files = {path: path.read_bytes() for path in run.parent.iterdir()}
+    source = run.with_name("run.part3.mcap" if name == "run.mcap" else "run.part2.mcap")
+    text = "is a file of the log that is replayed, which was rotated; choose another path$"
+    if source.name == name:
+        text = "is the log that is replayed; choose another path$"
+    with pytest.raises(UsageError, match=text):
+        cosim.replay(source, out=run.with_name(name), force=True)
+    assert {path: path.read_bytes() for path in run.parent.iterdir()} == files

@@ -33,9 +33,7 @@ plant = { kind = "lag", time_constant = 2.0, initial = 0.0 }
 "plant.u" = "pid.y"
 """
 ARGUMENTS = ["run", "loop.toml", "--force", "--flush"]
-MESSAGE = (
-    r"cosim: \S*a\.mcap cannot be written further: .*; up to t = ([\d.]+) s it is a valid file"
-)
+MESSAGE = r"cosim: \S*a\.mcap cannot be written further: .*; the log is valid up to t = ([\d.]+) s"
 NO_ROOM = r"cosim: \S*a\.mcap cannot be (written|created): (File too large|No space left on device)"
 
 

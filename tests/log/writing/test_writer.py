@@ -286,7 +286,10 @@ def test_a_full_disk_leaves_a_whole_file(tmp_path, monkeypatch, room):
     """The error names file and reason; what was flushed is a valid file with a true hash."""
     monkeypatch.setattr(unfinished, "create", lambda path: FullDisk(path, room))
     make_chunks_small(monkeypatch, 5000)
-    message = r"a\.mcap cannot be written further: No space left on device; up to t = ([\d.]+) s"
+    message = (
+        r"a\.mcap cannot be written further: No space left on device; "
+        r"the log is valid up to t = ([\d.]+) s"
+    )
     with pytest.raises(LogWriteError, match=message) as raised:
         record(tmp_path / "a.mcap", compression="none")
     log = open_log(tmp_path / "a.mcap")
