@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from cosim.instants import NANOSECONDS
 from cosim.log.foreign.survey import TopicSurvey, survey
 
 MOST_FIELDS: Final = 1000  # that are shown
-NANOSECONDS: Final = 10**9
 
 
 def describe_recording(path: str) -> dict[str, Any]:

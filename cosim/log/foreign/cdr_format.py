@@ -17,6 +17,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
 from cosim.errors import nearest
+from cosim.instants import NANOSECONDS
 from cosim.log.foreign.cdr_program import CdrBody, Wanted, compiled_program, too_few_text
 from cosim.log.foreign.field_path import FieldPath, FieldProblem, path_text
 from cosim.log.foreign.ros_definitions import (
@@ -27,7 +28,7 @@ from cosim.log.foreign.ros_definitions import (
     RosMessages,
     is_time,
 )
-from cosim.log.foreign.values import NANOSECONDS, Picker, StampNs
+from cosim.log.foreign.values import Picker, StampNs
 
 MOST_LISTED: Final = 10_000  # fields of a message
 _ENCAPSULATION: Final = 4  # bytes before the body

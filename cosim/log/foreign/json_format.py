@@ -7,8 +7,9 @@ from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
 from cosim.errors import nearest
+from cosim.instants import NANOSECONDS
 from cosim.log.foreign.field_path import FieldPath, FieldProblem, Step, path_text
-from cosim.log.foreign.values import NANOSECONDS, Picker, StampNs
+from cosim.log.foreign.values import Picker, StampNs
 
 MOST_LISTED: Final = 10_000  # fields of a message
 _DEEPEST: Final = 50  # levels of objects and lists in which fields are listed

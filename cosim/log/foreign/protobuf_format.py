@@ -8,8 +8,9 @@ from typing import Any, Final, TypeAlias
 from google.protobuf import descriptor_pb2, descriptor_pool, message, message_factory
 
 from cosim.errors import nearest
+from cosim.instants import NANOSECONDS
 from cosim.log.foreign.field_path import FieldPath, FieldProblem, path_text
-from cosim.log.foreign.values import NANOSECONDS, EnumNumber, Picker, StampNs
+from cosim.log.foreign.values import EnumNumber, Picker, StampNs
 
 Getter: TypeAlias = Callable[[Any], Any]
 

@@ -18,11 +18,12 @@ import numpy as np
 
 from cosim.arrays import NAN, Matrix
 from cosim.errors import LogError, nearest
+from cosim.instants import NANOSECONDS
 from cosim.log.foreign.field_path import FieldProblem, parse_path, topic_of
 from cosim.log.foreign.formats import format_of
 from cosim.log.foreign.spacing import Instants, Spacing, spacing_of
 from cosim.log.foreign.topics import ForeignChannel, ForeignMessage, read_channels, read_messages
-from cosim.log.foreign.values import NANOSECONDS, EnumNumber, Picker, nanoseconds_in, numbers
+from cosim.log.foreign.values import EnumNumber, Picker, nanoseconds_in, numbers
 
 LOG_TIME: Final = "log_time"
 PUBLISH_TIME: Final = "publish_time"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.log.foreign.values import NANOSECONDS
+from cosim.instants import NANOSECONDS
 
 Instants = NDArray[np.int64]
 

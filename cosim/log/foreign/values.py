@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, Final, Protocol
+from typing import Any, Protocol
 
 from cosim.arrays import NAN
+from cosim.instants import NANOSECONDS
 from cosim.log.foreign.field_path import FieldPath, FieldProblem
-
-NANOSECONDS: Final = 10**9
 
 
 class StampNs(int):
