@@ -7,7 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from cosim.arrays import Mask, Matrix, Vector, as_columns
+from cosim.arrays import Mask, Matrix, Vector
+from cosim.blocks.recorded_rows import RecordedRows
+from cosim.blocks.recorded_times import GivenTimes, RecordedTimes, RowNumbers, TimesFinder
 from cosim.core.contracts import Design, Stopped
 from cosim.core.port import Port
 from cosim.core.recorded.partial import declared_channels, partial_of, reduced_interface
@@ -15,7 +17,8 @@ from cosim.core.recorded.signals import find_channel
 from cosim.core.recording import Recording
 from cosim.core.signals import Channel, Interface, Signal
 from cosim.errors import GraphError, LogError
-from cosim.native.blocks.functions import recorded_step
+from cosim.instants import NANOSECONDS
+from cosim.native.blocks.functions import RecordedStep
 from cosim.native.step import NativeStep
 
 
@@ -56,8 +59,8 @@ class Replay:
     ) -> None:
         channel = find_channel(recording.channels, component, source=recording.label)
         _check_every_row(recording, channel)
-        time_ns = recording.time_ns(component)
-        if not len(time_ns):
+        times, constant = _look_through(recording, channel)
+        if not len(times):
             raise LogError(
                 f"{recording.label} has no rows of {component!r}; needed at least the one at t = 0"
             )
@@ -65,7 +68,7 @@ class Replay:
         shown = Interface((), recorded.outputs, {})
         if inputs:
             whole = _with_unrecorded(recording, channel) if unrecorded else recorded
-            signals = tuple(_shown(recording, channel, signal) for signal in whole.inputs)
+            signals = tuple(_shown(channel, signal, constant) for signal in whole.inputs)
             shown = replace(whole, inputs=signals)
         self._limits = _left_limits(recording, component, recorded)
         self.interface = replace(
@@ -79,18 +82,21 @@ class Replay:
             left_limits=_jumping(recorded, self._limits),
             substeps=True,  # in a loop the recorded ones are taken
         )
-        blocks = [rows[:, recorded.n_u :] for _, rows in recording.blocks(component)]
-        self._rows = blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
-        if channel.period > 1 and recording.end_ns > time_ns[-1]:
+        last_ns = times.nanoseconds(len(times) - 1, len(times))[0]
+        if channel.period > 1 and recording.end_ns > last_ns:
             # the run went on behind the last row of a component that lacks some steps
-            self._rows = np.concatenate([self._rows, self._rows[-1:]])
-            time_ns = np.append(time_ns, recording.end_ns)
-        self._time = time_ns / 1e9
-        self._step = recorded_step(self._time, self._rows)
+            time_ns = times.nanoseconds(0, len(times))
+            times = GivenTimes(np.append(time_ns, recording.end_ns))
+        self._times = times
+        self._rows = RecordedRows(recording, component, times)
+        self._kernel = RecordedStep(recorded.n_y)
+        self._show_rows()
         self._never = np.zeros(1, np.int32)
+        self._no_outputs = np.zeros(max(recorded.n_y, 1))
         if not self._limits:
             # what may jump, but has no recorded jump, has not jumped
-            self._step.left_outputs = (self._never.ctypes.data, self._rows.ctypes.data)
+            left_outputs = (self._never.ctypes.data, self._no_outputs.ctypes.data)
+            self._kernel.step.left_outputs = left_outputs
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Pass the recorded design on, so that a replay's log is as complete as the run's."""
@@ -112,8 +118,7 @@ class Replay:
         GraphError
             If ``t`` is before the recording.
         """
-        index = self._index(np.array([t]))[0]
-        row: Vector = self._rows[index].copy()
+        row: Vector = self._rows_at(np.array([t]))[0]
         return row
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
@@ -126,9 +131,9 @@ class Replay:
         GraphError
             If ``t`` starts before the recording.
         """
-        end = self._time[-1]
+        end = self._seconds(len(self._times) - 1, len(self._times))[0]
         inside = t[1:][t[1:] <= end]
-        rows = self._rows[self._index(inside)]
+        rows = self._rows_at(inside)
         if len(inside) < len(t) - 1:
             raise Stopped(rows, f"the recording ends at {end} s")
         return rows
@@ -152,12 +157,28 @@ class Replay:
 
     def native(self) -> NativeStep:
         """Return the compiled step."""
-        return self._step
+        return self._kernel.step
 
-    def _index(self, t: Vector) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-        index = np.searchsorted(self._time, t, side="right") - 1
+    def _rows_at(self, t: Vector) -> Matrix:
+        """Return the rows at some times; the compiled step has those around the last one."""
+        before = self._rows.rows
+        rows = self._rows.at(self._index(t))
+        if self._rows.rows is not before:
+            self._show_rows()
+        return rows
+
+    def _show_rows(self) -> None:
+        kept = self._rows
+        self._kernel.take(self._seconds(kept.begin, kept.stop), kept.rows)
+
+    def _seconds(self, begin: int, stop: int) -> Vector:
+        seconds: Vector = self._times.nanoseconds(begin, stop) / NANOSECONDS
+        return seconds
+
+    def _index(self, t: Vector) -> RowNumbers:
+        index = self._times.last_not_after(t)
         if (index < 0).any():
-            begin = self._time[0]
+            begin = self._seconds(0, 1)[0]
             raise GraphError(f"the recording begins at {begin} s, was asked for {t[0]} s")
         return index
 
@@ -211,11 +232,31 @@ def _with_unrecorded(recording: Recording, channel: Channel) -> Interface:
     return reduced_interface(declared, outputs | declared.input_names)
 
 
-def _shown(recording: Recording, channel: Channel, signal: Signal) -> Signal:
+def _look_through(
+    recording: Recording, channel: Channel
+) -> tuple[RecordedTimes, dict[str, tuple[float, ...]]]:
+    """Return the times of a component's rows, and the inputs that have one value in all of them."""
+    n_u = channel.interface.n_u
+    times = TimesFinder()
+    first: Vector | None = None
+    is_constant = np.ones(n_u, np.bool_)
+    for time_ns, rows in recording.blocks(channel.name):
+        times.add(time_ns)
+        if len(rows):
+            first = rows[0, :n_u].copy() if first is None else first
+            is_constant &= (rows[:, :n_u] == first).all(axis=0)
+    constant = {}
+    if first is not None:
+        for name, columns in channel.interface.input_columns().items():
+            if is_constant[columns].all():
+                constant[name] = tuple(first[columns].tolist())
+    return times.times(recording, channel.name), constant
+
+
+def _shown(channel: Channel, signal: Signal, constant: Mapping[str, tuple[float, ...]]) -> Signal:
     """Return an input; a constant one has that value where nothing drives it."""
     if signal.name not in channel.by_name:
         return replace(signal, connection="optional")
-    rows = as_columns(recording[f"{channel.name}.{signal.name}"])
-    if not (rows == rows[0]).all():
+    if signal.name not in constant:
         return signal
-    return replace(signal, start=tuple(rows[0].tolist()), connection="optional")
+    return replace(signal, start=constant[signal.name], connection="optional")

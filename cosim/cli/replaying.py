@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Annotated
@@ -146,7 +147,7 @@ def replay(
     Only the log is needed; for a recording of another tool, --scenario and --map, too.
     """
     from cosim.report.tables.run import print_summary
-    from cosim.scenario.running.replay import replay_once, replays_of
+    from cosim.scenario.running.replay import replayed_once, replays_of
 
     start_collecting()
     imported = perf_counter()
@@ -170,23 +171,27 @@ def replay(
         return
     check_plot(plot, out)
     notice = None if quiet else print_notice
-    with show_progress(quiet or as_json) as progress, prints_to_stderr():
-        again = replay_once(replays, out, force=force, progress=progress, notice=notice)
-    if plot is not None:
-        from cosim.report.plots import plot_run
+    with ExitStack() as resources:
+        with show_progress(quiet or as_json) as progress, prints_to_stderr():
+            replayed = replayed_once(replays, out, force=force, progress=progress, notice=notice)
+            again = resources.enter_context(replayed)
+        if plot is not None:
+            from cosim.report.plots import plot_run
 
-        plot_run(again, plot)
-    if verify and replays.source is not None:
-        from cosim.report.tables.verification import print_verification
-        from cosim.report.verification import verify as verify_replay
+            plot_run(again, plot)
+        if verify and replays.source is not None:
+            from cosim.report.tables.verification import print_verification
+            from cosim.report.verification import verify as verify_replay
 
-        verification = verify_replay(replays.source, again)
-        print_verification(verification, replays.source, path=log, as_json=as_json, quiet=quiet)
-        if not verification.passed:
-            raise typer.Exit(1)
-        return
-    wall = {"imports": imported - BEGAN, "replay": perf_counter() - imported}
-    print_summary(again, wall=wall, profile=None, as_json=as_json, quiet=quiet)
+            source = replays.source
+            verification = verify_replay(source, again)
+            print_verification(verification, source, path=log, as_json=as_json, quiet=quiet)
+            if not verification.passed:
+                raise typer.Exit(1)
+            return
+        wall = {"imports": imported - BEGAN, "replay": perf_counter() - imported}
+        is_kept = out is not None
+        print_summary(again, wall=wall, profile=None, as_json=as_json, quiet=quiet, is_kept=is_kept)
 
 
 def _check_choices(

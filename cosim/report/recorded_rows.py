@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from math import ceil
+from typing import Final
 
 import numpy as np
 
-from cosim.arrays import Matrix, Nanoseconds, as_columns
+from cosim.arrays import Matrix, Nanoseconds, Vector, as_columns
 from cosim.core.port import Port
+from cosim.core.recorded.run import RecordedRun, RecordedWindow
 from cosim.core.recorded.signals import find_signal
 from cosim.core.recording import Recording
 from cosim.core.signals import Signal
 from cosim.errors import LogError, UnknownSignalError
+from cosim.instants import NANOSECONDS
 from cosim.scenario.recorded_metadata import component_record
 from cosim.units import conversion
+
+_PART_STEPS: Final = 2**17  # of a run that are looked at together
 
 
 def signal_of(recording: Recording, port: str) -> Signal:
@@ -140,6 +146,42 @@ def beside_truth(
         known = (true_ns[0] <= wanted) & (wanted <= true_ns[-1])
     columns = [np.interp(wanted[known], true_ns, column) for column in true_rows.T]
     return own_ns[known], own_rows[known], np.stack(columns, axis=1)
+
+
+def parts_beside_truth(
+    recording: Recording, estimate: str, true_ports: Sequence[str]
+) -> Iterator[tuple[Nanoseconds, Matrix, Matrix]]:
+    """Yield what :func:`beside_truth` returns, of a long run a part of its time after another."""
+    if not isinstance(recording, RecordedRun) or recording.steps <= _PART_STEPS:
+        yield beside_truth(recording, estimate, true_ports)
+        return
+    ports = [estimate, *true_ports]
+    channels = [recording.channels[Port.parse(port).component] for port in ports]
+    # What is interpolated at a time has the rows around it.
+    margin_ns = max(channel.period for channel in channels) * recording.step_ns
+    before_ns = margin_ns + ceil(max(lag_of(recording, estimate), 0.0) * NANOSECONDS)
+    span_ns = _PART_STEPS * recording.step_ns
+    end_ns = recording.end_ns
+    for begin_ns in range(end_ns - recording.steps * recording.step_ns, end_ns + 1, span_ns):
+        last_ns = begin_ns + span_ns - 1
+        part = RecordedWindow(recording, begin_ns - before_ns, last_ns + margin_ns)
+        time_ns, own, true = beside_truth(part, estimate, true_ports)
+        inside = (begin_ns <= time_ns) & (time_ns <= last_ns)
+        yield time_ns[inside], own[inside], true[inside]
+
+
+def last_row(recording: Recording, component: str) -> Vector | None:
+    """Return the last row of a component: inputs, then outputs; None: it has none."""
+    channel = recording.channels[component]
+    last: Vector | None = None
+    if isinstance(recording, RecordedRun):
+        first_ns = recording.end_ns - channel.period * recording.step_ns
+        for _, rows in recording.blocks(component, first_ns=first_ns):
+            last = rows[-1].copy() if len(rows) else last
+    if last is None:
+        for _, rows in recording.blocks(component):
+            last = rows[-1].copy() if len(rows) else last
+    return last
 
 
 def difference(first: Recording, other: Recording, port: str) -> tuple[Matrix, Matrix]:

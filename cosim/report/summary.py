@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
@@ -18,7 +18,14 @@ from cosim.core.recorded.signals import find_signal
 from cosim.core.recording import Recording
 from cosim.core.stages.substep_control import SubstepCounts
 from cosim.errors import LogError
-from cosim.report.recorded_rows import beside_truth, element_names, has_signal, lag_of, rows_of
+from cosim.report.recorded_rows import (
+    element_names,
+    has_signal,
+    lag_of,
+    last_row,
+    parts_beside_truth,
+    rows_of,
+)
 from cosim.scenario.document.schema import truth_ports
 from cosim.scenario.identification.run_verdicts import OUTPUT_ERROR
 from cosim.scenario.recorded_metadata import (
@@ -339,35 +346,65 @@ def _changed_states(recording: Recording) -> Iterator[StateChange]:
 def _last_values(recording: Recording) -> dict[str, float | list[float]]:
     last: dict[str, float | list[float]] = {}
     for name, channel in recording.channels.items():
+        row = last_row(recording, name)
+        if row is None:
+            continue
+        y = row[channel.interface.n_u :]
+        columns = channel.interface.output_columns()
         for signal in channel.interface.outputs:
-            output = f"{name}.{signal.name}"
-            rows = recording[output]
-            if len(rows):
-                last[output] = rows[-1].tolist()
+            values = y[columns[signal.name]].tolist()
+            last[f"{name}.{signal.name}"] = values[0] if signal.size == 1 else values
     return last
+
+
+@final
+class _ErrorNorms:
+    """The largest error and the sum of squares of errors that come part by part."""
+
+    def __init__(self) -> None:
+        self._count = 0
+        self._squares = 0.0
+        self._largest = 0.0
+
+    def add(self, errors: Matrix) -> None:
+        """Add some rows of errors."""
+        self._count += errors.size
+        self._squares += float(np.sum(errors**2))
+        self._largest = float(np.maximum(self._largest, errors.max(initial=0.0)))
+
+    def values(self, otherwise: float) -> tuple[float, float]:
+        """Return the largest one, ``otherwise`` if there was none, and the root mean square."""
+        if not self._count:
+            return otherwise, float("nan")
+        return self._largest, float(np.sqrt(self._squares / self._count))
 
 
 @np.errstate(over="ignore", invalid="ignore")  # of a recording that may hold any numbers
 def _signal_error(
     recording: Recording, estimate: str, true_ports: Sequence[str], since: float
 ) -> SignalError:
-    shared_ns, estimated, true = beside_truth(recording, estimate, true_ports)
-    error: Matrix = np.abs(estimated - true)
-    time = shared_ns / 1e9
-    if not time.size or time[-1] < since:  # the run ended before the identification began
-        since = 0.0
-    window = error[time >= since]
     lag = lag_of(recording, estimate)
-    if lag:
-        has_value = ~np.isnan(window).any(axis=1)  # what lags has none at the start
-        window = window[has_value]
-    rms = last = float("nan")
-    largest = float("nan") if lag else 0.0
-    if window.size:
-        rms = float(np.sqrt(np.mean(window**2)))
-        largest = float(window.max(initial=0.0))
-    if len(error):
+    in_all = _ErrorNorms()
+    later = _ErrorNorms()
+    last = last_time = float("nan")
+    for shared_ns, estimated, true in parts_beside_truth(recording, estimate, true_ports):
+        if not len(shared_ns):
+            continue
+        error: Matrix = np.abs(estimated - true)
+        time = shared_ns / 1e9
         last = float(error[-1].max())
+        last_time = float(time[-1])
+        if lag:
+            has_value = ~np.isnan(error).any(axis=1)  # what lags has none at the start
+            error = error[has_value]
+            time = time[has_value]
+        in_all.add(error[time >= 0.0])
+        later.add(error[time >= since])
+    norms = later
+    if not last_time >= since:  # the run ended before the identification began
+        norms = in_all
+        since = 0.0
+    largest, rms = norms.values(float("nan") if lag else 0.0)
     return SignalError(estimate, ", ".join(true_ports), since, largest, rms, last, lag)
 
 

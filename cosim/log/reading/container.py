@@ -66,6 +66,8 @@ class Container:
     ----------
     is_unfinished : bool
         Whether it is still written, or its writer was killed.
+    is_indexed : bool
+        Whether cosim wrote it, so that its summary is whole, and each channel in order of time.
 
     Raises
     ------
@@ -77,6 +79,7 @@ class Container:
         self.path = path
         self.own = own
         self.is_unfinished = False
+        self.is_indexed = False
         try:
             with self._stream() as stream:
                 self._index_steady(stream)
@@ -110,7 +113,7 @@ class Container:
         else:
             self.summary = index.summary
             self.contents = index.contents
-        self._is_indexed = index is not None
+        self.is_indexed = index is not None
         self.is_unfinished = index is not None and index.is_unfinished
         chunk_indexes = self.summary.chunk_indexes
         self._chunk_indexes = {chunk.chunk_start_offset: chunk for chunk in chunk_indexes}
@@ -306,7 +309,7 @@ class Container:
     def attachments(self) -> dict[str, RecordSpan]:
         """Return the attachments' names and where they stand, without their content."""
         spans = {}
-        if self._is_indexed:
+        if self.is_indexed:
             names = {index.offset: index.name for index in self.summary.attachment_indexes}
             return {names[span.start]: span for span in self.contents.attachments}
         with self.open() as stream:

@@ -407,6 +407,11 @@ class Log(RecordedRun):
             for part in blocks_within(iter([(time_ns, rows)]), first_ns, last_ns):
                 yield name, *part
 
+    @property
+    def row_bytes(self) -> int:
+        """The memory that the rows of all components take, as doubles [bytes]."""
+        return self._rows.row_bytes
+
     def load(self, *components: str) -> None:
         """Read several components in one pass over the file; none named: all.
 

@@ -25,7 +25,9 @@ from cosim.log.reading.stream import RowStream, TimedRows, check_grid, record_ti
 _DOUBLE_BYTES = 8
 _MOST_AHEAD = 2**26  # bytes of rows that are read ahead, or that a block has
 _ALWAYS_AHEAD = 2**24  # bytes of rows that every pass reads: little beside what a pass costs
+_MOST_WHOLE = 2**24  # bytes of a component's rows that are read whole where parts would do
 _MOST_KEPT = 2**24  # bytes of rows that are kept where one of their signals is asked for
+_MOST_OF_ALL = 2**26  # bytes of rows that are kept of all components together
 _AHEAD_GROWTH = 64  # components that a pass reads ahead, in units of those of the one before
 _MOST_SORTED = 2**28  # bytes of rows that are sorted in memory to be hashed
 
@@ -61,15 +63,25 @@ class LogRows:
         self._declared = declared
         self._parts = parts
         self._channels = channels
-        self._rows: dict[str, TimedRows] = {}
+        self._rows: dict[str, TimedRows] = {}  # read by load
+        self._kept: dict[str, TimedRows] = {}  # asked for, the last one behind all others
+        self._kept_bytes = 0
         self._ahead: dict[str, TimedRows] = {}  # read together with the last one asked for
         self._passes = 0
 
     def of(self, component: str) -> TimedRows:
-        """Return times and rows of a component."""
-        if component not in self._rows:
-            self._rows[component] = self._read_ahead(component)
-        return self._rows[component]
+        """Return times and rows of a component; keep those that were asked for last."""
+        if component in self._rows:
+            return self._rows[component]
+        rows = self._kept.pop(component, None)
+        if rows is None:
+            rows = self._read_ahead(component)
+            self._kept_bytes += _bytes_of(rows)
+        self._kept[component] = rows  # as the last one
+        while self._kept_bytes > _MOST_OF_ALL and len(self._kept) > 1:
+            oldest = next(iter(self._kept))
+            self._kept_bytes -= _bytes_of(self._kept.pop(oldest))
+        return rows
 
     def times(self, component: str) -> Nanoseconds:
         """Return the times of a component's rows; of one with many nothing else is kept."""
@@ -101,9 +113,9 @@ class LogRows:
         Chunks without rows in ``first_ns <= time <= last_ns`` are not read. Of few rows all are
         read at once, and may be in any order in the file.
         """
-        if component in self._rows:
-            yield self._rows[component]
-        elif self._row_bytes(component) > _MOST_AHEAD:
+        if component in self._rows or component in self._kept:
+            yield self.of(component)
+        elif self._row_bytes(component) > self._most_whole:
             yield from self._stream(component, first_ns=first_ns, last_ns=last_ns)
         elif first_ns is None and last_ns is None:
             yield self._read_ahead(component)
@@ -118,7 +130,7 @@ class LogRows:
         Of few rows all are read at once, and may be in any order in the file.
         """
         size = sum(self._row_bytes(name) for name in components)
-        if size <= _MOST_AHEAD:
+        if size <= self._most_whole:
             whole = self._read_rows(components, first_ns=first_ns, last_ns=last_ns)
             for name, (time_ns, rows) in whole.items():
                 yield name, time_ns, rows
@@ -128,6 +140,11 @@ class LogRows:
         for name, stream in streams.items():
             if not stream.ordered:
                 raise self._unordered(name)
+
+    @property
+    def row_bytes(self) -> int:
+        """The memory that the rows of all components take, as doubles [bytes]."""
+        return sum(self._row_bytes(name) for name in self._channels)
 
     def load(self, components: Sequence[str]) -> None:
         """Read several components in one pass over the file; none named: all."""
@@ -184,9 +201,15 @@ class LogRows:
             digests[name].update(hash_input(time_ns, rows))
         return [name for name, stream in streams.items() if not stream.ordered]
 
+    @property
+    def _most_whole(self) -> int:
+        """How many bytes of rows are read whole; more if they may have to be sorted."""
+        return _MOST_WHOLE if self._file.is_indexed else _MOST_AHEAD
+
     def _is_small(self, component: str) -> bool:
         """Return whether all rows of a component are in memory, or may be at any time."""
-        return component in self._rows or self._row_bytes(component) <= _MOST_KEPT
+        is_read = component in self._rows or component in self._kept
+        return is_read or self._row_bytes(component) <= _MOST_KEPT
 
     def _read_columns(self, number: int, columns: slice) -> Matrix | None:
         """Read some columns of a part; None: its rows are not in order of time."""
@@ -436,6 +459,10 @@ def _side_by_side(parts: list[SignalRows]) -> tuple[Nanoseconds, Matrix]:
     time_ns.setflags(write=False)
     values.setflags(write=False)
     return time_ns, values
+
+
+def _bytes_of(rows: TimedRows) -> int:
+    return sum(array.nbytes for array in rows)
 
 
 def _size(columns: slice) -> int:

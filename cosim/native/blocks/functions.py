@@ -6,7 +6,7 @@ import ctypes
 from collections.abc import Sequence
 from ctypes import Structure, c_double, c_int32, c_int64, c_void_p
 from dataclasses import dataclass
-from typing import Final, Literal, TypeAlias
+from typing import Final, Literal, TypeAlias, final
 
 import numpy as np
 
@@ -231,17 +231,31 @@ def table_step(
     return _instant_step("cosim_table_at", state, width, *arrays)
 
 
-def recorded_step(t: Vector, rows: Matrix) -> NativeStep:
-    """Build the rows (N, n) of a recording at t (N,); it declines before it and after it.
+@final
+class RecordedStep:
+    """Rows of a recording; the step declines before the first one and after the last one.
 
-    Rows may be strided.
+    Parameters
+    ----------
+    width : int
+        Of a row.
     """
-    instants = np.ascontiguousarray(t, np.float64)
-    values = rows if rows.strides[-1] == DOUBLE else np.ascontiguousarray(rows, np.float64)
-    count, width = values.shape
-    stride = values.strides[0] // DOUBLE
-    state = _RecordedStruct(width, count, stride, pointer(instants), values.ctypes.data)
-    return _instant_step("cosim_recorded_at", state, width, instants, values)
+
+    def __init__(self, width: int) -> None:
+        self._state = _RecordedStruct(width)
+        # The step keeps what it points to: the rows of this.
+        self.step = _instant_step("cosim_recorded_at", self._state, width, self)
+
+    def take(self, t: Vector, rows: Matrix) -> None:
+        """Take rows (N, n), which may be strided, at t (N,), in place of those before."""
+        instants = np.ascontiguousarray(t, np.float64)
+        values = rows if rows.strides[-1] == DOUBLE else np.ascontiguousarray(rows, np.float64)
+        self._taken = (instants, values)
+        self._state.count = len(values)
+        self._state.stride = values.strides[0] // DOUBLE
+        self._state.t = pointer(instants)
+        self._state.rows = values.ctypes.data
+        self._state.near = 0
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

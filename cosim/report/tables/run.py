@@ -53,6 +53,7 @@ def print_summary(
     profile: Mapping[str, float] | None,
     as_json: bool,
     quiet: bool,
+    is_kept: bool = True,
 ) -> None:
     """Print the summary of a run.
 
@@ -64,8 +65,10 @@ def print_summary(
     profile : mapping of component name to float, or None
         Wall time of each component [s].
     as_json, quiet : bool
+    is_kept : bool
+        Whether its log, if it has one, is there afterwards.
     """
-    path = _path_of(recording)
+    path = _path_of(recording) if is_kept else None
     if quiet and not as_json:
         return
     summary = summarize(recording)

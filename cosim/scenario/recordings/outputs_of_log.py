@@ -66,6 +66,7 @@ class OutputsOfLog:
     ) -> None:
         self._run = run
         self._columns = columns
+        self._whole: dict[str, tuple[Nanoseconds, Matrix]] = {}
         channels = {}
         for name, own in columns.items():
             declared = partial.declared[name]
@@ -155,8 +156,9 @@ class OutputsOfLog:
     ) -> Iterator[tuple[Nanoseconds, Matrix]]:
         """Yield times and rows of a component, all at once; NaN where an input is not recorded."""
         channel = find_channel(self._channels, component, source=self.label)
-        whole = self.time_ns(component), self._rows(channel)
-        yield from blocks_within(iter([whole]), first_ns, last_ns)
+        if component not in self._whole:
+            self._whole[component] = self.time_ns(component), self._rows(channel)
+        yield from blocks_within(iter([self._whole[component]]), first_ns, last_ns)
 
     def _rows(self, channel: Channel) -> Matrix:
         count = len(self.time_ns(channel.name))

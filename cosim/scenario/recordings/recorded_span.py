@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Final
+
 from cosim.core.clock import Clock
 from cosim.core.recording import CompleteRecording
 from cosim.errors import LogError
 from cosim.log.contents.result import PARTIAL_STATUS
 from cosim.scenario.recorded_metadata import recorded_window, replay_origin
+
+_DOUBLE: Final = 8  # bytes
+_MOST_LOADED: Final = 2**24  # bytes of rows that are read before they are needed
 
 
 def check_whole(source: CompleteRecording) -> None:
@@ -52,9 +58,13 @@ def check_end(source: CompleteRecording) -> None:
     if source.steps == 0:
         raise LogError("the log has no step to replay; it ends where it begins")
     channel = next(iter(source.channels.values()))
-    times = source.time_ns(channel.name).tolist() or [0]
-    first_ns = times[0]
-    last_ns = times[-1]
+    first_ns = last_ns = 0
+    is_first = True
+    for time_ns, _ in source.blocks(channel.name):
+        if len(time_ns):
+            first_ns = int(time_ns[0]) if is_first else first_ns
+            last_ns = int(time_ns[-1])
+            is_first = False
     is_last = 0 <= end_ns - last_ns < channel.period * source.step_ns
     if end_ns != first_ns + source.steps * source.step_ns or not is_last:
         raise LogError(
@@ -77,3 +87,14 @@ def check_clock(clock: Clock, source: CompleteRecording) -> None:
             f"{source.label}: its scenario has steps of {clock.step_ns} ns from {clock.start_ns} "
             f"ns on, its rows of {source.step_ns} ns from {first_ns} ns on"
         )
+
+
+def load_rows(source: CompleteRecording, components: Sequence[str]) -> None:
+    """Read the rows of components in one pass over the file, where they fit into memory well."""
+    size = 0
+    for name in components:
+        channel = source.channels[name]
+        width = channel.columns.stop - channel.start
+        size += (source.steps // channel.period + 1) * (width + 1) * _DOUBLE
+    if size <= _MOST_LOADED:
+        source.load(*components)

@@ -29,7 +29,7 @@ from cosim.scenario.recorded_metadata import component_metadata, component_recor
 from cosim.scenario.recorded_tables import CodeRecord
 from cosim.scenario.recordings.embedding import recorded_fmus
 from cosim.scenario.recordings.recorded_scenario import recorded_document
-from cosim.scenario.recordings.recorded_span import check_clock, check_whole
+from cosim.scenario.recordings.recorded_span import check_clock, check_whole, load_rows
 from cosim.scenario.recordings.replay_changes import NO_CHANGES, NO_SWAPS, Swaps, replay_changes
 from cosim.scenario.recordings.rerunning import fmu_paths, rerun_specs, with_recorded_reports
 
@@ -114,7 +114,7 @@ def rebuilt(
         part = _part(source, scenario, left_out, components or ())
         left_out = tuple(name for name in part.copied if scenario.specs[name].computable)
     runs = scenario if part is None else part.scenario
-    source.load(*_recorded_in(source, runs, left_out))  # in one pass over the file
+    load_rows(source, _recorded_in(source, runs, left_out))
     builder = Builder(
         runs,
         resources,

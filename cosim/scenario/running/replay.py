@@ -5,11 +5,11 @@ A log of cosim is opened and read once; a recording of another tool is read by e
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol, final
+from typing import Any, Final, Protocol, final
 
 from cosim.arguments import (
     callable_argument,
@@ -38,6 +38,8 @@ from cosim.scenario.recordings.replay_request import (
 from cosim.scenario.running.execution import load, run
 from cosim.scenario.running.field_replay import check_field_options, with_recorded_components
 
+_LARGE: Final = 2**25  # bytes of rows
+
 
 class Replays(Protocol):
     """A recording, and how it is replayed."""
@@ -50,6 +52,11 @@ class Replays(Protocol):
     @property
     def source(self) -> Log | None:
         """The log; None: it is of another tool."""
+        ...
+
+    @property
+    def is_large(self) -> bool:
+        """Whether what is replayed takes much memory."""
         ...
 
     @property
@@ -89,6 +96,11 @@ class LogReplays:
     def label(self) -> str:
         """Its path."""
         return self.source.label
+
+    @property
+    def is_large(self) -> bool:
+        """Whether the log takes much memory."""
+        return self.source.row_bytes > _LARGE
 
     @property
     def changes(self) -> Mapping[str, Any]:
@@ -140,6 +152,11 @@ class FieldReplays:
     def source(self) -> None:
         """It is no log of cosim."""
         return None
+
+    @property
+    def is_large(self) -> bool:
+        """Whether it takes much memory: it is read as a whole, as each component takes its own."""
+        return False
 
     def check(self, values: Mapping[str, Any]) -> None:
         """Build and prepare the replay with some values."""
@@ -332,3 +349,28 @@ def replay_once(
     replays.check_target(out, force=force)
     target = Target(out, force, notice=notice)
     return replays.record({}, target, progress=progress, profile=profile)
+
+
+@contextmanager
+def replayed_once(
+    replays: Replays,
+    out: str | Path | None,
+    *,
+    force: bool,
+    progress: Progress | None,
+    notice: Notice | None,
+) -> Iterator[Log | Memory]:
+    """Yield a replay without other values; parameters as of :func:`replay`.
+
+    Without ``out`` it is gone behind the ``with`` block. Till then it is in memory, or, where that
+    is much, in a temporary file.
+    """
+    if out is not None or not replays.is_large:
+        yield replay_once(replays, out, force=force, progress=progress, notice=notice)
+        return
+    from cosim.temporary import TemporaryFolder  # most replays need none
+
+    replays.check_target(out, force=force)
+    with TemporaryFolder("replay") as folder:
+        target = Target(folder / "replay.mcap")
+        yield replays.record({}, target, progress=progress)

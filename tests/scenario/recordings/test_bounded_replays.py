@@ -1,0 +1,154 @@
+"""A replay of a long log takes no more memory than one of a short log, and prints the same."""
+
+import json
+import tracemalloc
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.blocks import recorded_rows
+from cosim.cli.app import main
+from cosim.core.stages import engine
+from cosim.log import open_log
+from cosim.log.reading import rows as log_rows
+from cosim.log.writing import encoding
+from cosim.report import recorded_rows as report_rows
+from cosim.report.summary import summarize
+from cosim.report.verification import verify
+from cosim.scenario.recordings import recorded_span
+from cosim.scenario.running import replay
+from tests.log.recordings import make_chunks_small
+
+SCENARIO = """
+[scenario]
+name = "loop"
+stop = 10.0
+step = 1e-3
+
+[models.academic]
+n_a = 2
+A  = [[0, 1, 1], [0, -2, 1], [1, 0, 1]]
+Bu = [[0], [2], [1]]
+Bd = [[1], [0], [0]]
+C  = [[2, 0, 1]]
+
+[components.u]
+kind = "sine"
+amplitude = 1.0
+rate = 3.0
+
+[components.d]
+kind = "sine"
+amplitude = 0.5
+rate = 20.0
+
+[components.plant]
+kind = "descriptor"
+model = "academic"
+x_a0 = [1.0, -1.0]
+
+[components.observer]
+kind = "unknown-input-observer"
+model = "academic"
+L = [4.0, 0.0]
+filter_rate = 1e3
+
+[connections]
+"plant.u" = "u.y"
+"plant.delta" = "d.y"
+"observer.u" = "u.y"
+"observer.y" = "plant.y"
+
+[truth]
+"observer.delta" = "d.y"
+"observer.x_a" = "plant.x_a"
+"""
+
+
+@pytest.fixture
+def small_limits(monkeypatch):
+    """Let a log of 10 000 steps be a large one."""
+    monkeypatch.setattr(recorded_rows, "_MOST_BYTES", 2**14)
+    monkeypatch.setattr(recorded_rows, "_LEAST_BYTES", 2**14)
+    monkeypatch.setattr(report_rows, "_PART_STEPS", 2**10)
+    monkeypatch.setattr(replay, "_LARGE", 0)
+    monkeypatch.setattr(recorded_span, "_MOST_LOADED", 0)
+    monkeypatch.setattr(engine, "BLOCK_BYTES", 2**16)
+    make_chunks_small(monkeypatch, 2**16)
+    monkeypatch.setattr(encoding, "_LARGEST_FLUSH", 2**18)
+    monkeypatch.setattr(encoding, "_BUFFER_BYTES", 2**18)
+    for limit in ("_MOST_WHOLE", "_MOST_KEPT", "_MOST_AHEAD", "_ALWAYS_AHEAD", "_MOST_OF_ALL"):
+        monkeypatch.setattr(log_rows, limit, 2**14)
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory):
+    """Record runs of 20 000 and 80 000 steps, in small chunks."""
+    folder = tmp_path_factory.mktemp("logs")
+    (folder / "loop.toml").write_text(SCENARIO)
+    paths = []
+    with pytest.MonkeyPatch.context() as patch:
+        make_chunks_small(patch, 2**16)
+        for stop in (20.0, 80.0):
+            path = folder / f"{stop}.mcap"
+            cosim.run(folder / "loop.toml", out=path, set={"scenario.stop": stop})
+            paths.append(path)
+    return paths
+
+
+def output_of(capsys, *arguments):
+    """Return what a command prints, but its wall time."""
+    with pytest.raises(SystemExit) as ended:
+        main(["replay", *map(str, arguments), "--json"])
+    assert not ended.value.code
+    content = json.loads(capsys.readouterr().out)
+    content.pop("wall", None)
+    return content
+
+
+@pytest.mark.parametrize("arguments", [[], ["--verify"]])
+def test_a_replay_in_parts_prints_what_one_in_memory_does(logs, capsys, request, arguments):
+    """Root mean squares are sums in another order."""
+    whole = output_of(capsys, logs[0], *arguments)
+    request.getfixturevalue("small_limits")
+    in_parts = output_of(capsys, logs[0], *arguments)
+    for content in (whole, in_parts):
+        for signal in content.get("signals", []):
+            signal.pop("rms", None)
+    assert in_parts == whole
+    assert in_parts.get("log") is None
+
+
+@pytest.mark.usefixtures("small_limits")
+def test_the_memory_of_a_replay_does_not_grow_with_its_log(logs, tmp_path):
+    """Four times as long a log takes a tenth of its further rows at most."""
+    peaks = []
+    for number, path in enumerate((logs[0], *logs)):  # the first one imports
+        source = open_log(path)
+        tracemalloc.start()
+        again = cosim.replay(source, out=tmp_path / f"{number}.mcap")
+        assert verify(source, again).passed
+        summarize(again)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    added_bytes = open_log(logs[1]).row_bytes - open_log(logs[0]).row_bytes
+    # The summaries of both logs have 250 bytes for each of their chunks of 64 kB.
+    assert peaks[2] - peaks[1] < added_bytes / 10
+
+
+@pytest.mark.parametrize("filter_name", ["first-order", "savitzky-golay"])
+def test_errors_of_a_long_run_are_those_of_all_its_parts(tmp_path, monkeypatch, filter_name):
+    """Largest and last ones bit for bit, also of an estimate that lags."""
+    window = "half_width = 0.2\n" if filter_name == "savitzky-golay" else "filter_rate = 1e3\n"
+    text = SCENARIO.replace("filter_rate = 1e3\n", f'filter = "{filter_name}"\n{window}')
+    (tmp_path / "loop.toml").write_text(text)
+    path = tmp_path / "a.mcap"
+    whole = summarize(cosim.run(tmp_path / "loop.toml", out=path, set={"scenario.stop": 20.0}))
+    assert bool(whole.signals[0].lag) == (filter_name == "savitzky-golay")
+    for steps in (500, 7777, 19_999):
+        monkeypatch.setattr(report_rows, "_PART_STEPS", steps)
+        in_parts = summarize(open_log(path))
+        for a, b in zip(whole.signals, in_parts.signals, strict=True):
+            assert (a.largest, a.last, a.since) == (b.largest, b.last, b.since)
+            assert np.isclose(a.rms, b.rms, rtol=1e-12, atol=0)
