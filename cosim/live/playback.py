@@ -8,7 +8,8 @@ up; where sending takes too long, the next windows are due already.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterator
 from typing import Final, final
 
 import numpy as np
@@ -19,12 +20,12 @@ from cosim.instants import NANOSECONDS
 from cosim.live.publisher import Publisher
 from cosim.live.server import LiveServer
 from cosim.log import Log
-from cosim.log.contents.messages import encode_event, encode_log, encode_substep
-from cosim.log.contents.preamble import EVENT_TOPIC, LOG_TOPIC, STEP_TOPIC
+from cosim.log.contents.preamble import LOG_TOPIC
 from cosim.scenario.recorded_tables import Lateness
 from cosim.scenario.running.real_time import BLOCK, RealTimePace, pace_of
 
 _LONGEST_SLEEP: Final = 0.05  # s, until it is looked whether playback is to end
+_TOGETHER: Final = 10_000  # messages that are read at once
 
 
 def play(log: Log, server: LiveServer, *, speed: float = 1.0, loop: bool = False) -> Lateness:
@@ -99,8 +100,8 @@ class Playback:
             names=server.signals,
             source=str(log.path),
         )
-        self._messages = _messages(log)
-        for topic in dict.fromkeys([LOG_TOPIC, *(topic for topic, _, _ in self._messages)]):
+        self._message_counts = log.message_counts()
+        for topic in dict.fromkeys([LOG_TOPIC, *self._message_counts]):
             self._publisher.advertise(topic)
         starts = [cursor.next_ns for cursor in self._cursors()]
         known = [start for start in starts if start is not None]
@@ -137,7 +138,7 @@ class Playback:
     def _play_once(self, shift_ns: int) -> None:
         """Play all windows, ``shift_ns`` later than when the first round began."""
         cursors = self._cursors()
-        first = 0  # of the messages
+        messages = _MessageCursor(self._log, sum(self._message_counts.values()), self._start_ns)
         end_ns = self._start_ns
         while True:
             self._check()
@@ -148,13 +149,11 @@ class Playback:
             for cursor in cursors:
                 for time_ns, rows in cursor.take(end_ns):
                     self._publisher.add_rows(cursor.component, time_ns, rows)
-            while first < len(self._messages) and self._messages[first][1] <= end_ns:
-                self._publisher.add_message(*self._messages[first])
-                first += 1
+            for message in messages.take(end_ns):
+                self._publisher.add_message(*message)
             self._publisher.send()
-            left = [cursor.next_ns for cursor in cursors]
+            left = [messages.next_ns, *(cursor.next_ns for cursor in cursors)]
             following = [instant for instant in left if instant is not None]
-            following += [instant for _, instant, _ in self._messages[first : first + 1]]
             if not following:
                 return
             windows = -((self._start_ns - min(following)) // self._window_ns)
@@ -211,14 +210,48 @@ class _Cursor:
             self._first = 0
 
 
-def _messages(log: Log) -> list[tuple[str, int, bytes]]:
-    """Return topic, time [ns] and data of all messages beside the rows, in the order of time."""
-    messages: list[tuple[str, int, bytes]] = []
-    for message in log.messages():
-        data = encode_log(message.time_ns, message.level, message.source, message.text)
-        messages.append((LOG_TOPIC, message.time_ns, data))
-    for event in log.events():
-        messages.append((EVENT_TOPIC, event.time_ns, encode_event(event)))
-    for substep in log.substeps():
-        messages.append((STEP_TOPIC, substep.begin_ns, encode_substep(substep)))
-    return sorted(messages, key=lambda message: message[1])
+@final
+class _MessageCursor:
+    """The messages of a log beside its rows, read for some time at once, as if evenly spread.
+
+    Parameters
+    ----------
+    log : Log
+    count : int
+        How many there are.
+    start_ns : int
+        When the rows begin [ns].
+    """
+
+    def __init__(self, log: Log, count: int, start_ns: int) -> None:
+        self._log = log
+        self._last_ns: int | None = start_ns
+        parts = max(1, count // _TOGETHER)
+        self._span_ns = max(1, (log.end_ns - start_ns) // parts)
+        self._waiting: deque[tuple[str, int, bytes]] = deque()
+        if count:
+            self._read(None)
+        else:
+            self._last_ns = None
+
+    @property
+    def next_ns(self) -> int | None:
+        """Time of the next message [ns]; None: there is none."""
+        return self._waiting[0][1] if self._waiting else None
+
+    def take(self, until_ns: int) -> Iterator[tuple[str, int, bytes]]:
+        """Yield topic, time [ns] and data of the next messages up to a time."""
+        while self._waiting and self._waiting[0][1] <= until_ns:
+            message = self._waiting.popleft()
+            if not self._waiting and self._last_ns is not None:
+                self._read(self._last_ns + 1)
+            yield message
+
+    def _read(self, first_ns: int | None) -> None:
+        """Read the next messages, from a time on; all that are left in the last part."""
+        while not self._waiting and self._last_ns is not None:
+            self._last_ns += self._span_ns
+            if self._last_ns >= self._log.end_ns:
+                self._last_ns = None
+            self._waiting.extend(self._log.messages_between(first_ns, self._last_ns))
+            first_ns = None if self._last_ns is None else self._last_ns + 1

@@ -10,12 +10,15 @@ import pytest
 from mcap.reader import make_reader
 
 import cosim
+from cosim.core.recording import SignalEvent
 from cosim.errors import LogError, UnknownSignalError, UsageError
 from cosim.live import LiveServer, play
+from cosim.live import playback as playing
 from cosim.live.playback import Playback
 from cosim.log import McapRecorder
+from cosim.log.contents.messages import encode_event, encode_log
 
-from ..log.recordings import STEP_NS, blocks, layout, plan, table
+from ..log.recordings import STEP_NS, blocks, layout, make_chunks_small, plan, table
 from .viewer import Viewer, fields
 
 
@@ -262,3 +265,61 @@ def test_play_returns_how_late_it_was(log, server):
     lateness = play(log, server, speed=100.0)
     assert lateness.factor == 100.0
     assert lateness.blocks == 1
+
+
+@pytest.fixture
+def spoken(tmp_path):
+    """Record 400 steps with hundreds of messages and events, some at one time, in small chunks."""
+    rows = table(layout(), 400)
+    random = np.random.default_rng(5)
+    with pytest.MonkeyPatch.context() as patch:
+        make_chunks_small(patch, 4000)
+        with McapRecorder(tmp_path / "a.mcap", events=True) as recorder:
+            recorder.begin(plan(layout()))
+            for number, time_ns in enumerate(random.integers(0, 401, 500) * STEP_NS):
+                recorder.message(int(time_ns), "info", "plant", str(number))
+                if number % 3 == 0:
+                    recorder.event(SignalEvent(int(time_ns), "set", "plant.u", (1.0,), ()))
+            for block, signals in blocks(rows, 70):
+                recorder.write(block, signals)
+    return cosim.open_log(tmp_path / "a.mcap")
+
+
+@pytest.mark.parametrize("together", [1, 7, 100, 10_000])
+def test_messages_are_played_in_their_order_however_few_are_read_at_once(
+    spoken, monkeypatch, together
+):
+    """Each once: those of the log in the order of time, messages before events."""
+    monkeypatch.setattr(playing, "_TOGETHER", together)
+    expected = [
+        (message.time_ns, 0, encode_log(message.time_ns, "info", "plant", message.text))
+        for message in spoken.messages()
+    ]
+    expected += [(event.time_ns, 1, encode_event(event)) for event in spoken.events()]
+    expected.sort(key=lambda entry: entry[:2])
+    counts = spoken.message_counts()
+    assert counts == {"/cosim/log": 500, "/cosim/event": 167}
+    messages = playing._MessageCursor(spoken, 667, start_ns=0)
+    found = []
+    largest = 0
+    for until_ns in (0, *range(3 * STEP_NS, 500 * STEP_NS, 7 * STEP_NS)):
+        for topic, time_ns, data in messages.take(until_ns):
+            largest = max(largest, len(messages._waiting))
+            assert time_ns <= until_ns
+            found.append((time_ns, int(topic == "/cosim/event"), data))
+        assert messages.next_ns is None or messages.next_ns > until_ns
+    assert found == expected
+    assert largest <= 4 * together + 20  # 667 at 401 instants are 1.7 each, at random
+
+
+def test_a_log_without_messages_has_none_to_play(tmp_path):
+    """Nothing is read for them."""
+    with McapRecorder(tmp_path / "a.mcap") as recorder:
+        recorder.begin(plan(layout()))
+        for block, signals in blocks(table(layout(), 400), 70):
+            recorder.write(block, signals)
+    log = cosim.open_log(tmp_path / "a.mcap")
+    assert log.message_counts() == {}
+    messages = playing._MessageCursor(log, 0, start_ns=0)
+    assert messages.next_ns is None
+    assert list(messages.take(2**62)) == []

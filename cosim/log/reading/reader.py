@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
-from operator import attrgetter
+from operator import attrgetter, itemgetter
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeVar, final
@@ -49,6 +49,7 @@ from cosim.log.reading.stream import TimedRows
 
 _LOG_TIME = slice(6, 14)  # of a message record's content
 _DATA = slice(22, None)
+_TOPICS = (LOG_TOPIC, EVENT_TOPIC, STEP_TOPIC)  # of messages beside the rows
 _Parsed = TypeVar("_Parsed")
 
 
@@ -492,15 +493,66 @@ class Log(RecordedRun):
             raise LogError(f"{self.path} is damaged: {error}") from error
         return sorted(substeps, key=attrgetter("begin"))
 
-    def _messages_of(self, topic: str) -> Iterator[tuple[int, bytes]]:
-        """Yield time [ns] and data of the messages of a topic, in the order of the file."""
-        channel_ids = set()
-        for number, channel in self._declared.items():
-            if channel.topic == topic:
-                channel_ids.add(number)
+    def message_counts(self) -> dict[str, int]:
+        """Return how many messages there are beside the rows, by topic, where there are any.
+
+        Raises
+        ------
+        LogError
+            If the file is damaged.
+        """
+        counts = {}
+        statistics = self._file.summary.statistics
+        for topic in _TOPICS:
+            if statistics is None:
+                count = sum(1 for _ in self._messages_of(topic))
+            else:
+                numbers = statistics.channel_message_counts
+                count = sum(numbers.get(number, 0) for number in self._channels_of(topic))
+            if count:
+                counts[topic] = count
+        return counts
+
+    def messages_between(
+        self, first_ns: int | None, last_ns: int | None
+    ) -> list[tuple[str, int, bytes]]:
+        """Return topic, time [ns] and content of messages beside the rows, in the order of time.
+
+        Parameters
+        ----------
+        first_ns, last_ns : int or None
+            Those in ``first_ns <= time <= last_ns`` [ns]; None: without that bound.
+
+        Raises
+        ------
+        LogError
+            If the file is damaged.
+        """
+        messages = []
+        try:
+            for topic in _TOPICS:
+                for time_ns, data in self._messages_of(topic, first_ns, last_ns):
+                    is_late = first_ns is None or time_ns >= first_ns
+                    if is_late and (last_ns is None or time_ns <= last_ns):
+                        messages.append((topic, time_ns, data))
+        except MALFORMED as error:
+            raise LogError(f"{self.path} is damaged: {error}") from error
+        return sorted(messages, key=itemgetter(1))
+
+    def _channels_of(self, topic: str) -> set[int]:
+        return {number for number, channel in self._declared.items() if channel.topic == topic}
+
+    def _messages_of(
+        self, topic: str, first_ns: int | None = None, last_ns: int | None = None
+    ) -> Iterator[tuple[int, bytes]]:
+        """Yield time [ns] and data of the messages of a topic, in the order of the file.
+
+        Chunks without messages in ``first_ns <= time <= last_ns`` are not read.
+        """
+        channel_ids = self._channels_of(topic)
         if not channel_ids:
             return
-        for record in self._rows.other_records(channel_ids):
+        for record in self._rows.other_records(channel_ids, first_ns=first_ns, last_ns=last_ns):
             if record.opcode == Opcode.MESSAGE and record.channel_id in channel_ids:
                 time_ns = int.from_bytes(record.content[_LOG_TIME], "little")
                 yield time_ns, bytes(record.content[_DATA])

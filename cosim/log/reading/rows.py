@@ -152,9 +152,18 @@ class LogRows:
         missing = [name for name in dict.fromkeys(wanted) if name not in self._rows]
         self._rows.update(self._read_rows(missing))
 
-    def other_records(self, channel_ids: Collection[int]) -> Iterator[OtherRecord]:
-        """Yield the records of some channels that are no rows of a component."""
-        for block in self._file.blocks(channel_ids):
+    def other_records(
+        self,
+        channel_ids: Collection[int],
+        *,
+        first_ns: int | None = None,
+        last_ns: int | None = None,
+    ) -> Iterator[OtherRecord]:
+        """Yield the records of some channels that are no rows of a component.
+
+        Chunks without messages in ``first_ns <= time <= last_ns`` are not read.
+        """
+        for block in self._file.blocks(channel_ids, first_ns=first_ns, last_ns=last_ns):
             for record in scan(block, self._dtypes):
                 if isinstance(record, OtherRecord):
                     yield record
