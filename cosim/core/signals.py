@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any, Final, Literal, TypeAlias, get_args
@@ -413,6 +413,12 @@ class Channel:
     def by_name(self) -> Mapping[str, Signal]:
         """The signals by their names."""
         return self.interface.by_name
+
+    def described(self, name: str) -> Signal:
+        """Return a signal with the role that it has for a reader: an input need not declare its."""
+        signal = self.by_name[name]
+        is_input = signal.role == "output" and signal in self.interface.inputs
+        return replace(signal, role="input") if is_input else signal
 
     @cached_property
     def signal_columns(self) -> Mapping[str, slice]:

@@ -19,6 +19,7 @@ from cosim.arrays import Matrix, Nanoseconds, Vector, as_columns
 from cosim.core.clock import seconds
 from cosim.core.connections import conversions_of
 from cosim.core.port import Port
+from cosim.core.recorded.partial import partial_of
 from cosim.core.recorded.signals import RecordedSignals
 from cosim.core.recording import CompleteRecording
 from cosim.core.structure.ports import Ports
@@ -364,6 +365,12 @@ def _chosen(log: CompleteRecording, identified: Mapping[str, Any], identifier: s
                 f"{nearest(identifier, identified)}"
             )
         return identifier
+    partial = partial_of(log.channels)
+    if not identified and partial is not None:
+        raise UsageError(
+            f"{log.label}: found no identifier with a model of y whose signals are recorded at "
+            f"every step; {partial.reason(log.channels)}"
+        )
     if not identified:
         raise UsageError(
             f"{log.label}: found no identifier with a model of y; needed one whose regressor is "

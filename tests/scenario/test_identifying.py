@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.errors import UsageError
+from cosim.errors import CosimError, UsageError
 from cosim.scenario.identification.run_verdicts import IDENTIFICATION, plain_amplitudes
 from cosim.scenario.identifying import identifier_record, identify_records
 
@@ -138,6 +138,24 @@ def test_a_log_without_identifier_is_refused(tmp_path):
     )
     log = cosim.run(file, out=tmp_path / "a.mcap")
     with pytest.raises(UsageError, match="found no identifier with a model of y; needed one whose"):
+        identifier_record(log)
+
+
+@pytest.mark.parametrize(
+    ("record", "said"),
+    [
+        ({"record.every": 7}, r"was recorded with \[record\] every = 7; there is: u\.y, "),
+        (
+            {"record.signals": ["plant.*"]},
+            r'was recorded with \[record\] signals = \["plant\.\*"\]',
+        ),
+    ],
+)
+def test_a_partial_log_says_that_it_is_one(tmp_path, record, said):
+    """It has an identifier, but not what that needs."""
+    settings = {"scenario.stop": 1.0, **record}
+    log = cosim.run("academic", out=tmp_path / "a.mcap", set=settings)
+    with pytest.raises(CosimError, match=f"the log is partial, it {said}"):
         identifier_record(log)
 
 

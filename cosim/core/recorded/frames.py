@@ -120,7 +120,7 @@ def _seconds(table: JoinedRows) -> Vector:
 
 def _attributes(port: RecordedPort) -> dict[str, str]:
     """Return what a signal is, in the names of the CF conventions where these have one."""
-    signal = port.signal
+    signal = port.described
     attributes = {"units": signal.unit or "", "long_name": signal.description}
     attributes |= {"role": signal.role, "variability": signal.variability, "type": signal.type}
     return {key: text for key, text in attributes.items() if text}

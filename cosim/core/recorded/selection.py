@@ -167,7 +167,7 @@ def selected_columns(selection: Mapping[str, RecordedPort]) -> tuple[SelectedCol
         first = port.channel.signal_columns[port.signal.name].start - port.channel.start
         for column in range(port.columns.start, port.columns.stop):
             name = f"{component}.{port.signal.element(column - first)}"
-            selected = SelectedColumn(name, component, column, port.signal)
+            selected = SelectedColumn(name, component, column, port.described)
             columns.setdefault((component, column), selected)
     counts = Counter(column.name for column in columns.values())
     for name, count in counts.items():

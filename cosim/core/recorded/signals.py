@@ -35,6 +35,11 @@ class RecordedPort(NamedTuple):
     columns: slice
 
     @property
+    def described(self) -> Signal:
+        """The signal, with the role that it has for a reader."""
+        return self.channel.described(self.signal.name)
+
+    @property
     def size(self) -> int:
         """Number of elements."""
         return int(self.columns.stop - self.columns.start)
@@ -265,7 +270,7 @@ class RecordedSignals(Mapping[str, NDArray[np.float64]]):
         declared = {}
         for component, channel in self.channels.items():
             for signal in channel.signals:
-                declared[f"{component}.{signal.name}"] = signal
+                declared[f"{component}.{signal.name}"] = channel.described(signal.name)
         return MappingProxyType(declared)
 
     def time(self, name: str) -> Vector:

@@ -33,7 +33,7 @@ def write_npz(stream: BinaryIO, choice: LogChoice) -> None:
     JSON text with unit, description, role, variability and type by name.
     """
     with zipfile.ZipFile(stream, "w", allowZip64=True) as archive:
-        about = {name: signal_metadata(port.signal) for name, port in choice.selection.items()}
+        about = {name: signal_metadata(port.described) for name, port in choice.selection.items()}
         _write_entry(archive, SIGNALS_KEY, np.array(json.dumps(about)))
         for component, names, time_ns, rows in _by_component(choice):
             _write_entry(archive, f"{TIME_KEY}{component}", time_ns / NANOSECONDS)
@@ -72,7 +72,9 @@ def write_mat(stream: BinaryIO, choice: LogChoice) -> None:
             variable = _legal_name(name, variables)
             variables[variable] = _values(rows, choice.selection[name])
             own = {"name": name, "variable": variable, "time": time_name}
-            described[name] = own | _NOT_DECLARED | signal_metadata(choice.selection[name].signal)
+            described[name] = (
+                own | _NOT_DECLARED | signal_metadata(choice.selection[name].described)
+            )
     variables[SIGNALS_KEY] = _struct_array([described[name] for name in choice.selection])
     try:
         savemat(stream, variables, long_field_names=True, oned_as="column")

@@ -258,3 +258,26 @@ def test_a_choice_of_what_is_not_there_is_refused(recorded):
         choose(log.path, ["x.*"], None, None)
     with pytest.raises(UsageError, match=r"found --from = 2\.0 s after --to = 1\.0 s"):
         choose(log.path, None, 2.0, 1.0)
+
+
+def test_an_input_is_one_to_a_reader(tmp_path):
+    """Also of a component that declares no roles; files, tables and the log say so."""
+    file = tmp_path / "lag.toml"
+    file.write_text(
+        'scenario = { name = "lag", stop = 1.0, step = 0.1 }\n[components]\n'
+        'a = { kind = "constant", value = 1.0 }\nb = { kind = "lag", time_constant = 1.0 }\n'
+        '[connections]\n"b.u" = "a.y"\n'
+    )
+    log = cosim.run(file, out=tmp_path / "a.mcap")
+    assert {name: signal.role for name, signal in log.signals.items()} == {
+        "a.y": "output",
+        "b.u": "input",
+        "b.y": "state",
+    }
+    convert(LogChoice.of(log), tmp_path / "a.npz")
+    with np.load(tmp_path / "a.npz", allow_pickle=False) as read:
+        assert json.loads(str(read["signals"]))["b.u"]["role"] == "input"
+    convert(LogChoice.of(log), tmp_path / "a.parquet")
+    read = pyarrow.parquet.read_table(tmp_path / "a.parquet")
+    assert read.schema.field("b.u").metadata[b"role"] == b"input"
+    assert log.to_xarray()["b.u"].attrs["role"] == "input"
