@@ -1,4 +1,4 @@
-"""The commands that give the signals of a log to other tools: cat and convert."""
+"""The commands cat and convert: the signals of a log for other tools."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The commands that make logs from logs: cut, merge and recover."""
+"""The commands cut, merge and recover: they write logs from logs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command that says whether rows are those that a run recorded: hash."""
+"""The command hash: whether the rows of a log are those that its run recorded."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What viewers watch: the command play, and the options of a run that is shown."""
+"""The command play, and the options with which a run is shown to viewers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Replays of one log with varied values, as the command line asks for them."""
+"""The option --vary of the command replay."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A part of what a run computes, for a recorder: the run itself is the same, to the last bit."""
+"""A recorder for a part of what a run computes; the run itself stays the same, to the last bit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recorders that pass a run on to another one, and do something of their own beside it."""
+"""Recorders that pass a run on to another recorder, and do something of their own with it."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""The address of a server, from when it is asked for until the server listens there.
+"""The address of a server, reserved until the server listens on it.
 
-An address that cannot be listened on is so refused at once, and port 0 becomes a number, before
-anything is there that viewers could connect to.
+So an address that cannot be listened on is refused at once, and port 0 becomes a number before
+viewers can connect.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""The WebSocket connection to viewers, by Foxglove's SDK: the only place that knows it.
+"""The WebSocket connection to viewers: the only module that uses Foxglove's SDK.
 
-A message goes into a queue for every viewer that has subscribed to its topic, and threads of the
-SDK send them. Where the queue of a viewer is full, its oldest messages are dropped; one that takes
-nothing at all is disconnected. So no viewer slows the sender.
+A message goes into the queue of every viewer that has subscribed to its topic; threads of the SDK
+send the queues. If the queue of a viewer is full, its oldest messages are dropped; a viewer that
+takes nothing at all is disconnected. So no viewer delays the sender.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """A log played to viewers at the pace of the wall clock.
 
-The log is read in windows of about 10 ms of wall time. When the end of a window has come, its rows
-and messages are sent. Ends are counted from the start, in whole nanoseconds, so that no error adds
-up; where sending takes too long, the next windows are due already.
+The log is read in windows of about 10 ms of wall time. The rows and messages of a window are sent
+when its end is due. Ends are counted from the start in whole nanoseconds, so that errors do not add
+up; if sending takes too long, the next windows are sent at once.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Rows and messages to viewers, in the order of time, with the schemas that they have in a log."""
+"""Send rows and messages to viewers in order of time, with the schemas that they have in a log."""
 
 from __future__ import annotations
 

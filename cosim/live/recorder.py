@@ -1,4 +1,4 @@
-"""The recorder that shows a run to viewers, beside the one that keeps it."""
+"""The recorder that shows a run to viewers."""
 
 from __future__ import annotations
 

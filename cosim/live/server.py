@@ -1,4 +1,4 @@
-"""A server that viewers connect to while a run goes on, or a log is played."""
+"""The server that viewers connect to during a run or while a log is played."""
 
 from __future__ import annotations
 

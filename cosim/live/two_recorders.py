@@ -1,4 +1,4 @@
-"""A recorder beside another: one keeps the run, the other one shows it."""
+"""Two recorders of one run: the first keeps it, the second shows it."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What can be read of a finished run, in memory and from file alike: signals, parts, tables."""
+"""Finished runs, in memory or from file: signals by name, windows, selections and tables."""

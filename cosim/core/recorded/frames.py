@@ -1,8 +1,8 @@
-"""Runs as tables of pandas, polars and xarray, which are imported when they are asked for.
+"""Runs as tables of pandas, polars and xarray, which are imported only when they are used.
 
-All three have the rule of :mod:`cosim.core.recorded.joined_rows`: one row at every instant at which
-one of the chosen components has one, NaN where another has none there; polars has null there, as it
-tells no value from NaN.
+All three follow :mod:`cosim.core.recorded.joined_rows`: they have a row at every instant at which
+one of the chosen components has one. Where another component has no row there is NaN, or in polars
+null, as polars distinguishes a missing value from NaN.
 """
 
 from __future__ import annotations

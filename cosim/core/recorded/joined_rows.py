@@ -1,8 +1,8 @@
 """Signals of several components in one table: joined on time.
 
-The table has a row at every instant at which one of its components has one, and no value where a
-component has none there: of signals of one rate every value is there. Logs of cosim have one row of
-a component at an instant; of others, those that come together pair up in their order.
+The table has a row at every instant at which one of its components has one; where another component
+has none, its values are missing. Signals of one rate have no missing values. In logs of cosim a
+component has one row at an instant; several rows of one instant are paired in their order.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""What a run records of its signals where that is not all: chosen signals, every n-th step.
+"""Partial recordings: of a run only chosen signals, or only every n-th step, were recorded.
 
-A component whose rows are ``period`` communication steps apart keeps those at the multiples of the
-period and of ``every`` alike, so of their least common multiple, counted from the start of the run.
+A component whose rows are ``period`` communication steps apart keeps the rows at multiples of both
+the period and ``every``, that is of their least common multiple, counted from the start of the run.
 """
 
 from __future__ import annotations

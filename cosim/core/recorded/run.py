@@ -1,7 +1,7 @@
-"""What can be asked of a finished run beside its signals by name: a part of it, what it rests on.
+"""A finished run: what it was made from, its times, tables and windows.
 
-A window is a run of its own to whoever reads it: the same signals, with the rows, messages and
-jumps of some time only. Its rows are read when they are first asked for.
+A window reads like a run of its own: it has the same signals, but only the rows, messages and jumps
+of a span of time. Its rows are read when they are first used.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Signals chosen by name or by pattern: ``plant.y``, ``plant.x_a[0]``, ``plant.*``, ``*.delta``.
 
-``*`` stands for any characters, also none, and ``?`` for one; all others stand for themselves,
-brackets too. A name that a component really has comes before what it may mean as a pattern, and an
-index behind a pattern takes that element of every signal that the rest of it matches.
+``*`` matches any number of characters and ``?`` matches one; all other characters, brackets too,
+match themselves. A name that exists is not read as a pattern. An index after a pattern selects that
+element of every signal that the rest of the pattern matches.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A communication step that a loop takes in parts: what drives the loop from outside in each."""
+"""A communication step that a loop takes in parts, with the values that drive it in each part."""
 
 from __future__ import annotations
 

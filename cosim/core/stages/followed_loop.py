@@ -1,4 +1,4 @@
-"""Recorded substeps, taken again: a loop has the recorded inputs at both ends of each."""
+"""A loop that repeats recorded substeps, with the recorded inputs at both ends of each."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Two recorded runs compared, signal by signal, at the times they share, and event by event.
 
-Of a partial log there is what it has: signals that it did not record are left out, and where it has
-not every row, the other run's rows there.
+Of a partial log what it has is compared: signals that it did not record are left out, and so are
+rows of the other run at instants at which it has none.
 
 Without tolerances the comparison is of bits: 0.0 and -0.0 differ. With tolerances a pair of values
 agrees where ``|a - b| <= atol + rtol * max|a|``, the maximum over all the signal's rows and

@@ -1,4 +1,4 @@
-"""Rows of two runs at the instants that they share, a window of time after another.
+"""Rows of two runs at the instants that they share, one window of time after another.
 
 A window ends before an instant that is not whole yet, so that the rows of a jump stay together.
 """

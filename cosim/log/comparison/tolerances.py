@@ -1,4 +1,4 @@
-"""How far two runs may be apart: one tolerance for all signals, and others for some of them."""
+"""Tolerances of a comparison: one for all signals, and others for some of them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the schema of a component says of each field, for people."""
+"""Comments in the schema of a component that describe each field to people."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where viewers find a signal: topic and field of its elements, as one message path.
+"""Message paths, by which viewers find the elements of a signal: topic and field.
 
 The grammar is that of Foxglove and Lichtblick: a topic, quoted where it has other characters than
 letters, digits, ``_``, ``-`` and ``/``, a dot, a field: ``/plant.x_a_0``.

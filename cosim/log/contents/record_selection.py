@@ -1,8 +1,8 @@
-"""What a log says of itself where a part of its run is recorded, in its metadata.
+"""The metadata of a partial log: what was selected, and what the run had.
 
-The record ``cosim.record`` has the selection and the names of all components; the metadata of each
-of these have its declaration with all signals, as a channel that holds them all would have it. All
-of it is covered by the checksums of the records.
+The record ``cosim.record`` contains the selection and the names of all components. The metadata of
+each component contain its declaration with all signals, in the form in which a channel that holds
+them all would have it. The checksums of the records cover all of this.
 """
 
 from __future__ import annotations

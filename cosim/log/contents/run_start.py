@@ -1,4 +1,4 @@
-"""When the rows of a run begin, as its log says."""
+"""The instant at which the rows of a run begin, from the metadata of its log."""
 
 from __future__ import annotations
 

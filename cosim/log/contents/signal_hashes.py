@@ -1,7 +1,7 @@
-"""A hash for every signal: of the times and bits of its rows, whatever it is called.
+"""A hash of the times and bits of every signal, whatever the signal is called.
 
-Two signals with one hash have the same bits at the same times, in one log or in two. As the content
-hash it depends neither on the compression nor on the chunks of the file.
+Signals with the same hash have the same bits at the same times, in one log or in two. Like the
+content hash, it depends neither on the compression nor on the chunks of the file.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """A layout for viewers of MCAP files, Foxglove and Lichtblick: panels with plots, as JSON.
 
-The format is that of the layouts which both export and import: the configuration of every panel by
-its identifier, ``Plot!1``, and a binary tree that divides the window among the identifiers.
+The format is that of the layouts that both viewers export and import: the configuration of every
+panel by its identifier, ``Plot!1``, and a binary tree that divides the window among the panels.
 """
 
 from __future__ import annotations

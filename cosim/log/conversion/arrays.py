@@ -1,6 +1,6 @@
-"""Files of arrays: every signal at the rows of its component, which has instants of its own.
+"""Files of arrays: every signal is an array, and so are the instants of every component.
 
-The rows of one component are in memory at a time for npz, those of all for MAT.
+For npz the rows of one component at a time are in memory, for MAT those of all.
 """
 
 from __future__ import annotations

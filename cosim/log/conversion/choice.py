@@ -1,4 +1,4 @@
-"""What of a log is wanted: some of its signals, in some time."""
+"""The signals and the span of time that are chosen from a log."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""Rows of a log that a run still writes, as they come, until the run ends.
+"""Rows of a log that is still written, as they come, until the run ends.
 
-The log is opened anew for every look at it, and read only behind the last instant that was yielded.
-A flush has the rows of all components up to one step, so that every row is whole when it is seen.
-What a run writes again with its next flush may change while it is read: then it is read once more,
-from the instant that was reached. A log that is rotated is followed from file to file.
+The log is opened again for every look, and read only from the last instant that was yielded on. A
+flush contains the rows of all components up to one step, so that every row is complete when it is
+seen. What a run writes again with its next flush may change while it is read: then it is read once
+more, from the instant that was reached. A log that is rotated is followed from file to file.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Tables as Parquet, a group of rows at a time.
 
-Every column is of doubles, null where a component has no row, with the unit and what the signal is
-as metadata of its field. No dictionaries: they would make one NaN of all, and one zero of both.
+Every column holds doubles, null where a component has no row; unit, description and role of the
+signal are metadata of its field. Dictionaries are not used: they would merge all NaN, and both
+zeros.
 """
 
 from __future__ import annotations

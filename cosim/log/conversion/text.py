@@ -1,9 +1,9 @@
 """Tables as text: CSV and JSON Lines, a few rows at a time.
 
-A number is the shortest text that reads back as the same double, a time an exact decimal. CSV has
-the units in its first line, as tables of samples have that cosim reads; an empty cell says that a
-component has no row there. In JSON Lines the name is missing then, and what JSON has no number for
-is text as in the JSON of protobuf: "NaN", "Infinity", "-Infinity".
+A number is the shortest text that reads back as the same double, a time an exact decimal. The first
+line of CSV has the units, as in the tables of samples that cosim reads; a cell is empty where a
+component has no row. In JSON Lines the name is omitted there, and values without a number in JSON
+are texts as in the JSON of protobuf: "NaN", "Infinity", "-Infinity".
 """
 
 from __future__ import annotations

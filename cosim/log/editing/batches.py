@@ -1,4 +1,4 @@
-"""Messages of chunks, gathered by channel until they are worth chunks of their own."""
+"""Messages of chunks, gathered by channel until there are enough for chunks of their own."""
 
 from __future__ import annotations
 

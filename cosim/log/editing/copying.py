@@ -1,4 +1,4 @@
-"""Write a log from pieces and messages of others."""
+"""Write a log from the pieces and messages of other logs."""
 
 from __future__ import annotations
 

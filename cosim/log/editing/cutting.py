@@ -1,4 +1,4 @@
-"""A span of time of a log, as a log of its own."""
+"""Write a span of time of a log to a new log."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A file of a log that was rotated, with the files before it, as one log."""
+"""Open a file of a log that was rotated, together with the files before it, as one log."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which rows of a run are missing in what was recovered of its log."""
+"""Find which rows of a run are missing from what was recovered of its log."""
 
 from __future__ import annotations
 

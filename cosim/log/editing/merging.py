@@ -1,4 +1,4 @@
-"""Logs of consecutive spans of one run as one log."""
+"""Merge logs of consecutive spans of one run."""
 
 from __future__ import annotations
 

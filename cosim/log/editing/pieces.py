@@ -1,4 +1,4 @@
-"""What a log consists of beside its rows and messages, to be written to another one."""
+"""Everything that a log consists of except rows and messages, to be written to another log."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A log of what is intact in a damaged one."""
+"""Write what is intact in a damaged log to a new log."""
 
 from __future__ import annotations
 

@@ -1,11 +1,11 @@
-"""Find the intact records of a damaged MCAP file by what they are, wherever they stand.
+"""Find the intact records of a damaged MCAP file by their content, wherever they are.
 
-A record counts as intact if its content vouches for it: a chunk by the CRC of what it decompresses
-to, an attachment by its CRC, metadata and channels of cosim by their checksums, a schema by being
-read to its last byte. What lies between intact records is searched byte by byte, so that a length
-that is wrong, or a page that is lost, costs no more than the records it is in. Rooms and pads of a
-file that was still written are searched too: chunks that a later one has replaced there have rows
-of the run, which are told apart by their times.
+A record counts as intact if its content proves it: a chunk by the CRC of its decompressed records,
+an attachment by its CRC, metadata and channels of cosim by their checksums, a schema if it can be
+read to its last byte. What lies between intact records is searched byte by byte, so that a wrong
+length or a lost page costs no more than the records that it is in. The holes, slots and pads of an
+unfinished file are searched, too: chunks there that were replaced by later ones have rows of the
+run; rows that are found twice are recognized by their times.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Fields of messages in CDR, the serialization of ROS 2: what is not asked for is skipped.
+"""Fields of messages in CDR, the serialization of ROS 2; fields that are not needed are skipped.
 
 ::
 

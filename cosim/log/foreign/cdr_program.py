@@ -1,7 +1,7 @@
-"""Programs that read messages in CDR: what is wanted is taken, everything else skipped.
+"""Programs that read messages in CDR: they take the fields that are needed and skip all others.
 
-A run of numbers, with what is skipped between them, is one call of :mod:`struct`; its padding
-depends on where it begins. A program ends behind the last field that is wanted.
+A sequence of numbers, with what is skipped between them, is one call of :mod:`struct`; its padding
+depends on where it begins. A program ends after the last field that is needed.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The written names of fields: ``/drive/state.position``, ``/joints.effort[3]``, ``/a.poses[0].x``.
 
-A field is a topic, a dot and the way into a message: names of fields with dots between them, and
-numbers of elements, from 0 on, in brackets. ``[0:3]`` at the end are several elements.
+A field is written as a topic, a dot and the path into a message: names of fields with dots between
+them, and indices of elements, from 0, in brackets. ``[0:3]`` at the end selects several elements.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Which format the messages of a channel have, by the encodings that the file names."""
+"""Choose the format of the messages of a channel by the encodings that the file names."""
 
 from __future__ import annotations
 

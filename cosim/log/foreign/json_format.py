@@ -1,4 +1,4 @@
-"""Fields of messages in JSON, whatever their schema says: the messages themselves are read."""
+"""Fields of messages in JSON: the messages themselves are read, not their schema."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Fields of messages in protobuf, by the descriptors in the schema: no code is generated."""
+"""Fields of messages in protobuf, by the descriptors in the schema; no code is generated."""
 
 from __future__ import annotations
 

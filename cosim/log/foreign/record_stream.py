@@ -1,4 +1,4 @@
-"""The records of any MCAP file in one pass, chunk by chunk: of one chunk at most is in memory.
+"""The records of any MCAP file in one pass, with at most one chunk in memory.
 
 ::
 
@@ -6,8 +6,8 @@
     record  = opcode u1, length u8, content
     chunk   = records, compressed; a CRC of its own
 
-The summary is not needed, and the pass ends before it. The CRC of the data is checked where the
-writer gave one, and that of every chunk before its records are yielded.
+The summary is not needed: the pass ends before it. The CRC of every chunk is checked before its
+records are yielded, that of the data at its end, if the writer gave one.
 """
 
 from __future__ import annotations

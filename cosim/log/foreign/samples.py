@@ -1,8 +1,8 @@
-"""Numeric fields of the messages in an MCAP file, as samples with their times.
+"""Numeric fields of messages in an MCAP file, as samples with their times.
 
-One pass over the file keeps the fields that are asked for, and nothing else. Messages need not be
-in the order of their times: they are sorted, and of several of one instant the last one in the file
-counts. How many there were of either is part of the result.
+One pass over the file keeps the requested fields, and nothing else. Messages need not be in order
+of time: they are sorted, and of several at one instant the last one in the file counts. The result
+says how many there were of both.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How the messages of a topic lie in time: their order, repeated instants, and the largest gap."""
+"""The times of the messages of a topic: their order, repeated instants, and the largest gap."""
 
 from __future__ import annotations
 

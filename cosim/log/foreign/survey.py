@@ -1,4 +1,4 @@
-"""What an MCAP file of another tool has: topics, their messages in time, their numeric fields."""
+"""An overview of an MCAP file of another tool: topics, times of messages, numeric fields."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a field of a message holds, as float64."""
+"""The values of fields of messages, as float64."""
 
 from __future__ import annotations
 
