@@ -97,7 +97,9 @@ class Container:
                 if attempt == _ATTEMPTS - 1 or _identity(stream) == self._identity:
                     raise
             else:
-                return
+                # A summary that is replaced while it is read looks as if there was none.
+                if self.is_indexed or _identity(stream) == self._identity:
+                    return
 
     def _index(self, stream: BinaryIO) -> None:
         """Find out where the pieces of the file stand."""

@@ -16,6 +16,7 @@ import pytest
 from cosim.errors import GraphError, Interrupted, LogError, LogWriteError, NonFiniteError
 from cosim.log import McapRecorder, open_log
 from cosim.log.mcap_file import unfinished
+from cosim.log.reading import container
 from cosim.log.writing import writer
 from tests.log.recordings import STEP_NS, blocks, layout, plan, record, same_bits, table
 from tests.log.writing.test_writer import FullDisk
@@ -302,6 +303,29 @@ def test_a_log_that_is_written_can_be_read(tmp_path):
                 assert same_bits(found, rows[: len(found), :5])
     assert texts <= {f"{path} has changed since it was opened; open it again"}
     assert open_log(path).steps == 3000
+
+
+def test_a_summary_that_is_replaced_while_it_is_read_is_read_again(tmp_path, monkeypatch):
+    """The file is not taken for one without a summary, which any further row would have changed."""
+    path = tmp_path / "a.mcap"
+    run = list(blocks(table(layout(), 100), 10))
+    looks = []
+
+    def replaced(path, stream):
+        looks.append(path)
+        if len(looks) > 1:
+            return read_index(path, stream)
+        os.utime(path, ns=(0, 0))  # as a flush changes it
+        return None
+
+    read_index = container.read_index
+    with McapRecorder(path, flush=1e-3) as recorder:
+        recorder.begin(plan())
+        recorder.write(*run[0])
+        wait_for_step(path, 10)
+        monkeypatch.setattr(container, "read_index", replaced)
+        log = open_log(path)
+        assert (len(looks), log.status, log.steps) == (2, "unfinished", 10)
 
 
 def test_the_steps_of_a_log_that_is_written_are_those_when_it_was_opened(tmp_path):
