@@ -100,7 +100,8 @@ def _value_at(tree: Any, path: FieldPath) -> Any:
 def _inside(value: Any, step: Step, before: FieldPath) -> Any:
     if isinstance(step, str):
         if not isinstance(value, dict):
-            raise FieldProblem(f"{path_text(before)!r} is no object, so it has no {step!r}")
+            what = repr(path_text(before)) if before else "the message"
+            raise FieldProblem(f"{what} is no object, so it has no {step!r}")
         return value.get(step)
     if not isinstance(value, list):
         raise FieldProblem(f"{path_text(before)!r} is no list, so it has no elements")

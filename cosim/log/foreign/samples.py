@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from array import array
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -81,9 +81,7 @@ def read_fields(
         topics[channel.topic].append(channel)
     collectors: dict[str, _Collector] = {}
     for name in dict.fromkeys(fields):
-        topic = topic_of(name, topics)
-        if topic is None:
-            raise LogError(f"{path} has no topic of {name!r}; {_topics_text(name, topics)}")
+        topic = _known_topic(path, name, topics)
         if topic not in collectors:
             collectors[topic] = _Collector(path, topics[topic], time, time_unit_ns)
         collectors[topic].add_field(name)
@@ -104,9 +102,21 @@ def read_fields(
     return [samples[name] for name in fields]
 
 
-def _topics_text(name: str, topics: Sequence[str] | dict[str, Any]) -> str:
-    """Return the end of a message about an unknown topic."""
-    return f"needed TOPIC.FIELD; {nearest(name.partition('.')[0], topics)}"
+def _known_topic(path: Path, name: str, topics: Mapping[str, Any]) -> str:
+    """Return the topic of a field.
+
+    Raises
+    ------
+    LogError
+        If there is none.
+    """
+    topic = topic_of(name, topics)
+    if topic is not None:
+        return topic
+    if name in topics:
+        raise LogError(f"{path}: {name!r} is a topic; needed a field of it, {name}.FIELD")
+    choice = nearest(name.partition(".")[0], topics)
+    raise LogError(f"{path} has no topic of {name!r}; needed TOPIC.FIELD; {choice}")
 
 
 def _is_discrete(value: Any) -> bool:

@@ -8,7 +8,7 @@ from pathlib import Path
 from mcap import records
 
 from cosim.core.signals import Channel
-from cosim.errors import GraphError, LogError, command, option
+from cosim.errors import GraphError, LogError, option
 from cosim.log.contents.layout import Part, read_part
 from cosim.log.reading.container import MALFORMED
 
@@ -36,7 +36,7 @@ def read_parts(path: Path, channels: Mapping[int, records.Channel]) -> dict[int,
         joined = ", ".join(topics) or "no channels at all"
         raise LogError(
             f"{path} has no channels of cosim, which carry 'cosim.component';"
-            f" found: {joined}; of a recording of another tool {command('info')} lists the "
+            f" found: {joined}; of a recording of another tool 'cosim info' lists the "
             f"fields, and {option('swap')} takes them"
         )
     return parts

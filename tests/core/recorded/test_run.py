@@ -100,6 +100,8 @@ def test_a_window_has_the_rows_of_its_time(two_rates):
     assert not part["plant.x_a"].flags.writeable
     assert (part.steps, part.end_ns) == (200, 200 * STEP_NS)
     assert part.label == f"{log.label} from 0.1 s to 0.2 s"
+    whole = repr(log).removeprefix(f"<{log.label}: ")
+    assert repr(part) == f"<{part.label}: of a run: {whole}"
 
 
 @pytest.mark.parametrize(
@@ -131,6 +133,7 @@ def test_a_window_without_rows_is_a_run_without_rows(two_rates, t0, t1):
     assert part["plant.x_a"].shape == (0, 2)
     assert part["plant.u"].shape == (0,)
     assert len(part.t) == 0
+    assert f"<{part.label}: no rows of a run: " in repr(part)
 
 
 def test_a_window_of_a_window_is_what_both_have(two_rates):

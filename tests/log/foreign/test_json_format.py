@@ -49,6 +49,7 @@ def test_fields_in_json_are_what_json_says(tmp_path):
         ({"a": [[1], [2]]}, "a", "it is a list; needed a number"),
         ({"a": 1}, "a[0]", "'a' is no list, so it has no elements"),
         ({"a": 1}, "a.b", "'a' is no object, so it has no 'b'"),
+        ([1, 2], "a", "the message is no object, so it has no 'a'"),
         ({"a": []}, "a", "it has no elements; needed numbers"),
         ({"a": 2**53 + 1}, "a", "it is 9007199254740993, which no float64 represents"),
         ({"a": float("inf")}, "a", "it is not finite; needed a finite number"),
