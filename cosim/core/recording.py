@@ -81,7 +81,7 @@ class SignalEvent(NamedTuple):
     values : tuple of float
         Of its elements.
     parameters : tuple of float
-        Of a fault, one element's behind the other's; see :mod:`cosim.core.stages.faults`.
+        Of a fault, one element's after the other's; see :mod:`cosim.core.stages.faults`.
     """
 
     time_ns: int
@@ -110,7 +110,7 @@ class Substep(NamedTuple):
         empty: none has.
     values : tuple of float
         Where it was accepted: the applied inputs and outputs of all components of the loop at its
-        end, one component's behind the other's, in the order of the loop; behind them the left
+        end, one component's after the other's, in the order of the loop; after them the left
         limits of those that jump.
     """
 
@@ -187,7 +187,7 @@ class Recorder(Protocol):
         ...
 
     def substep(self, substep: Substep) -> None:
-        """Record a substep; called after the row behind it was written."""
+        """Record a substep; called when the row after it has been written."""
         ...
 
     def result(self, values: Mapping[str, Any]) -> None:

@@ -54,7 +54,7 @@ class LiveRecorder:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Send what came behind the last block."""
+        """Send what came after the last block."""
         if self._publisher is not None:
             self._publisher.send()
 

@@ -18,7 +18,7 @@ from cosim.scenario.recordings.recording import Progress, Target
 from cosim.scenario.running.combinations import check_varied, combination_text, combinations
 from cosim.scenario.running.replay import Replays, replays_of
 
-ERROR: Final = " error"  # behind the name of what it is of
+ERROR: Final = " error"  # after the name of what it is of
 HALF_WIDTH: Final = " half-width"
 LARGEST_ERROR: Final = " largest error"
 SweepValue: TypeAlias = float | str | None
@@ -110,7 +110,7 @@ def results_of(summary: Summary) -> dict[str, SweepValue]:
     """Return what the result of a run says, by name.
 
     * of every estimate with a truth, and every parameter of an identifier: its value at the end;
-      with ``error`` behind its name the distance from the truth, with ``half-width`` half of the
+      with ``error`` after its name the distance from the truth, with ``half-width`` half of the
       95 % interval;
     * of every identifier: ``verdict``, those of its parameters, the same ones once; ``noise``, the
       deviation of the noise of y by the residual (of several outputs ``noise[0]``, ...);

@@ -47,7 +47,7 @@ def to_pandas(run: TableSource, signals: Iterable[str] | str | None) -> pandas.D
 
 
 def to_polars(run: TableSource, signals: Iterable[str] | str | None) -> polars.DataFrame:
-    """Return chosen signals as a frame: a column an element, behind that of the time [s].
+    """Return chosen signals as a frame: a column an element, after that of the time [s].
 
     Raises
     ------

@@ -174,7 +174,7 @@ class RecordedRun(RecordedSignals):
         return to_pandas(self, signals)
 
     def to_polars(self, signals: Iterable[str] | str | None = None) -> polars.DataFrame:
-        """Return signals as a frame of polars: a column an element, behind the time ``t`` [s].
+        """Return signals as a frame of polars: a column an element, after the time ``t`` [s].
 
         As :meth:`to_pandas`, but null where a component has no row.
 
@@ -262,7 +262,7 @@ def blocks_within(
 ) -> Iterator[tuple[Nanoseconds, Matrix]]:
     """Yield the rows of blocks in ``first_ns <= time <= last_ns``; None: without that bound.
 
-    There is a block at least, which may have no rows; none is read behind the last row.
+    There is a block at least, which may have no rows; none is read after the last row.
     """
     for time_ns, rows in blocks:
         begin = 0 if first_ns is None else int(np.searchsorted(time_ns, first_ns))
@@ -352,8 +352,8 @@ class RecordedWindow(RecordedRun):
         """Number of communication steps between the last point here and that of the run."""
         if self._last_ns is None:
             return 0
-        behind = self._run.end_ns - self._last_ns
-        left_out = -(-behind // self.step_ns)  # a step is left out where its end is
+        later_ns = self._run.end_ns - self._last_ns
+        left_out = -(-later_ns // self.step_ns)  # a step is left out where its end is
         return min(max(left_out, 0), self._run.steps)
 
     @property

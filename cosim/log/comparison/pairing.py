@@ -91,7 +91,7 @@ class WaitingRows:
         taken = self.times[:count], self._rows[:count]
         self.times = self.times[count:]
         self._rows = self._rows[count:]
-        # Rows of a single instant may have more behind them: nothing could be taken but with those.
+        # Rows of a single instant may have more after them: nothing could be taken but with those.
         if self._next is not None and (not len(self.times) or self.times[0] == self.times[-1]):
             self._read_on(*self._next)
         return taken

@@ -381,7 +381,7 @@ def copy_columns(records: Records, target: Matrix, *, size: int, columns: slice)
     """
     tags = field_tags(size)
     for name, in_group in group_columns(size).items():
-        # Before the values: the same bytes behind other tags are other fields, or another type.
+        # Before the values: the same bytes after other tags are other fields, or another type.
         group = records[name]
         if (group["tag"] != tags[name]).any():
             raise ValueError(

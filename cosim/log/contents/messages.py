@@ -210,7 +210,7 @@ def decode_substep(data: bytes) -> Substep:
     Raises
     ------
     ValueError
-        If ``data`` is no such message, or it does not end behind its begin.
+        If ``data`` is no such message, or it does not end after its begin.
     """
     message = STEP_SCHEMA.parsed(data)
     if not -math.inf < message.begin < message.end < math.inf:

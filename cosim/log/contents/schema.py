@@ -1,7 +1,7 @@
 """The protobuf schema of a component's rows, with legal names for any signal name.
 
 A protobuf field name is an identifier, and its JSON name drops the underscores and capitalizes the
-letter behind each. Two fields with one JSON name (``x_1`` and ``x1``, ``a_b`` and ``aB``) make the
+letter after each. Two fields with one JSON name (``x_1`` and ``x1``, ``a_b`` and ``aB``) make the
 stock decoders refuse the whole channel. So no two names differ only by underscores and case here;
 the original names stand in the channel's metadata, and in the comments of the schema
 (``source_code_info``), with what else people want to know of a field. Decoders skip these.
@@ -99,7 +99,7 @@ def component_schema(
 def _add_comment(
     file: descriptor_pb2.FileDescriptorProto, path: Sequence[int], text: str, *, line: int
 ) -> None:
-    """Add the comment in front of a declaration, as protoc finds it behind ``//``."""
+    """Add the comment in front of a declaration, as protoc finds it after ``//``."""
     location = file.source_code_info.location.add(path=path, span=(line, 0, 0))
     # Names and descriptions may have unpaired surrogates, which strings of protobuf may not.
     readable = text.encode("utf-8", "replace").decode("utf-8")

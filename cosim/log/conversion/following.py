@@ -106,7 +106,7 @@ class FollowedLog:
     def _goes_on(self, log: Log) -> bool:
         """Turn to the next file of a log that was rotated; return whether there is one.
 
-        It gets its name just behind the end of the one before, unless the run is killed there.
+        It gets its name just after the end of the one before, unless the run is killed there.
         """
         if not _has_next(log) or self._is_past(log):
             return False

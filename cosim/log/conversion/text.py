@@ -72,7 +72,7 @@ def json_lines(table: TextSource) -> Iterator[str]:
 
 
 def _json_entry(name: str) -> Callable[[float], str]:
-    """Return what writes a value behind those before it, with its name."""
+    """Return what writes a value after those before it, with its name."""
     key = f", {json.dumps(name)}: "
 
     def entry(value: float) -> str:

@@ -29,7 +29,7 @@ def cut(
 ) -> Log:
     """Write the rows in ``start <= t <= stop`` to a log, with their messages; return it.
 
-    A message between two communication points goes with the rows behind it, as the substeps do that
+    A message between two communication points goes with the rows after it, as the substeps do that
     lead there. Only chunks that have any of that time are read.
 
     Parameters

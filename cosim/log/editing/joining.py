@@ -46,7 +46,7 @@ def open_joined(log: Path | str | Log) -> Log:
 
 
 def _is_later_part(log: Log) -> bool:
-    """Return whether a log has rows from some time behind the start of its run on."""
+    """Return whether a log has rows from some time after the start of its run on."""
     if log.status not in {PARTIAL_STATUS, "unfinished"}:
         return False
     return log.begins_late

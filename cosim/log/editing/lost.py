@@ -12,7 +12,7 @@ from cosim.arrays import Nanoseconds
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """Rows that are missing, one behind the other.
+    """Rows that are missing, one after the other.
 
     Parameters
     ----------

@@ -64,8 +64,8 @@ def merge(paths: Sequence[Path], out: Path, *, force: bool = False) -> Log:
     if len(paths) < 2:
         raise UsageError(f"found {len(paths)} log to merge; needed at least two")
     spans = sorted((_span(path) for path in paths), key=lambda span: span.begin)
-    for before, behind in pairwise(spans):
-        _check_same_run(before, behind)
+    for earlier, later in pairwise(spans):
+        _check_same_run(earlier, later)
     _check_consecutive(spans)
     known = next((span.pieces for span in spans if span.pieces.run_result), spans[0].pieces)
     last_row = max(span.end for span in spans)
@@ -76,7 +76,7 @@ def merge(paths: Sequence[Path], out: Path, *, force: bool = False) -> Log:
         of_run = known.run_result.get("content_hash", content_hash)
         if content_hash != of_run and _has_all_rows(spans, known):
             raise LogError(
-                f"the rows of {spans[0].log.path} and those behind it are as many as the run had, "
+                f"the rows of {spans[0].log.path} and those after it are as many as the run had, "
                 f"and not its own: their content hash is {content_hash}, that of the run {of_run}"
             )
         return end
@@ -178,9 +178,9 @@ def _check_consecutive(spans: Sequence[_RunPart]) -> None:
     for name, channel in spans[0].log.channels.items():
         own = [(span.bounds[name], span.log) for span in spans if name in span.bounds]
         period_ns = channel.period * step_ns
-        for ((_, last), before), ((first, _), behind) in pairwise(own):
-            where = f"{before.path} has rows of {name!r} up to {last / NANOSECONDS} s"
-            begins = f"{behind.path} begins at {first / NANOSECONDS} s"
+        for ((_, last), earlier), ((first, _), later) in pairwise(own):
+            where = f"{earlier.path} has rows of {name!r} up to {last / NANOSECONDS} s"
+            begins = f"{later.path} begins at {first / NANOSECONDS} s"
             if first <= last:
                 raise LogError(f"{where}, {begins}: they overlap; cut one of them first")
             if first != last + period_ns:

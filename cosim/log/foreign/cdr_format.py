@@ -51,7 +51,7 @@ class CdrFormat:
         self._messages = messages
 
     def fields(self, sample: bytes) -> dict[str, str]:
-        """Return the types of the numeric fields; those of any length have ``[]`` behind them."""
+        """Return the types of the numeric fields; those of any length have ``[]`` after them."""
         found: dict[str, str] = {}
         for name, type_name in self._leaves(self._name, ""):
             found[name] = type_name

@@ -67,7 +67,7 @@ def too_few_text(place: str, count: int, last: int) -> str:
 
 @dataclass(slots=True)
 class _Run:
-    """Numbers one behind the other, some of which are taken."""
+    """Numbers one after the other, some of which are taken."""
 
     items: list[tuple[str, int]] = field(default_factory=list)  # code and number of elements
     taken: dict[int, Wanted] = field(default_factory=dict)  # by the number of the item
@@ -143,7 +143,7 @@ class _CdrCompiler:
         return _merged(self._operations(name, wanted, is_last=True))
 
     def _operations(self, name: str, wanted: Wanted, *, is_last: bool) -> Iterator[CdrOperation]:
-        """Yield what reads the fields; of what is last, nothing behind the last wanted one."""
+        """Yield what reads the fields; of what is last, nothing after the last wanted one."""
         items = self._messages[name]
         if not items:
             yield _Run([("B", 1)])  # an empty message has a byte

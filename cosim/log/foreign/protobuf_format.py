@@ -63,7 +63,7 @@ class ProtobufFormat:
             ) from error
 
     def fields(self, sample: bytes) -> dict[str, str]:
-        """Return the types of the numeric fields; repeated ones have ``[]`` behind their names."""
+        """Return the types of the numeric fields; repeated ones have ``[]`` after their names."""
         found: dict[str, str] = {}
         for name, type_name in _leaves(self._descriptor, "", ()):
             found[name] = type_name
@@ -103,7 +103,7 @@ class _UnknownField(FieldProblem):
 
 
 def _pool_of(files: Any) -> Any:
-    """Return a pool with these files, each behind those that it imports."""
+    """Return a pool with these files, each after those that it imports."""
     by_name = {file.name: file for file in files.file}
     pool = descriptor_pool.DescriptorPool()
     added: set[str] = set()

@@ -132,7 +132,7 @@ def _decompressed(content: bytes) -> bytes:
 
 
 def records_in(block: bytes) -> Iterator[tuple[int, int, int]]:
-    """Yield opcode, start and end of the content of records one behind the other.
+    """Yield opcode, start and end of the content of records one after the other.
 
     Raises
     ------

@@ -8,7 +8,7 @@
     uint8 STATUS_OK=0                 a constant, which no message has
     ================================================================================
     MSG: std_msgs/Header
-    builtin_interfaces/Time stamp     the definitions that it needs, one behind the other
+    builtin_interfaces/Time stamp     the definitions that it needs, one after the other
 
 https://docs.ros.org/en/rolling/Concepts/Basic/About-Interfaces.html
 """

@@ -22,7 +22,7 @@ class Spacing:
     first_ns, last_ns : int
         Earliest and latest time.
     late : int
-        Messages that stand behind one of a later time.
+        Messages that stand after one of a later time.
     repeated : int
         Messages of an instant that a later one in the file has, too.
     median_ns, largest_ns : int

@@ -155,7 +155,7 @@ def is_foreign(path: Path) -> bool:
 
 
 def _library(stream: BinaryIO) -> str:
-    """Return what wrote a file, by the record behind its first bytes."""
+    """Return what wrote a file, by the record after its first bytes."""
     opcode, length = struct.unpack("<BQ", stream.read(HEADER))
     if opcode != Opcode.HEADER or length > MOST_BYTES:
         raise ValueError("the file does not begin with a header")

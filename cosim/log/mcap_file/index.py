@@ -1,7 +1,7 @@
 """The summary of a log, and where it says that the pieces of the file stand.
 
 A log of cosim is opened by its summary alone, however long it is. That of a closed file has a CRC
-in the footer; that of one that is still written, or whose writer was killed, a seal behind it.
+in the footer; that of one that is still written, or whose writer was killed, a seal after it.
 Where there is neither, and in files of other tools, which may leave records out of their indexes,
 the file is walked instead.
 """

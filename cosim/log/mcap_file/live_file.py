@@ -27,7 +27,7 @@ the footer that a reader from the front finds, and those that insist on its bein
 the file. Those that go by the indexes do not.
 
 The summary of a file that is still written has no CRC in the footer, where it would cover both
-slots; its own stands in the PAD behind it.
+slots; its own stands in the PAD after it.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ SEAL: Final = struct.Struct("<QQI")  # of a summary: its start, its length, its 
 
 @dataclass(frozen=True, slots=True)
 class _Frame:
-    """What stands behind the hole."""
+    """What stands after the hole."""
 
     data_end: int  # position of the record DataEnd
     slot_size: int
@@ -85,7 +85,7 @@ class _Frame:
 
 
 def _frame(position: int, summary: int) -> _Frame:
-    """Return the frame whose DataEnd is at ``position`` or behind, for summaries twice as long."""
+    """Return the frame whose DataEnd is at ``position`` or after, for summaries twice as long."""
     overhead = HEADER + DATA_END_SIZE + HEADER + SEAL.size
     slot_size = max(2 * summary + overhead, _SMALLEST_SLOT)
     content = DATA_END_SIZE + 2 * slot_size
@@ -123,7 +123,7 @@ class _Tail:
 
     start: int
     group: RecordGroup
-    hole: int  # position of the header behind it
+    hole: int  # position of the header after it
 
 
 @final
@@ -316,7 +316,7 @@ class LiveFile:
         self._slots.pop(old.slot(1) + HEADER, None)
 
     def _write_frame(self, frame: _Frame) -> tuple[int, int]:
-        """Write what stands behind the hole but for the footer; return the places for that."""
+        """Write what stands after the hole but for the footer; return the places for that."""
         tail = self._tail
         published = () if tail is None else tail.group.placed(tail.start)
         self._write(frame.data_end, data_end())
@@ -358,7 +358,7 @@ class LiveFile:
             raise OSError(errno.EIO, os.strerror(errno.EIO))
 
     def _write(self, position: int, *parts: bytes | memoryview) -> None:
-        """Write parts one behind the other."""
+        """Write parts one after the other."""
         self._stream.seek(position)
         for part in parts:
             remaining = memoryview(part)

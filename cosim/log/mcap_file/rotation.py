@@ -127,7 +127,7 @@ def part_paths(path: Path) -> list[Path]:
 
 
 def further_parts(first: Path) -> list[Path]:
-    """Return the files behind the first one of a log that are there, in their order."""
+    """Return the files after the first one of a log that are there, in their order."""
     found = []
     if first.parent.is_dir():
         for path in first.parent.iterdir():

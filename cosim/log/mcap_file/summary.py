@@ -48,7 +48,7 @@ class RecordGroup:
     Parameters
     ----------
     parts : sequence of bytes or memoryview
-        The records, one part behind the other; the first one has the header of a record whole.
+        The records, one part after the other; the first one has the header of a record whole.
     entries : sequence of IndexEntry
     crc : int
         CRC-32 of all parts.

@@ -40,7 +40,7 @@ class FileContents:
     channels: list[RecordSpan] = field(default_factory=list)  # outside chunks
     metadata: list[RecordSpan] = field(default_factory=list)
     attachments: list[RecordSpan] = field(default_factory=list)
-    summary: list[RecordSpan] = field(default_factory=list)  # behind the end of the data
+    summary: list[RecordSpan] = field(default_factory=list)  # after the end of the data
     data_end: int = 0
     data_crc: int = 0
     footer: int = 0
@@ -71,7 +71,7 @@ class FileContents:
                 self.attachments.append(span)
 
     def _add_message(self, message: RecordSpan) -> None:
-        """Lengthen the last span of messages by the one behind it, or begin another."""
+        """Lengthen the last span of messages by the one after it, or begin another."""
         if self.data:
             last = self.data[-1]
             joined = RecordSpan(Opcode.MESSAGE, last.start, message.stop)
@@ -143,7 +143,7 @@ def _rescue(stream: BinaryIO, contents: FileContents) -> str:
     if not chunks:
         return "it has no whole row: run it again"
     last = chunks[-1]
-    stream.seek(last.start + HEADER + 8)  # behind the time of its first message
+    stream.seek(last.start + HEADER + 8)  # after the time of its first message
     end_ns = int.from_bytes(stream.read(8), "little")
     return (
         f"its last whole chunk ends at t = {end_ns / 1e9} s: run it again, or save what is whole "

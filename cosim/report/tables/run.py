@@ -153,14 +153,14 @@ def _add_loops(table: Table, summary: Summary) -> None:
         table.add_row("loop", "", "", f"{loop}: {text}")
     for counts, interpolated in zip(summary.substeps, summary.interpolated, strict=True):
         table.add_row("substeps", "", "", _substeps_text(counts, interpolated))
-    behind = [gain for gain in summary.gains if gain.action]
-    for gain in [gain for gain in summary.gains if not gain.action] + behind[:MOST_GAINS]:
+    after_actions = [gain for gain in summary.gains if gain.action]
+    for gain in [gain for gain in summary.gains if not gain.action] + after_actions[:MOST_GAINS]:
         where = ", ".join(gain.components)
         if gain.action:
             where += f" {gain.action}"
         table.add_row("loop gain", "", "", f"{where}: {gain_text(gain)}")
-    if len(behind) > MOST_GAINS:
-        text = f"{len(behind) - MOST_GAINS} more after actions; --json shows them"
+    if len(after_actions) > MOST_GAINS:
+        text = f"{len(after_actions) - MOST_GAINS} more after actions; --json shows them"
         table.add_row("loop gain", "", "", text)
 
 

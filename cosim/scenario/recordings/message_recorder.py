@@ -160,7 +160,7 @@ class MessageRecorder(PassingRecorder):
     def _record(self, name: str, messages: Sequence[Message], until_ns: int) -> None:
         """Record messages at their own time; where there is none, at the time reached before.
 
-        Those behind ``until_ns`` wait.
+        Those after ``until_ns`` wait.
         """
         ahead = []
         for message in messages:

@@ -102,7 +102,7 @@ def record(
     progress: Progress | None,
     profile: dict[str, float] | None = None,
     beside: Beside | None = None,
-    behind: Callable[[], None] = _nothing,
+    finish: Callable[[], None] = _nothing,
 ) -> Log | Memory:
     """Run an experiment and return its recording: the log file if a path is given.
 
@@ -115,7 +115,7 @@ def record(
         Filled with wall seconds by component.
     beside : callable, optional
         Returns what takes the run and passes it on to the recorder of the recording.
-    behind : callable, optional
+    finish : callable, optional
         Ends the recording, where ``beside`` leaves that to it.
     """
     out = target.out
@@ -127,7 +127,7 @@ def record(
         taking = chosen_of(experiment, memory)
         taking = taking if beside is None else beside(taking)
         run_into(taking, experiment, progress=progress, profile=profile)
-        behind()
+        finish()
         return memory
     is_read = Path(os.path.realpath(out)) in experiment.files
     if is_read and not target.numbered:
@@ -142,7 +142,7 @@ def record(
     taking = taking if beside is None else beside(taking)
     try:
         run_into(taking, experiment, progress=progress, profile=profile, began=began)
-        behind()
+        finish()
     except RunError as error:
         with suppress(LogError):  # nothing was written
             recorded = log.recorded()

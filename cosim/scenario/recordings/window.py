@@ -1,7 +1,7 @@
 """A part of a replay: all is computed from the start, and only a window of time is recorded.
 
 Components have states, which a log has not: what happens in a window follows from all that was
-before it. So its rows are those of the whole replay, bit for bit, and nothing behind it is
+before it. So its rows are those of the whole replay, bit for bit, and nothing after it is
 computed.
 """
 

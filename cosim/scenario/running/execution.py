@@ -202,7 +202,7 @@ def run(
     sync : bool
         Wait for the disk at every flush: then a loss of power leaves what was flushed, too.
     rotate : str, optional
-        A size, such as ``"1GB"``, or a simulated time, such as ``"1h"``, behind which the log at
+        A size, such as ``"1GB"``, or a simulated time, such as ``"1h"``, after which the log at
         ``out`` goes on in a next file: ``run.mcap``, ``run.part2.mcap``, ``run.part3.mcap``, ...
         Each opens alone; ``cosim merge`` joins them.
     recorder : Recorder, optional
@@ -249,14 +249,14 @@ def run(
         if live is not None:
             beside = _shown(experiment, live, beside)
 
-        def behind() -> None:
+        def finish() -> None:
             if certification is not None:
                 certification.complete(resources)
 
         if recorder is not None:
             taking = recorder if beside is None else beside(recorder)
             run_into(taking, experiment, progress=progress, profile=profile)
-            behind()
+            finish()
             return recorder
         target = Target(
             out,
@@ -269,7 +269,7 @@ def run(
             embed=embed,
         )
         return record(
-            experiment, target, progress=progress, profile=profile, beside=beside, behind=behind
+            experiment, target, progress=progress, profile=profile, beside=beside, finish=finish
         )
 
 

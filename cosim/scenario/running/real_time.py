@@ -1,6 +1,6 @@
 """Runs at the pace of the wall clock: block by block, each passed on when its time has come.
 
-A run that is faster waits behind every block; one that is slower is late, which is measured. Only
+A run that is faster waits after every block; one that is slower is late, which is measured. Only
 the wall time changes: the rows have the same bits.
 """
 
@@ -27,7 +27,7 @@ BLOCK: Final = 0.01  # s of wall time between two waits, about
 
 @final
 class RealTimePace:
-    """Waits behind blocks until their time has come.
+    """Waits after blocks until their time has come.
 
     Parameters
     ----------

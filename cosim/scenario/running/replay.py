@@ -291,7 +291,7 @@ def replay(
     window : (float or None, float or None), optional
         Record only from one time to another [s], communication points; None: to where the
         recording begins or ends. All is computed from the start, as components have states that a
-        log has not, so that the rows are those of the whole replay; nothing behind the window is.
+        log has not, so that the rows are those of the whole replay; nothing after the window is.
     components : sequence of str, optional
         The only components to compute, such as ``["observer"]``; all others are taken from the log.
     scenario : str, Path or Scenario, optional
@@ -362,7 +362,7 @@ def replayed_once(
 ) -> Iterator[Log | Memory]:
     """Yield a replay without other values; parameters as of :func:`replay`.
 
-    Without ``out`` it is gone behind the ``with`` block. Till then it is in memory, or, where that
+    Without ``out`` it is gone after the ``with`` block. Till then it is in memory, or, where that
     is much, in a temporary file.
     """
     if out is not None or not replays.is_large:
