@@ -95,8 +95,24 @@ class Contradiction:
     expected: Any
 
     def __str__(self) -> str:
-        found = quoted(self.found)
-        return f"{self.statement}: found {found}, the replay has {quoted(self.expected)}"
+        place, found, expected = _first_difference(self.found, self.expected)
+        text = f"{self.statement}{place}: found {quoted(found)}"
+        return f"{text}, the replay has {quoted(expected)}"
+
+
+def _first_difference(found: Any, expected: Any) -> tuple[str, Any, Any]:
+    """Return where two lists differ first, and what they have there; of others the whole."""
+    if not (isinstance(found, list) and isinstance(expected, list) and found and expected):
+        return "", found, expected
+    for number, (a, b) in enumerate(zip(found, expected, strict=False)):
+        if isinstance(a, dict):  # of verdicts, which may differ by rounding
+            break
+        if a != b:
+            return f", entry {number}", a, b
+    else:
+        common = min(len(found), len(expected))
+        return f", from entry {common} on", found[common:], expected[common:]
+    return "", found, expected
 
 
 def contradictions(

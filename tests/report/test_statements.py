@@ -7,6 +7,7 @@ import pytest
 import cosim
 from cosim.errors import CosimError, RunError
 from cosim.log import open_log
+from cosim.report.statements import Contradiction
 from cosim.report.verification import verify
 from cosim.scenario.document.document import shipped
 from tests.log.crafting import put_together, take_apart
@@ -320,3 +321,17 @@ def test_the_log_of_a_swapped_run_passes_without_what_was_swapped_in(valid, tmp_
     cosim.run("academic", out=path, swap={"plant": plant}, set={"scenario.stop": 0.05})
     plant.unlink()
     assert verified(path).problems == []
+
+
+@pytest.mark.parametrize(
+    ("found", "expected", "text"),
+    [
+        ([1, 2, 3], [1, 7, 3], "what, entry 1: found 2, the replay has 7"),
+        ([1, 2, 3], [1], "what, from entry 1 on: found [2, 3], the replay has []"),
+        ([], [1], "what: found [], the replay has [1]"),
+        ("a", "b", "what: found 'a', the replay has 'b'"),
+    ],
+)
+def test_of_lists_the_first_difference_is_shown(found, expected, text):
+    """Long ones are shortened where they begin to differ otherwise."""
+    assert str(Contradiction("what", found, expected)) == text
