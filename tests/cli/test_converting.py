@@ -107,7 +107,7 @@ def test_wrong_use_exits_with_2(call, tmp_path):
         (("cat", "b.mcap"), "b.mcap cannot be read"),
         (("cat", "b.mcap", "--follow"), "b.mcap cannot be read"),
         (("convert", "a.mcap", "a.txt"), "found the ending '.txt'"),
-        (("convert", "a.mcap", "a.npz", "--from", "2", "--to", "1"), "--from = 2.0 s behind"),
+        (("convert", "a.mcap", "a.npz", "--from", "2", "--to", "1"), "--from = 2.0 s after"),
     ]:
         code, out, err = call(*options)
         assert (code, out) == (2, "")
