@@ -19,7 +19,7 @@ from cosim.log.contents.run_start import recorded_start_ns
 from cosim.log.mcap_file.paths import open_file
 from cosim.log.reading.container import MALFORMED
 
-_OF_THE_END: Final = (RESULT, PARTIAL)  # metadata that a part has of its own
+OF_THE_END: Final = (RESULT, PARTIAL)  # metadata that a part has of its own
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class LogPieces:
     @property
     def kept_metadata(self) -> dict[str, Mapping[str, str]]:
         """The metadata that every part of the run has."""
-        names = [name for name in self.metadata if name not in _OF_THE_END]
+        names = [name for name in self.metadata if name not in OF_THE_END]
         return {name: self.metadata[name] for name in names}
 
     @property

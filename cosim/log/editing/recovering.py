@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,7 +18,7 @@ from cosim.log.contents.result import PARTIAL_STATUS, RESULT
 from cosim.log.editing.batches import gathered
 from cosim.log.editing.copying import PartEnd, write_log
 from cosim.log.editing.lost import RecoveredRows, is_beginning, missing_rows
-from cosim.log.editing.pieces import LogPieces
+from cosim.log.editing.pieces import OF_THE_END, LogPieces
 from cosim.log.editing.salvage import Salvage, intact_blocks, salvage
 from cosim.log.mcap_file.paths import log_path
 from cosim.log.reading.container import MALFORMED
@@ -38,12 +39,16 @@ class RecoveredLog:
         says it, or else the last row of all.
     end_is_known : bool
         Whether that is the end of the run.
+    has_all_messages : bool
+        Whether all that is beside rows is there: messages, events, substeps. No: some are lost, or
+        the file does not say any more how many there were.
     """
 
     log: Log
     rows: Mapping[str, RecoveredRows]
     end_ns: int
     end_is_known: bool
+    has_all_messages: bool
 
     @property
     def whole_until_ns(self) -> int | None:
@@ -75,6 +80,7 @@ class RecoveredLog:
             "reason": self.log.reason,
             "end": self.end_ns / NANOSECONDS,
             "end_is_known": self.end_is_known,
+            "has_all_messages": self.has_all_messages,
             "has_scenario": self.has_scenario,
             "components": components,
         }
@@ -101,15 +107,19 @@ def recover(path: Path, out: Path, *, force: bool = False) -> RecoveredLog:
     found = salvage(path)
     declared = _pieces(path, found)
     pieces = _complete_components(declared)
-    times = _times(path, found, pieces)
+    times, counts = _times(path, found, pieces)
     if not any(len(time_ns) for time_ns in times.values()):
         raise LogError(f"{path}: no row is intact; run it again")
     selection = _Selection(pieces, times)
     rows, end_ns, end_is_known = _missing(declared, times)
     end = _end(path, pieces, rows, times)
+    has_all_messages = _has_all_messages(found, pieces, counts)
+    if not has_all_messages:  # without them it is not the log of the run, whatever its hash is
+        kept = {name: items for name, items in pieces.metadata.items() if name not in OF_THE_END}
+        pieces = replace(pieces, metadata=kept)
     batches = gathered(intact_blocks(path, found), pieces.dtypes, selection.wanted)
     log = write_log(out, pieces, batches, lambda _: end, force=force)
-    return RecoveredLog(log, rows, end_ns, end_is_known)
+    return RecoveredLog(log, rows, end_ns, end_is_known, has_all_messages)
 
 
 def _pieces(path: Path, found: Salvage) -> LogPieces:
@@ -155,13 +165,29 @@ def _complete_components(pieces: LogPieces) -> LogPieces:
     return replace(pieces, channels=[own for own in pieces.channels if own.id not in lost])
 
 
-def _times(path: Path, found: Salvage, pieces: LogPieces) -> dict[str, Nanoseconds]:
-    """Return the instants at which all parts of a component have rows, by its name, ascending."""
+def _has_all_messages(found: Salvage, pieces: LogPieces, counts: Mapping[int, int]) -> bool:
+    """Return whether nothing beside rows is lost, by the statistics of the file."""
+    others = found.counts.keys() - pieces.parts.keys()
+    return bool(found.counts) and all(
+        counts.get(number, 0) >= found.counts[number] for number in others
+    )
+
+
+def _times(
+    path: Path, found: Salvage, pieces: LogPieces
+) -> tuple[dict[str, Nanoseconds], dict[int, int]]:
+    """Return when all parts of a component have rows, by its name, and how many messages there are.
+
+    The instants ascend; the messages are those that are no rows, by their channels, each once.
+    """
+    messages: dict[int, set[bytes]] = defaultdict(set)
     known: dict[int, list[Nanoseconds]] = {number: [] for number in pieces.parts}
 
     def keep_times(number: int, time_ns: Nanoseconds, contents: list[bytes] | None) -> Mask:
         if contents is None:
             known[number].append(time_ns)
+        else:
+            messages[number].update(contents)
         return np.zeros(len(time_ns), np.bool_)
 
     try:
@@ -174,7 +200,7 @@ def _times(path: Path, found: Salvage, pieces: LogPieces) -> dict[str, Nanosecon
         own = np.unique(np.concatenate([np.empty(0, np.int64), *known[number]]))
         name = part.channel.name
         times[name] = np.intersect1d(times[name], own) if name in times else own
-    return times
+    return times, {number: len(own) for number, own in messages.items()}
 
 
 @final

@@ -13,7 +13,7 @@ from __future__ import annotations
 import mmap
 import re
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -35,7 +35,7 @@ _CHUNK: Final = struct.Struct("<QQQII")  # first and last time, size, CRC, lengt
 _MOST_NAME: Final = 16  # of a compression
 # Opcodes of what is looked for, and lengths below 2**40: other records have these bytes by chance
 # now and then, and are refused by their content.
-_CANDIDATE: Final = re.compile(rb"[\x03\x04\x06\x09\x0c].{5}\x00\x00\x00", re.DOTALL)
+_CANDIDATE: Final = re.compile(rb"[\x03\x04\x06\x09\x0b\x0c].{5}\x00\x00\x00", re.DOTALL)
 _MOST_FACTS: Final = 2**24  # bytes of a schema, a channel or metadata
 _LARGEST: Final = {Opcode.CHUNK: MOST_BYTES, Opcode.ATTACHMENT: MOST_ATTACHED}
 _ATTACHMENT_TIMES: Final = 16  # bytes
@@ -50,6 +50,8 @@ class Salvage:
     ----------
     chunks : list of (int, int)
         Where they begin and end.
+    counts : mapping of channel id to int
+        How many messages the file had, of its last statistics; empty: there are none.
     """
 
     schemas: dict[int, records.Schema] = field(default_factory=dict)
@@ -57,6 +59,7 @@ class Salvage:
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     attachments: dict[str, records.Attachment] = field(default_factory=dict)
     chunks: list[tuple[int, int]] = field(default_factory=list)
+    counts: dict[int, int] = field(default_factory=dict)
 
 
 def salvage(path: Path) -> Salvage:
@@ -101,9 +104,8 @@ def _keep(found: Salvage, content: mmap.mmap, start: int) -> int | None:
     if stop > len(content) or length > _LARGEST.get(opcode, _MOST_FACTS):
         return None
     # Cheap, before anything is copied.
-    if opcode == Opcode.CHUNK and not _is_chunk(content, start + HEADER, stop):
-        return None
-    if opcode == Opcode.ATTACHMENT and not _is_attachment(content, start + HEADER, stop):
+    fits = _SIZES_FIT.get(opcode)
+    if fits is not None and not fits(content, start + HEADER, stop):
         return None
     try:
         data = content[start + HEADER : stop]
@@ -125,12 +127,33 @@ def _keep(found: Salvage, content: mmap.mmap, start: int) -> int | None:
                     raise ValueError("metadata without a name")
                 verify_checksum(item.name, item.metadata)
                 found.metadata[item.name] = item.metadata
+            case Opcode.STATISTICS:
+                found.counts = max(found.counts, _message_counts(data), key=_total)
             case _:
                 attachment = _attachment(data)
                 found.attachments[attachment.name] = attachment
     except (*MALFORMED, EOFError, AssertionError):
         return None
     return stop
+
+
+def _total(counts: Mapping[int, int]) -> int:
+    return sum(counts.values())
+
+
+def _message_counts(data: bytes) -> dict[int, int]:
+    """Return the messages of each channel, of statistics.
+
+    Raises
+    ------
+    ValueError
+        If nothing vouches for them: no CRC does.
+    """
+    statistics = _whole(records.Statistics, data)
+    counts: dict[int, int] = statistics.channel_message_counts
+    if not counts or _total(counts) != statistics.message_count:
+        raise ValueError("statistics that do not add up")
+    return counts
 
 
 def _is_chunk(content: mmap.mmap, start: int, stop: int) -> bool:
@@ -174,6 +197,9 @@ def _is_attachment(content: mmap.mmap, start: int, stop: int) -> bool:
         return False
     size = int.from_bytes(content[position : position + 8], "little")
     return bool(position + 8 + size + 4 == stop)
+
+
+_SIZES_FIT: Final = {Opcode.CHUNK: _is_chunk, Opcode.ATTACHMENT: _is_attachment}
 
 
 def _whole(kind: Any, data: bytes) -> Any:

@@ -35,6 +35,10 @@ def print_recovery(recovery: RecoveredLog, *, as_json: bool) -> None:
     end = recovery.end_ns / NANOSECONDS
     if not recovery.end_is_known:
         print_line(f"rows after {end} s, if there were any, are lost, too: the file has no end")
+    if not recovery.has_all_messages:
+        print_line(
+            "messages, events and substeps may be lost, too: nothing says how many there were"
+        )
     if not recovery.has_scenario:
         print_line("its scenario is lost: it can be read, but not replayed")
     log = recovery.log

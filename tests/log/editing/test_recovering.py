@@ -334,3 +334,21 @@ def test_a_crc_of_nothing_vouches_for_nothing(tmp_path, written):
     recovery = recovered(tmp_path, broken)
     assert recovery.log.status == "partial"
     json.dumps(recovery.to_dict())
+
+
+def test_a_lost_chunk_of_messages_is_told(tmp_path, written):
+    """All rows are there, and their hash fits: yet it is not the log of the run."""
+    data, rows, chunks = written
+    (chunk,) = [chunk for chunk in chunks if not {1, 2} & chunk.message_index_offsets.keys()]
+    broken = bytearray(data)
+    broken[chunk.chunk_start_offset + chunk.chunk_length - 5] ^= 4
+    recovery = recovered(tmp_path, broken)
+    check_rows(recovery, rows)
+    assert all(not own.lost for own in recovery.rows.values())
+    assert not recovery.log.messages()
+    assert not recovery.has_all_messages
+    assert (recovery.log.status, recovery.log.reason) == (
+        "interrupted",
+        "recovered from broken.mcap",
+    )
+    assert recovered(tmp_path, data).has_all_messages
