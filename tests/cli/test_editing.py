@@ -54,6 +54,19 @@ def test_lost_rows_are_shown(call, log):
     assert call("recover", "broken.mcap", "-o", "good.mcap", "--force")[0] == 0
 
 
+def test_what_else_is_lost_is_shown(call, log):
+    """Without statistics nothing says how many messages there were; a late part is not replayed."""
+    data = log.read_bytes()
+    (log.parent / "b.mcap").write_bytes(data[: len(data) * 3 // 4])
+    _, out, _ = call("recover", "b.mcap", "-o", "good.mcap")
+    assert "messages, events or substeps are lost, too, or nothing says how many" in out
+    call("run", "academic", "--stop", "0.2", "--out", "run.mcap")
+    call("cut", "run.mcap", "--from", "0.1", "-o", "late.mcap")
+    code, out, _ = call("recover", "late.mcap", "-o", "saved.mcap")
+    assert code == 0
+    assert "can be replayed" not in out
+
+
 def test_a_truncated_log_names_the_command(call, log):
     """Which says what it cannot know."""
     data = log.read_bytes()

@@ -94,3 +94,16 @@ def test_the_keys_are_listed(call):
     assert code == 0
     assert json.loads(out)["record"].keys() == {"signals", "every"}
     assert "every" in call("list")[1]
+
+
+@pytest.mark.usefixtures("logs")
+def test_diff_says_where_it_compares(call):
+    """Rows that one log has not are not equal: they are not there."""
+    short = ("--stop", "0.2")
+    call("run", "academic", *short, "--out", "all.mcap")
+    call("run", "academic", *short, "--set", "record.every=7", "--out", "some.mcap")
+    code, out, _ = call("diff", "all.mcap", "some.mcap")
+    assert code == 0
+    text = "note: compared where both have rows: u.y at 29 instants, of 201 in a and 29 in b"
+    assert text in out.splitlines()
+    assert "note: compared" not in call("diff", "all.mcap", "all.mcap")[1]

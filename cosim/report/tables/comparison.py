@@ -17,7 +17,7 @@ from cosim.report.tables.console import (
 )
 
 if TYPE_CHECKING:
-    from cosim.log.comparison.difference import LogDifference
+    from cosim.log.comparison.difference import LogDifference, SignalDifference
     from cosim.log.comparison.event_difference import EventsDifference
     from cosim.report.comparing import Comparison, EstimateDifference
     from cosim.report.estimator_comparison import EstimatorComparison, EstimatorResult
@@ -48,6 +48,13 @@ def print_difference(difference: LogDifference, *, as_json: bool) -> None:
             numbers.insert(0, f"{row.tolerance:.3g}")
         table.add_row(row.signal, row.status, *numbers, outside)
     print_table(table)
+    fewer = [row for row in difference.rows if _has_fewer_rows(row)]
+    if fewer:
+        rows_a, rows_b, both = fewer[0].rows
+        print_line(
+            f"note: compared where both have rows: {fewer[0].signal} at {both} instants, of "
+            f"{rows_a} in a and {rows_b} in b"
+        )
     if any(difference.events.events):
         print_line(_events_text(difference.events))
     if any(row.largest > 0.0 and row.signal.endswith(".delta") for row in difference.rows):
@@ -55,6 +62,11 @@ def print_difference(difference: LogDifference, *, as_json: bool) -> None:
             "note: a reconstructed disturbance multiplies the last bit of y by filter_rate; "
             "give it a tolerance of its own"
         )
+
+
+def _has_fewer_rows(row: SignalDifference) -> bool:
+    """Return whether a signal that passes has rows in one log which the other does not have."""
+    return row.status in ("equal", "within") and row.rows[2] < max(row.rows[:2])
 
 
 def _events_text(difference: EventsDifference) -> str:

@@ -37,13 +37,13 @@ def print_recovery(recovery: RecoveredLog, *, as_json: bool) -> None:
         print_line(f"rows after {end} s, if there were any, are lost, too: the file has no end")
     if not recovery.has_all_messages:
         print_line(
-            "messages, events and substeps may be lost, too: nothing says how many there were"
+            "messages, events or substeps are lost, too, or nothing says how many there were"
         )
     if not recovery.has_scenario:
         print_line("its scenario is lost: it can be read, but not replayed")
     log = recovery.log
     whole_ns = recovery.whole_until_ns
-    if log.status == PARTIAL_STATUS and whole_ns is not None:
+    if log.status == PARTIAL_STATUS and whole_ns is not None and not log.begins_late:
         print_line(
             f"no row is lost up to {whole_ns / NANOSECONDS} s: with '--to {whole_ns / NANOSECONDS}'"
             ", 'cosim cut' makes a log that can be replayed"
