@@ -413,6 +413,17 @@ class Log(RecordedRun):
         """The memory that the rows of all components take, as doubles [bytes]."""
         return self._rows.row_bytes
 
+    def shares_chunks(self, component: str) -> bool:
+        """Return whether rows of other components stand in most of the chunks of a component.
+
+        Raises
+        ------
+        UnknownSignalError
+            If there is no such component; names the nearest.
+        """
+        find_channel(self._channels, component, source=str(self.path))
+        return self._rows.shares_chunks(component)
+
     def load(self, *components: str) -> None:
         """Read several components in one pass over the file; none named: all.
 

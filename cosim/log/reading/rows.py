@@ -146,6 +146,11 @@ class LogRows:
         """The memory that the rows of all components take, as doubles [bytes]."""
         return sum(self._row_bytes(name) for name in self._channels)
 
+    def shares_chunks(self, component: str) -> bool:
+        """Return whether rows of other components stand in most of the chunks of a component."""
+        own = self._parts_of[component].keys()
+        return bool((self._file.shared_with(own) - own) & self._parts.keys())
+
     def load(self, components: Sequence[str]) -> None:
         """Read several components in one pass over the file; none named: all."""
         wanted = components or tuple(self._channels)

@@ -8,11 +8,12 @@ from typing import Final
 from cosim.core.clock import Clock
 from cosim.core.recording import CompleteRecording
 from cosim.errors import LogError
+from cosim.log import Log
 from cosim.log.contents.result import PARTIAL_STATUS
 from cosim.scenario.recorded_metadata import recorded_window, replay_origin
 
 _DOUBLE: Final = 8  # bytes
-_MOST_LOADED: Final = 2**24  # bytes of rows that are read before they are needed
+_MOST_LOADED: Final = 2**25  # bytes of rows that are read before they are needed
 
 
 def check_whole(source: CompleteRecording) -> None:
@@ -90,11 +91,17 @@ def check_clock(clock: Clock, source: CompleteRecording) -> None:
 
 
 def load_rows(source: CompleteRecording, components: Sequence[str]) -> None:
-    """Read the rows of components in one pass over the file, where they fit into memory well."""
+    """Read the rows of components in one pass over the file.
+
+    Where they are many, only those are read that share chunks with others: of them every part would
+    take all of its chunks.
+    """
     size = 0
     for name in components:
         channel = source.channels[name]
         width = channel.columns.stop - channel.start
         size += (source.steps // channel.period + 1) * (width + 1) * _DOUBLE
-    if size <= _MOST_LOADED:
+    if size > _MOST_LOADED and isinstance(source, Log):
+        components = [name for name in components if source.shares_chunks(name)]
+    if components:  # none would be all
         source.load(*components)

@@ -5,11 +5,13 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 
 import cosim
 from cosim.blocks import recorded_rows
 from cosim.cli.app import main
 from cosim.core.stages import engine
+from cosim.errors import UnknownSignalError
 from cosim.log import open_log
 from cosim.log.reading import rows as log_rows
 from cosim.log.writing import encoding
@@ -152,3 +154,37 @@ def test_errors_of_a_long_run_are_those_of_all_its_parts(tmp_path, monkeypatch, 
         for a, b in zip(whole.signals, in_parts.signals, strict=True):
             assert (a.largest, a.last, a.since) == (b.largest, b.last, b.since)
             assert np.isclose(a.rms, b.rms, rtol=1e-12, atol=0)
+
+
+@pytest.mark.parametrize("chunk_bytes", [2**14, 2**16])
+def test_components_that_share_chunks_are_read_in_one_pass(tmp_path, monkeypatch, chunk_bytes):
+    """Each part of one of them would take the chunks of all."""
+    make_chunks_small(monkeypatch, chunk_bytes)
+    (tmp_path / "loop.toml").write_text(SCENARIO)
+    path = tmp_path / "a.mcap"
+    cosim.run(tmp_path / "loop.toml", out=path)
+    log = open_log(path)
+    shared = []
+    with path.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    numbers = {channel.topic: number for number, channel in summary.channels.items()}
+    for name in log.channels:
+        own = numbers[f"/{name}"]
+        found = [set(index.message_index_offsets) for index in summary.chunk_indexes]
+        found = [channels for channels in found if own in channels]
+        others = {number for topic, number in numbers.items() if not topic.startswith("/cosim/")}
+        counts = [sum(other in channels for channels in found) for other in others - {own}]
+        if 2 * max(counts) >= len(found):
+            shared.append(name)
+    assert ("plant" in shared) == (chunk_bytes == 2**14)
+    assert [name for name in log.channels if log.shares_chunks(name)] == shared
+    loaded = []
+    monkeypatch.setattr(type(log), "load", lambda log, *names: loaded.append(names))
+    names = list(log.channels)
+    recorded_span.load_rows(log, names)
+    monkeypatch.setattr(recorded_span, "_MOST_LOADED", 0)
+    recorded_span.load_rows(log, names)
+    recorded_span.load_rows(log, [])
+    assert loaded == [tuple(names), *([tuple(shared)] if shared else [])]
+    with pytest.raises(UnknownSignalError, match="has no component 'plnt'"):
+        log.shares_chunks("plnt")
