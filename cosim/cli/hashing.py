@@ -18,8 +18,8 @@ def hash_(
 ) -> None:
     """Print the content hash of a log.
 
-    It covers name, times and bits of every signal; compression and chunks do not change it.
-    Exit 1 if the run recorded another one.
+    It covers what every signal is declared as (name, unit, role, ...), its times and bits;
+    compression and chunks do not change it. Exit 1 if another one is recorded in the log.
     """
     from cosim.log import open_log
     from cosim.report.tables.console import print_json, print_line
@@ -39,7 +39,7 @@ def hash_(
         print_notice(f"{opened.path}: no content hash was recorded to compare this one with")
     elif found != recorded:
         print_notice(
-            f"{opened.path}: the content hash differs from {recorded}, which the run recorded: "
-            "its signals are no longer those of the run"
+            f"{opened.path}: the content hash differs from {recorded}, which is recorded: its "
+            "signals are no longer those that were written"
         )
         raise typer.Exit(1)

@@ -49,8 +49,8 @@ def test_a_changed_value_is_said_and_exits_with_1(call, tmp_path):
     assert out.split()[1] == "b.mcap"
     assert recorded not in out
     assert err == (
-        f"b.mcap: the content hash differs from {recorded}, which the run recorded: its signals "
-        "are no longer those of the run\n"
+        f"b.mcap: the content hash differs from {recorded}, which is recorded: its signals "
+        "are no longer those that were written\n"
     )
     shown = json.loads(call("hash", "b.mcap", "--json", "--signals")[1])
     assert (shown["recorded"], shown["equal"]) == (recorded, False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -101,9 +102,13 @@ def recover(path: Path, out: Path, *, force: bool = False) -> RecoveredLog:
     ------
     LogError
         If nothing in the file says what rows are, or none is intact; if the file cannot be read, or
-        ``out`` cannot be written.
+        ``out`` cannot be written, or is that file.
     """
     path = log_path(path)
+    if os.path.realpath(log_path(out)) == os.path.realpath(path):
+        raise LogError(
+            f"{path} is the file that is recovered, which may be needed again; choose another path"
+        )
     found = salvage(path)
     declared = _pieces(path, found)
     pieces = _complete_components(declared)

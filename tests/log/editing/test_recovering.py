@@ -352,3 +352,12 @@ def test_a_lost_chunk_of_messages_is_told(tmp_path, written):
         "recovered from broken.mcap",
     )
     assert recovered(tmp_path, data).has_all_messages
+
+
+def test_a_damaged_file_is_not_replaced_by_what_is_recovered_of_it(tmp_path, written):
+    """It is the only one that has what was not."""
+    path = tmp_path / "a.mcap"
+    path.write_bytes(written[0])
+    with pytest.raises(LogError, match="is the file that is recovered, which may be needed again"):
+        recover(path, tmp_path / "." / "a.mcap", force=True)
+    assert path.read_bytes() == written[0]
