@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
+
 import pytest
 
 import cosim
@@ -151,3 +155,28 @@ def test_a_replay_does_not_replace_a_file_of_its_log(run, name):
     with pytest.raises(UsageError, match=text):
         cosim.replay(source, out=run.with_name(name), force=True)
     assert {path: path.read_bytes() for path in run.parent.iterdir()} == files
+
+
+def test_a_last_part_without_a_hash_is_not_said_to_have_one(tmp_path):
+    """Its run was killed; the hash of what is joined was recorded by no run."""
+    code = (
+        "import os, signal, sys, cosim\n"
+        "from cosim.errors import CosimError\n"
+        "def kill(time, end):\n"
+        "    try:\n"
+        "        steps = cosim.open_log(sys.argv[2]).steps\n"
+        "    except CosimError:\n"
+        "        return\n"  # it is not there yet, or its rows have moved since it was opened
+        "    if steps > 900:\n"
+        "        os.kill(os.getpid(), signal.SIGKILL)\n"
+        "options = {'rotate': '0.8s', 'flush': 1e-3, 'block': 50}\n"
+        "cosim.run('academic', out=sys.argv[1], progress=kill, **options)\n"
+    )
+    paths = [tmp_path / "run.mcap", tmp_path / "run.part2.mcap"]
+    process = subprocess.run([sys.executable, "-c", code, *map(str, paths)], check=False)
+    assert process.returncode == -signal.SIGKILL
+    last = max(tmp_path.glob("run.part*.mcap"), key=lambda path: int(path.stem[8:]))
+    assert open_log(last).status == "unfinished"
+    verification = verify(open_joined(last), cosim.replay(last))
+    assert verification.passed
+    assert verification.lines[0].startswith("no content hash to check: the log is unfinished")
