@@ -75,7 +75,7 @@ def read_index(path: Path, stream: BinaryIO) -> LogIndex | None:
         If the summary is damaged.
     """
     size = stream.seek(0, os.SEEK_END)
-    if size < len(MAGIC) + END_SIZE or not is_ours(stream):
+    if size < len(MAGIC) + END_SIZE:
         return None
     footer_start = size - END_SIZE
     stream.seek(footer_start)
@@ -83,6 +83,8 @@ def read_index(path: Path, stream: BinaryIO) -> LogIndex | None:
     opcode, length, start, offset_start, crc = FOOTER.unpack(end[:FOOTER_SIZE])
     is_footer = opcode == Opcode.FOOTER and length == FOOTER_SIZE - HEADER
     if not is_footer or end[FOOTER_SIZE:] != MAGIC or not start:
+        return None
+    if not is_ours(stream) and not (crc == 0 and _has_seal(stream, start, footer_start)):
         return None
     if not len(MAGIC) < start <= offset_start <= footer_start:
         raise damage_error(path, footer_start, f"the summary is said to begin at byte {start}")
@@ -100,6 +102,14 @@ def read_index(path: Path, stream: BinaryIO) -> LogIndex | None:
         raise damage_error(path, start, "the CRC of the summary does not match its content")
     summary = parse_summary(section)
     return LogIndex(summary, _contents(summary), is_unfinished=not crc)
+
+
+def _has_seal(stream: BinaryIO, start: int, stop: int) -> bool:
+    """Return whether a seal vouches for a summary: no CRC does for the header before it."""
+    if not len(MAGIC) < start < stop <= start + _MOST_SUMMARY:
+        return False
+    stream.seek(start)
+    return bool(_sealed(stream.read(stop - start), start))
 
 
 def _sealed(section: bytes, start: int) -> bytes:

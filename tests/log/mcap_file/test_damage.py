@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 import re
+import struct
 from collections import Counter
 
 import numpy as np
@@ -115,6 +116,19 @@ def test_a_flipped_bit_is_harmless_or_reported(tmp_path, written, state, count):
         except AssertionError:
             pytest.fail(f"bit {bit} of byte {position}")
     assert outcomes["reported"] > count / 4
+
+
+def test_a_killed_log_is_known_by_its_seal_too(tmp_path, written):
+    """No CRC covers its header, which names the tool that wrote it."""
+    data = written["killed"]
+    path = tmp_path / "a.mcap"
+    path.write_bytes(data)
+    truth = everything(path)
+    (length,) = struct.unpack_from("<Q", data, len(MAGIC) + 1)
+    for position in range(len(MAGIC), len(MAGIC) + 9 + length):
+        damaged = bytearray(data)
+        damaged[position] ^= 0x80
+        outcome(path, damaged, truth)
 
 
 @pytest.mark.parametrize("state", ["closed", "killed"])
