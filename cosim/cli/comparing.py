@@ -125,7 +125,7 @@ def _draw_worst(
     from cosim.report.plots import plot_difference
 
     if difference.worst is None:
-        print_notice(f"{out}: not drawn, as no signal is apart")
+        print_notice(f"{out}: not drawn, as the largest difference of two values is 0")
         return
     plot_difference(difference, logs, out)
     if not as_json:

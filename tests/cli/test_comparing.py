@@ -50,7 +50,7 @@ def test_the_worst_signal_is_drawn(call, tmp_path):
 def test_equal_logs_have_no_picture(call, tmp_path):
     """Which is said."""
     code, _, err = call("diff", "a.mcap", "a.mcap", "--plot", "d.png")
-    assert (code, err) == (0, "d.png: not drawn, as no signal is apart\n")
+    assert (code, err) == (0, "d.png: not drawn, as the largest difference of two values is 0\n")
     assert not (tmp_path / "d.png").exists()
 
 
