@@ -14,6 +14,7 @@ from cosim.log.contents.result import PARTIAL_STATUS, span_text
 from cosim.log.editing.batches import gathered
 from cosim.log.editing.copying import PartEnd, write_log
 from cosim.log.editing.pieces import LogPieces, read_pieces
+from cosim.log.mcap_file.paths import check_not_read
 from cosim.log.reading.container import Container
 from cosim.log.reading.reader import Log, open_log
 
@@ -48,9 +49,11 @@ def cut(
     UsageError
         If the times are no span.
     LogError
-        If the log cannot be read, has no row in that time, or ``out`` cannot be written.
+        If the log cannot be read, has no row in that time, or ``out`` cannot be written or is that
+        log.
     """
     first_ns, last_ns = span_ns(start, stop, names)
+    check_not_read(out, [path])
     log = open_log(path)
     pieces = read_pieces(log.path)
     messages = _message_span(pieces, first_ns, last_ns)

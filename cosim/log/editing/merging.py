@@ -18,6 +18,7 @@ from cosim.log.editing.copying import PartEnd, write_log
 from cosim.log.editing.cutting import part_text
 from cosim.log.editing.pieces import LogPieces, read_pieces
 from cosim.log.mcap_file.chunks import MessageBatch
+from cosim.log.mcap_file.paths import check_not_read
 from cosim.log.reading.container import Container
 from cosim.log.reading.reader import Log, open_log
 
@@ -59,10 +60,11 @@ def merge(paths: Sequence[Path], out: Path, *, force: bool = False) -> Log:
     LogError
         If they are no spans of one run, overlap, or rows are missing between them; if the rows of
         one, or of all, are not those that were recorded; if one cannot be read, or ``out`` cannot
-        be written.
+        be written or is one of them.
     """
     if len(paths) < 2:
         raise UsageError(f"found {len(paths)} log to merge; needed at least two")
+    check_not_read(out, paths)
     spans = sorted((_span(path) for path in paths), key=lambda span: span.begin)
     for earlier, later in pairwise(spans):
         _check_same_run(earlier, later)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -21,7 +20,7 @@ from cosim.log.editing.copying import PartEnd, write_log
 from cosim.log.editing.lost import RecoveredRows, is_beginning, missing_rows
 from cosim.log.editing.pieces import OF_THE_END, LogPieces
 from cosim.log.editing.salvage import Salvage, intact_blocks, salvage
-from cosim.log.mcap_file.paths import log_path
+from cosim.log.mcap_file.paths import check_not_read, log_path
 from cosim.log.reading.container import MALFORMED
 from cosim.log.reading.reader import Log
 
@@ -105,10 +104,7 @@ def recover(path: Path, out: Path, *, force: bool = False) -> RecoveredLog:
         ``out`` cannot be written, or is that file.
     """
     path = log_path(path)
-    if os.path.realpath(log_path(out)) == os.path.realpath(path):
-        raise LogError(
-            f"{path} is the file that is recovered, which may be needed again; choose another path"
-        )
+    check_not_read(out, [path])
     found = salvage(path)
     declared = _pieces(path, found)
     pieces = _complete_components(declared)

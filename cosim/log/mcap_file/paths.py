@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
 from io import BufferedReader
 from pathlib import Path
 
@@ -54,6 +55,22 @@ def check_new_log(path: Path, *, force: bool, numbered: bool) -> None:
     except OSError as error:
         reason = error.strerror or error
         raise LogError(f"{path} cannot be created: {reason}") from error
+
+
+def check_not_read(out: Path, sources: Iterable[Path]) -> None:
+    """Check that a log is not written in the place of one that it is made from.
+
+    Raises
+    ------
+    LogError
+        If it is, also by another name.
+    """
+    for source in sources:
+        if os.path.realpath(log_path(out)) == os.path.realpath(log_path(source)):
+            raise LogError(
+                f"{source} is read for the new log, which cannot take its place; choose another "
+                "path"
+            )
 
 
 def open_file(path: Path) -> BufferedReader:

@@ -197,12 +197,23 @@ def test_parts_of_other_runs_are_refused(whole, tmp_path, options, text):
 
 
 def test_a_log_that_exists_is_not_replaced_unless_asked(whole, tmp_path):
-    """Not even by a part of itself."""
+    """And never by a part of itself."""
     path, rows = whole
+    part = tmp_path / "part.mcap"
+    cut(path, 0.2, 0.4, part)
     with pytest.raises(LogError, match="exists; choose another path"):
-        cut(path, 0.2, 0.4, path)
-    cut(path, 0.2, 0.4, path, force=True)
-    assert same_bits(open_log(path)["plant.u"], rows[200:401, 0])
+        cut(path, 0.3, 0.4, part)
+    cut(path, 0.3, 0.4, part, force=True)
+    assert same_bits(open_log(part)["plant.u"], rows[300:401, 0])
+    rest = tmp_path / "rest.mcap"
+    cut(path, 0.401, None, rest)
+    content = path.read_bytes(), part.read_bytes()
+    text = "is read for the new log, which cannot take its place; choose another path"
+    with pytest.raises(LogError, match=text):
+        cut(path, 0.2, 0.4, tmp_path / "." / path.name, force=True)
+    with pytest.raises(LogError, match=text):
+        merge([rest, part], part, force=True)
+    assert (path.read_bytes(), part.read_bytes()) == content
 
 
 def test_a_log_without_a_summary_is_refused(whole, tmp_path):

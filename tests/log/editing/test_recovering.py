@@ -358,6 +358,6 @@ def test_a_damaged_file_is_not_replaced_by_what_is_recovered_of_it(tmp_path, wri
     """It is the only one that has what was not."""
     path = tmp_path / "a.mcap"
     path.write_bytes(written[0])
-    with pytest.raises(LogError, match="is the file that is recovered, which may be needed again"):
+    with pytest.raises(LogError, match="is read for the new log, which cannot take its place"):
         recover(path, tmp_path / "." / "a.mcap", force=True)
     assert path.read_bytes() == written[0]
