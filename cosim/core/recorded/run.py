@@ -430,11 +430,7 @@ class RecordedWindow(RecordedRun):
 
     def _overview(self) -> str:
         """Return what the whole run is, and whether there is nothing of it here."""
-        start_ns = self._run.end_ns - self._run.steps * self.step_ns
-        first_ns = start_ns if self._first_ns is None else max(self._first_ns, start_ns)
-        first_point = start_ns - (start_ns - first_ns) // self.step_ns * self.step_ns
-        last_ns = self.end_ns if self._last_ns is None else min(self._last_ns, self._run.end_ns)
-        rows = "" if first_point <= last_ns else "no rows "
+        rows = "" if self._has(self.end_ns) else "no rows "
         return f"{rows}of a run: {self._run._overview()}"
 
     def _has(self, time_ns: int) -> bool:
