@@ -261,9 +261,8 @@ TASKS: Final[dict[str, Callable[..., None]]] = {
 def main(arguments: Sequence[str]) -> NoReturn:
     """Do a task, and end the process without the handlers of its end.
 
-    Those are of other libraries, in an order that nobody knows: what they do after the instance was
-    freed and the library unloaded (such as libgfortran's in the process of a Python FMU, which now
-    and then abort) says nothing about the FMU.
+    Those of a library that pins itself may crash: pythonfmu3's uses memory that it has freed. What
+    they do after the instance was freed says nothing about the rest of the FMU.
     """
     task, path, *task_arguments = arguments
     end_with_parent()
