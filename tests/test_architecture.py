@@ -49,6 +49,7 @@ ALLOWED = {
     "live": BASE | {"core", "log", "scenario"},
     "gym": BASE | {"core", "scenario"},
     "report": BASE | {"theory", "core", "fmi", "log", "scenario"},
+    "studies": BASE | {"native", "core", "fmi", "log", "scenario", "report"},
     "completion": {"errors", "files", "scenario"},
     "terminal": {"interrupts", "scenario"},
     "unanswered": {"interrupts"},
@@ -60,6 +61,7 @@ ALLOWED = {
         "processes",
         "version",
         "scenario",
+        "studies",
         "log",
         "report",
         "live",
@@ -69,7 +71,7 @@ ALLOWED = {
         "unanswered",
     },
     "__main__": {"cli"},
-    "__init__": {"scenario", "log", "fmi", "report", "version", "lazy"},
+    "__init__": {"scenario", "studies", "log", "fmi", "report", "version", "lazy"},
 }
 OUTSIDE = {
     "fmpy": {"fmi"},
@@ -83,10 +85,10 @@ OUTSIDE = {
     "pandas": {"core"},
     "polars": {"core"},
     "xarray": {"core"},
-    "pydantic": {"scenario"},
-    "matplotlib": {"report"},
+    "pydantic": {"scenario", "studies"},
+    "matplotlib": {"report", "studies"},
     "typer": {"cli", "completion", "report"},
-    "rich": {"report", "terminal"},
+    "rich": {"report", "studies", "terminal"},
 }
 ROOMS = {
     "native": [
@@ -129,6 +131,21 @@ ROOMS = {
         "conversion",
         "foreign",
         "editing",
+    ],
+    "studies": [
+        "contracts",
+        "document",
+        "design",
+        "metrics",
+        "dataset",
+        "members",
+        "workers",
+        "running",
+        "cluster",
+        "analysis",
+        "tuning",
+        "tables",
+        "plots",
     ],
     "scenario": [
         "document",
