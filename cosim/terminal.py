@@ -76,6 +76,45 @@ def show_count(hidden: bool, what: str) -> Iterator[Callable[[int], None] | None
         yield update
 
 
+@contextmanager
+def show_members(hidden: bool) -> Iterator[Callable[[int, int, int], None] | None]:
+    """Show on stderr how many members of a study are done, their rate, and the time left.
+
+    What is yielded is called with how many are done, of how many, and how many of them failed.
+    Nothing is shown where stderr is no terminal.
+    """
+    if hidden or not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("{task.fields[members]}"),
+        BarColumn(),
+        TextColumn("{task.fields[rate]}"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("", total=None, members="", rate="")
+        began = perf_counter()
+        first: int | None = None
+
+        def update(done: int, total: int, failed: int) -> None:
+            nonlocal first
+            if first is None:
+                first = done  # those of an earlier call of the study took no time in this one
+            elapsed = max(perf_counter() - began, 1e-9)
+            failures = f", {failed} failed" if failed else ""
+            members = f"{done} of {total} members{failures}"
+            rate = f"{(done - first) / elapsed:.3g} a second"
+            bar.update(
+                task, completed=done - first, total=total - first, members=members, rate=rate
+            )
+
+        yield update
+
+
 def open_standard_streams() -> None:
     """Open those of the descriptors 0 to 2 that are closed, on nothing.
 

@@ -8,7 +8,7 @@ import pytest
 
 import cosim
 from cosim.cli import main
-from cosim.terminal import show_count
+from cosim.terminal import show_count, show_members
 from tests.fmi.archives import write
 from tests.log.crafting import put_together, take_apart
 
@@ -133,4 +133,23 @@ def test_a_count_is_shown_on_a_terminal_alone(monkeypatch, stream, hidden, is_sh
         if watch is not None:
             watch(41)
     assert ("linear programs solved: 41" in stream.getvalue()) == is_shown
+    assert is_shown or not stream.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("stream", "hidden", "is_shown"),
+    [(Tty(), False, True), (Tty(), True, False), (io.StringIO(), False, False)],
+)
+def test_the_members_of_a_study_are_shown_on_a_terminal_alone(
+    monkeypatch, stream, hidden, is_shown
+):
+    """How many are done and how many of them failed; a resumed study does not begin at 0."""
+    monkeypatch.setattr(sys, "stderr", stream)
+    monkeypatch.setenv("TERM", "xterm")
+    with show_members(hidden) as watch:
+        assert (watch is not None) == is_shown
+        if watch is not None:
+            watch(400, 1000, 0)
+            watch(410, 1000, 3)
+    assert ("410 of 1000 members, 3 failed" in stream.getvalue()) == is_shown
     assert is_shown or not stream.getvalue()
