@@ -35,7 +35,8 @@ SetOption = Annotated[
         "--set",
         metavar="COMPONENT.PARAMETER=VALUE",
         autocompletion=completion.complete_setting,
-        help="Set a value, such as observer.filter_rate=500. Repeatable.",
+        help="Set a value, such as observer.filter_rate=500, or one in a list, such as "
+        "delta.terms[0].theta=-0.2. Repeatable.",
     ),
 ]
 

@@ -106,6 +106,8 @@ class Document:
     def with_changes(self, changes: Mapping[str, Any]) -> Document:
         """Set values; ``components.observer.L`` and ``observer.L`` are the same key.
 
+        A key may reach into lists: ``delta.terms[0].theta``.
+
         Raises
         ------
         UsageError
@@ -113,6 +115,7 @@ class Document:
         """
         values = dict(self.changes)
         for key, value in changes.items():
+            values.pop(short(key), None)  # the later one wins over all that it reaches into
             try:
                 values[short(key)] = plain(value)
             except UsageError as error:

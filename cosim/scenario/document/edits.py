@@ -11,6 +11,7 @@ import numpy as np
 
 from cosim.core.connections import ONE_SOURCE
 from cosim.errors import UsageError, nearest, option, quoted
+from cosim.scenario.document.elements import element_at, split_elements, written
 from cosim.scenario.document.lines import MOST_LEVELS, key_lines
 from cosim.scenario.document.problems import Key, Problem
 
@@ -27,8 +28,15 @@ TABLES = (
 
 
 def short(key: str) -> str:
-    """Return the short form of a dotted key: a component's parameter begins with the component."""
-    return key.removeprefix("components.")
+    """Return the short form of a dotted key: a component's parameter begins with the component.
+
+    An action is ``actions.0``, also where it was written ``actions[0]``.
+    """
+    first, dot, rest = key.removeprefix("components.").partition(".")
+    if first.startswith(f"{ACTIONS}["):
+        name, indices = split_elements(first)
+        first = ".".join([name, *indices])
+    return f"{first}{dot}{rest}"
 
 
 # --- values ---
@@ -163,13 +171,12 @@ def change(tree: dict[str, Any], key: str, value: Any) -> str | None:
         return None
     if first in FLAT:
         _set_port(table, rest, value)
-    elif first in TABLES:
-        _set_value(table, rest, value)
-    elif rest and first not in table:
+        return None
+    if first in TABLES:
+        return _set_value(table, rest, value, (first,))
+    if rest and first not in table:
         return f"there is no component {first!r}; {nearest(first, [*table, *TABLES])}"
-    else:
-        _set_value(table, [first, *rest], value)
-    return None
+    return _set_value(table, [first, *rest], value, ("components",))
 
 
 def _set_action(tree: dict[str, Any], path: list[str], value: Any) -> str | None:
@@ -186,20 +193,68 @@ def _set_action(tree: dict[str, Any], path: list[str], value: Any) -> str | None
     table = actions[int(number)]
     if not inner or not isinstance(table, dict):
         actions[int(number)] = deepcopy(value)
-    elif inner[0] == "set" and len(inner) > 1 and isinstance(table.get("set"), dict):
+        return None
+    if inner[0] == "set" and len(inner) > 1 and isinstance(table.get("set"), dict):
         _set_port(table["set"], inner[1:], value)
-    else:
-        _set_value(table, inner, value)
-    return None
+        return None
+    return _set_value(table, inner, value, (ACTIONS, int(number)))
 
 
-def _set_value(table: dict[str, Any], path: list[str], value: Any) -> None:
-    """Set a value in a table or in tables inside it, which are made where there are none."""
-    for part in path[:-1]:
-        if not isinstance(table.setdefault(part, {}), dict):
-            table[part] = {}
-        table = table[part]
-    table[path[-1]] = deepcopy(value)  # a later change may reach into it
+def _set_value(table: dict[str, Any], path: list[str], value: Any, place: Key) -> str | None:
+    """Set a value in a table or in what is inside it; return the problem of that, if there is one.
+
+    Tables are made where there are none, lists are not. ``place`` is where the table stands.
+    """
+    part, *inner = path
+    name, indices = split_elements(part)
+    if indices and not _is_name(table, part, place):
+        return _set_element(table, [name, *indices], inner, value, place)
+    if not inner:
+        table[part] = deepcopy(value)  # a later change may reach into it
+        return None
+    if not isinstance(table.setdefault(part, {}), dict):
+        table[part] = {}
+    return _set_value(table[part], inner, value, (*place, part))
+
+
+def _is_name(table: Mapping[str, Any], part: str, place: Key) -> bool:
+    """Return whether a part of a key is a name, though it looks like an element of a list.
+
+    The tables inside a component's have names of signals, such as ``start = { "x[0]" = 1.0 }``.
+    """
+    if part in table:
+        return True
+    name, _ = split_elements(part)
+    return len(place) == 3 and place[0] == "components" and name not in table
+
+
+def _set_element(
+    table: dict[str, Any], path: list[str], inner: list[str], value: Any, place: Key
+) -> str | None:
+    """Set an element of a list, or what is inside it; return the problem of that, if any.
+
+    ``path`` is the name of the list in the table, and the indices.
+    """
+    name, *indices = path
+    place = (*place, name)
+    items: Any = table.get(name)
+    for index in indices[:-1]:
+        number, problem = element_at(items, place, index)
+        if problem is not None:
+            return problem
+        items = items[number]
+        place = (*place, number)
+    number, problem = element_at(items, place, indices[-1])
+    if problem is not None:
+        return problem
+    if not inner:
+        items[number] = deepcopy(value)
+        return None
+    entry = items[number]
+    place = (*place, number)
+    if not isinstance(entry, dict):
+        return f"{written(place)} has no keys: found {quoted(entry)}, needed a table"
+    return _set_value(entry, inner, value, place)
 
 
 def _set_port(table: dict[str, Any], port: list[str], value: Any) -> None:

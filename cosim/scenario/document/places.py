@@ -6,6 +6,7 @@ from collections.abc import Collection, Iterable
 
 from cosim.errors import option, shortened
 from cosim.scenario.document.edits import FLAT, SET, short
+from cosim.scenario.document.elements import address
 from cosim.scenario.document.lines import KeyLines
 from cosim.scenario.document.problems import Key, Problem
 from cosim.scenario.document.swap import MAP
@@ -43,13 +44,16 @@ class Places:
     ) -> None:
         self._source = source
         self._lines = lines
-        self._changes = set(changes)
+        self._changes: dict[str, str] = {}  # as they were written, also by the keys of problems
+        for change in changes:
+            self._changes[address(change)] = change
+            self._changes[change] = change
         self._swaps = swaps
         self._maps = maps
         self._swapped = set(swapped)
         self._inside: dict[str, list[str]] = {}  # changes by the tables that they are in
-        for change in self._changes:
-            for outer in _prefixes(change)[1:]:
+        for change in dict.fromkeys(self._changes.values()):
+            for outer in _prefixes(address(change))[1:]:
                 self._inside.setdefault(outer, []).append(change)
 
     def report(self, problems: Iterable[Problem]) -> str:
@@ -80,7 +84,7 @@ class Places:
         dotted = short(".".join(names))
         for outer in _prefixes(dotted):
             if outer in self._changes:
-                return option("set", outer)
+                return option("set", self._changes[outer])
         match names:
             case ["components", name, *_] if name in self._swapped:
                 return self._place(("swap", name))
