@@ -117,6 +117,7 @@ ROOMS = {
         "binary",
         "driving",
         "options",
+        "unpacked",
         "component",
         "exporting",
         "linearizing",

@@ -31,6 +31,7 @@ from cosim.fmi.options import DEFAULT_OPTIONS, FmuOptions
 from cosim.fmi.platforms import ARCHITECTURE, SUFFIX, folders
 from cosim.fmi.reading.archive import read_archive
 from cosim.fmi.reading.model_description import Archive, read
+from cosim.fmi.unpacked import UnpackedFmu, UnpackedFmus
 from cosim.temporary import TemporaryFolder
 
 __all__ = ["CoSimulation", "DescribedFmu", "Fmu", "ModelExchange", "describe", "load"]
@@ -49,8 +50,8 @@ class Fmu:
     interface_type : {"me", "cs"}
     instance : LoadedInstance
     component : Guarded
-    folder : TemporaryFolder
-        Where it was unpacked.
+    folder : TemporaryFolder or None
+        Where it was unpacked; None: what unpacked it removes that.
     solving : mapping
         Of a model exchange FMU: what is known of its solver.
     notes : tuple of str
@@ -66,7 +67,7 @@ class Fmu:
         *,
         instance: LoadedInstance,
         component: Guarded,
-        folder: TemporaryFolder,
+        folder: TemporaryFolder | None,
         solving: Mapping[str, str | float],
         notes: tuple[str, ...] = (),
         unsaved: str = "",
@@ -193,7 +194,8 @@ class Fmu:
             with self.component.outside(None):
                 self._instance.free_instance()
         finally:
-            self._folder.remove()
+            if self._folder is not None:
+                self._folder.remove()
 
 
 def load(
@@ -202,6 +204,7 @@ def load(
     *,
     instance_name: str | None = None,
     archive: Archive | None = None,
+    unpacked: UnpackedFmus | None = None,
 ) -> Fmu:
     """Open an FMU.
 
@@ -213,6 +216,8 @@ def load(
         None: the name of the model.
     archive : Archive or None
         What was read from the file already, which then is only unpacked.
+    unpacked : UnpackedFmus or None
+        Where it is unpacked and loaded once for all that open it; None: for this one alone.
 
     Raises
     ------
@@ -220,13 +225,19 @@ def load(
         If it is no FMU, cannot run here or with these options, or a start value is wrong. Nothing
         is left behind.
     """
-    temporary = TemporaryFolder("fmu")
-    folder = temporary.path
+    temporary: TemporaryFolder | None = None
+    shared: UnpackedFmu | None = None
     instance: LoadedInstance | None = None
     process = Process()
     process.save()
     try:
-        archive = _unpack(path, archive, folder)
+        if unpacked is not None and archive is None:
+            archive, shared = unpacked.find(Path(path))
+            folder = shared.path
+        else:
+            temporary = TemporaryFolder("fmu")
+            folder = temporary.path
+            archive = _unpack(path, archive, folder)
         interface_type, description = _with_options(archive, options)
         library = folder / _library(archive, interface_type)
         _check_architecture(archive, library)
@@ -243,12 +254,15 @@ def load(
             name=instance_name or description.name,
             label=str(archive.path),
         )
+        if shared is not None and not description.capabilities[interface_type].once_per_process:
+            shared.keep_loaded(library)
         component, solving = _component(instance, interface_type, options)
         model_exchange = component if isinstance(component, ModelExchange) else None
     except BaseException:
         if instance is not None:
             instance.free_instance()
-        temporary.remove()
+        if temporary is not None:
+            temporary.remove()
         process.restore()
         raise
     changes = process.restore()

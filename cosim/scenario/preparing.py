@@ -12,23 +12,42 @@ from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.parsing import Scenario
 
 if TYPE_CHECKING:
+    from cosim.fmi.unpacked import UnpackedFmus
     from cosim.scenario.swapping.swap_report import SwapReports
 
 
-def build_experiment(scenario: Scenario, resources: ExitStack, block: int | None) -> Experiment:
+def build_experiment(
+    scenario: Scenario,
+    resources: ExitStack,
+    block: int | None,
+    *,
+    unpacked: UnpackedFmus | None = None,
+) -> Experiment:
     """Build a scenario; one with swaps is compared with what it was, for its log and warnings.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    resources : ExitStack
+        Closes what was opened, when the run is over.
+    block : int or None
+        Fixed number of communication steps in a block.
+    unpacked : UnpackedFmus, optional
+        Where FMUs are unpacked and loaded for all builds of a process.
 
     Raises
     ------
     ScenarioError
         With every problem of the file; or if the coupling of a loop is refused.
     """
-    return _with_settings(_built(scenario, resources, block))
+    return _with_settings(_built(scenario, resources, block, unpacked))
 
 
-def _built(scenario: Scenario, resources: ExitStack, block: int | None) -> Experiment:
+def _built(
+    scenario: Scenario, resources: ExitStack, block: int | None, unpacked: UnpackedFmus | None
+) -> Experiment:
     def build() -> Experiment:
-        return Builder(scenario, resources, block=block).experiment()
+        return Builder(scenario, resources, block=block, unpacked=unpacked).experiment()
 
     def rebuild() -> Experiment:
         resources.close()
@@ -38,7 +57,7 @@ def _built(scenario: Scenario, resources: ExitStack, block: int | None) -> Exper
         return with_loop_gains(build(), rebuild)
     from cosim.scenario.swapping.swap_comparison import build_swapped  # rarely needed
 
-    experiment, reports = build_swapped(scenario, resources, block)
+    experiment, reports = build_swapped(scenario, resources, block, unpacked)
     compared = with_reports(experiment, reports)
     return with_loop_gains(compared, lambda: with_reports(rebuild(), reports))
 

@@ -10,13 +10,14 @@ CAN = {
     "slopes": 'canInterpolateInputs="true"',
     "D": 'providesDirectionalDerivative="true"',
     "steps": 'canHandleVariableCommunicationStepSize="true"',
+    "once": 'canBeInstantiatedOnlyOncePerProcess="true"',
 }
 
 
-def compiled(folder: Path) -> Path:
+def compiled(folder: Path, *defines: str) -> Path:
     """Compile the FMU, which can do nothing; :func:`able` makes one that can."""
     sources = ("small2.c", "unused.c")
-    return compile_fmu(folder / "small.fmu", xml(), *sources, defines=("FMI=2",))
+    return compile_fmu(folder / "small.fmu", xml(), *sources, defines=("FMI=2", *defines))
 
 
 def able(fmu: Path, target: Path, *can: str, **values: float) -> Path:

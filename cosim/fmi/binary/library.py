@@ -327,5 +327,10 @@ class Library:
         """Unload the binary; no call reaches it any more."""
         if self._dll is not None:
             self._forbid(self._forbidden or "the instance was freed")
-            _unload(self._dll._handle)
+            unload(self._dll)
             self._dll = None
+
+
+def unload(library: CDLL) -> None:
+    """Unload a binary that was loaded; one that was loaded several times stays for the others."""
+    _unload(library._handle)

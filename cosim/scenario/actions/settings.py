@@ -179,7 +179,10 @@ class SettingBuilder:
     def _component(self, name: str, spec: Kind) -> Component:
         """Build a component with other parameters, in a context of its own."""
         scenario = replace(self._scenario, specs={**self._specs, name: spec})
-        context = ScenarioBuildContext(scenario, self._resources, self._recording)
+        unpacked = self._context.fmus.unpacked
+        context = ScenarioBuildContext(
+            scenario, self._resources, self._recording, unpacked=unpacked
+        )
         context.records.begin(name)
         component = with_units(spec.build(name, context), spec.units)
         return spec.with_period(component, spec.period_steps(name, context.step_ns))

@@ -93,7 +93,8 @@ class SwapBuilder:
         table = component_table(name, path)
         spec = KINDS[table["kind"]].model_validate(table)
         scenario = replace(self._scenario, specs={**self._scenario.specs, name: spec})
-        context = ScenarioBuildContext(scenario, self._resources, None)
+        unpacked = self._context.fmus.unpacked
+        context = ScenarioBuildContext(scenario, self._resources, None, unpacked=unpacked)
         context.records.begin(name)
         component = spec.build(name, context)
         target = context.fmus.model_exchange.get(name)

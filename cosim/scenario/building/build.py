@@ -42,6 +42,7 @@ from cosim.scenario.recorded_metadata import component_record
 
 if TYPE_CHECKING:
     from cosim.blocks.port_map import PortMap
+    from cosim.fmi.unpacked import UnpackedFmus
 
 
 class Builder:
@@ -71,6 +72,8 @@ class Builder:
         The whole scenario, where only a part of it is built: what kinds ask of it.
     describes : bool
         Read of FMUs their descriptions only: what is built shows what there is, and cannot run.
+    unpacked : UnpackedFmus, optional
+        Where FMUs are unpacked and loaded for all builds of a process.
 
     Attributes
     ----------
@@ -104,6 +107,7 @@ class Builder:
         replaced: Mapping[str, Interface] | None = None,
         beside: Scenario | None = None,
         describes: bool = False,
+        unpacked: UnpackedFmus | None = None,
     ) -> None:
         self.scenario = scenario
         self.problems = list(problems)
@@ -118,6 +122,7 @@ class Builder:
             invalid=self._check_times(),
             describes=describes,
             fmus_again=fmus_again,
+            unpacked=unpacked,
         )
         self.components: dict[str, Component] = {}
         self.port_maps: dict[str, PortMap] = {}

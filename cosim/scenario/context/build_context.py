@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from cosim.fmi.linearizing.moving import MovingLinearization
     from cosim.fmi.linearizing.request import LinearizationRequest
     from cosim.fmi.options import FmuOptions
+    from cosim.fmi.unpacked import UnpackedFmus
     from cosim.scenario.user_kinds.user_code import UserClass
 
 T = TypeVar("T")
@@ -93,6 +94,8 @@ class ScenarioBuildContext:
     describes : bool
     fmus_again : mapping of component name to RecordedFmu
         Those of a recorded run that a replay runs again.
+    unpacked : UnpackedFmus or None
+        Where FMUs are unpacked and loaded for all builds of a process; None: for this one.
 
     Attributes
     ----------
@@ -115,6 +118,7 @@ class ScenarioBuildContext:
         invalid: Iterable[Key] = (),
         describes: bool = False,
         fmus_again: Mapping[str, RecordedFmu] = NONE_AGAIN,
+        unpacked: UnpackedFmus | None = None,
     ) -> None:
         self.invalid = {*scenario.invalid, *invalid}
         self._scenario = scenario
@@ -130,6 +134,7 @@ class ScenarioBuildContext:
             recording=recording,
             describes=describes,
             again=fmus_again,
+            unpacked=unpacked,
         )
         self._classes = UserClasses(
             folder,

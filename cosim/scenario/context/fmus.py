@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from cosim.fmi.linearizing.moving import MovingLinearization
     from cosim.fmi.linearizing.request import LinearizationRequest
     from cosim.fmi.options import FmuOptions
+    from cosim.fmi.unpacked import UnpackedFmus
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +62,8 @@ class ScenarioFmus:
         Run nothing: read descriptions only.
     again : mapping of component name to RecordedFmu
         Of a replay: those that are run again.
+    unpacked : UnpackedFmus or None
+        Where they are unpacked and loaded for all builds of a process; None: for this one.
 
     Attributes
     ----------
@@ -80,7 +83,9 @@ class ScenarioFmus:
         recording: Recording | None,
         describes: bool,
         again: Mapping[str, RecordedFmu] = NONE_AGAIN,
+        unpacked: UnpackedFmus | None = None,
     ) -> None:
+        self.unpacked = unpacked
         self._files = files
         self._records = records
         self._resources = resources
@@ -121,7 +126,7 @@ class ScenarioFmus:
 
         again = self._again.get(name)
         if again is None:
-            return load(self._files.path(path), options, instance_name=name)
+            return load(self._files.path(path), options, instance_name=name, unpacked=self.unpacked)
         archive = replace(read(again.copy), path=Path(again.path))
         return load(again.copy, options, instance_name=name, archive=archive)
 

@@ -42,6 +42,7 @@ from cosim.scenario.swapping.swap_report import SwapReport, SwapReports
 
 if TYPE_CHECKING:
     from cosim.fmi.binary.messages import Message
+    from cosim.fmi.unpacked import UnpackedFmus
     from cosim.fmi.variable import Variable
 
 
@@ -58,7 +59,10 @@ def compare_swaps(scenario: Scenario) -> SwapReports:
 
 
 def build_swapped(
-    scenario: Scenario, resources: ExitStack, block: int | None
+    scenario: Scenario,
+    resources: ExitStack,
+    block: int | None,
+    unpacked: UnpackedFmus | None = None,
 ) -> tuple[Experiment, SwapReports]:
     """Build a scenario with swaps, and the reports of these; parameters as of ``Builder``.
 
@@ -67,7 +71,7 @@ def build_swapped(
     ScenarioError
         With every problem of the scenario, and the ports that may have been meant.
     """
-    comparison = _SwapComparison(scenario, resources, block)
+    comparison = _SwapComparison(scenario, resources, block, unpacked)
     comparison.reports.check()
     return comparison.experiment(), comparison.reports
 
@@ -150,11 +154,18 @@ class _InitialState:
 class _SwapComparison:
     """A swapped scenario that was built, initialized and compared with the one before."""
 
-    def __init__(self, scenario: Scenario, resources: ExitStack, block: int | None) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        resources: ExitStack,
+        block: int | None,
+        unpacked: UnpackedFmus | None = None,
+    ) -> None:
         self._scenario = scenario
         self._resources = resources
         self._block = block
-        before = _replaced_components(scenario)
+        self._unpacked = unpacked
+        before = _replaced_components(scenario, unpacked)
         self._interfaces = {name: part.component.interface for name, part in before.items()}
         builder = self._builder()
         fmus = builder.context.fmus.opened
@@ -180,7 +191,11 @@ class _SwapComparison:
 
     def _builder(self) -> Builder:
         return Builder(
-            self._scenario, self._resources, block=self._block, replaced=self._interfaces
+            self._scenario,
+            self._resources,
+            block=self._block,
+            replaced=self._interfaces,
+            unpacked=self._unpacked,
         )
 
     def _compare(self, builder: Builder, name: str, before: _ReplacedComponent) -> SwapReport:
@@ -234,12 +249,14 @@ def _report(
     return SwapReport(name, rows, proposals, _unconverted_ports(builder, name))
 
 
-def _replaced_components(scenario: Scenario) -> dict[str, _ReplacedComponent]:
+def _replaced_components(
+    scenario: Scenario, unpacked: UnpackedFmus | None
+) -> dict[str, _ReplacedComponent]:
     """Build the scenario without its swaps, as far as it can be; its problems do not matter."""
     components: dict[str, _ReplacedComponent] = {}
     with ExitStack() as resources, suppress(CosimError):
         original, problems = read(scenario.document.unswapped(), parse)
-        builder = Builder(original, resources, problems=problems)
+        builder = Builder(original, resources, problems=problems, unpacked=unpacked)
         state = _InitialState(builder)
         for name in scenario.document.swapped_components():
             if name in builder.components:

@@ -3,7 +3,8 @@
  * KIND 0: x' = A x + B u, y = C x + D u, with an inner step that is exact for inputs on a line.
  * KIND 1: y and z with u + y + z = 0, 2 u - 3 y + 2 z = 9.
  * KIND 2: y with y^2 + u^2 + v^2 = 5, y > 0.
- * SAYS 1: a message in every step. */
+ * SAYS 1: a message in every step. With COUNTS, KIND 0 has in y how many instances there were in
+ * this process before, which the binary knows and not the instance. */
 #include "fmi2Functions.h"
 
 #include <math.h>
@@ -18,11 +19,18 @@ typedef struct {
     int steps; /* in initialization outputs follow inputs at once, later only in steps */
 } Instance;
 
+static int instances = 0;
+
 static void show(Instance *instance)
 {
     double *p = instance->value;
     switch ((int)p[KIND]) {
-    case 0: p[Y] = p[C] * p[X] + p[D] * p[U]; break;
+    case 0:
+        p[Y] = p[C] * p[X] + p[D] * p[U];
+#ifdef COUNTS
+        p[Y] += instances - 1;
+#endif
+        break;
     case 1:
         p[Y] = -9.0 / 5.0;
         p[Z] = 9.0 / 5.0 - p[U];
@@ -38,6 +46,7 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type kind, fmi2String guid, f
     (void)name, (void)kind, (void)guid, (void)resources, (void)visible, (void)logging;
     Instance *instance = calloc(1, sizeof(Instance));
     instance->functions = functions;
+    ++instances;
     return instance;
 }
 

@@ -1,0 +1,116 @@
+"""FMUs that are opened again and again in one process are unpacked once, and loaded once."""
+
+import shutil
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cosim.errors import FmuError
+from cosim.fmi.component import load
+from cosim.fmi.options import FmuOptions
+from cosim.fmi.unpacked import UnpackedFmus
+from tests.fmi.small import able, compiled
+
+
+@pytest.fixture(scope="module")
+def counting(tmp_path_factory):
+    """Return a binary whose y has how many instances of it there were before."""
+    return compiled(tmp_path_factory.mktemp("counting"), "COUNTS")
+
+
+def mapped():
+    """Return the binaries of FMUs that are in memory."""
+    maps = Path("/proc/self/maps")
+    if not maps.exists():
+        pytest.skip("the system does not list what is in memory")
+    lines = maps.read_text().splitlines()
+    return {line.split()[5] for line in lines if "cosim.fmu-" in line}
+
+
+@contextmanager
+def opened(path, fmus, **start):
+    with load(path, FmuOptions(start=start), unpacked=fmus) as fmu:
+        yield fmu
+
+
+def first_y(path, fmus, **start):
+    """Return y of a new instance when it is initialized."""
+    with opened(path, fmus, **start) as fmu:
+        outputs = fmu.component.interface.output_columns()
+        y = fmu.component.initialize(0.0, np.zeros(1))
+        return float(y[outputs["y"]][0])
+
+
+def test_an_fmu_is_unpacked_and_loaded_once(counting, tmp_path, temporary):
+    """The instances are counted in its binary, which stays in memory until all is closed."""
+    path = able(counting, tmp_path / "x.fmu", A=-1.0, C=0.0)
+    before = mapped()
+    with UnpackedFmus() as fmus:
+        assert [first_y(path, fmus) for _ in range(3)] == [0.0, 1.0, 2.0]
+        assert len(list(temporary.iterdir())) == 1
+        assert len(mapped() - before) == 1
+    assert list(temporary.iterdir()) == []
+    assert mapped() <= before
+
+
+def test_every_opening_has_an_instance_of_its_own(counting, tmp_path):
+    """Start values are those of the one opening."""
+    path = able(counting, tmp_path / "x.fmu", A=-1.0)
+    with UnpackedFmus() as fmus:
+        assert first_y(path, fmus, x=2.0, C=1.0) == 2.0
+        assert first_y(path, fmus) == 0.0 + 1.0
+        with opened(path, fmus) as one, opened(path, fmus, x=3.0) as other:
+            assert one.component is not other.component
+
+
+def test_a_binary_for_one_instance_is_loaded_for_each(counting, tmp_path):
+    """What it knows of the one before is gone with it; and there is one at a time."""
+    path = able(counting, tmp_path / "x.fmu", "once", A=-1.0, C=0.0)
+    with UnpackedFmus() as fmus:
+        assert [first_y(path, fmus) for _ in range(3)] == [0.0, 0.0, 0.0]
+        with (
+            opened(path, fmus),
+            pytest.raises(FmuError, match="can be instantiated only once per process"),
+            opened(path, fmus),
+        ):
+            pass
+        assert first_y(path, fmus) == 0.0
+
+
+def test_files_of_equal_content_are_one_fmu_by_two_names(counting, tmp_path, temporary):
+    """The metadata name the file that was opened."""
+    path = able(counting, tmp_path / "x.fmu", A=-1.0)
+    copy = tmp_path / "copy.fmu"
+    shutil.copy(path, copy)
+    with UnpackedFmus() as fmus:
+        with opened(path, fmus) as one:
+            assert one.metadata["path"] == str(path)
+        with opened(copy, fmus) as other:
+            assert other.metadata["path"] == str(copy)
+        assert one.metadata["sha256"] == other.metadata["sha256"]
+        assert len(list(temporary.iterdir())) == 1
+
+
+def test_a_file_that_was_changed_is_another_fmu(counting, tmp_path):
+    """It is known by its content."""
+    path = able(counting, tmp_path / "x.fmu", A=-1.0)
+    with UnpackedFmus() as fmus:
+        with opened(path, fmus) as one:
+            assert one.description["x"].start == (0.0,)
+        path.unlink()
+        able(counting, path, A=-1.0, x=7.0)
+        with opened(path, fmus) as other:
+            assert other.description["x"].start == (7.0,)
+
+
+def test_what_is_no_fmu_leaves_nothing(tmp_path, temporary):
+    """As where it is opened alone."""
+    (tmp_path / "x.fmu").write_bytes(b"no zip")
+    with UnpackedFmus() as fmus:
+        with pytest.raises(FmuError, match="is no zip archive"):
+            load(tmp_path / "x.fmu", unpacked=fmus)
+        with pytest.raises(FmuError, match="there is no such file"):
+            load(tmp_path / "y.fmu", unpacked=fmus)
+        assert list(temporary.iterdir()) == []
