@@ -8,7 +8,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -22,6 +22,15 @@ _PARENT_VARIABLE: Final = "COSIM_PARENT"  # set in a child: the process that wai
 _ENDED_VARIABLE: Final = "COSIM_ENDED"  # set in a child: the file that it makes at its own end
 _PR_SET_PDEATHSIG: Final = 1  # of linux/prctl.h
 _IMPORTED_FROM: Final = Path(__file__).parents[1]
+# of the libraries that start one for each core: as many processes would have the square of that
+_THREAD_VARIABLES: Final = (
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "BLIS_NUM_THREADS",
+    "VECLIB_MAXIMUM_THREADS",
+    "NUMEXPR_NUM_THREADS",
+)
 
 
 class CommandResult(NamedTuple):
@@ -66,8 +75,8 @@ def run_command(arguments: Sequence[str], *, columns: int | None) -> CommandResu
             kill(child)
         ended_itself = ended.exists()
     if child.returncode < 0:
-        name = signal.Signals(-child.returncode).name
-        raise RunError(f"{messages}the process that loaded FMUs and classes crashes: {name}")
+        ending = describe_exit(child.returncode)
+        raise RunError(f"{messages}the process that loaded FMUs and classes {ending}")
     if not ended_itself:
         raise RunError(
             f"{messages}the process that loaded FMUs and classes was ended by one of them, with "
@@ -92,6 +101,30 @@ def child_environment(folder: Path, variable: str, value: str = "1") -> dict[str
     return os.environ | added | dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(folder))
 
 
+def with_one_thread(environment: Mapping[str, str]) -> dict[str, str]:
+    """Return it with one thread for numerical libraries, where it does not say how many."""
+    return dict.fromkeys(_THREAD_VARIABLES, "1") | dict(environment)
+
+
+def describe_exit(exit_code: int) -> str:
+    """Say how a child that did not come to its own end was ended.
+
+    ``crashes: SIGSEGV``, or ``ends the process with exit code 0``.
+
+    Parameters
+    ----------
+    exit_code : int
+        As :class:`subprocess.Popen` has it: of a signal, negative.
+    """
+    if exit_code >= 0:
+        return f"ends the process with exit code {exit_code}"
+    try:
+        name = signal.Signals(-exit_code).name
+    except ValueError:  # one of those for real time has no name
+        name = f"signal {-exit_code}"
+    return f"crashes: {name}"
+
+
 def note_own_end() -> None:
     """Let this child tell its parent that it came to its end; ``exit`` of C in an FMU does not."""
     path = os.environ.get(_ENDED_VARIABLE)
@@ -107,6 +140,14 @@ def end_with_parent() -> None:
             ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
         if parent != str(os.getppid()):
             os._exit(1)  # it ended before
+
+
+def leave_no_core() -> None:
+    """Let this process write no file of its memory where it crashes."""
+    with suppress(ImportError):
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
 def kill(child: subprocess.Popen[Any]) -> None:

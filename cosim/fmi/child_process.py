@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import subprocess
 import sys
 from contextlib import suppress
@@ -17,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, TypeAlias
 
 from cosim.fmi.trial_cache import keep_problems, read_problems
-from cosim.processes import child_environment, kill
+from cosim.processes import child_environment, describe_exit, kill
 from cosim.temporary import TemporaryFolder
 
 if TYPE_CHECKING:
@@ -152,10 +151,6 @@ def _problems(log: str, exit_code: int | None, timeout: float) -> tuple[TrialPro
     if exit_code is None:
         text = f"hangs: did not end within {timeout:g} s, at: {last_stage}"
         problems.append(TrialProblem(text))
-    elif exit_code < 0:
-        text = f"crashes: {signal.Signals(-exit_code).name} at: {last_stage}"
-        problems.append(TrialProblem(text))
-    elif not any("done" in record for record in records):
-        text = f"ends the process with exit code {exit_code} at: {last_stage}"
-        problems.append(TrialProblem(text))
+    elif exit_code < 0 or not any("done" in record for record in records):
+        problems.append(TrialProblem(f"{describe_exit(exit_code)} at: {last_stage}"))
     return tuple(problems)

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, NoReturn, TextIO
 
 from cosim.errors import CosimError
-from cosim.processes import end_with_parent
+from cosim.processes import end_with_parent, leave_no_core
 
 if TYPE_CHECKING:
     from cosim.arrays import Matrix, Vector
@@ -266,10 +266,7 @@ def main(arguments: Sequence[str]) -> NoReturn:
     """
     task, path, *task_arguments = arguments
     end_with_parent()
-    with suppress(ImportError):
-        import resource
-
-        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    leave_no_core()
     with open(path, "a", encoding="utf-8", buffering=1) as file:
         log = TrialLog(file)
         try:
