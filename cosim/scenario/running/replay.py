@@ -24,6 +24,7 @@ from cosim.errors import UsageError, option
 from cosim.log import Log
 from cosim.log.editing.joining import open_joined
 from cosim.log.foreign.topics import is_foreign
+from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.document.swap import PortNames
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.preparing import build_experiment
@@ -68,6 +69,10 @@ class Replays(Protocol):
         """Build and prepare the replay with some values; raise UsageError if it cannot be run."""
         ...
 
+    def experiment(self, values: Mapping[str, Any], resources: ExitStack) -> Experiment:
+        """Build the replay with some values, to run it into a recorder of one's own."""
+        ...
+
     def check_target(self, out: str | Path | None, *, force: bool) -> None:
         """Refuse a path that the log of a replay cannot be written to."""
         ...
@@ -110,8 +115,12 @@ class LogReplays:
     def check(self, values: Mapping[str, Any]) -> None:
         """Build and prepare the replay with some values."""
         with ExitStack() as resources:
-            experiment = prepared_replay(self.source, self._with(values), resources)
+            experiment = self.experiment(values, resources)
             experiment.graph.prepare(experiment.clock.step_ns, experiment.designs)
+
+    def experiment(self, values: Mapping[str, Any], resources: ExitStack) -> Experiment:
+        """Build the replay with some values."""
+        return prepared_replay(self.source, self._with(values), resources)
 
     def check_target(self, out: str | Path | None, *, force: bool) -> None:
         """Refuse a path that the log of a replay cannot be written to."""
@@ -161,9 +170,13 @@ class FieldReplays:
     def check(self, values: Mapping[str, Any]) -> None:
         """Build and prepare the replay with some values."""
         with ExitStack() as resources:
-            experiment = build_experiment(self._with(values), resources, self.block)
+            experiment = self.experiment(values, resources)
             if experiment.plan is None:
                 experiment.graph.prepare(experiment.clock.step_ns)
+
+    def experiment(self, values: Mapping[str, Any], resources: ExitStack) -> Experiment:
+        """Build the replay with some values."""
+        return build_experiment(self._with(values), resources, self.block)
 
     def check_target(self, out: str | Path | None, *, force: bool) -> None:
         """Refuse a path that the log of a replay cannot be written to."""

@@ -1,0 +1,1 @@
+"""Members of a study, run one after the other in this process."""

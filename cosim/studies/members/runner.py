@@ -1,0 +1,171 @@
+"""Run the members of a study one after the other in this process."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from time import perf_counter
+from types import TracebackType
+from typing import Final, Self, final
+
+from cosim.core.recorders import error_text
+from cosim.core.recording import Recorder
+from cosim.errors import Interrupted
+from cosim.fmi.unpacked import UnpackedFmus
+from cosim.log import Log
+from cosim.log.editing.joining import open_joined
+from cosim.log.foreign.topics import is_foreign
+from cosim.report.summary import summarize
+from cosim.report.sweep import results_of
+from cosim.scenario.building.experiment import Experiment
+from cosim.scenario.preparing import build_experiment
+from cosim.scenario.recordings.recording import Target, record, run_into
+from cosim.scenario.running.execution import load
+from cosim.scenario.running.replay import replays_of
+from cosim.studies.contracts import (
+    COMPLETE,
+    FAILED,
+    MemberOutcome,
+    MemberStatus,
+    MetricValue,
+    StudyMember,
+    StudySubject,
+)
+from cosim.studies.members.measuring import (
+    BothRecorders,
+    MemberRecorder,
+    MetricSink,
+    NoMetrics,
+)
+
+OPEN_LOGS: Final = 4  # whose rows may be in memory
+
+
+def open_runner(
+    subject: StudySubject, *, sink_of: Callable[[], MetricSink] = NoMetrics
+) -> SubjectRunner:
+    """Return what runs the members of a study in this process; a context manager.
+
+    Parameters
+    ----------
+    subject : StudySubject
+    sink_of : callable
+        Returns what keeps the metrics of a run.
+
+    Raises
+    ------
+    ScenarioError
+        If there is no such scenario, or it has problems of its own.
+    """
+    return SubjectRunner(subject, sink_of)
+
+
+@final
+class SubjectRunner:
+    """Runs members of one study: each with the bits that it has alone, in a process of its own.
+
+    Parameters
+    ----------
+    subject : StudySubject
+    sink_of : callable
+        Returns what keeps the metrics of a run.
+    """
+
+    def __init__(self, subject: StudySubject, sink_of: Callable[[], MetricSink]) -> None:
+        self._subject = subject
+        self._sink_of = sink_of
+        self._scenario = load(subject.scenario)
+        self._logs: dict[str, Log] = {}
+        self._fmus = UnpackedFmus()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        error_type: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._logs.clear()
+        self._fmus.close()
+
+    def run(self, member: StudyMember) -> MemberOutcome:
+        """Run a member.
+
+        Raises
+        ------
+        Interrupted
+            If the user interrupts it; all else that fails is an outcome.
+        """
+        began = perf_counter()
+        measured = MemberRecorder(self._sink_of())
+        values: Mapping[str, MetricValue] = dict.fromkeys(self._subject.metrics)
+        status: MemberStatus = COMPLETE
+        try:
+            values = self._run(member, measured)
+            reason = measured.end.reason
+        except Interrupted:
+            raise
+        except Exception as error:  # of a user's code, too: it costs this member, and no other
+            reason = error_text(error)
+            status = FAILED
+        return MemberOutcome(
+            member.number,
+            status,
+            reason=reason,
+            steps=measured.steps,
+            metrics=values,
+            wall_time=perf_counter() - began,
+        )
+
+    def _run(self, member: StudyMember, measured: MemberRecorder) -> Mapping[str, MetricValue]:
+        """Run a member; return its metrics, and its results where they are asked for."""
+        with ExitStack() as resources:
+            experiment = self._experiment(member, resources)
+            if self._subject.with_results:
+                results = _results(experiment, measured)
+                return {**results, **measured.sink.values()}
+            # what identifiers come to is no metric
+            run_into(measured, replace(experiment, identified={}), progress=None, profile=None)
+        return measured.sink.values()
+
+    def _experiment(self, member: StudyMember, resources: ExitStack) -> Experiment:
+        """Build a member."""
+        subject = self._subject
+        changes = {**subject.set, **member.set}
+        swaps = {**subject.swap, **member.swap}
+        if member.recording is None:
+            scenario = self._scenario.edit(swap=swaps, map=subject.map, set=changes)
+            return build_experiment(scenario, resources, None, unpacked=self._fmus)
+        log = self._log(member.recording)
+        replays = replays_of(
+            log,
+            swap=swaps,
+            map=subject.map,
+            allow_code=subject.allow_code,
+            scenario=None if isinstance(log, Log) else self._scenario,
+        )
+        return replays.experiment(changes, resources)
+
+    def _log(self, path: str) -> Log | str:
+        """Return a log, which is opened once; of another tool's recording its path."""
+        if path not in self._logs:
+            if is_foreign(Path(path)):
+                return path
+            while len(self._logs) >= OPEN_LOGS:
+                del self._logs[next(iter(self._logs))]
+            self._logs[path] = open_joined(path)
+        return self._logs[path]
+
+
+def _results(experiment: Experiment, measured: MemberRecorder) -> Mapping[str, MetricValue]:
+    """Run an experiment, which is kept in memory, too; return what its result says."""
+
+    def beside(memory: Recorder) -> Recorder:
+        return BothRecorders(memory, measured)
+
+    recording = record(experiment, Target(None), progress=None, beside=beside)
+    return results_of(summarize(recording))

@@ -1,0 +1,165 @@
+"""Members run one after the other, each as it does alone."""
+
+import subprocess
+import sys
+
+import pytest
+
+import cosim
+from cosim.core.contracts import Block
+from cosim.errors import CosimError, Interrupted, ScenarioError
+from cosim.report.summary import summarize
+from cosim.report.sweep import results_of
+from cosim.studies.contracts import StudyMember, StudySubject
+from cosim.studies.members.runner import open_runner
+from tests.studies.members.sinks import Digest
+
+LAG = """
+scenario = { name = "lag", stop = 0.5, step = 1e-2 }
+[components]
+u = { kind = "sine", amplitude = 2.0, rate = 3.0 }
+plant = { kind = "lag", time_constant = 0.2, initial = 1.0 }
+[connections]
+"plant.u" = "u.y"
+"""
+
+
+@pytest.fixture
+def lag(tmp_path):
+    path = tmp_path / "lag.toml"
+    path.write_text(LAG)
+    return str(path)
+
+
+def alone(scenario, changes, **edits):
+    """Return the digest of a run without a study."""
+    return cosim.run(scenario, set=changes, recorder=Digest(), **edits).values()["digest"]
+
+
+def digest_of(memory):
+    """Return the digest of a run that was kept in memory."""
+    digest = Digest()
+    digest.begin(memory.plan)
+    rows, times, _ = memory._table
+    digest.write(Block(0, times, times / 1e9, 1e-3), rows)
+    return digest.values()["digest"]
+
+
+def outcomes(subject, *members):
+    with open_runner(subject, sink_of=Digest) as runner:
+        return [runner.run(member) for member in members]
+
+
+def test_members_have_the_bits_of_runs_of_their_own(lag):
+    """The edits of all members come first, then those of each."""
+    subject = StudySubject(lag, set={"u.amplitude": 3.0, "plant.initial": 0.0})
+    first, second = outcomes(
+        subject, StudyMember(0, {"plant.initial": 2.0}), StudyMember(7, {"u.rate": 5.0})
+    )
+    assert (first.number, first.status, first.reason, first.steps) == (0, "complete", "", 50)
+    assert first.metrics["digest"] == alone(lag, {"u.amplitude": 3.0, "plant.initial": 2.0})
+    changes = {"u.amplitude": 3.0, "plant.initial": 0.0, "u.rate": 5.0}
+    assert second.number == 7
+    assert second.metrics["digest"] == alone(lag, changes)
+
+
+def test_a_member_has_the_bits_of_a_fresh_process(lag):
+    """By the command that runs it alone."""
+    [outcome] = outcomes(StudySubject(lag), StudyMember(0, {"plant.time_constant": 0.1}))
+    command = [sys.executable, "-m", "tests.studies.members.sinks", lag, "plant.time_constant=0.1"]
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    assert outcome.metrics["digest"] == done.stdout.strip()
+
+
+def test_what_cannot_be_built_is_a_failure_with_its_reason(lag):
+    """The reason is what a run says of it; the next member is as it is alone."""
+    subject = StudySubject(lag)
+    wrong = {"plant.time_constant": -1.0}
+    failed, fine = outcomes(subject, StudyMember(0, wrong), StudyMember(1, {"u.rate": 2.0}))
+    with pytest.raises(CosimError) as error:
+        cosim.run(lag, set=wrong)
+    assert (failed.status, failed.steps) == ("failed", 0)
+    assert failed.reason == str(error.value)
+    assert "plant.time_constant" in failed.reason
+    assert fine.metrics["digest"] == alone(lag, {"u.rate": 2.0})
+
+
+def test_what_fails_in_the_run_is_a_failure_with_its_reason(lag):
+    """The steps before it are counted; metrics of a part of a run are none."""
+    subject = StudySubject(lag, metrics={"largest": "max(plant.y)"})
+    overflow = {"u.amplitude": 1e308, "u.bias": 1.7e308}
+    failed, fine = outcomes(subject, StudyMember(0, overflow), StudyMember(1))
+    with pytest.raises(CosimError) as error:
+        cosim.run(lag, set=overflow)
+    assert failed.status == "failed"
+    assert failed.reason == str(error.value)
+    assert 0 <= failed.steps < 50
+    assert failed.metrics == {"largest": None}
+    assert fine.metrics["digest"] == alone(lag, {})
+
+
+def test_a_regular_end_before_the_stop_is_complete_with_its_reason(lag):
+    """As ``until`` asks for it."""
+    until = {"scenario.until": "plant.y < 0.9"}
+    [outcome] = outcomes(StudySubject(lag), StudyMember(0, until))
+    memory = cosim.run(lag, set=until)
+    assert (outcome.status, outcome.reason) == ("complete", memory.reason)
+    assert "came true" in outcome.reason
+    assert outcome.steps == memory.steps < 50
+
+
+def test_the_result_of_a_run_is_kept_beside_its_metrics():
+    """With the names and values that a sweep has."""
+    changes = {"scenario.stop": 5.0, "plant.x_a0": [0.5, -1.0]}
+    subject = StudySubject("academic", set={"scenario.stop": 5.0}, with_results=True)
+    [outcome] = outcomes(subject, StudyMember(0, {"plant.x_a0": [0.5, -1.0]}))
+    results = results_of(summarize(cosim.run("academic", set=changes)))
+    assert {**results, "digest": alone("academic", changes)} == outcome.metrics
+    assert "observer.delta rms error" in outcome.metrics
+
+
+def test_members_replay_recordings(tmp_path):
+    """Each its own log, with the values of the member; the log is opened once."""
+    logs = []
+    for number in range(2):
+        path = str(tmp_path / f"{number}.mcap")
+        cosim.run("academic", set={"scenario.stop": 2.0, "u.rate": 1.0 + number}, out=path)
+        logs.append(path)
+    subject = StudySubject("academic", set={"observer.filter_rate": 500.0})
+    members = [
+        StudyMember(number, {"observer.L": [3.0 + number, 0.0]}, recording=logs[number % 2])
+        for number in range(4)
+    ]
+    found = outcomes(subject, *members)
+    for member, outcome in zip(members, found, strict=True):
+        again = cosim.replay(member.recording, set={**subject.set, **member.set})
+        assert (outcome.status, outcome.steps) == ("complete", 2000)
+        assert outcome.metrics["digest"] == digest_of(again)
+
+
+def test_a_recording_that_is_not_there_is_a_failure(tmp_path):
+    """With its path."""
+    missing = str(tmp_path / "x.mcap")
+    [outcome] = outcomes(StudySubject("academic"), StudyMember(0, recording=missing))
+    assert outcome.status == "failed"
+    assert missing in outcome.reason
+
+
+def test_a_scenario_that_is_not_there_is_refused():
+    """Before any member."""
+    with pytest.raises(ScenarioError, match="there is no scenario 'acadmic'"):
+        open_runner(StudySubject("acadmic"))
+
+
+def test_an_interruption_is_no_outcome(lag):
+    """It ends the study, not the member alone."""
+
+    class Interrupting(Digest):
+        def write(self, block, signals):
+            raise Interrupted("interrupted by the user")
+
+    with (
+        open_runner(StudySubject(lag), sink_of=Interrupting) as runner,
+        pytest.raises(Interrupted),
+    ):
+        runner.run(StudyMember(0))
