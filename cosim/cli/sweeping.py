@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from cosim.errors import UsageError, option, quoted
-
-_OPENING = {"[": "]", "{": "}", "(": ")"}
-_QUOTES = ('"', "'")
+from cosim.errors import UsageError, option
 
 
 def read_variations(texts: list[str]) -> dict[str, list[Any]]:
@@ -19,41 +16,12 @@ def read_variations(texts: list[str]) -> dict[str, list[Any]]:
         If there is no '=', a value is empty, or a key is given twice.
     """
     from cosim.cli.options import read_unique_pairs
-    from cosim.scenario.document.edits import parse_value
+    from cosim.scenario.document.value_lists import read_values
 
     variations = {}
     for key, text in read_unique_pairs(texts, "vary").items():
-        values = []
-        for part in split_values(text):
-            if not part:
-                raise UsageError(
-                    f"{option('vary', key)}: found an empty value in {quoted(text)}; needed "
-                    "values with a comma between them"
-                )
-            try:
-                values.append(parse_value(part))
-            except UsageError as error:
-                raise UsageError(f"{option('vary', key)}: {error}") from error
-        variations[key] = values
+        try:
+            variations[key] = read_values(text)
+        except UsageError as error:
+            raise UsageError(f"{option('vary', key)}: {error}") from error
     return variations
-
-
-def split_values(text: str) -> list[str]:
-    """Split a text at its commas, but not inside brackets or quotes."""
-    parts = [""]
-    closing: list[str] = []
-    quote = ""
-    for character in text:
-        if character == "," and not closing and not quote:
-            parts.append("")
-            continue
-        parts[-1] += character
-        if quote:
-            quote = "" if character == quote else quote
-        elif character in _QUOTES:
-            quote = character
-        elif character in _OPENING:
-            closing.append(_OPENING[character])
-        elif closing and character == closing[-1]:
-            closing.pop()
-    return [part.strip() for part in parts]

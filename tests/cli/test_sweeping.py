@@ -2,26 +2,8 @@
 
 import pytest
 
-from cosim.cli.sweeping import read_variations, split_values
+from cosim.cli.sweeping import read_variations
 from cosim.errors import UsageError, shell_language
-
-
-@pytest.mark.parametrize(
-    ("text", "parts"),
-    [
-        ("1e3,1e6", ["1e3", "1e6"]),
-        ("1", ["1"]),
-        ("[0,2,4],[0,2]", ["[0,2,4]", "[0,2]"]),
-        ("{a=1,b=[2,3]},4", ["{a=1,b=[2,3]}", "4"]),
-        ("'a,b',\"c,]\",d", ["'a,b'", '"c,]"', "d"]),
-        ("abs(min(u.y,2)),3", ["abs(min(u.y,2))", "3"]),
-        ("1,,2", ["1", "", "2"]),
-        ("a], b", ["a]", "b"]),
-    ],
-)
-def test_values_are_split_at_their_own_commas(text, parts):
-    """Not at those inside lists, tables, calls and strings."""
-    assert split_values(text) == parts
 
 
 def test_values_are_toml_where_they_can_be():

@@ -301,6 +301,7 @@ class File(TomlTable):
     swap: dict[str, SwapTable] = {}
     actions: tuple[dict[str, Any], ...] = ()
     record: RecordTable = RecordTable(signals=None, every=1)
+    study: dict[str, Any] = {}  # of many runs of the scenario; validated where these are planned
 
 
 def truth_ports(truth: Any) -> list[str]:

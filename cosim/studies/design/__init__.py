@@ -1,0 +1,1 @@
+"""Designs: which members a study has, by number."""
