@@ -26,6 +26,7 @@ SOURCES = (
     "numerics/linear.c",
     "numerics/elementary.c",
     "numerics/expression.c",
+    "numerics/reductions.c",
     "numerics/runge_kutta.c",
     "numerics/householder.c",
     "numerics/noise.c",

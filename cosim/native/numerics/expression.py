@@ -2,7 +2,7 @@
 
 Numbers, ``t``, ``pi``, ``e``, ``+ - * / **``, parentheses, ``min``, ``max`` and the functions
 listed in ``FUNCTIONS``; ``step(x)`` is 1 where x >= 0 and 0 elsewhere. Nothing else is evaluated,
-imported or called. There are three forms:
+imported or called. There are four forms:
 
 expression in t
     A number, such as ``1.35 + 0.25*sin(1.7*t)``.
@@ -13,6 +13,10 @@ condition
     Comparisons ``< <= > >= == !=`` of expressions over signals, joined by ``and``, ``or``, ``not``
     and parentheses; at its end perhaps ``for 10 ms``: held without a break for so long. A duration
     has a unit (``UNITS``), or is in seconds: ``for 0.5``.
+metric
+    Arithmetic of reductions over the rows of a run, such as ``rms(observer.delta - delta.y)``. What
+    a reduction is, and which there are, is known in :mod:`cosim.studies.metrics`; here is what it
+    is made of.
 
 A comparison with NaN, such as that of an optional signal without a value, is false, and so is its
 negation: ``not a < b`` is ``a >= b``. So what has no value never makes a condition true.
@@ -151,6 +155,12 @@ _CONDITION: Final = _Form(
     over_signals=True,
     is_condition=True,
 )
+_METRIC: Final = _Form(
+    "a metric",
+    "'rms(observer.delta - delta.y)'",
+    "only numbers, pi, e, reductions such as last(plant.y), + - * / ** and functions are allowed",
+    over_signals=True,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,20 +243,75 @@ def compile_condition(text: str) -> ConditionProgram:
     last = words[-1] if words else None
     if last is not None and _NOT_IN_DURATION.isdisjoint(text[last.end() :]):
         condition = text[: last.start()]
-        duration_ns = _duration_ns(text, text[last.end() :])
+        duration_ns = read_duration(f"condition {quoted(text)}", text[last.end() :])
     program = _compiled(_CONDITION, text, condition)
     return ConditionProgram(text, program, duration_ns)
 
 
-def _duration_ns(text: str, duration: str) -> int:
+def compile_part(tree: ast.expr, source: str) -> Program:
+    """Compile an expression over signals that is a part of a text; as of its own.
+
+    Parameters
+    ----------
+    tree : ast.expr
+    source : str
+        The whole text, as it was parsed.
+    """
+    part = ast.get_source_segment(source, tree) or ""
+    return _emitted(_OVER_SIGNALS, tree, part, source)
+
+
+def compile_condition_part(tree: ast.expr, source: str, duration_ns: int) -> ConditionProgram:
+    """Compile a condition that is a part of a text, as :func:`compile_part`."""
+    part = ast.get_source_segment(source, tree) or ""
+    return ConditionProgram(part, _emitted(_CONDITION, tree, part, source), duration_ns)
+
+
+def compile_arithmetic(tree: ast.expr, source: str) -> Program:
+    """Compile the arithmetic of a metric, in which constant texts are the names of columns.
+
+    Raises
+    ------
+    UsageError
+        If there is anything else in it than arithmetic.
+    """
+    return _emitted(_METRIC, tree, source, source)
+
+
+def is_condition(tree: ast.expr) -> bool:
+    """Return whether a syntax tree looks like a condition, not like a number."""
+    match tree:
+        case ast.Compare() | ast.BoolOp() | ast.UnaryOp(op=ast.Not()):
+            return True
+    return False
+
+
+def is_signal(tree: ast.expr) -> bool:
+    """Return whether a syntax tree is the name of a signal, in quotes or not."""
+    match tree:
+        case ast.Constant(value=str()):
+            return True
+        case ast.Attribute() | ast.Subscript():
+            return _is_written(tree)
+    return False
+
+
+def read_duration(start: str, duration: str) -> int:
     """Return a duration in nanoseconds.
+
+    Parameters
+    ----------
+    start : str
+        Of messages.
+    duration : str
+        What stands behind ``for``.
 
     Raises
     ------
     UsageError
         If it is none, not positive, or no whole number of nanoseconds.
     """
-    found = f"condition {quoted(text)}: found {quoted(duration.strip())} after 'for'"
+    found = f"{start}: found {quoted(duration.strip())} after 'for'"
     needed = "needed a duration, such as 10 ms, 1 s, or 0.5 in seconds"
     match = _DURATION.fullmatch(duration.strip())
     if match is None:
@@ -265,14 +330,17 @@ def _duration_ns(text: str, duration: str) -> int:
 def _compiled(form: _Form, text: str, source: str) -> Program:
     """Compile the part of a text that is an expression, or a condition at an instant."""
     tree = _parse(form, text, source)
-    compiler = _Compiler(form, text, source.strip())
+    return _emitted(form, tree, text, source.strip())
+
+
+def _emitted(form: _Form, tree: ast.expr, text: str, source: str) -> Program:
+    """Compile a syntax tree; ``text`` is what messages name, ``source`` what was parsed."""
+    compiler = _Compiler(form, text, source)
     start = _start(form, text)
     try:
         depth = compiler.emit_condition(tree) if form.is_condition else compiler.emit(tree)
     except RecursionError as error:
-        raise UsageError(
-            f"{start}: nested too deep to be read; write it with fewer terms"
-        ) from error
+        raise nested_too_deep(start) from error
     if depth > _STACK:
         raise UsageError(f"{start}: nested {depth} deep, at most {_STACK}")
     code = np.array(compiler.code, np.int32)
@@ -280,6 +348,11 @@ def _compiled(form: _Form, text: str, source: str) -> Program:
         compiler.constants or [0.0], np.float64
     )  # never empty: C takes its address
     return Program(text, code, constants, tuple(compiler.signals))
+
+
+def nested_too_deep(start: str) -> UsageError:
+    """Return the error of a text that Python cannot follow into its depth."""
+    return UsageError(f"{start}: nested too deep to be read; write it with fewer terms")
 
 
 def _start(form: _Form, text: str) -> str:
@@ -297,6 +370,24 @@ def parse(text: str) -> ast.expr:
         If it does not, or is too long.
     """
     return _parse(_IN_TIME, text, text)
+
+
+def parse_metric(text: str, source: str) -> ast.expr:
+    """Return the syntax tree of a metric.
+
+    Parameters
+    ----------
+    text : str
+        As it was written, for messages.
+    source : str
+        The same without durations, which Python cannot parse.
+
+    Raises
+    ------
+    UsageError
+        If it does not look like one, or is too long.
+    """
+    return _parse(_METRIC, text, source)
 
 
 def _parse(form: _Form, text: str, source: str) -> ast.expr:
@@ -350,7 +441,7 @@ class _Compiler:
                 return self._operation(_BINARY[type(operator)], [left, right])
             case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
                 return self._call(name, arguments)
-            case ast.Attribute() | ast.Subscript() if self._form.over_signals and _is_written(node):
+            case _ if self._form.over_signals and is_signal(node):
                 return self._signal("".join(self._source(node).split()))
         raise self._refusal(quoted(self._source(node)), self._form.allowed)
 

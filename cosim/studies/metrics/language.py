@@ -1,0 +1,293 @@
+"""The text of a metric: arithmetic of reductions, whose arguments are expressions over signals.
+
+:mod:`cosim.native.numerics.expression` is the language of the arguments, of the conditions, and of
+the arithmetic. ``min`` and ``max`` of one argument are reductions, also with a condition behind it;
+those of two numbers are arithmetic outside of reductions, and pointwise inside.
+
+A condition with ``for`` is true at the rows up to which it has held for so long, as everywhere:
+``first(t, C for 1 s)`` is where a run until ``C for 1 s`` ends, 1 s after C has begun to hold.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+
+from cosim.arrays import Vector
+from cosim.errors import UsageError, nearest, quoted
+from cosim.native.numerics.expression import (
+    FUNCTIONS,
+    ConditionProgram,
+    Program,
+    compile_arithmetic,
+    compile_condition_part,
+    compile_part,
+    is_condition,
+    is_signal,
+    nested_too_deep,
+    parse_metric,
+    read_duration,
+)
+from cosim.native.numerics.programs import RowProgram
+from cosim.studies.metrics.kinds import KINDS, ReductionKind
+
+_QUOTED_OR_DURATION: Final = re.compile(
+    r"'(?:\\.|[^'\\])*'"
+    r'|"(?:\\.|[^"\\])*"'
+    r"|(?<=[\s)\]])for(?=\s)(?P<duration>[^,()\[\]'\"]*)"
+)
+_CONSTANTS: Final = ("pi", "e")
+_NOT_NESTED: Final = frozenset(KINDS) - {"min", "max"}
+
+
+@final
+class Arithmetic:
+    """Numbers that follow from the values of reductions.
+
+    Parameters
+    ----------
+    program : Program
+        Its columns are the numbers of reductions.
+    """
+
+    def __init__(self, program: Program) -> None:
+        columns = [int(name) for name in program.signals]
+        self.columns = tuple(columns)
+        self._program = RowProgram(program.with_columns(columns))
+
+    def value(self, values: Vector) -> float:
+        """Return its value for those of the reductions; NaN where it has none."""
+        [value] = self._program.evaluate(np.zeros(1), values[np.newaxis]).tolist()
+        return float(value)
+
+
+@dataclass(frozen=True, eq=False)
+class Reduction:
+    """A reduction in a metric.
+
+    Parameters
+    ----------
+    kind : ReductionKind
+    values : Program or ConditionProgram
+        What is reduced, over signals; of ``share`` a condition.
+    where : ConditionProgram or None
+        Restricts the rows.
+    band : Arithmetic or None
+        Of ``settling``; over the reductions before this one.
+    """
+
+    kind: ReductionKind
+    values: Program | ConditionProgram
+    where: ConditionProgram | None = None
+    band: Arithmetic | None = None
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """The signals in it as they are written, each once."""
+        names: dict[str, None] = {}
+        for part in (self.values, self.where):
+            program = part.program if isinstance(part, ConditionProgram) else part
+            if program is not None:
+                names.update(dict.fromkeys(program.signals))
+        return tuple(names)
+
+
+@dataclass(frozen=True, eq=False)
+class Metric:
+    """A metric of a study.
+
+    Parameters
+    ----------
+    name, text : str
+    reductions : tuple of Reduction
+    arithmetic : Arithmetic
+        What joins them.
+    """
+
+    name: str
+    text: str
+    reductions: tuple[Reduction, ...]
+    arithmetic: Arithmetic
+
+
+def parse_metric_text(name: str, text: str) -> Metric:
+    """Parse a metric; whether there are its signals is not known here.
+
+    Raises
+    ------
+    UsageError
+        If the text is no metric; with what was found and what is possible instead.
+    """
+    parser = _MetricParser(" ".join(text.splitlines()).strip())
+    arithmetic = parser.parse()
+    return Metric(name, text, tuple(parser.reductions), arithmetic)
+
+
+class _MetricParser:
+    """Parses one text, and finds its reductions.
+
+    Parameters
+    ----------
+    text : str
+        One line.
+    """
+
+    def __init__(self, text: str) -> None:
+        self.reductions: list[Reduction] = []
+        self._text = text
+        self._start = f"metric {quoted(text)}"
+        self._durations: dict[int, int] = {}  # [ns] by where their 'for' begins, in bytes
+        self._source = _QUOTED_OR_DURATION.sub(self._take_duration, text)
+
+    def _take_duration(self, match: re.Match[str]) -> str:
+        """Return what stands for a match in the source: blanks for a duration."""
+        if match["duration"] is None:
+            return match[0]
+        begin = len(self._text[: match.start()].encode())
+        self._durations[begin] = read_duration(self._start, match["duration"])
+        return " " * len(match[0].encode())  # places in the tree are counted in bytes
+
+    def parse(self) -> Arithmetic:
+        """Return the arithmetic of the text."""
+        tree = parse_metric(self._text, self._source)
+        try:
+            arithmetic = self._arithmetic(tree)
+        except RecursionError as error:
+            raise nested_too_deep(self._start) from error
+        if self._durations:
+            raise self._refusal(
+                "'for' behind what is no condition",
+                "needed it at the end of one, such as first(t, plant.y < 1 for 1 s)",
+            )
+        program = compile_arithmetic(arithmetic, self._source)
+        if not self.reductions:
+            raise self._refusal("no reduction", "needed one at least, such as last(plant.y)")
+        return Arithmetic(program)
+
+    def _arithmetic(self, node: ast.expr) -> ast.expr:
+        """Return arithmetic in which the number of each reduction, as a text, stands for it."""
+        match node:
+            case ast.UnaryOp(op=ast.USub() | ast.UAdd()):
+                node.operand = self._arithmetic(node.operand)
+            case ast.BinOp():
+                node.left = self._arithmetic(node.left)
+                node.right = self._arithmetic(node.right)
+            case ast.Call(func=ast.Name(id=name), keywords=[]):
+                return self._call(name, node)
+            case ast.Name(id=name) if name in _CONSTANTS:
+                pass
+            case _ if is_condition(node):
+                found = f"the condition {self._quoted(node)} outside a reduction"
+                raise self._refusal(found, f"needed a number, such as share({self._part(node)})")
+            case _ if is_signal(node) or isinstance(node, ast.Name):
+                found = f"{self._quoted(node)} outside a reduction"
+                raise self._refusal(found, f"needed one of it, such as last({self._part(node)})")
+        return node
+
+    def _call(self, name: str, node: ast.Call) -> ast.expr:
+        """Return the arithmetic of a call: a reduction, or a function of reductions."""
+        is_extreme = name in ("min", "max")
+        if is_extreme and len(node.args) == 2 and not is_condition(node.args[1]):
+            if any(map(_is_over_signals, node.args)):
+                part = self._part(node)
+                raise self._refusal(
+                    f"{quoted(part)} outside a reduction, where {name} is that of two reductions",
+                    f"needed {name}({part}) for that over all rows",
+                )
+        elif name in KINDS:
+            return self._reduction(name, node)
+        elif name not in FUNCTIONS:
+            known = nearest(name, [*KINDS, *FUNCTIONS])
+            raise self._refusal(f"unknown reduction or function {quoted(name)}", known)
+        node.args = [self._arithmetic(argument) for argument in node.args]
+        return node
+
+    def _reduction(self, name: str, node: ast.Call) -> ast.expr:
+        """Take up a reduction; return what stands for it."""
+        kind = KINDS[name]
+        arguments = list(node.args)
+        durations = self._durations_of(node)
+        where: ConditionProgram | None = None
+        if len(arguments) > 1 and is_condition(arguments[-1]) and kind.takes_condition:
+            where = compile_condition_part(arguments.pop(), self._source, durations[len(arguments)])
+        most = 2 if kind.takes_band else 1
+        fits = 1 <= len(arguments) <= most and (where is not None or not kind.needs_condition)
+        if not fits or is_condition(arguments[0]) is not kind.of_condition:
+            raise self._refusal(self._quoted(node), f"needed {kind.usage}")
+        self._check_nesting(name, arguments[0])
+        values: Program | ConditionProgram
+        if kind.of_condition:
+            values = compile_condition_part(arguments[0], self._source, durations[0])
+        else:
+            values = compile_part(arguments[0], self._source)
+        band = self._band(arguments[1]) if len(arguments) > 1 else None
+        self.reductions.append(Reduction(kind, values, where, band))
+        stands_for = ast.Constant(str(len(self.reductions) - 1))
+        return ast.copy_location(stands_for, node)
+
+    def _band(self, node: ast.expr) -> Arithmetic:
+        """Return the band of a settling time.
+
+        Raises
+        ------
+        UsageError
+            If it is a negative number.
+        """
+        band = Arithmetic(compile_arithmetic(self._arithmetic(node), self._source))
+        if not band.columns and not band.value(np.zeros(1)) >= 0.0:
+            raise self._refusal(f"the band {self._quoted(node)}", "needed 0 or a positive number")
+        return band
+
+    def _durations_of(self, call: ast.Call) -> list[int]:
+        """Return the durations that stand behind the arguments of a call [ns]; 0: none.
+
+        Those behind conditions only; others remain, for a refusal.
+        """
+        begins = [argument.col_offset for argument in call.args[1:]] + [call.end_col_offset or 0]
+        durations = []
+        for argument, next_begin in zip(call.args, begins, strict=False):
+            end = argument.end_col_offset or 0
+            inside = [begin for begin in self._durations if end <= begin < next_begin]
+            taken = [self._durations.pop(begin) for begin in inside if is_condition(argument)]
+            durations.append(sum(taken))
+        return durations
+
+    def _check_nesting(self, name: str, argument: ast.expr) -> None:
+        """Check that there is no reduction in what is reduced."""
+        for node in ast.walk(argument):
+            match node:
+                case ast.Call(func=ast.Name(id=inner), args=arguments) if inner in _NOT_NESTED or (
+                    inner in KINDS and len(arguments) == 1
+                ):
+                    raise self._refusal(
+                        f"{self._quoted(node)} inside {name}(...)",
+                        "needed an expression over signals there: reductions are joined by "
+                        "arithmetic, and not nested",
+                    )
+
+    def _part(self, node: ast.expr) -> str:
+        return ast.get_source_segment(self._source, node) or ""
+
+    def _quoted(self, node: ast.expr) -> str:
+        return quoted(self._part(node))
+
+    def _refusal(self, found: str, needed: str) -> UsageError:
+        return UsageError(f"{self._start}: found {found}; {needed}")
+
+
+def _is_over_signals(node: ast.expr) -> bool:
+    """Return whether there is a signal, or t, in arithmetic outside of reductions."""
+    match node:
+        case ast.Name(id="t"):
+            return True
+        case ast.UnaryOp(operand=operand):
+            return _is_over_signals(operand)
+        case ast.BinOp(left=left, right=right):
+            return _is_over_signals(left) or _is_over_signals(right)
+        case ast.Call(func=ast.Name(id=name), args=arguments) if name in FUNCTIONS:
+            return any(map(_is_over_signals, arguments))
+    return is_signal(node)

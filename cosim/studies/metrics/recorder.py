@@ -1,0 +1,73 @@
+"""The metrics of a run while it advances: its rows are reduced as they come, and not kept."""
+
+from __future__ import annotations
+
+from typing import final
+
+import numpy as np
+
+from cosim.arrays import Matrix
+from cosim.core.contracts import Block
+from cosim.core.recorders import Nothing
+from cosim.core.recording import Plan
+from cosim.core.signals import Layout
+from cosim.native.numerics.reductions import KeptValues
+from cosim.native.step import DOUBLE
+from cosim.studies.metrics.binding import BoundReductions, bind_layout
+from cosim.studies.metrics.metrics import Metrics
+
+
+@final
+class MetricRecorder(Nothing):
+    """Keeps of the rows of a run what metrics need; implements Recorder.
+
+    It takes one run after the other: each begins anew.
+
+    Parameters
+    ----------
+    metrics : Metrics
+    """
+
+    def __init__(self, metrics: Metrics) -> None:
+        self._metrics = metrics
+        self._layout: Layout | None = None
+        self._bound: list[BoundReductions] = []
+        self._has_rows = False
+
+    def begin(self, plan: Plan) -> None:
+        """Begin a run.
+
+        Raises
+        ------
+        UsageError
+            If it has not the signals of all metrics; names all that are missing.
+        """
+        if plan.layout is not self._layout:
+            self._metrics.check(plan.channels)
+            self._bound = bind_layout(self._metrics.reductions, plan.layout)
+            self._layout = plan.layout
+        for group in self._bound:
+            group.rows.begin()
+        self._has_rows = False
+
+    def write(self, block: Block, signals: Matrix) -> None:
+        """Reduce the new rows."""
+        first = 0 if block.index == 0 and not self._has_rows else 1
+        if first > block.steps:
+            return
+        self._has_rows = True
+        if signals.strides[1] != DOUBLE:
+            signals = np.ascontiguousarray(signals)
+        for group in self._bound:
+            begin = first + -(block.index + first) % group.period
+            chosen = slice(begin, None, group.period)
+            time_ns = np.ascontiguousarray(block.time_ns[chosen])
+            t = np.ascontiguousarray(block.time[chosen])
+            group.rows.add(time_ns, t, signals[chosen])
+
+    def values(self) -> dict[str, float | None]:
+        """Return the metrics of the rows so far; None: one has no value."""
+        kept: dict[int, KeptValues] = {}
+        for group in self._bound:
+            kept.update({n: group.rows.kept(place) for place, n in enumerate(group.numbers)})
+        return self._metrics.values([kept[number] for number in range(len(kept))])
