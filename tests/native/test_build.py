@@ -11,6 +11,8 @@ import pytest
 
 from cosim.native import build
 from cosim.native.numerics.expression import FUNCTIONS, OPERATIONS, compile_expression
+from cosim.native.numerics.instructions import ROW_OPERATIONS
+from cosim.native.numerics.reductions import PARTS
 
 SOURCES = [build.HERE / name for name in build.SOURCES]
 needs_cc = pytest.mark.skipif(shutil.which("cc") is None, reason="no cc")
@@ -197,15 +199,30 @@ def runs_here(command):
     return bool(command) and sys.platform == "linux" and platform.machine() == "x86_64"
 
 
-def test_the_operations_are_numbered_as_in_c():
-    """Python and C agree on the order, by name."""
-    text = build.source("expression.c").read_text(encoding="utf-8")
+def enumerated(text):
+    """Return the names in an ``enum``, in lower case, without their values."""
     names = text[text.index("enum {") + 6 : text.index("};")].replace("\n", " ").split(",")
-    in_c = [
-        name.strip().lower().replace("minimum", "min").replace("maximum", "max") for name in names
-    ]
+    return [name.partition("=")[0].strip().lower() for name in names]
+
+
+def test_the_operations_are_numbered_as_in_c():
+    """Python and C agree on the order, by name; those on rows stand behind the others."""
+    [header] = [path for path in build.headers(["expression.c"]) if path.name == "operations.h"]
+    names = enumerated(header.read_text(encoding="utf-8"))
+    in_c = [name.replace("minimum", "min").replace("maximum", "max") for name in names]
     assert in_c == [*OPERATIONS, "operations"]
     assert OPERATIONS[-len(FUNCTIONS) :] == FUNCTIONS
+    text = build.source("reductions.c").read_text(encoding="utf-8")
+    assert enumerated(text.replace(" = OPERATIONS", "")) == [*ROW_OPERATIONS]
+
+
+def test_the_parts_of_reductions_are_numbered_as_in_c():
+    """Each is the bit of its place."""
+    text = build.source("reductions.c").read_text(encoding="utf-8")
+    bits = text[text.index("enum {\n    ENDS") :]
+    assert enumerated(bits) == [*PARTS]
+    values = [int(item.partition("=")[2]) for item in bits[: bits.index("}")].split(",")]
+    assert values == [1 << number for number in range(len(PARTS))]
 
 
 MAIN = r"""

@@ -38,7 +38,8 @@ static void hold(cosim_hold *s, int64_t n, const int64_t *time_ns, const double 
     case operation: EACH(cosim_unary(operation, a[k]))
 
 /* The cheap operations by name, so that each is a loop of its own. */
-static void apply(int32_t operation, int64_t n, const double *a, const double *b, double *restrict r)
+static void apply(int32_t operation, int64_t n, const double *a, const double *b,
+                  double *restrict r)
 {
     switch (operation) {
     BINARY(ADD);
