@@ -12,12 +12,14 @@
     │   ├── AssumptionError   an assumption of the method that does not hold
     │   │   └── StartError    an iteration cannot start where it should; another start may do
     │   ├── FmuError          an FMU that cannot be used, or a model that cannot become one
-    │   └── LogError          a log that cannot be read, or written
-    │       └── UnknownSignalError   what was not recorded; a KeyError too
+    │   ├── LogError          a log that cannot be read, or written
+    │   │   └── UnknownSignalError   what was not recorded; a KeyError too
+    │   └── DatasetError      a study's dataset that is another one's, in use or damaged
     └── RunError              the run began and could not go on; exit 1
         ├── NonFiniteError    the first NaN or infinity, with component, signal and time
         ├── RunawayError      a loop whose values grow without end, step by step
         ├── LogWriteError     a full disk, a lost file; what was written stays valid
+        ├── DatasetWriteError the same, of the dataset of a study
         └── Interrupted       Ctrl-C or another signal; exit 128 + its number
 
 Every message names the thing, what was found, what was needed and the way out, in the language of
@@ -112,6 +114,10 @@ class UnknownSignalError(LogError, KeyError):
     __str__ = Exception.__str__  # not the repr that KeyError shows
 
 
+class DatasetError(UsageError):
+    """A dataset of a study that is another one's, in use, damaged or not there."""
+
+
 class RunError(CosimError):
     """The run began and could not go on."""
 
@@ -126,6 +132,10 @@ class RunawayError(RunError):
 
 class LogWriteError(RunError):
     """A log could not be written further; what was written is a valid file."""
+
+
+class DatasetWriteError(RunError):
+    """A dataset could not be written further; the outcomes that were written are there."""
 
 
 class Interrupted(RunError):

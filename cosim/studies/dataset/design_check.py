@@ -1,0 +1,72 @@
+"""The parameters that are recorded, beside those that are planned for the same numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from cosim.errors import DatasetError, flag, quoted
+from cosim.studies.dataset.columns import MEMBER, StudyColumn, planned_array
+
+
+def check_part(
+    label: str,
+    parameters: Sequence[StudyColumn],
+    recorded: Any,
+    design: Mapping[str, Sequence[Any]],
+) -> None:
+    """Check that recorded members have the planned parameters, bit for bit.
+
+    Parameters
+    ----------
+    label : str
+        Place of the dataset.
+    parameters : sequence of StudyColumn
+    recorded : pyarrow.Table
+        Of some members.
+    design : mapping of str to sequence or array
+        Of each parameter the values of all members, by number.
+
+    Raises
+    ------
+    DatasetError
+        If one has others; names the first member, and its parameter.
+    """
+    members = recorded[MEMBER].to_numpy()
+    first: tuple[int, str, Any, Any] | None = None
+    for column in parameters:
+        values = design[column.name]
+        planned = planned_array(column, _taken(values, members))
+        found = recorded[column.name].combine_chunks()
+        row = _first_difference(found, planned)
+        if row is not None and (first is None or members[row] < first[0]):
+            first = (int(members[row]), column.name, found[row].as_py(), planned[row].as_py())
+    if first is not None:
+        number, name, was, now = first
+        raise DatasetError(
+            f"{label}: member {number} was {name} = {quoted(was)}, is {quoted(now)}; a grid grows "
+            "by values at the end of its first key, cases and samples grow at their end: do that, "
+            f"give another folder, or {flag('new')}, which removes the dataset and begins anew"
+        )
+
+
+def _taken(values: Sequence[Any], members: Any) -> Sequence[Any]:
+    if isinstance(values, np.ndarray):
+        taken: Any = values[members]
+        return taken
+    return [values[number] for number in members.tolist()]
+
+
+def _first_difference(found: Any, planned: Any) -> int | None:
+    """Return the first row in which two arrays of one type differ; None: there is none."""
+    if found.equals(planned) and str(found.type) != "double":
+        return None
+    if str(found.type) == "double" and not (found.null_count or planned.null_count):
+        bits = found.to_numpy().view(np.int64) != planned.to_numpy().view(np.int64)
+        rows = np.flatnonzero(bits)
+        return int(rows[0]) if len(rows) else None
+    pairs = zip(found.to_pylist(), planned.to_pylist(), strict=True)
+    # repr tells zeros of either sign apart, and finds NaN equal to itself
+    return next((row for row, (a, b) in enumerate(pairs) if repr(a) != repr(b)), None)

@@ -1,0 +1,188 @@
+"""Whose dataset it is: what must be the same for outcomes of two sessions to belong together."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Final
+
+from cosim.errors import DatasetError
+from cosim.studies.dataset.columns import StudyColumn, all_columns
+from cosim.studies.dataset.layout import PartLayout
+from cosim.version import __version__
+
+FORMAT: Final = 1
+PART_SIZE: Final = 1000
+DESCRIPTION: Final = "study.json"
+_CHECKSUM: Final = "checksum"
+
+
+@dataclass(frozen=True, slots=True)
+class StudyIdentity:
+    """What a study is about.
+
+    Parameters
+    ----------
+    name : str
+    text : str
+        The study as it was written, for readers; it may change.
+    digests : mapping of str to str
+        SHA-256 of everything that outcomes depend on, by a name for messages: ``the scenario``,
+        ``FMU plant.fmu``, ``table cases.csv``, ``the metrics``. Those of what a study is grown by
+        may come in addition.
+    columns : tuple of StudyColumn
+        Its parameters and metrics.
+    members : int
+        How many are planned.
+    part_size : int
+        Fixed when the dataset is made.
+    version : str
+        Of cosim.
+    """
+
+    name: str
+    text: str
+    digests: Mapping[str, str]
+    columns: tuple[StudyColumn, ...]
+    members: int
+    part_size: int = PART_SIZE
+    version: str = __version__
+
+    @property
+    def sha256(self) -> str:
+        """Return what tells its parts from those of another study."""
+        types = {column.name: column.type for column in self.columns}
+        return digest_of([self.version, dict(self.digests), types])
+
+
+@dataclass(frozen=True, slots=True)
+class DatasetDescription:
+    """What ``study.json`` says.
+
+    Parameters
+    ----------
+    identity : StudyIdentity
+    sha256 : str
+        Of the identity with which the dataset was made.
+    layout : PartLayout
+    """
+
+    identity: StudyIdentity
+    sha256: str
+    layout: PartLayout
+
+    @classmethod
+    def of(cls, identity: StudyIdentity) -> DatasetDescription:
+        """Return that of a new dataset."""
+        layout = PartLayout(identity.part_size, (identity.members,))
+        return cls(identity, identity.sha256, layout)
+
+    @property
+    def columns(self) -> tuple[StudyColumn, ...]:
+        """Every column of a part, in order."""
+        return all_columns(self.identity.columns)
+
+    def grown(self, identity: StudyIdentity) -> DatasetDescription:
+        """Return that of the same study with more members: columns and part size are kept."""
+        digests = {**self.identity.digests, **identity.digests}
+        merged = replace(
+            identity, digests=digests, columns=self.identity.columns, part_size=self.layout.size
+        )
+        return replace(self, identity=merged, layout=self.layout.grown(identity.members))
+
+    def to_json(self) -> bytes:
+        """Return the content of the file."""
+        identity = self.identity
+        content = {
+            "format": FORMAT,
+            "cosim": identity.version,
+            "name": identity.name,
+            "sha256": self.sha256,
+            "part_size": self.layout.size,
+            "lengths": list(self.layout.lengths),
+            "digests": dict(identity.digests),
+            "columns": [asdict(column) for column in identity.columns],
+            "study_sha256": hashlib.sha256(identity.text.encode()).hexdigest(),
+            "study": identity.text,
+        }
+        content[_CHECKSUM] = digest_of(content)
+        return (json.dumps(content, indent=1, ensure_ascii=False) + "\n").encode()
+
+    @classmethod
+    def from_json(cls, content: bytes, label: str) -> DatasetDescription:
+        """Read the content of the file ``label``.
+
+        Raises
+        ------
+        DatasetError
+            If it is damaged, or of a later version of the format.
+        """
+        try:
+            found = json.loads(content)
+            checksum = found.pop(_CHECKSUM)
+            version = found["format"]
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise _damaged(label) from error
+        if version != FORMAT:
+            raise DatasetError(
+                f"{label}: found format {version!r} of a dataset, needed {FORMAT}; read it with "
+                f"cosim {found.get('cosim')}, or give another folder"
+            )
+        if checksum != digest_of(found):
+            raise _damaged(label)
+        return cls._of_content(found)
+
+    @classmethod
+    def _of_content(cls, content: Mapping[str, Any]) -> DatasetDescription:
+        layout = PartLayout(content["part_size"], tuple(content["lengths"]))
+        identity = StudyIdentity(
+            name=content["name"],
+            text=content["study"],
+            digests=content["digests"],
+            columns=tuple(StudyColumn(**column) for column in content["columns"]),
+            members=layout.total,
+            part_size=layout.size,
+            version=content["cosim"],
+        )
+        return cls(identity, content["sha256"], layout)
+
+
+def differences(recorded: StudyIdentity, planned: StudyIdentity) -> list[str]:
+    """Return what makes two studies different ones; one that has grown is the same."""
+    found = []
+    if recorded.version != planned.version:
+        found.append(f"it was made by cosim {recorded.version}, this is {planned.version}")
+    for name, digest in recorded.digests.items():
+        if name not in planned.digests:
+            found.append(f"{name} is no longer part of it")
+        elif planned.digests[name] != digest:
+            found.append(f"{name} changed")
+    before = _parameters(recorded)
+    after = _parameters(planned)
+    for name in sorted(before.keys() - after.keys()):
+        found.append(f"{name} is no longer varied")
+    for name in sorted(after.keys() - before.keys()):
+        found.append(f"{name} is varied now")
+    for name in sorted(before.keys() & after.keys()):
+        if before[name] != after[name]:
+            found.append(f"the values of {name} were of type {before[name]}, are {after[name]}")
+    return found
+
+
+def _parameters(identity: StudyIdentity) -> dict[str, str]:
+    columns = (column for column in identity.columns if column.role == "parameter")
+    return {column.name: column.type for column in columns}
+
+
+def digest_of(value: Any) -> str:
+    """Return the SHA-256 of plain values, whatever the order of their keys."""
+    text = json.dumps(value, sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _damaged(label: str) -> DatasetError:
+    return DatasetError(
+        f"{label} is damaged; take it from a copy, or remove the folder and run the study again"
+    )

@@ -1,0 +1,102 @@
+"""Parts of a dataset as Parquet files, and rows as tables.
+
+Numbers are not stored as dictionaries: these would merge both zeros.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from typing import Any, Final
+
+from cosim.errors import DatasetError
+from cosim.studies.dataset.columns import Row, StudyColumn, arrow_schema, pyarrow
+from cosim.studies.dataset.layout import part_name
+from cosim.studies.dataset.storage import Storage
+
+_STUDY: Final = "cosim.study"
+_TEXTS: Final = ("string", "json")
+
+
+class PartFiles:
+    """Writes and reads the parts of a dataset.
+
+    Parameters
+    ----------
+    storage : Storage
+    columns : sequence of StudyColumn
+        All of them, in order.
+    sha256 : str
+        Of the study: another's part is refused.
+    """
+
+    def __init__(self, storage: Storage, columns: Sequence[StudyColumn], sha256: str) -> None:
+        self._storage = storage
+        self._columns = columns
+        self._sha256 = sha256
+        self.schema = arrow_schema(columns, {_STUDY: sha256})
+
+    def table(self, rows: Sequence[Row]) -> Any:
+        """Return rows as a table."""
+        arrow = pyarrow()
+        arrays = [
+            arrow.array([row[number] for row in rows], field.type)
+            for number, field in enumerate(self.schema)
+        ]
+        return arrow.Table.from_arrays(arrays, schema=self.schema)
+
+    def write(self, part: range, rows: Sequence[Row]) -> None:
+        """Write the rows of a part, in the order of its members.
+
+        Raises
+        ------
+        DatasetWriteError
+            If it cannot be written.
+        """
+        from pyarrow import parquet
+
+        stream = io.BytesIO()
+        texts = [column.name for column in self._columns if column.type in _TEXTS]
+        options = {"compression": "zstd", "use_dictionary": texts, "write_page_checksum": True}
+        parquet.write_table(self.table(rows), stream, **options)
+        self._storage.write(part_name(part), stream.getvalue())
+
+    def read(self, part: range, names: Sequence[str]) -> Any:
+        """Return columns of a part.
+
+        Raises
+        ------
+        DatasetError
+            If it is damaged, or that of another study.
+        """
+        from pyarrow import parquet
+
+        arrow = pyarrow()
+        name = part_name(part)
+        content = self._storage.read(name)
+        if content is None:
+            raise DatasetError(f"{self._storage.label(name)}: it was removed while it was read")
+        try:
+            file = parquet.ParquetFile(io.BytesIO(content), page_checksum_verification=True)
+            self._check_study(name, file.schema_arrow.metadata or {})
+            table = file.read(columns=list(names), use_threads=False).select(list(names))
+        except (arrow.ArrowException, OSError, KeyError) as error:
+            raise self._damaged(name) from error
+        wanted = arrow.schema([self.schema.field(name) for name in names])
+        if not table.schema.equals(wanted) or len(table) != len(part):
+            raise self._damaged(name)
+        return table
+
+    def _check_study(self, name: str, metadata: dict[bytes, bytes]) -> None:
+        found = metadata.get(_STUDY.encode(), b"").decode(errors="replace")
+        if found != self._sha256:
+            raise DatasetError(
+                f"{self._storage.label(name)} is a part of another study; remove it and run the "
+                "study again: its members run anew"
+            )
+
+    def _damaged(self, name: str) -> DatasetError:
+        return DatasetError(
+            f"{self._storage.label(name)} is damaged; remove it and run the study again: its "
+            "members run anew"
+        )

@@ -1,0 +1,72 @@
+"""A study whose members and outcomes follow from their numbers."""
+
+from __future__ import annotations
+
+from cosim.studies.contracts import MemberOutcome, StudyMember
+from cosim.studies.dataset.columns import metric_column, parameter_column
+from cosim.studies.dataset.identity import StudyIdentity
+
+DIGESTS = {"the scenario": "ab" * 32, "FMU plant.fmu": "cd" * 32, "the metrics": "ef" * 32}
+
+
+def rates(count):
+    """Return the values of ``observer.filter_rate``."""
+    return [10.0 * 1.1 ** (number % 97) for number in range(count)]
+
+
+def seeds(count):
+    """Return the values of ``noise.seed``."""
+    return [number % 5 for number in range(count)]
+
+
+def design(count):
+    """Return the planned parameters."""
+    return {"observer.filter_rate": rates(count), "noise.seed": seeds(count)}
+
+
+def columns():
+    """Return the parameters and metrics."""
+    return (
+        parameter_column("observer.filter_rate", rates(3), "rad/s"),
+        parameter_column("noise.seed", seeds(3)),
+        metric_column("error", "rms(observer.delta - delta.y)"),
+        metric_column("late", "first(t, plant.y > 1)", "s"),
+    )
+
+
+def identity(members, *, part_size=10, digests=None, version="1.0", of=None):
+    """Return what the study is about."""
+    return StudyIdentity(
+        name="tolerances",
+        text='[study]\nscenario = "academic"\n',
+        digests=DIGESTS if digests is None else digests,
+        columns=columns() if of is None else of,
+        members=members,
+        part_size=part_size,
+        version=version,
+    )
+
+
+def member(number, count=10**7):
+    """Return a member."""
+    values = {"observer.filter_rate": 10.0 * 1.1 ** (number % 97), "noise.seed": number % 5}
+    return StudyMember(number, values)
+
+
+def outcome(number, *, wall_time=0.25, worker="here"):
+    """Return what a member came to: every seventh failed, some have no ``late``."""
+    if number % 7 == 3:
+        return MemberOutcome(number, "failed", f"NaN at {number} s", number, {}, wall_time)
+    metrics = {"error": 1.0 / (number + 1), "late": number / 3 if number % 4 else None}
+    return MemberOutcome(number, "complete", "", 1000, metrics, wall_time, "", worker)
+
+
+def add(dataset, numbers):
+    """Add the outcomes of members."""
+    for number in numbers:
+        dataset.add(member(number), outcome(number))
+
+
+def parts(folder):
+    """Return the names of the files of the parts in a folder."""
+    return sorted(path.name for path in (folder / "parts").iterdir())
