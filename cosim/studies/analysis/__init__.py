@@ -1,0 +1,8 @@
+"""What the columns of a study say: statistics, convergence, sensitivity.
+
+* ``columns``: members, parameters and metrics as arrays, with what has no value.
+* ``independence``: which members were drawn independently: what every interval rests on.
+* ``confidence``: intervals of a mean, a standard deviation, a quantile, a proportion.
+* ``statistics``, ``conditions``, ``convergence``, ``extremes``, ``correlation``: of a metric.
+* ``sensitivity``: Sobol indices.
+"""

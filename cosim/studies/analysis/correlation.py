@@ -1,0 +1,107 @@
+"""Rank correlation of metrics with parameters."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+from scipy.special import ndtri
+
+from cosim.arrays import Vector
+from cosim.studies.analysis.columns import MemberColumns, numbers_of
+from cosim.studies.analysis.confidence import CONFIDENCE, NO_INTERVAL, ConfidenceInterval
+from cosim.studies.analysis.independence import StudyLayout, drawn_members, independence_of
+
+_LEAST: Final = 10  # members, of an interval
+
+
+@dataclass(frozen=True, slots=True)
+class RankCorrelation:
+    """Spearman's rank correlation of a metric with a parameter.
+
+    Parameters
+    ----------
+    metric, parameter : str
+    value : float or None
+        In [-1, 1]; None: one of them has one value in all members.
+    interval : ConfidenceInterval
+        95 %; there is one where the members were drawn one by one.
+    count : int
+        Members that have the metric.
+    """
+
+    metric: str
+    parameter: str
+    value: float | None
+    interval: ConfidenceInterval
+    count: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return {
+            "metric": self.metric,
+            "parameter": self.parameter,
+            "value": self.value,
+            "interval": self.interval.to_list(),
+            "count": self.count,
+        }
+
+
+def rank_correlations(columns: MemberColumns, layout: StudyLayout) -> list[RankCorrelation]:
+    """Return the correlation of every metric with every parameter that are numbers.
+
+    Of a Saltelli design that of its matrices A and B.
+    """
+    drawn = drawn_members(columns, layout)
+    of_design = independence_of(layout)
+    independent = of_design.is_drawn and of_design.units_of(drawn.numbers) is None
+    parameters = {}
+    for key, raw in drawn.parameters.items():
+        numbers = numbers_of(raw)
+        if numbers is not None:
+            parameters[key] = numbers
+    found = []
+    for name, column in drawn.metrics.items():
+        if column.is_text:
+            continue
+        rows = drawn.rows_of(column.numbers)
+        for key, numbers in parameters.items():
+            value = _spearman(column.values, numbers[rows])
+            interval = NO_INTERVAL
+            if value is not None and independent:
+                interval = _interval(value, len(rows))
+            found.append(RankCorrelation(name, key, value, interval, len(rows)))
+    return found
+
+
+def strongest(correlations: Sequence[RankCorrelation], metric: str) -> list[RankCorrelation]:
+    """Return the correlations of a metric, the strongest first."""
+    known = [one for one in correlations if one.metric == metric and one.value is not None]
+    return sorted(known, key=lambda one: -abs(one.value or 0.0))
+
+
+def _spearman(first: Vector, other: Vector) -> float | None:
+    from scipy.stats import rankdata
+
+    if len(first) < 2:
+        return None
+    ranks = rankdata(first) - 0.5 * (len(first) + 1.0)
+    others = rankdata(other) - 0.5 * (len(first) + 1.0)
+    scale = math.sqrt(float(ranks @ ranks) * float(others @ others))
+    return float(ranks @ others) / scale if scale > 0.0 else None
+
+
+def _interval(value: float, count: int) -> ConfidenceInterval:
+    """Return the interval by Fisher's z with the variance of Bonett and Wright.
+
+    D. G. Bonett and T. A. Wright, "Sample size requirements for estimating Pearson, Kendall and
+    Spearman correlations", Psychometrika 65, 2000.
+    """
+    if count < _LEAST or abs(value) >= 1.0:
+        return NO_INTERVAL
+    deviation = math.sqrt((1.0 + 0.5 * value**2) / (count - 3.0))
+    half_width = float(ndtri(0.5 + 0.5 * CONFIDENCE)) * deviation
+    middle = math.atanh(value)
+    return ConfidenceInterval(math.tanh(middle - half_width), math.tanh(middle + half_width))

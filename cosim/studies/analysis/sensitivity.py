@@ -1,0 +1,182 @@
+"""Sobol indices: which share of the variance of a metric each parameter has.
+
+The estimators are those of ``scipy.stats.sobol_indices``: A. Saltelli et al., "Variance based
+sensitivity analysis of model output. Design and estimator for the total sensitivity index",
+Computer Physics Communications 181, 2010, table 2 (b) and (f). They are written out here because
+scipy's want every base point, a power of two of them and more than one parameter, and because its
+bootstrap takes memory that grows with the square of their number.
+
+A base point is a row of the matrices A and B with its rows of AB_1, ..., AB_d, in each of which one
+column comes from B. Where one of its members failed, or has no value, the whole base point is left
+out: the others are what was drawn, under the condition that no member of theirs failed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from cosim.arrays import Matrix, Vector
+from cosim.errors import UsageError
+from cosim.studies.analysis.columns import MemberColumns, Numbers
+from cosim.studies.analysis.confidence import CONFIDENCE, ConfidenceInterval
+from cosim.studies.analysis.independence import StudyLayout
+
+RESAMPLES: Final = 1000  # of the bootstrap
+_SEED: Final = 0  # of the bootstrap: the same study has the same intervals
+_LEAST: Final = 8  # base points: of fewer an interval says nothing
+_LARGEST_BLOCK: Final = 2**22  # counts of resampled base points at a time
+
+
+@dataclass(frozen=True)
+class SobolIndices:
+    """The Sobol indices of a metric.
+
+    Parameters
+    ----------
+    metric : str
+    parameters : tuple of str, length d
+    first_order, total_order : Vector, shape (d,)
+        Share of the variance that a parameter has alone; with everything that it does together
+        with others. Estimates: they can be below 0 or above 1.
+    first_intervals, total_intervals : tuple of ConfidenceInterval, length d
+        95 %, by a bootstrap over base points: as if these were independent, so too wide of Sobol
+        points mostly.
+    base_points : int
+        That were complete.
+    omitted : Numbers
+        The base points that were left out, because a member of theirs has no value.
+    """
+
+    metric: str
+    parameters: tuple[str, ...]
+    first_order: Vector
+    total_order: Vector
+    first_intervals: tuple[ConfidenceInterval, ...]
+    total_intervals: tuple[ConfidenceInterval, ...]
+    base_points: int
+    omitted: Numbers
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        rows = {}
+        for index, parameter in enumerate(self.parameters):
+            rows[parameter] = {
+                "first_order": float(self.first_order[index]),
+                "first_interval": self.first_intervals[index].to_list(),
+                "total_order": float(self.total_order[index]),
+                "total_interval": self.total_intervals[index].to_list(),
+            }
+        return {
+            "parameters": rows,
+            "base_points": self.base_points,
+            "omitted_base_points": self.omitted.tolist(),
+        }
+
+
+def sobol_indices(columns: MemberColumns, layout: StudyLayout, metric: str) -> SobolIndices:
+    """Return the Sobol indices of a metric of a study.
+
+    Raises
+    ------
+    UsageError
+        If the design of the study is none of Saltelli's, or a sample has several members; if there
+        is no such metric, it has one value everywhere, or too few base points are complete.
+    """
+    check_has_indices(layout)
+    columns.metric(metric)
+    matrices = _matrices(columns, layout, metric)
+    complete = np.isfinite(matrices).all(axis=0)
+    omitted = np.flatnonzero(~complete).astype(np.int64)
+    found = int(complete.sum())
+    if found < _LEAST:
+        raise UsageError(
+            f"Sobol indices of {metric!r}: found {found} of {layout.base_samples} base points with "
+            f"a value in all their members, needed at least {_LEAST}"
+        )
+    values = matrices[:, complete]
+    first, total = indices_of(values, np.ones((1, found)))
+    if not np.isfinite(first).all():
+        raise UsageError(
+            f"Sobol indices of {metric!r}: found one value in all members, needed a metric that "
+            "the parameters change"
+        )
+    firsts, totals = bootstrap(values)
+    return SobolIndices(
+        metric=metric,
+        parameters=layout.parameters,
+        first_order=first[0],
+        total_order=total[0],
+        first_intervals=_percentiles(firsts),
+        total_intervals=_percentiles(totals),
+        base_points=found,
+        omitted=omitted,
+    )
+
+
+def check_has_indices(layout: StudyLayout) -> None:
+    """Raise UsageError if a study has no design that Sobol indices can be found from."""
+    if layout.kind != "saltelli":
+        raise UsageError(
+            f"Sobol indices: found the design {layout.kind!r}, needed 'saltelli': a study with "
+            '[study] sampling = "saltelli"'
+        )
+    together = layout.seeds * layout.grid
+    if together > 1:
+        raise UsageError(
+            f"Sobol indices: found {together} members of each sample, needed 1: a study without "
+            "seeds and lists of values beside its samples"
+        )
+
+
+def indices_of(values: Matrix, weights: Matrix) -> tuple[Matrix, Matrix]:
+    """Return first and total order indices, each of shape (r, d).
+
+    Parameters
+    ----------
+    values : Matrix, shape (d + 2, n)
+        A metric in the rows of A, B, AB_1, ..., AB_d.
+    weights : Matrix, shape (r, n)
+        How often each base point counts, r times; each row sums to n.
+    """
+    centered = values - values[:2].mean()
+    of_a, of_b, of_ab = centered[0], centered[1], centered[2:]
+    count = values.shape[1]
+    mean = weights @ (of_a + of_b) / (2.0 * count)
+    variance = weights @ (of_a**2 + of_b**2) / (2.0 * count) - mean**2
+    first = weights @ (of_b * (of_ab - of_a)).T / count
+    total = 0.5 * (weights @ ((of_ab - of_a) ** 2).T) / count
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return first / variance[:, np.newaxis], total / variance[:, np.newaxis]
+
+
+def bootstrap(values: Matrix, *, resamples: int = RESAMPLES) -> tuple[Matrix, Matrix]:
+    """Return the indices of base points that were drawn again, each of shape (resamples, d)."""
+    rng = np.random.default_rng(_SEED)
+    count = values.shape[1]
+    at_once = max(1, _LARGEST_BLOCK // count)
+    firsts = []
+    totals = []
+    for start in range(0, resamples, at_once):
+        rows = min(at_once, resamples - start)
+        drawn = [np.bincount(rng.integers(count, size=count), minlength=count) for _ in range(rows)]
+        first, total = indices_of(values, np.array(drawn, np.float64))
+        firsts.append(first)
+        totals.append(total)
+    return np.concatenate(firsts), np.concatenate(totals)
+
+
+def _matrices(columns: MemberColumns, layout: StudyLayout, metric: str) -> Matrix:
+    """Return a metric in the rows of A, B, AB_1, ..., AB_d; NaN: there is none, or not yet."""
+    values = np.full((len(layout.parameters) + 2) * layout.base_samples, np.nan)
+    values[columns.numbers] = columns.numeric(metric)
+    return values.reshape(-1, layout.base_samples)
+
+
+def _percentiles(resampled: Matrix) -> tuple[ConfidenceInterval, ...]:
+    tail = 0.5 - 0.5 * CONFIDENCE
+    lower, upper = np.quantile(resampled, [tail, 1.0 - tail], axis=0)
+    pairs = zip(lower, upper, strict=True)
+    return tuple(ConfidenceInterval(float(low), float(high)) for low, high in pairs)
