@@ -20,7 +20,7 @@ from cosim.studies.contracts import MemberOutcome, MetricValue, StudyMember
 
 ColumnType: TypeAlias = Literal["double", "int64", "bool", "string", "list<double>", "json"]
 ColumnRole: TypeAlias = Literal["number", "parameter", "metric", "outcome"]
-Row: TypeAlias = list[Any]
+MemberRow: TypeAlias = list[Any]
 
 MEMBER: Final = "member"
 RECORDING: Final = "recording"
@@ -167,9 +167,9 @@ class RowMaker:
         self._metrics = [(column.name, column.type == "string") for column in metrics]
         self._names = {column.name for column in metrics}
 
-    def row(self, member: StudyMember, outcome: MemberOutcome) -> Row:
+    def row(self, member: StudyMember, outcome: MemberOutcome) -> MemberRow:
         """Return the values of a row, as JSON takes them; a metric is never NaN."""
-        row: Row = [outcome.number]
+        row: MemberRow = [outcome.number]
         row += [get(member) for get in self._getters]
         found = outcome.metrics
         others: dict[str, MetricValue] = {}

@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterable, Iterator
 from typing import Final
 
 from cosim.errors import DatasetError
-from cosim.studies.dataset.columns import Row
+from cosim.studies.dataset.columns import MemberRow
 from cosim.studies.dataset.layout import PartLayout
 from cosim.studies.dataset.storage import DatasetJournal, Storage
 
@@ -27,7 +27,7 @@ class OpenRows:
     def __init__(self, layout: PartLayout, journal: DatasetJournal | None = None) -> None:
         self._layout = layout
         self._journal = journal
-        self._rows: dict[int, dict[int, Row]] = {}  # by the first member of the part
+        self._rows: dict[int, dict[int, MemberRow]] = {}  # by the first member of the part
         self._lines = 0
 
     def load(self, storage: Storage, width: int) -> None:
@@ -62,7 +62,7 @@ class OpenRows:
         for first in parts:
             self._rows.pop(first, None)
 
-    def add(self, part: range, row: Row) -> int:
+    def add(self, part: range, row: MemberRow) -> int:
         """Add a row and return how many there are in its part.
 
         Raises
@@ -79,7 +79,7 @@ class OpenRows:
         self._rows[part.start] = rows
         return len(rows)
 
-    def of(self, part: range) -> list[Row]:
+    def of(self, part: range) -> list[MemberRow]:
         """Return the rows of a part, in the order of members."""
         rows = self._rows.get(part.start, {})
         return [rows[number] for number in sorted(rows)]
@@ -114,11 +114,11 @@ class OpenRows:
             self._journal.close()
 
 
-def _line(row: Row) -> bytes:
+def _line(row: MemberRow) -> bytes:
     return (json.dumps(row) + "\n").encode()
 
 
-def _row(line: bytes, width: int) -> Row | None:
+def _row(line: bytes, width: int) -> MemberRow | None:
     """Return the row of a line; None: it is damaged."""
     try:
         row = json.loads(line)

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from cosim.errors import DatasetError
-from cosim.studies.dataset.columns import Row, StudyColumn, arrow_schema, pyarrow
+from cosim.studies.dataset.columns import MemberRow, StudyColumn, arrow_schema, pyarrow
 from cosim.studies.dataset.layout import part_name
 from cosim.studies.dataset.storage import Storage
 
@@ -36,7 +36,7 @@ class PartFiles:
         self._sha256 = sha256
         self.schema = arrow_schema(columns, {_STUDY: sha256})
 
-    def table(self, rows: Sequence[Row]) -> Any:
+    def table(self, rows: Sequence[MemberRow]) -> Any:
         """Return rows as a table."""
         arrow = pyarrow()
         arrays = [
@@ -45,7 +45,7 @@ class PartFiles:
         ]
         return arrow.Table.from_arrays(arrays, schema=self.schema)
 
-    def write(self, part: range, rows: Sequence[Row]) -> None:
+    def write(self, part: range, rows: Sequence[MemberRow]) -> None:
         """Write the rows of a part, in the order of its members.
 
         Raises
