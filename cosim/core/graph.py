@@ -213,14 +213,21 @@ class Graph:
         schedule = tuple(stage.description for stage in self.stages)
         return Plan(self.layout, step_ns, designs, self.held, schedule)
 
-    def exchange(self, components: Mapping[str, Component], step_ns: int) -> None:
-        """Put other components in the places of some, and prepare those.
+    def exchange(
+        self,
+        components: Mapping[str, Component],
+        step_ns: int,
+        recorded: Mapping[str, Design] | None = None,
+    ) -> dict[str, Design]:
+        """Put other components in the places of some, and prepare those; return their designs.
 
         Parameters
         ----------
         components : mapping of component name to Component
         step_ns : int
             Communication step [ns].
+        recorded : mapping of component name to Design, optional
+            Recorded designs to use instead of computing them.
 
         Raises
         ------
@@ -236,12 +243,16 @@ class Graph:
             if component is not self.components[name]:
                 others[name] = component
                 self._members[name].component.check_exchange(component)
+        taken: Mapping[str, Design] = {} if recorded is None else recorded
+        designs: dict[str, Design] = {}
         for name, component in others.items():
             self.components[name] = component
             guarded = self._members[name].component
             guarded.exchange(component)
             lengths = self._lengths(name, step_ns)
-            guarded.prepare(step_ns / 1e9, self.held[name], {}, lengths)
+            design = taken.get(name, {})
+            designs[name] = guarded.prepare(step_ns / 1e9, self.held[name], design, lengths)
+        return designs
 
     def prepare_variant(
         self,

@@ -82,6 +82,8 @@ class Builder:
         Those that could be built.
     port_maps : mapping of component name to PortMap
         Of those of them whose ports are renamed.
+    periods : mapping of component name to int
+        Communication steps between the rows that their log channels keep.
     given_states : mapping of component name to GivenStates
         Initial states that the run may have to change.
     unknown : set of str
@@ -129,7 +131,7 @@ class Builder:
         self._recording = recording
         self._left_out = frozenset(left_out)
         self._replaced = replaced or {}
-        self._periods: dict[str, int] = {}
+        self.periods: dict[str, int] = {}
         self.given_states: dict[str, GivenStates] = {}
         self.unknown: set[str] = set()
         self._invalid: set[str] = set()  # components whose connections are not checked
@@ -223,7 +225,7 @@ class Builder:
             if name in self._left_out:
                 component = self._recording_of(name, spec, component, period)
             self.components[name] = spec.with_period(component, period)
-            self._periods[name] = spec.recorded_period(period)
+            self.periods[name] = spec.recorded_period(period)
             given = spec.given_states(name, self.context)
             if given is not None:
                 self.given_states[name] = given
@@ -560,7 +562,7 @@ class Builder:
             coupling=settings.coupling,
             iterations=settings.iterations,
             input_interpolation=settings.input_interpolation,
-            periods=self._periods,
+            periods=self.periods,
             substeps=substep_tolerance(settings),
             threads=settings.threads,
         )

@@ -20,7 +20,7 @@ from cosim.core.recording import Recording
 from cosim.core.signals import Interface
 from cosim.core.structure.ports import unknown_port
 from cosim.errors import CosimError, UsageError
-from cosim.scenario.context.build_records import BuildRecords
+from cosim.scenario.context.build_records import BuildRecords, KeptAnswer, LookedUpKinds
 from cosim.scenario.context.fmus import NONE_AGAIN, RecordedFmu, ScenarioFmus
 from cosim.scenario.context.named_files import NamedFiles
 from cosim.scenario.context.scenario_models import ScenarioModels
@@ -125,6 +125,7 @@ class ScenarioBuildContext:
         self._recording = recording
         folder = scenario.document.folder
         self.records = BuildRecords()
+        self._specs = LookedUpKinds(scenario.specs, self.records)
         self.files = NamedFiles(folder, recording, named_files)
         self.models = ScenarioModels(scenario.file.models, self.files, recording)
         self.fmus = ScenarioFmus(
@@ -144,11 +145,29 @@ class ScenarioBuildContext:
             allowed=named_files,
             describes=describes,
         )
-        self._field_data: dict[str, FieldData | UsageError] = {}
-        self._designs: dict[str, tuple[Any, frozenset[str]]] = {}
+        self._field_data: dict[str, KeptAnswer[FieldData | UsageError]] = {}
+        self._designs: dict[str, KeptAnswer[Any]] = {}
         self._choices: dict[str, Mapping[str, Any]] = {}
         self._sources_beside: dict[str, Component] = {}
         self.identified: dict[str, IdentifiedPlant] = {}
+
+    def keep_from(self, built: ScenarioBuildContext, tables: Collection[str]) -> None:
+        """Take what was made in another build, but for what rests on tables that are other ones.
+
+        Parameters
+        ----------
+        built : ScenarioBuildContext
+            Of a scenario with the same settings, connections and maps.
+        tables : collection of str
+            Such as ``components.plant``, ``models.academic``.
+        """
+        self.models.keep_from(built.models)
+        for name, design in built._designs.items():
+            if design.names.isdisjoint(tables) and f"components.{name}" not in tables:
+                self._designs[name] = design
+        for name, data in built._field_data.items():
+            if data.names.isdisjoint(tables) and f"components.{name}" not in tables:
+                self._field_data[name] = data
 
     # --- what a kind may ask for ---
 
@@ -194,9 +213,9 @@ class ScenarioBuildContext:
     def spec(self, name: str) -> Kind:
         """Return the table of another component, and record that it was read."""
         self.records.read(f"components.{name}")
-        if name not in self._scenario.specs:
+        if name not in self._specs:
             raise DependsOnInvalid
-        return self._scenario.specs[name]
+        return self._specs[name]
 
     def driver(self, to: Port) -> str | None:
         """Return the component that drives an input alone; None: there is no such component."""
@@ -221,7 +240,7 @@ class ScenarioBuildContext:
     def drivers(self, to: Port) -> Mapping[str, Kind]:
         """Return the components that drive an input, as a whole or by its elements."""
         self._need_connected(to)
-        specs = self._scenario.specs
+        specs = self._specs
         return {name: specs[name] for name in sorted(self._scenario.sources(to)) if name in specs}
 
     def behind(self, to: Port) -> Mapping[str, Kind]:
@@ -231,8 +250,8 @@ class ScenarioBuildContext:
         waiting = set(self._scenario.sources(to))
         while waiting:
             name = waiting.pop()
-            if name in self._scenario.specs:
-                spec = components[name] = self._scenario.specs[name]
+            if name in self._specs:
+                spec = components[name] = self._specs[name]
                 if spec.computable:
                     waiting |= self._scenario.sources_of(name) - components.keys()
         return components
@@ -256,10 +275,8 @@ class ScenarioBuildContext:
         What it was made of counts as read by every component that asks for it.
         """
         if name not in self._designs:
-            self._designs[name] = self.records.read_by(design)
-        made, tables = self._designs[name]
-        self.records.read(*tables)
-        result: T = made
+            self._designs[name] = self.records.made_by(design)
+        result: T = self.records.take(self._designs[name])
         return result
 
     def field_data(self, name: str, read: Callable[[], FieldData]) -> FieldData:
@@ -267,12 +284,18 @@ class ScenarioBuildContext:
 
         What is wrong with them is the problem of that component, which reports it itself.
         """
-        if name not in self._field_data:
+
+        def read_or_problem() -> FieldData | UsageError:
             try:
-                self._field_data[name] = read()
+                return read()
             except UsageError as error:
-                self._field_data[name] = error
-        data = self._field_data[name]
+                return error
+
+        if name not in self._field_data:
+            self._field_data[name] = self.records.made_by(read_or_problem)
+        kept = self._field_data[name]
+        self.records.look_up(*kept.looked_up)
+        data = kept.made
         if isinstance(data, UsageError):
             if name != self.records.current:
                 raise DependsOnInvalid(str(data)) from data
@@ -288,7 +311,7 @@ class ScenarioBuildContext:
 
     def of_kind(self, kind: type[AnyKind]) -> dict[str, AnyKind]:
         """Return the tables of all components of a kind."""
-        specs = self._scenario.specs.items()
+        specs = self._specs.items()
         return {name: spec for name, spec in specs if isinstance(spec, kind)}
 
     def recorded(self, name: str) -> Interface | None:
@@ -314,7 +337,7 @@ class ScenarioBuildContext:
         while waiting:
             for source in self._sources(waiting.pop()):
                 name = source.component
-                spec = self._scenario.specs.get(name)
+                spec = self._specs.get(name)
                 if spec is None:
                     continue
                 self.records.read(f"components.{name}")
@@ -389,9 +412,11 @@ class ScenarioBuildContext:
         """Return what is known of the signals of a component, by the tables of those it drives."""
         spectra = []
         for to, connection in self._scenario.connections.items():
-            spec = self._scenario.specs.get(to.component)
             sources = {source.component for source in connection.sources}
-            if spec is None or name not in sources:
+            if name not in sources:
+                continue
+            spec = self._specs.get(to.component)
+            if spec is None:
                 continue
             spectrum = spec.spectrum(to.component, self)
             if spectrum is not None:

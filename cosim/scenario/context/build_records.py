@@ -2,10 +2,63 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any, TypeVar, final
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar, final
+
+from cosim.scenario.kinds import Kind
 
 Made = TypeVar("Made")
+
+
+@dataclass(frozen=True, slots=True)
+class KeptAnswer(Generic[Made]):
+    """Something that is made once in a build, and what it was made of.
+
+    Parameters
+    ----------
+    made : Made
+    reads : frozenset of str
+        Names of tables.
+    looked_up : frozenset of str
+        Names of components.
+    """
+
+    made: Made
+    reads: frozenset[str]
+    looked_up: frozenset[str]
+
+    @property
+    def names(self) -> frozenset[str]:
+        """The names of all these tables."""
+        return self.reads | {f"components.{name}" for name in self.looked_up}
+
+
+class LookedUpKinds(Mapping[str, Kind]):
+    """The tables of the components of a scenario, which records whose are looked up.
+
+    Parameters
+    ----------
+    specs : mapping of component name to Kind
+    records : BuildRecords
+    """
+
+    def __init__(self, specs: Mapping[str, Kind], records: BuildRecords) -> None:
+        self._specs = specs
+        self._records = records
+
+    def __getitem__(self, name: str) -> Kind:
+        self._records.look_up(name)
+        return self._specs[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._specs
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._specs)
+
+    def __len__(self) -> int:
+        return len(self._specs)
 
 
 @final
@@ -19,7 +72,10 @@ class BuildRecords:
     metadata : dict of component name to plain values
     warnings : list of (component, text)
     reads : dict of component name to names of tables
-        That were read to build the component.
+        That were read to build the component, and its design rests on.
+    looked_up : dict of component name to set of names of components
+        Whose tables were looked up to build the component, whatever was asked of them; all that it
+        was made of, at least.
     attachments : dict of file name to text
         For the log.
     """
@@ -29,26 +85,60 @@ class BuildRecords:
         self.metadata: dict[str, dict[str, Any]] = {}
         self.warnings: list[tuple[str, str]] = []
         self.reads: dict[str, frozenset[str]] = {"": frozenset()}
+        self.looked_up: dict[str, set[str]] = {"": set()}
         self.attachments: dict[str, str] = {}
 
     def begin(self, name: str) -> None:
         """Record what is read from now on for a component."""
         self.current = name
         self.reads[name] = frozenset()
+        self.looked_up[name] = set()
 
     def read(self, *tables: str) -> None:
         """Record that tables are read."""
         self.reads[self.current] |= set(tables)
 
-    def read_by(self, make: Callable[[], Made]) -> tuple[Made, frozenset[str]]:
-        """Make something; return it, and the tables that were read for it."""
-        before = self.reads[self.current]
-        self.reads[self.current] = frozenset()
+    def look_up(self, *components: str) -> None:
+        """Record that tables of components are looked up."""
+        self.looked_up[self.current].update(components)
+
+    def rests_on(self, tables: Collection[str]) -> set[str]:
+        """Return the components that were made of some tables, their own among them.
+
+        What is made of a component is made of all that this one is made of.
+        """
+        names = set()
+        for name, looked_up in self.looked_up.items():
+            own = {f"components.{other}" for other in (name, *looked_up)}
+            if name and not (own | self.reads[name]).isdisjoint(tables):
+                names.add(name)
+        count = -1
+        while len(names) > count:
+            count = len(names)
+            for name, looked_up in self.looked_up.items():
+                if name and not names.isdisjoint(looked_up):
+                    names.add(name)
+        return names
+
+    def made_by(self, make: Callable[[], Made]) -> KeptAnswer[Made]:
+        """Make something; return it with the tables that were read and looked up for it."""
+        current = self.current
+        reads = self.reads[current]
+        looked_up = self.looked_up[current]
+        self.reads[current] = frozenset()
+        self.looked_up[current] = set()
         try:
             made = make()
-            return made, self.reads[self.current]
+            return KeptAnswer(made, self.reads[current], frozenset(self.looked_up[current]))
         finally:
-            self.reads[self.current] |= before
+            self.reads[current] |= reads
+            self.looked_up[current] |= looked_up
+
+    def take(self, answer: KeptAnswer[Made]) -> Made:
+        """Return what was made before, for which the same tables were read and looked up."""
+        self.read(*answer.reads)
+        self.look_up(*answer.looked_up)
+        return answer.made
 
     def add_metadata(self, name: str, metadata: Mapping[str, Any]) -> None:
         """Record metadata of a component."""

@@ -9,7 +9,7 @@ from typing import Any, Protocol, Self, final
 from cosim.arrays import Matrix
 from cosim.core.contracts import Block
 from cosim.core.passing_recorders import PassingRecorder
-from cosim.core.recorders import EndOfRun, Nothing, end_of_run
+from cosim.core.recorders import EndOfRun, end_of_run
 from cosim.core.recording import MessageLevel, Plan, Recorder, SignalEvent, Substep
 from cosim.studies.contracts import MetricValue
 
@@ -20,15 +20,6 @@ class MetricSink(Recorder, Protocol):
     def values(self) -> Mapping[str, MetricValue]:
         """Return the metrics by name, when the run is over."""
         ...
-
-
-@final
-class NoMetrics(Nothing):
-    """Keeps nothing: there are no metrics."""
-
-    def values(self) -> Mapping[str, MetricValue]:
-        """Return none."""
-        return {}
 
 
 @final

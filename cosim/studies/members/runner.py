@@ -10,9 +10,10 @@ from time import perf_counter
 from types import TracebackType
 from typing import Final, Self, final
 
+from cosim.core.ensemble import ROWS_BYTES
 from cosim.core.recorders import error_text
 from cosim.core.recording import Recorder
-from cosim.errors import Interrupted
+from cosim.errors import CosimError, Interrupted
 from cosim.fmi.unpacked import UnpackedFmus
 from cosim.log import Log
 from cosim.log.editing.joining import open_joined
@@ -20,10 +21,12 @@ from cosim.log.foreign.topics import is_foreign
 from cosim.report.summary import summarize
 from cosim.report.sweep import results_of
 from cosim.scenario.building.experiment import Experiment
+from cosim.scenario.building.kept_build import KeptBuild
+from cosim.scenario.parsing import Scenario
 from cosim.scenario.preparing import build_experiment
 from cosim.scenario.recordings.recording import Target, record, run_into
 from cosim.scenario.running.execution import load
-from cosim.scenario.running.replay import replays_of
+from cosim.scenario.running.replay import Replays, replays_of
 from cosim.studies.contracts import (
     COMPLETE,
     FAILED,
@@ -37,29 +40,36 @@ from cosim.studies.members.measuring import (
     BothRecorders,
     MemberRecorder,
     MetricSink,
-    NoMetrics,
 )
+from cosim.studies.metrics.metrics import parse_metrics
+from cosim.studies.metrics.recorder import MetricRecorder
 
 OPEN_LOGS: Final = 4  # whose rows may be in memory
 
 
 def open_runner(
-    subject: StudySubject, *, sink_of: Callable[[], MetricSink] = NoMetrics
+    subject: StudySubject, *, sink_of: Callable[[], MetricSink] | None = None
 ) -> SubjectRunner:
     """Return what runs the members of a study in this process; a context manager.
 
     Parameters
     ----------
     subject : StudySubject
-    sink_of : callable
-        Returns what keeps the metrics of a run.
+    sink_of : callable, optional
+        Returns what keeps the metrics of a run; left out: those of the subject.
 
     Raises
     ------
     ScenarioError
         If there is no such scenario, or it has problems of its own.
+    UsageError
+        If a metric cannot be understood.
     """
-    return SubjectRunner(subject, sink_of)
+    metrics = parse_metrics(subject.metrics)
+    if sink_of is not None:
+        return SubjectRunner(subject, sink_of)
+    recorder = MetricRecorder(metrics)  # of one run after the other
+    return SubjectRunner(subject, lambda: recorder)
 
 
 @final
@@ -79,6 +89,8 @@ class SubjectRunner:
         self._scenario = load(subject.scenario)
         self._logs: dict[str, Log] = {}
         self._fmus = UnpackedFmus()
+        self._kept: KeptBuild | None = None
+        self._has_kept = False  # once it was tried
 
     def __enter__(self) -> Self:
         return self
@@ -123,32 +135,68 @@ class SubjectRunner:
 
     def _run(self, member: StudyMember, measured: MemberRecorder) -> Mapping[str, MetricValue]:
         """Run a member; return its metrics, and its results where they are asked for."""
-        with ExitStack() as resources:
-            experiment = self._experiment(member, resources)
-            if self._subject.with_results:
-                results = _results(experiment, measured)
-                return {**results, **measured.sink.values()}
-            # what identifiers come to is no metric
-            run_into(measured, replace(experiment, identified={}), progress=None, profile=None)
-        return measured.sink.values()
-
-    def _experiment(self, member: StudyMember, resources: ExitStack) -> Experiment:
-        """Build a member."""
         subject = self._subject
         changes = {**subject.set, **member.set}
         swaps = {**subject.swap, **member.swap}
-        if member.recording is None:
-            scenario = self._scenario.edit(swap=swaps, map=subject.map, set=changes)
-            return build_experiment(scenario, resources, None, unpacked=self._fmus)
-        log = self._log(member.recording)
-        replays = replays_of(
+        if member.recording is not None:
+            with ExitStack() as resources:
+                replays = self._replays(member.recording, swaps)
+                return self._measure(replays.experiment(changes, resources), measured)
+        scenario = self._scenario.edit(swap=swaps, map=subject.map, set=changes)
+        if not subject.with_results and self._run_kept(scenario, measured):
+            return measured.sink.values()
+        with ExitStack() as resources:
+            experiment = build_experiment(scenario, resources, None, unpacked=self._fmus)
+            return self._measure(experiment, measured)
+
+    def _measure(
+        self, experiment: Experiment, measured: MemberRecorder
+    ) -> Mapping[str, MetricValue]:
+        """Run an experiment; return its metrics, and its results where they are asked for."""
+        if self._subject.with_results:
+            return {**_results(experiment, measured), **measured.sink.values()}
+        # what identifiers come to is no metric
+        run_into(measured, replace(experiment, identified={}), progress=None, profile=None)
+        return measured.sink.values()
+
+    def _run_kept(self, scenario: Scenario, measured: MemberRecorder) -> bool:
+        """Run a member in the graph that is kept; return False where it does not fit there."""
+        if not KeptBuild.is_possible(scenario):
+            return False
+        if not self._has_kept:
+            self._has_kept = True
+            self._kept = self._build_kept()
+        if self._kept is None:
+            return False
+        with ExitStack() as resources:
+            experiment = self._kept.experiment(scenario, resources)
+            if experiment is None:
+                return False
+            clock = experiment.clock
+            rows = ROWS_BYTES // (8 * experiment.graph.layout.row_width)
+            in_cache = replace(clock, block=max(1, rows))
+            run_into(measured, replace(experiment, clock=in_cache), progress=None, profile=None)
+            return True
+
+    def _build_kept(self) -> KeptBuild | None:
+        """Build what all members have in common; None: that is no scenario by itself."""
+        subject = self._subject
+        try:
+            scenario = self._scenario.edit(swap=subject.swap, map=subject.map, set=subject.set)
+            return KeptBuild(scenario, self._fmus) if KeptBuild.is_possible(scenario) else None
+        except CosimError:
+            return None
+
+    def _replays(self, path: str, swaps: Mapping[str, str]) -> Replays:
+        """Return a recording that can be replayed."""
+        log = self._log(path)
+        return replays_of(
             log,
             swap=swaps,
-            map=subject.map,
-            allow_code=subject.allow_code,
+            map=self._subject.map,
+            allow_code=self._subject.allow_code,
             scenario=None if isinstance(log, Log) else self._scenario,
         )
-        return replays.experiment(changes, resources)
 
     def _log(self, path: str) -> Log | str:
         """Return a log, which is opened once; of another tool's recording its path."""

@@ -3,7 +3,7 @@
 import hashlib
 import sys
 
-from cosim.core.recorders import Nothing
+from cosim.core.recorders import Nothing, end_of_run
 
 
 class Digest(Nothing):
@@ -15,6 +15,8 @@ class Digest(Nothing):
         self._times = hashlib.sha256()
         self._events = hashlib.sha256()
         self._begun = False
+        self.steps = 0
+        self.reason = ""
 
     def begin(self, plan):
         self._hash.update(repr(plan.layout).encode())
@@ -25,8 +27,12 @@ class Digest(Nothing):
     def write(self, block, signals):
         first = 1 if self._begun else 0
         self._begun = True
+        self.steps = block.index + block.steps
         self._times.update(block.time_ns[first:].tobytes())
         self._hash.update(signals[first:].tobytes())
+
+    def __exit__(self, error_type, error, trace):
+        self.reason = end_of_run(error).reason
 
     def event(self, event):
         self._events.update(repr(event).encode())

@@ -7,7 +7,7 @@ import pytest
 
 import cosim
 from cosim.core.contracts import Block
-from cosim.errors import CosimError, Interrupted, ScenarioError
+from cosim.errors import CosimError, Interrupted, ScenarioError, UsageError
 from cosim.report.summary import summarize
 from cosim.report.sweep import results_of
 from cosim.studies.contracts import StudyMember, StudySubject
@@ -61,6 +61,26 @@ def test_members_have_the_bits_of_runs_of_their_own(lag):
     changes = {"u.amplitude": 3.0, "plant.initial": 0.0, "u.rate": 5.0}
     assert second.number == 7
     assert second.metrics["digest"] == alone(lag, changes)
+
+
+def test_the_metrics_of_a_member_are_those_of_its_run(lag):
+    """By their names; None: one has no value."""
+    metrics = {"last": "last(plant.y)", "crossing": "first(t, plant.y > 1e3)"}
+    with open_runner(StudySubject(lag, metrics=metrics)) as runner:
+        for rate in (2.0, 3.0):
+            memory = cosim.run(lag, set={"u.rate": rate})
+            outcome = runner.run(StudyMember(0, {"u.rate": rate}))
+            assert outcome.metrics == {"last": memory["plant.y"][-1], "crossing": None}
+
+
+def test_metrics_that_cannot_be_computed_are_refused(lag):
+    """What is no metric before any member; a signal that is not there is the member's failure."""
+    with pytest.raises(UsageError, match="x: "):
+        open_runner(StudySubject(lag, metrics={"x": "plant.y"}))
+    with open_runner(StudySubject(lag, metrics={"x": "last(plant.z)"})) as runner:
+        outcome = runner.run(StudyMember(0))
+    assert outcome.status == "failed"
+    assert "plant.z" in outcome.reason
 
 
 def test_a_member_has_the_bits_of_a_fresh_process(lag):

@@ -1,0 +1,220 @@
+"""A scenario that was built once, and of which runs with other tables are made.
+
+Only the components that are made of tables that differ are built again. What has the state of a
+binary or of a user's code is made anew for every run. The graph stays: its structure rests on the
+interfaces, which have to be the same. What a run is refused for is checked as in any build, where
+it may be another one with other tables::
+
+    connections, actions, until, record, truth   the same tables, of the same interfaces
+    components, models                           by building them
+    inputs that must not jump                    for every run
+    the gain of loops                            for every run
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from contextlib import ExitStack
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Final, final
+
+import numpy as np
+
+from cosim.blocks.declared import with_units
+from cosim.core.connections import Connection
+from cosim.core.contracts import Component
+from cosim.core.port import Port
+from cosim.errors import CosimError
+from cosim.scenario.building.build import Builder
+from cosim.scenario.building.coupling_check import with_loop_gains
+from cosim.scenario.building.experiment import Experiment
+from cosim.scenario.building.graph_checks import jump_problems
+from cosim.scenario.context.build_context import ScenarioBuildContext
+from cosim.scenario.context.models import form_problems
+from cosim.scenario.kinds import Kind
+from cosim.scenario.parsing import Scenario
+
+if TYPE_CHECKING:
+    from cosim.fmi.unpacked import UnpackedFmus
+
+BUILT_AGAIN: Final = ("components", "models")  # the tables whose entries may be other ones
+NOT_BUILT: Final = (CosimError, ValueError, ArithmeticError, MemoryError)  # as a builder takes them
+
+
+@final
+class KeptBuild:
+    """A scenario that was built and prepared once.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Without actions and swaps.
+    unpacked : UnpackedFmus
+
+    Raises
+    ------
+    CosimError
+        If it cannot be built and prepared.
+    """
+
+    def __init__(self, scenario: Scenario, unpacked: UnpackedFmus) -> None:
+        self._scenario = scenario
+        self._unpacked = unpacked
+        with ExitStack() as resources:
+            builder = Builder(scenario, resources, unpacked=unpacked)
+            experiment = builder.experiment()
+            graph = experiment.graph
+            self._plan = graph.prepare(experiment.clock.step_ns)
+            self._experiment = experiment
+        self._context = builder.context
+        self._periods = builder.periods
+        self._components = dict(graph.components)
+        self._notes = {name: member.note for name, member in graph.members.items()}
+        self._exchanged: set[str] = set()
+        opened = self._context.fmus.opened.keys() & self._components.keys()
+        users = {name for name, spec in scenario.specs.items() if spec.code is not None}
+        self._fresh = opened | users
+        self._affected: dict[frozenset[str], frozenset[str]] = {}
+
+    @staticmethod
+    def is_possible(scenario: Scenario) -> bool:
+        """Return whether nothing but its tables decides what happens in its runs."""
+        return not (scenario.actions or scenario.file.swap)
+
+    def experiment(self, scenario: Scenario, resources: ExitStack) -> Experiment | None:
+        """Return the experiment of a scenario with other tables, its graph prepared.
+
+        There is one at a time. What it tells of a run beside its signals is not the member's own:
+        metadata, warnings, and what estimates are judged by.
+
+        Parameters
+        ----------
+        scenario : Scenario
+        resources : ExitStack
+            Closes what is opened, when the run is over.
+
+        Returns
+        -------
+        Experiment or None
+            None: it has to be built as a whole, be it to say why it cannot be.
+        """
+        tables = self._other_tables(scenario)
+        if tables is None:
+            return None
+        try:
+            experiment = self._exchange(scenario, tables, resources)
+            if experiment is None:
+                return None
+
+            def rebuild() -> Experiment:
+                resources.close()
+                again = self._exchange(scenario, tables, resources)
+                assert again is not None, "it was built of the same tables before"
+                return again
+
+            return with_loop_gains(experiment, rebuild)
+        except NOT_BUILT:  # a whole build says where and why
+            return None
+
+    def _other_tables(self, scenario: Scenario) -> frozenset[str] | None:
+        """Return the names of the tables that are other ones; None: not only such tables are."""
+        kept = self._scenario
+        if kept.tree.keys() != scenario.tree.keys() or not self._has_same_wires(scenario):
+            return None
+        names: set[str] = set()
+        for key, table in scenario.tree.items():
+            before = kept.tree[key]
+            if table == before:
+                continue
+            if key not in BUILT_AGAIN or table.keys() != before.keys():
+                return None
+            names |= {f"{key}.{name}" for name in table if table[name] != before[name]}
+        return frozenset(names)
+
+    def _has_same_wires(self, scenario: Scenario) -> bool:
+        """Return whether connections are the same, also those that kinds imply."""
+        kept = self._scenario
+        if (kept.implied, kept.maps, kept.recorded_inputs) != (
+            scenario.implied,
+            scenario.maps,
+            scenario.recorded_inputs,
+        ):
+            return False
+        return are_equal(kept.connections, scenario.connections)
+
+    def _resting_on(self, tables: frozenset[str]) -> frozenset[str]:
+        """Return the components that are made of some tables."""
+        if tables not in self._affected:
+            self._affected[tables] = frozenset(self._context.records.rests_on(tables))
+        return self._affected[tables]
+
+    def _exchange(
+        self, scenario: Scenario, tables: frozenset[str], resources: ExitStack
+    ) -> Experiment | None:
+        """Build components again, and put them into the graph; None: they do not fit there."""
+        affected = self._resting_on(tables)
+        names = affected | self._fresh
+        context = ScenarioBuildContext(scenario, resources, None, unpacked=self._unpacked)
+        context.keep_from(self._context, {*tables, *(f"components.{name}" for name in affected)})
+        if _has_model_problems(scenario, tables, context):
+            return None
+        components = {}
+        for name in names:
+            component = self._component(name, scenario.specs[name], context)
+            if component is None:
+                return None
+            components[name] = component
+        experiment = self._experiment
+        graph = experiment.graph
+        if jump_problems(scenario, graph):
+            return None
+        for name in self._exchanged - names:
+            graph.put(name, self._components[name])
+        self._exchanged = set(names)
+        designs = graph.exchange(components, experiment.clock.step_ns) if components else {}
+        for name, note in self._notes.items():
+            graph.members[name].note = note
+        graph.watched = frozenset()
+        return replace(
+            experiment,
+            scenario=scenario,
+            plan=replace(self._plan, designs={**self._plan.designs, **designs}),
+            fmus=context.fmus.opened,
+            identified={},
+            warnings=(),
+        )
+
+    def _component(self, name: str, spec: Kind, context: ScenarioBuildContext) -> Component | None:
+        """Build a component again; None: it does not fit into the place of the one before."""
+        if name in self._scenario.maps:
+            return None
+        context.records.begin(name)
+        component = with_units(spec.build(name, context), spec.units)
+        period = spec.period_steps(name, context.step_ns)
+        component = spec.with_period(component, period)
+        is_same = spec.recorded_period(period) == self._periods[name]
+        if is_same and component.interface == self._components[name].interface:
+            return component
+        return None
+
+
+def _has_model_problems(
+    scenario: Scenario, tables: Collection[str], context: ScenarioBuildContext
+) -> bool:
+    """Return whether one of the models that are other ones is wrong by itself."""
+    for name, table in scenario.file.models.items():
+        if f"models.{name}" in tables:
+            if any(form_problems(table)):
+                return True
+            context.model(name)
+    return False
+
+
+def are_equal(one: Mapping[Port, Connection], other: Mapping[Port, Connection]) -> bool:
+    """Return whether connections are the same."""
+    return one.keys() == other.keys() and all(_key(one[to]) == _key(other[to]) for to in one)
+
+
+def _key(connection: Connection) -> tuple[Any, ...]:
+    gain = np.asarray(connection.gain)
+    return connection.sources, gain.shape, gain.tobytes(), connection.offset, connection.unit

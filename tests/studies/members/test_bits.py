@@ -1,0 +1,225 @@
+"""A member has the bits of its own run, in whatever order members are run in one process."""
+
+from functools import cache
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import cosim
+from cosim.errors import CosimError
+from cosim.studies.contracts import StudyMember, StudySubject
+from cosim.studies.members import runner as runner_module
+from cosim.studies.members.runner import open_runner
+from tests.fmi.compiled import kept_folder
+from tests.fmi.small import able, compiled
+from tests.studies.members.sinks import Digest
+
+ACADEMIC = {
+    "initial state": {"plant.x_a0": [0.5, -2.0]},
+    "one of it": {"plant.x_a0[1]": -0.5},
+    "theta": {"delta.terms[0].theta": -0.2},
+    "both": {"delta.terms[1].theta": -0.25, "plant.x_a0": [2.0, 0.0]},
+    "seed": {"sensor.seed": 7},
+    "noise": {"sensor.noise": 1e-2},
+    "observer": {"observer.L": [3.0, 0.5]},
+    "filter": {"observer.filter_rate": 200.0},
+    "model": {"models.academic.A[0][1]": 1.25},
+    "regressor": {"regressor.delays": [1.0, 2.0, 2.5]},
+    "identifier": {"identifier.period": 0.2},
+    "stop": {"scenario.stop": 3.5},
+    "until": {"scenario.until": "plant.y < -1.0"},
+    "action": {"actions": [{"at": 1.0, "signal": "sensor.u", "offset": 0.25}]},
+    "interpolation": {"scenario.input_interpolation": "zero-order"},
+    "wire": {"connections.observer.y": "plant.y"},
+    "unstable observer": {"observer.L": [-4.0, 0.0]},
+    "singular model": {"models.academic.A[2][2]": 0.0},
+    "no such key": {"plant.xa": 1.0},
+    "no such component": {"plent.x_a0": [1.0, 1.0]},
+    "wrong size": {"plant.x_a0": [1.0]},
+    "overflow": {"plant.x_a0": [1e308, 1e308]},
+}
+LOOP = """
+[scenario]
+name = "loop"
+stop = 1.0
+step = 0.01
+coupling = "jacobi"
+[components.one]
+kind = "controller"
+A = [[-0.9]]
+B = [[0.5, 0.1]]
+C = [[3.0]]
+D = [[0.5, 0.0]]
+x0 = [1.0]
+[components.two]
+kind = "controller"
+A = [[-1.0]]
+B = [[1.0]]
+C = [[-1.0]]
+x0 = [1.0]
+[components]
+reference = { kind = "sine", amplitude = 1.0, rate = 2.0 }
+after = { kind = "lag", time_constant = 0.2, initial = 0.0 }
+[connections]
+"one.u" = ["two.y", "reference.y"]
+"two.u" = "one.y"
+"after.u" = "two.y"
+"""
+LOOPS = {
+    "reference": {"reference.rate": 3.0},
+    "in the loop": {"two.C": [[-1.5]]},
+    "behind it": {"after.time_constant": 0.5},
+    "refused": {"two.C": [[-31.0]], "two.B": [[10.0]], "two.D": [[-1.9]]},
+    "noted": {"one.C": [[4.0]], "two.C": [[-7.0]]},
+    "unstable": {"two.A": [[30.0]]},
+    "warned": {"two.C": [[-31.0]], "two.B": [[10.0]], "scenario.coupling_check": "warn"},
+    "newton": {"scenario.coupling": "newton"},
+    "overflow": {"reference.amplitude": 1.7e308, "one.x0": [1.7e308]},
+}
+MIXED = """
+scenario = {{ name = "mixed", stop = 0.5, step = 0.01 }}
+[components]
+u = {{ kind = "sine", amplitude = 1.0, rate = 3.0 }}
+plant = {{ kind = "fmu", path = "{fmu}", start = {{ A = -1.0, B = 1.0, C = 1.0, x = 0.5 }} }}
+count = {{ kind = "python", class = "counting:Counting", gain = 2.0 }}
+loop = {{ kind = "lag", time_constant = 0.1, initial = 0.25 }}
+[connections]
+"plant.u" = {{ from = ["u.y", "loop.y"], gain = [[1.0, 0.5]] }}
+"count.u" = "plant.y"
+"loop.u" = "count.y"
+"""
+COUNTING = '''
+import numpy as np
+
+from cosim.core import Interface, Signal
+
+
+class Counting:
+    """y = gain u + calls / 1000; it does not forget its calls where it is initialized again."""
+
+    interface = Interface(inputs=(Signal("u"),), outputs=(Signal("y", variability="discrete"),))
+
+    def __init__(self, gain: float):
+        if gain < 0.0:
+            raise ValueError("a negative gain")
+        self.gain = gain
+        self.calls = 0
+
+    def initialize(self, t, u):
+        return self.outputs(t, u)
+
+    def outputs(self, t, u):
+        return np.array([self.gain * 0.0 + self.calls / 1000.0])
+
+    def advance(self, t, h, u):
+        self.calls += 1
+        return np.array([self.gain * u[k, 0] + self.calls / 1000.0 for k in range(1, len(t))])[
+            :, np.newaxis
+        ]
+'''
+MIXTURES = {
+    "source": {"u.amplitude": 2.0},
+    "start": {"plant.start.x": 2.0},
+    "parameter": {"plant.start.A": -3.0},
+    "user's parameter": {"count.gain": 1.5},
+    "user's error": {"count.gain": -1.0},
+    "unknown variable": {"plant.start.q": 2.0},
+    "lag": {"loop.time_constant": 0.3},
+    "not finite": {"plant.start.x": 1.7e308, "count.gain": 1e3},
+    "stop": {"scenario.stop": 0.25},
+    "model": {"plant.interface_type": "me"},
+}
+
+
+@cache
+def folder():
+    """Return where the scenarios are."""
+    path = kept_folder()
+    (path / "loop.toml").write_text(LOOP)
+    (path / "counting.py").write_text(COUNTING)
+    fmu = able(compiled(path, "COUNTS"), path / "once.fmu", "once", "state", "slopes", D=0.0)
+    (path / "mixed.toml").write_text(MIXED.format(fmu=fmu.name))
+    return path
+
+
+SUBJECTS = {
+    "academic": (
+        lambda: StudySubject("academic-noisy", set={"scenario.stop": 4.0}),
+        ACADEMIC,
+    ),
+    "loop": (lambda: StudySubject(str(folder() / "loop.toml")), LOOPS),
+    "mixed": (lambda: StudySubject(str(folder() / "mixed.toml")), MIXTURES),
+}
+
+
+@cache
+def alone(name, member):
+    """Return what a member comes to in a run of its own: status, reason, steps and all bits."""
+    make, edits = SUBJECTS[name]
+    subject = make()
+    digest = Digest()
+    changes = {**subject.set, **edits.get(member, {})}
+    try:
+        cosim.run(subject.scenario, set=changes, recorder=digest)
+    except CosimError as error:
+        return "failed", str(error), digest.steps
+    return "complete", digest.reason, digest.steps, digest.values()["digest"]
+
+
+def found(outcome):
+    """Return the same of an outcome."""
+    if outcome.status == "failed":
+        return "failed", outcome.reason, outcome.steps
+    return "complete", outcome.reason, outcome.steps, outcome.metrics["digest"]
+
+
+@pytest.mark.parametrize("name", SUBJECTS)
+@settings(max_examples=6, deadline=None, suppress_health_check=list(HealthCheck))
+@given(data=st.data())
+def test_a_member_has_the_bits_of_its_own_run_in_any_order(name, data):
+    """Also behind members that fail, and where another one of the same values was run before."""
+    make, edits = SUBJECTS[name]
+    members = data.draw(st.lists(st.sampled_from(["as it is", *edits]), min_size=3, max_size=8))
+    with open_runner(make(), sink_of=Digest) as runner:
+        for number, member in enumerate(members):
+            outcome = runner.run(StudyMember(number, edits.get(member, {})))
+            assert found(outcome) == alone(name, member), (number, member)
+
+
+@pytest.mark.parametrize("name", SUBJECTS)
+def test_every_member_has_the_bits_of_its_own_run(name):
+    """One behind the other, and back."""
+    make, edits = SUBJECTS[name]
+    with open_runner(make(), sink_of=Digest) as runner:
+        for member in ["as it is", *edits, *reversed(edits), "as it is"]:
+            outcome = runner.run(StudyMember(0, edits.get(member, {})))
+            assert found(outcome) == alone(name, member), member
+
+
+KEPT = {
+    "academic": {
+        *("as it is", "initial state", "one of it", "theta", "both", "seed", "noise", "observer"),
+        *("filter", "model", "regressor", "overflow"),
+    },
+    "loop": {"as it is", "reference", "in the loop", "behind it", "noted", "unstable", "overflow"},
+    "mixed": {"as it is", "source", "start", "parameter", "user's parameter", "lag", "not finite"},
+}
+
+
+@pytest.mark.parametrize("name", SUBJECTS)
+def test_the_graph_is_built_once(name, monkeypatch):
+    """Only what changes more than tables of components and models is built as a whole."""
+    make, edits = SUBJECTS[name]
+    whole = []
+    build = runner_module.build_experiment
+
+    def counted(*arguments, **options):
+        whole.append(member)
+        return build(*arguments, **options)
+
+    monkeypatch.setattr(runner_module, "build_experiment", counted)
+    with open_runner(make(), sink_of=Digest) as runner:
+        for member in ["as it is", *edits]:
+            runner.run(StudyMember(0, edits.get(member, {})))
+    assert KEPT[name].isdisjoint(whole)
