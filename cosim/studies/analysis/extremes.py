@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from cosim.arrays import Vector
-from cosim.studies.analysis.columns import MemberColumns, Numbers
+from cosim.studies.analysis.columns import MemberColumns, MemberNumbers
 
 
-def worst_members(columns: MemberColumns, metric: str, count: int) -> Numbers:
+def worst_members(columns: MemberColumns, metric: str, count: int) -> MemberNumbers:
     """Return the members with the largest values of a metric, the largest first.
 
     Infinity is the largest; of equal values the smaller number is first. Members that failed, or
@@ -23,7 +23,7 @@ def worst_members(columns: MemberColumns, metric: str, count: int) -> Numbers:
     return _smallest(columns, -columns.numeric(metric), count)
 
 
-def best_members(columns: MemberColumns, metric: str, count: int) -> Numbers:
+def best_members(columns: MemberColumns, metric: str, count: int) -> MemberNumbers:
     """Return the members with the smallest values of a metric, the smallest first.
 
     Otherwise as :func:`worst_members`.
@@ -32,7 +32,7 @@ def best_members(columns: MemberColumns, metric: str, count: int) -> Numbers:
     return _smallest(columns, columns.numeric(metric), count)
 
 
-def _smallest(columns: MemberColumns, values: Vector, count: int) -> Numbers:
+def _smallest(columns: MemberColumns, values: Vector, count: int) -> MemberNumbers:
     rows = np.flatnonzero(~np.isnan(values))
     order = np.argsort(values[rows], kind="stable")
     return columns.numbers[rows[order[:count]]]

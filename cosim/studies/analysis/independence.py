@@ -26,7 +26,7 @@ from typing import Final, Literal, TypeAlias
 
 import numpy as np
 
-from cosim.studies.analysis.columns import MemberColumns, Numbers
+from cosim.studies.analysis.columns import MemberColumns, MemberNumbers
 
 DesignKind: TypeAlias = Literal["grid", "cases", "random", "latin-hypercube", "sobol", "saltelli"]
 
@@ -61,11 +61,11 @@ class StudyLayout:
     parameters: tuple[str, ...] = ()
     samples: int = 1
 
-    def samples_of(self, numbers: Numbers) -> Numbers:
+    def samples_of(self, numbers: MemberNumbers) -> MemberNumbers:
         """Return the samples, or cases, of members."""
         return numbers // (self.seeds * self.grid)
 
-    def seeds_of(self, numbers: Numbers) -> Numbers:
+    def seeds_of(self, numbers: MemberNumbers) -> MemberNumbers:
         """Return which seed of their sample members have."""
         return numbers // self.grid % self.seeds
 
@@ -92,14 +92,14 @@ class Independence:
     basis: str
     is_drawn: bool = True
 
-    def units_of(self, numbers: Numbers) -> Numbers | None:
+    def units_of(self, numbers: MemberNumbers) -> MemberNumbers | None:
         """Return the unit that each member belongs to; None: each is one."""
         layout = self.layout
         if layout.kind in ("grid", "cases"):
             return layout.seeds_of(numbers) if layout.grid * layout.samples > 1 else None
         return layout.samples_of(numbers) if layout.seeds * layout.grid > 1 else None
 
-    def variance_factor(self, numbers: Numbers) -> float:
+    def variance_factor(self, numbers: MemberNumbers) -> float:
         """Return by what the variance of a mean of members may exceed that of independent ones."""
         if self.layout.kind != "latin-hypercube" or len(numbers) < 2:
             return 1.0

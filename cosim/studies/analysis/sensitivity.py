@@ -20,7 +20,7 @@ import numpy as np
 
 from cosim.arrays import Matrix, Vector
 from cosim.errors import UsageError
-from cosim.studies.analysis.columns import MemberColumns, Numbers
+from cosim.studies.analysis.columns import MemberColumns, MemberNumbers
 from cosim.studies.analysis.confidence import CONFIDENCE, ConfidenceInterval
 from cosim.studies.analysis.independence import StudyLayout
 
@@ -46,7 +46,7 @@ class SobolIndices:
         points mostly.
     base_points : int
         That were complete.
-    omitted : Numbers
+    omitted : MemberNumbers
         The base points that were left out, because a member of theirs has no value.
     """
 
@@ -57,7 +57,7 @@ class SobolIndices:
     first_intervals: tuple[ConfidenceInterval, ...]
     total_intervals: tuple[ConfidenceInterval, ...]
     base_points: int
-    omitted: Numbers
+    omitted: MemberNumbers
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
