@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cosim.arrays import Mask, Vector
 from cosim.errors import UsageError, nearest
 
-MemberNumbers: TypeAlias = NDArray[np.int64]  # of members, shape (N,)
+NumberColumn: TypeAlias = NDArray[np.int64]  # of members, shape (N,)
 VariedValues: TypeAlias = NDArray[Any]  # float64, or object; shape (N,)
 
 
@@ -27,14 +27,14 @@ class MetricColumn:
     name : str
     values : Vector, shape (n,)
         Finite numbers, in the order of the members.
-    numbers : MemberNumbers, shape (n,)
+    numbers : NumberColumn, shape (n,)
         The members that have them.
-    failed : MemberNumbers
+    failed : NumberColumn
         Members that failed: they have no metric, whatever is written there.
-    without_value : MemberNumbers
+    without_value : NumberColumn
         Members that were completed and have None or NaN: there is none, as of a time at which
         something happened that did not.
-    infinite : MemberNumbers
+    infinite : NumberColumn
         Members for which it is infinite.
     texts : mapping of str to int
         How often each text occurs, where it is a text; the most frequent first.
@@ -42,10 +42,10 @@ class MetricColumn:
 
     name: str
     values: Vector
-    numbers: MemberNumbers
-    failed: MemberNumbers
-    without_value: MemberNumbers
-    infinite: MemberNumbers
+    numbers: NumberColumn
+    failed: NumberColumn
+    without_value: NumberColumn
+    infinite: NumberColumn
     texts: Mapping[str, int]
 
     @property
@@ -60,7 +60,7 @@ class MemberColumns:
 
     Parameters
     ----------
-    numbers : MemberNumbers, shape (N,)
+    numbers : NumberColumn, shape (N,)
         Ascending.
     failed : Mask, shape (N,)
     reasons : sequence of str, length N
@@ -71,7 +71,7 @@ class MemberColumns:
         float64, or object with numbers, texts and None.
     """
 
-    numbers: MemberNumbers
+    numbers: NumberColumn
     failed: Mask
     reasons: Sequence[str]
     parameters: Mapping[str, VariedValues]
@@ -101,7 +101,7 @@ class MemberColumns:
         if name not in self.raw_metrics:
             raise UsageError(f"the study has no metric {name!r}; {nearest(name, self.raw_metrics)}")
 
-    def rows_of(self, numbers: MemberNumbers) -> NDArray[np.intp]:
+    def rows_of(self, numbers: NumberColumn) -> NDArray[np.intp]:
         """Return the rows of members that are done."""
         return np.searchsorted(self.numbers, numbers)
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from cosim.arrays import Mask
 from cosim.errors import UsageError, quoted
-from cosim.studies.analysis.columns import MemberColumns, MemberNumbers
+from cosim.studies.analysis.columns import MemberColumns, NumberColumn
 from cosim.studies.analysis.confidence import (
     NO_INTERVAL,
     ConfidenceInterval,
@@ -75,7 +75,7 @@ class PassedShare:
         Of the share, 95 %.
     basis : str
         What the interval rests on, or why there is none.
-    not_passed : MemberNumbers
+    not_passed : NumberColumn
         The members that do not pass.
     """
 
@@ -86,7 +86,7 @@ class PassedShare:
     without_value: int
     interval: ConfidenceInterval
     basis: str
-    not_passed: MemberNumbers
+    not_passed: NumberColumn
 
     @property
     def share(self) -> float | None:

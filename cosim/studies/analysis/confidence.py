@@ -18,7 +18,7 @@ import numpy as np
 from scipy.special import bdtr, ndtri, stdtrit
 
 from cosim.arrays import Vector
-from cosim.studies.analysis.columns import MemberNumbers
+from cosim.studies.analysis.columns import NumberColumn
 
 CONFIDENCE: Final = 0.95
 _LEAST_FOR_DEVIATION: Final = 5  # values: the formula divides by n - 4 and by n - 1.96
@@ -47,7 +47,7 @@ NO_INTERVAL: Final = ConfidenceInterval(None, None)
 
 def mean_interval(
     values: Vector,
-    units: MemberNumbers | None = None,
+    units: NumberColumn | None = None,
     *,
     variance_factor: float = 1.0,
     confidence: float = CONFIDENCE,
@@ -60,7 +60,7 @@ def mean_interval(
     Parameters
     ----------
     values : Vector, shape (n,)
-    units : MemberNumbers, shape (n,), optional
+    units : NumberColumn, shape (n,), optional
         The unit of each value; None: each is one.
     variance_factor : float
         Of the variance of the mean, over that of independent units.
@@ -75,7 +75,7 @@ def mean_interval(
     return ConfidenceInterval(mean - half_width, mean + half_width)
 
 
-def mean_variance(values: Vector, units: MemberNumbers | None = None) -> tuple[float, int]:
+def mean_variance(values: Vector, units: NumberColumn | None = None) -> tuple[float, int]:
     """Return the estimated variance of a mean, and the number of its independent units."""
     count = len(values)
     if not count:
@@ -90,7 +90,7 @@ def mean_variance(values: Vector, units: MemberNumbers | None = None) -> tuple[f
     return float(sums @ sums) * number / (number - 1.0) / count**2, number
 
 
-def effective_count(values: Vector, units: MemberNumbers | None, *, factor: float = 1.0) -> float:
+def effective_count(values: Vector, units: NumberColumn | None, *, factor: float = 1.0) -> float:
     """Return the number of independent values whose mean would have the same variance.
 
     At most that of the values.
@@ -98,7 +98,7 @@ def effective_count(values: Vector, units: MemberNumbers | None, *, factor: floa
     Parameters
     ----------
     values : Vector, shape (n,)
-    units : MemberNumbers, shape (n,), or None
+    units : NumberColumn, shape (n,), or None
         None: each value is a unit.
     factor : float
         As ``variance_factor`` of :func:`mean_interval`.
@@ -120,7 +120,7 @@ def effective_count(values: Vector, units: MemberNumbers | None, *, factor: floa
 
 def deviation_interval(
     values: Vector,
-    units: MemberNumbers | None = None,
+    units: NumberColumn | None = None,
     *,
     variance_factor: float = 1.0,
     confidence: float = CONFIDENCE,

@@ -9,7 +9,7 @@ from scipy.special import stdtrit
 
 from cosim.arrays import Vector
 from cosim.errors import UsageError
-from cosim.studies.analysis.columns import MemberNumbers, MetricColumn
+from cosim.studies.analysis.columns import MetricColumn, NumberColumn
 from cosim.studies.analysis.confidence import CONFIDENCE
 from cosim.studies.analysis.independence import Independence
 
@@ -20,14 +20,14 @@ class RunningMean:
 
     Parameters
     ----------
-    counts : MemberNumbers, shape (m,)
+    counts : NumberColumn, shape (m,)
         Members that were counted, ascending.
     means : Vector, shape (m,)
     half_widths : Vector, shape (m,)
         Of the 95 % interval; NaN: of one unit.
     """
 
-    counts: MemberNumbers
+    counts: NumberColumn
     means: Vector
     half_widths: Vector
 
@@ -62,7 +62,7 @@ def running_mean(column: MetricColumn, of_design: Independence) -> RunningMean:
     return RunningMean(counts, mean + origin, half_widths)
 
 
-def _unit_means(column: MetricColumn, units: MemberNumbers | None) -> tuple[Vector, MemberNumbers]:
+def _unit_means(column: MetricColumn, units: NumberColumn | None) -> tuple[Vector, NumberColumn]:
     """Return the mean of each unit, and how many members it and those before it have."""
     if units is None:
         return column.values, np.arange(1, len(column.values) + 1)

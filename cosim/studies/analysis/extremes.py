@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from cosim.arrays import Vector
-from cosim.studies.analysis.columns import MemberColumns, MemberNumbers
+from cosim.studies.analysis.columns import MemberColumns, NumberColumn
 
 
-def worst_members(columns: MemberColumns, metric: str, count: int) -> MemberNumbers:
+def worst_members(columns: MemberColumns, metric: str, count: int) -> NumberColumn:
     """Return the members with the largest values of a metric, the largest first.
 
     Infinity is the largest; of equal values the smaller number is first. Members that failed, or
@@ -23,7 +23,7 @@ def worst_members(columns: MemberColumns, metric: str, count: int) -> MemberNumb
     return _smallest(columns, -columns.numeric(metric), count)
 
 
-def best_members(columns: MemberColumns, metric: str, count: int) -> MemberNumbers:
+def best_members(columns: MemberColumns, metric: str, count: int) -> NumberColumn:
     """Return the members with the smallest values of a metric, the smallest first.
 
     Otherwise as :func:`worst_members`.
@@ -32,7 +32,7 @@ def best_members(columns: MemberColumns, metric: str, count: int) -> MemberNumbe
     return _smallest(columns, columns.numeric(metric), count)
 
 
-def _smallest(columns: MemberColumns, values: Vector, count: int) -> MemberNumbers:
+def _smallest(columns: MemberColumns, values: Vector, count: int) -> NumberColumn:
     rows = np.flatnonzero(~np.isnan(values))
     order = np.argsort(values[rows], kind="stable")
     return columns.numbers[rows[order[:count]]]

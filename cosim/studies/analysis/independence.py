@@ -21,14 +21,15 @@ noise. Units are independent of each other, the members of one are not.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Final, Literal, TypeAlias
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, Final, Literal, TypeAlias
 
 import numpy as np
 
-from cosim.studies.analysis.columns import MemberColumns, MemberNumbers
+from cosim.studies.analysis.columns import MemberColumns, NumberColumn
 
-DesignKind: TypeAlias = Literal["grid", "cases", "random", "latin-hypercube", "sobol", "saltelli"]
+LayoutKind: TypeAlias = Literal["grid", "cases", "random", "latin-hypercube", "sobol", "saltelli"]
 
 _BASIS: Final = {
     "random": "samples drawn independently",
@@ -44,35 +45,66 @@ class StudyLayout:
 
     Parameters
     ----------
-    kind : DesignKind
+    kind : LayoutKind
     seeds : int
         Seeds of each sample, case or point of the grid.
     grid : int
         Points of the grid.
     parameters : tuple of str
-        Of ``saltelli``: those of its columns, in their order.
+        What is drawn, in the order of the dimensions.
     samples : int
         Or cases; 1 where there is a grid alone.
     """
 
-    kind: DesignKind
+    kind: LayoutKind
     seeds: int = 1
     grid: int = 1
     parameters: tuple[str, ...] = ()
     samples: int = 1
 
-    def samples_of(self, numbers: MemberNumbers) -> MemberNumbers:
+    def samples_of(self, numbers: NumberColumn) -> NumberColumn:
         """Return the samples, or cases, of members."""
         return numbers // (self.seeds * self.grid)
 
-    def seeds_of(self, numbers: MemberNumbers) -> MemberNumbers:
+    def seeds_of(self, numbers: NumberColumn) -> NumberColumn:
         """Return which seed of their sample members have."""
         return numbers // self.grid % self.seeds
 
     @property
-    def base_samples(self) -> int:
-        """Of ``saltelli``: the base points, of which each has a member in every matrix."""
-        return self.samples // (len(self.parameters) + 2)
+    def points_a_row(self) -> int:
+        """Of ``saltelli``: the samples of a base point, one behind the other: A, B, AB_1, ..."""
+        return len(self.parameters) + 2
+
+    @property
+    def base_points(self) -> int:
+        """Of ``saltelli``: how many there are."""
+        return self.samples // self.points_a_row
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return {**asdict(self), "parameters": list(self.parameters)}
+
+    @classmethod
+    def from_dict(cls, content: Mapping[str, Any]) -> StudyLayout:
+        """Return the layout of :meth:`to_dict`."""
+        return cls(**{**content, "parameters": tuple(content["parameters"])})
+
+    @property
+    def text(self) -> str:
+        """The design in words."""
+        factors = []
+        if self.kind == "saltelli":
+            factors.append(f"{self.base_points} base points x {self.points_a_row}")
+        elif self.kind == "cases":
+            factors.append(f"{self.samples} cases")
+        elif self.kind != "grid":
+            factors.append(f"{self.samples} samples")
+        if self.grid > 1 or self.kind == "grid":
+            factors.append(f"grid of {self.grid}")
+        if self.seeds > 1:
+            factors.append(f"{self.seeds} seeds")
+        own = "" if self.kind in ("grid", "cases") else f"{self.kind}: "
+        return own + " x ".join(factors)
 
 
 @dataclass(frozen=True)
@@ -92,14 +124,14 @@ class Independence:
     basis: str
     is_drawn: bool = True
 
-    def units_of(self, numbers: MemberNumbers) -> MemberNumbers | None:
+    def units_of(self, numbers: NumberColumn) -> NumberColumn | None:
         """Return the unit that each member belongs to; None: each is one."""
         layout = self.layout
         if layout.kind in ("grid", "cases"):
             return layout.seeds_of(numbers) if layout.grid * layout.samples > 1 else None
         return layout.samples_of(numbers) if layout.seeds * layout.grid > 1 else None
 
-    def variance_factor(self, numbers: MemberNumbers) -> float:
+    def variance_factor(self, numbers: NumberColumn) -> float:
         """Return by what the variance of a mean of members may exceed that of independent ones."""
         if self.layout.kind != "latin-hypercube" or len(numbers) < 2:
             return 1.0
@@ -128,5 +160,5 @@ def drawn_members(columns: MemberColumns, layout: StudyLayout) -> MemberColumns:
     """
     if layout.kind != "saltelli":
         return columns
-    rows = layout.samples_of(columns.numbers) < 2 * layout.base_samples
-    return columns.only(np.asarray(rows, np.bool_))
+    points = layout.samples_of(columns.numbers) % layout.points_a_row
+    return columns.only(np.asarray(points < 2, np.bool_))

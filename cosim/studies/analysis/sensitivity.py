@@ -7,8 +7,9 @@ scipy's want every base point, a power of two of them and more than one paramete
 bootstrap takes memory that grows with the square of their number.
 
 A base point is a row of the matrices A and B with its rows of AB_1, ..., AB_d, in each of which one
-column comes from B. Where one of its members failed, or has no value, the whole base point is left
-out: the others are what was drawn, under the condition that no member of theirs failed.
+column comes from B: d + 2 samples, one behind the other. Where one of its members failed, or has no
+value, the whole base point is left out: the others are what was drawn, under the condition that no
+member of theirs failed.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import numpy as np
 
 from cosim.arrays import Matrix, Vector
 from cosim.errors import UsageError
-from cosim.studies.analysis.columns import MemberColumns, MemberNumbers
+from cosim.studies.analysis.columns import MemberColumns, NumberColumn
 from cosim.studies.analysis.confidence import CONFIDENCE, ConfidenceInterval
 from cosim.studies.analysis.independence import StudyLayout
 
@@ -46,7 +47,7 @@ class SobolIndices:
         points mostly.
     base_points : int
         That were complete.
-    omitted : MemberNumbers
+    omitted : NumberColumn
         The base points that were left out, because a member of theirs has no value.
     """
 
@@ -57,7 +58,7 @@ class SobolIndices:
     first_intervals: tuple[ConfidenceInterval, ...]
     total_intervals: tuple[ConfidenceInterval, ...]
     base_points: int
-    omitted: MemberNumbers
+    omitted: NumberColumn
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
@@ -93,7 +94,7 @@ def sobol_indices(columns: MemberColumns, layout: StudyLayout, metric: str) -> S
     found = int(complete.sum())
     if found < _LEAST:
         raise UsageError(
-            f"Sobol indices of {metric!r}: found {found} of {layout.base_samples} base points with "
+            f"Sobol indices of {metric!r}: found {found} of {layout.base_points} base points with "
             f"a value in all their members, needed at least {_LEAST}"
         )
     values = matrices[:, complete]
@@ -170,9 +171,9 @@ def bootstrap(values: Matrix, *, resamples: int = RESAMPLES) -> tuple[Matrix, Ma
 
 def _matrices(columns: MemberColumns, layout: StudyLayout, metric: str) -> Matrix:
     """Return a metric in the rows of A, B, AB_1, ..., AB_d; NaN: there is none, or not yet."""
-    values = np.full((len(layout.parameters) + 2) * layout.base_samples, np.nan)
+    values = np.full(layout.base_points * layout.points_a_row, np.nan)
     values[columns.numbers] = columns.numeric(metric)
-    return values.reshape(-1, layout.base_samples)
+    return values.reshape(-1, layout.points_a_row).T
 
 
 def _percentiles(resampled: Matrix) -> tuple[ConfidenceInterval, ...]:

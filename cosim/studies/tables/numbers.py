@@ -1,0 +1,56 @@
+"""Figures with their intervals, as texts."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from cosim.studies.analysis.columns import NumberColumn
+from cosim.studies.analysis.confidence import ConfidenceInterval
+
+_MOST_MEMBERS: Final = 5  # that a line names
+_MOST_DECIMALS: Final = 8
+_LARGEST: Final = 1e8  # that is written without an exponent
+
+
+def number_text(value: float | None) -> str:
+    """Return a number in six digits; empty: there is none."""
+    return "" if value is None else f"{value:.6g}"
+
+
+def text_with_half_width(value: float | None, interval: ConfidenceInterval) -> str:
+    """Return a number with half of its interval, as far as that is known: ``0.1234 ± 0.0010``."""
+    if value is None or interval.lower is None or interval.upper is None:
+        return number_text(value)
+    half_width = 0.5 * (interval.upper - interval.lower)
+    if not half_width > 0.0 or not math.isfinite(half_width):
+        return number_text(value)
+    exponent = int(f"{half_width:.1e}".partition("e")[2])
+    decimals = 1 - exponent
+    if 0 <= decimals <= _MOST_DECIMALS and abs(value) < _LARGEST:
+        return f"{value:.{decimals}f} ± {half_width:.{decimals}f}"
+    return f"{value:.6g} ± {half_width:.2g}"
+
+
+def interval_text(interval: ConfidenceInterval) -> str:
+    """Return an interval: ``0.12 to 0.34``; an end that is not known is named."""
+    lower, upper = interval.lower, interval.upper
+    if lower is None and upper is None:
+        return ""
+    if lower is None:
+        return f"to {upper:.4g}; too few members for the lower end"
+    if upper is None:
+        return f"from {lower:.4g}; too few members for the upper end"
+    return f"{lower:.4g} to {upper:.4g}"
+
+
+def percent_text(probability: float) -> str:
+    """Return a probability in percent, the half as ``median``."""
+    return "median" if probability == 0.5 else f"{100.0 * probability:g} %"
+
+
+def members_text(numbers: NumberColumn) -> str:
+    """Return the first of some members: ``3, 8, and 12 more``."""
+    shown = ", ".join(map(str, numbers[:_MOST_MEMBERS].tolist()))
+    more = len(numbers) - _MOST_MEMBERS
+    return f"{shown}, and {more} more" if more > 0 else shown

@@ -1,0 +1,69 @@
+"""Sobol indices of a study as tables."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from cosim.errors import UsageError
+from cosim.report.tables.console import new_table, print_json, print_line, print_table
+from cosim.studies.analysis.confidence import ConfidenceInterval
+from cosim.studies.analysis.results import StudyResults
+from cosim.studies.analysis.sensitivity import SobolIndices, check_has_indices, sobol_indices
+from cosim.studies.tables.numbers import members_text
+
+
+def print_sobol(
+    results: StudyResults, metrics: Sequence[str] = (), *, as_json: bool = False
+) -> None:
+    """Print the Sobol indices of metrics; of all that are numbers where none are named.
+
+    Raises
+    ------
+    UsageError
+        If the design of the study is none of Saltelli's, or a metric that is named has no indices.
+    """
+    check_has_indices(results.layout)
+    found: list[SobolIndices] = []
+    without: list[str] = []
+    for name in metrics or results.columns.raw_metrics:
+        try:
+            found.append(sobol_indices(results.columns, results.layout, name))
+        except UsageError as error:
+            if metrics:
+                raise
+            without.append(str(error))
+    if as_json:
+        print_json({indices.metric: indices.to_dict() for indices in found})
+        return
+    for indices in found:
+        _print_indices(indices, results)
+    for text in without:
+        print_line(text, error=True)
+
+
+def _print_indices(indices: SobolIndices, results: StudyResults) -> None:
+    columns = ("", "first order", "95 % interval", "total order", "95 % interval")
+    table = new_table(f"Sobol indices of {results.with_unit(indices.metric)}", columns)
+    order = sorted(range(len(indices.parameters)), key=lambda k: -float(indices.total_order[k]))
+    for k in order:
+        table.add_row(
+            indices.parameters[k],
+            f"{indices.first_order[k]:.3f}",
+            _ends(indices.first_intervals[k]),
+            f"{indices.total_order[k]:.3f}",
+            _ends(indices.total_intervals[k]),
+        )
+    total = f"{indices.first_order.sum():.3f}"
+    table.add_row("sum", total, "", f"{indices.total_order.sum():.3f}", "")
+    print_table(table)
+    print_line(f"of {indices.base_points} base points; intervals: bootstrap over them")
+    if len(indices.omitted):
+        count = len(indices.omitted)
+        print_line(
+            f"left out: {count} base point{'' if count == 1 else 's'} with a member that failed, "
+            f"has no value or is missing: {members_text(indices.omitted)}"
+        )
+
+
+def _ends(interval: ConfidenceInterval) -> str:
+    return f"{interval.lower:.3f} to {interval.upper:.3f}"

@@ -1,0 +1,232 @@
+"""A study as a whole: what is done, statistics, failures, the worst members."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Final, TypeAlias
+
+import numpy as np
+
+from cosim.report.tables.console import new_table, print_json, print_line, print_table
+from cosim.studies.analysis.conditions import PassedShare, passed_share
+from cosim.studies.analysis.correlation import RankCorrelation, rank_correlations, strongest
+from cosim.studies.analysis.extremes import worst_members
+from cosim.studies.analysis.failures import ReasonGroup, ends_by_reason, failures_by_reason
+from cosim.studies.analysis.results import StudyResults
+from cosim.studies.analysis.statistics import MetricStatistics, study_statistics
+from cosim.studies.tables.numbers import (
+    interval_text,
+    members_text,
+    number_text,
+    percent_text,
+    text_with_half_width,
+)
+
+CommandOf: TypeAlias = Callable[[int], str]
+
+WORST: Final = 3  # members of each metric that are shown
+_MOST_REASONS: Final = 20  # that are shown; --json has all
+_MOST_TEXTS: Final = 5  # of a metric that is a text
+_MOST_PARAMETERS: Final = 3  # of the correlations of a metric
+_WEAKEST: Final = 0.1  # rank correlation that is shown
+
+
+def print_study(
+    results: StudyResults,
+    command_of: CommandOf,
+    *,
+    conditions: Sequence[str] = (),
+    worst: int = WORST,
+    as_json: bool = False,
+) -> None:
+    """Print what a study came to.
+
+    Parameters
+    ----------
+    results : StudyResults
+    command_of : callable
+        Returns the command that runs a member on its own.
+    conditions : sequence of str
+        Such as ``rms < 0.1``: the share of members that pass each is printed.
+    worst : int
+        How many of the worst members of each metric are shown.
+    as_json : bool
+
+    Raises
+    ------
+    UsageError
+        If a condition is none; nothing is printed then.
+    """
+    shares = [passed_share(results.columns, results.layout, text) for text in conditions]
+    statistics = study_statistics(results.columns, results.layout)
+    correlations = rank_correlations(results.columns, results.layout)
+    if as_json:
+        print_json(study_content(results, command_of, shares=shares, worst=worst))
+        return
+    print_line(_overview(results))
+    _print_statistics(results, statistics)
+    _print_shares(shares)
+    _print_correlations(results, correlations)
+    failures = failures_by_reason(results.columns)
+    _print_groups("failures", failures)
+    for group in failures[:_MOST_REASONS]:
+        _print_command(int(group.numbers[0]), command_of)
+    _print_groups("ended before their stop", ends_by_reason(results.columns))
+    _print_worst(results, command_of, worst)
+
+
+def study_content(
+    results: StudyResults,
+    command_of: CommandOf,
+    *,
+    shares: Sequence[PassedShare] = (),
+    worst: int = WORST,
+) -> dict[str, Any]:
+    """Return what :func:`print_study` prints, as plain values for JSON."""
+    columns = results.columns
+    statistics = study_statistics(columns, results.layout)
+    correlations = rank_correlations(columns, results.layout)
+    extremes = {}
+    for name, one in statistics.items():
+        if one.count:
+            extremes[name] = worst_members(columns, name, worst).tolist()
+    failures = []
+    for group in failures_by_reason(columns):
+        failures.append({**group.to_dict(), "command": command_of(int(group.numbers[0]))})
+    return {
+        "name": results.name,
+        "design": results.layout.to_dict(),
+        "members": {
+            "planned": results.planned,
+            "done": results.done,
+            "failed": results.failed,
+            "missing": len(results.missing),
+        },
+        "wall_time": float(results.wall_times.sum()),
+        "statistics": {name: one.to_dict() for name, one in statistics.items()},
+        "passed": [share.to_dict() for share in shares],
+        "correlations": [one.to_dict() for one in correlations],
+        "failures": failures,
+        "ended_early": [group.to_dict() for group in ends_by_reason(columns)],
+        "worst": extremes,
+    }
+
+
+def _overview(results: StudyResults) -> str:
+    missing = results.missing
+    parts = [f"{results.done} of {results.planned} members done"]
+    if len(missing):
+        parts.append(f"{len(missing)} missing ({members_text(missing)})")
+    parts.append(f"{results.failed} failed" if results.failed else "none failed")
+    if results.done:
+        parts.append(f"{np.median(results.wall_times):.3g} s a member")
+    return f"{results.name}: {results.layout.text}; {', '.join(parts)}"
+
+
+def _print_statistics(results: StudyResults, statistics: dict[str, MetricStatistics]) -> None:
+    figures = [one for one in statistics.values() if one.count]
+    if figures:
+        heads = [percent_text(quantile.probability) for quantile in figures[0].quantiles]
+        columns = ("", "members", "mean", "deviation", "smallest", *heads, "largest")
+        table = new_table("statistics", columns)
+        for one in figures:
+            table.add_row(
+                results.with_unit(one.name),
+                str(one.count),
+                text_with_half_width(one.mean, one.mean_interval),
+                number_text(one.deviation),
+                number_text(one.minimum),
+                *(number_text(quantile.value) for quantile in one.quantiles),
+                number_text(one.maximum),
+            )
+        print_table(table)
+        print_line(f"95 % intervals: {figures[0].basis}")
+    for one in statistics.values():
+        _print_texts(one)
+        _print_without(results, one)
+
+
+def _print_texts(statistics: MetricStatistics) -> None:
+    if not statistics.texts:
+        return
+    texts = [f"{count} {text}" for text, count in statistics.texts.items()]
+    more = len(texts) - _MOST_TEXTS
+    shown = "; ".join(texts[:_MOST_TEXTS])
+    print_line(f"{statistics.name}: {shown}" + (f"; and {more} other texts" if more > 0 else ""))
+
+
+def _print_without(results: StudyResults, statistics: MetricStatistics) -> None:
+    """Name the members that the figures of a metric are not of, but those that failed."""
+    column = results.columns.metrics[statistics.name]
+    for words, numbers in (("no value", column.without_value), ("infinite", column.infinite)):
+        if len(numbers):
+            print_line(
+                f"{statistics.name}: {words} in {len(numbers)} members: {members_text(numbers)}"
+            )
+
+
+def _print_shares(shares: Sequence[PassedShare]) -> None:
+    if not shares:
+        return
+    table = new_table("passed", ("", "members", "share", "95 % interval", "not passed"))
+    for share in shares:
+        value = "" if share.share is None else f"{100.0 * share.share:.4g} %"
+        why = [members_text(share.not_passed)] if len(share.not_passed) else []
+        if share.failed:
+            why.append(f"{share.failed} of them failed")
+        if share.without_value:
+            why.append(f"{share.without_value} of them have no value")
+        table.add_row(
+            share.condition,
+            f"{share.passed} of {share.of}",
+            value,
+            interval_text(share.interval),
+            "; ".join(why),
+        )
+    print_table(table)
+
+
+def _print_correlations(results: StudyResults, correlations: Sequence[RankCorrelation]) -> None:
+    """Print the parameters that each metric goes with; nothing where a study varies one thing."""
+    table = new_table("rank correlation", ("", "strongest parameters"))
+    for name in results.columns.raw_metrics:
+        found = strongest(correlations, name)
+        shown = [one for one in found if abs(one.value or 0.0) >= _WEAKEST][:_MOST_PARAMETERS]
+        if shown:
+            table.add_row(name, ", ".join(f"{one.parameter} {one.value:+.2f}" for one in shown))
+    if table.row_count:
+        print_table(table)
+
+
+def _print_groups(title: str, groups: Sequence[ReasonGroup]) -> None:
+    if not groups:
+        return
+    table = new_table(title, ("members", "first of them", "reason"))
+    for group in groups[:_MOST_REASONS]:
+        table.add_row(str(len(group.numbers)), members_text(group.numbers), group.reason)
+    print_table(table)
+    more = len(groups) - _MOST_REASONS
+    if more > 0:
+        print_line(f"and {more} other reasons, which --json has")
+
+
+def _print_command(number: int, command_of: CommandOf) -> None:
+    print_line(f"member {number} alone: {command_of(number)}")
+
+
+def _print_worst(results: StudyResults, command_of: CommandOf, count: int) -> None:
+    columns = results.columns
+    table = new_table("largest values", ("", "member and value"))
+    first = None
+    for name, column in columns.metrics.items():
+        if column.is_text or not count or not (len(column.values) or len(column.infinite)):
+            continue
+        numbers = worst_members(columns, name, count)
+        values = columns.numeric(name)[columns.rows_of(numbers)]
+        first = numbers[0] if first is None else first
+        pairs = zip(numbers.tolist(), values.tolist(), strict=True)
+        cells = [f"{number}: {value:.6g}" for number, value in pairs]
+        table.add_row(results.with_unit(name), ", ".join(cells))
+    if first is not None:
+        print_table(table)
+        _print_command(int(first), command_of)

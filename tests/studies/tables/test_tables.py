@@ -1,0 +1,222 @@
+"""What studies print: every figure is that of numpy, and nothing is dropped silently."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from cosim.errors import UsageError
+from cosim.studies.analysis.confidence import ConfidenceInterval
+from cosim.studies.analysis.independence import StudyLayout
+from cosim.studies.analysis.results import results_of_study
+from cosim.studies.tables.member import check_is_done, print_member
+from cosim.studies.tables.metric import print_metric
+from cosim.studies.tables.numbers import interval_text, members_text, text_with_half_width
+from cosim.studies.tables.sensitivity import print_sobol
+from cosim.studies.tables.study import print_study
+from tests.studies.tables.made import MadeStudy, command_of, tolerances
+
+
+def printed(capsys):
+    return [line.split("\t") for line in capsys.readouterr().out.splitlines()]
+
+
+def test_a_study_says_what_is_done_and_what_is_not(capsys):
+    """Done, missing, failed; the design; how long a member takes."""
+    _, results = tolerances()
+    print_study(results, command_of)
+    first = printed(capsys)[0][0]
+    assert first == (
+        "tolerances: random: 210 samples; 200 of 210 members done, 10 missing (200, 201, 202, 203, "
+        "204, and 5 more), 3 failed, 0.25 s a member"
+    )
+
+
+def test_a_study_prints_statistics_failures_and_the_worst_members(capsys):
+    """Against numpy; members without a value are named."""
+    study, results = tolerances()
+    print_study(results, command_of, conditions=["rms < 0.1"])
+    lines = printed(capsys)
+    rms = study.table(["rms"])["rms"].to_numpy()
+    kept = rms[~np.isnan(rms)]
+    (row,) = [line for line in lines if line[0] == "rms" and line[1] == "197"]
+    half_width = stats.t.ppf(0.975, 196) * kept.std(ddof=1) / np.sqrt(197)
+    assert row[2] == f"{kept.mean():.3f} ± {half_width:.3f}"
+    low, middle, high = np.quantile(kept, [0.05, 0.5, 0.95])
+    figures = (kept.std(ddof=1), kept.min(), low, middle, high, kept.max())
+    assert row[3:] == [f"{value:.6g}" for value in figures]
+    assert ["95 % intervals: samples drawn independently"] in lines
+    assert ["settling: no value in 4 members: 5, 55, 105, 155"] in lines
+    passed = int((kept < 0.1).sum())
+    assert [f"verdict: {passed} identifiable; {197 - passed} weak"] in lines
+    (share,) = [line for line in lines if line[0] == "rms < 0.1"]
+    assert share[1:3] == [f"{passed} of 200", f"{passed / 2.0:.4g} %"]
+    assert share[4].endswith("; 3 of them failed")
+    reason = "RunawayError: the values of loop 1 grow without end at t = 0.25 s"
+    assert ["2", "3, 17", reason] in lines
+    assert [f"member 3 alone: {command_of(3)}"] in lines
+    assert ["1", "60", "ended at 3 s by the action 'stop when settled'"] in lines
+    worst = np.argsort(-np.nan_to_num(rms))[:3]
+    assert ["rms", ", ".join(f"{k}: {rms[k]:.6g}" for k in worst)] in lines
+    assert ["settling", "plant.mass +0.86"] in lines
+
+
+def test_json_has_all_of_it(capsys):
+    """With every interval, as strict JSON."""
+    _, results = tolerances()
+    print_study(results, command_of, conditions=["settling < 0.85"], as_json=True)
+    content = json.loads(capsys.readouterr().out)
+    assert content["members"] == {"planned": 210, "done": 200, "failed": 3, "missing": 10}
+    assert content["design"]["kind"] == "random"
+    assert StudyLayout.from_dict(content["design"]) == results.layout
+    assert content["statistics"]["settling"]["without_value"] == 4
+    assert len(content["statistics"]["rms"]["quantiles"][0]["interval"]) == 2
+    assert content["passed"][0]["without_value"] == 4
+    assert content["failures"][0]["first_members"] == [3, 17]
+    assert content["failures"][0]["command"] == command_of(3)
+    assert len(content["worst"]["rms"]) == 3
+    assert {one["parameter"] for one in content["correlations"]} == set(results.layout.parameters)
+
+
+def test_a_condition_that_is_none_prints_nothing(capsys):
+    """It is an error."""
+    _, results = tolerances()
+    with pytest.raises(UsageError, match=r"no metric 'rsm'; did you mean 'rms'"):
+        print_study(results, command_of, conditions=["rsm < 1"])
+    assert capsys.readouterr().out == ""
+
+
+def test_a_study_in_which_every_member_failed_says_so(capsys):
+    """Without figures."""
+    columns = {"rms": np.full(4, np.nan), "status": ["failed"] * 4, "reason": ["crashed"] * 4}
+    study = MadeStudy(columns, (), ("rms",))
+    print_study(results_of_study(study, StudyLayout("grid", grid=4)), command_of)
+    lines = printed(capsys)
+    assert lines[0][0].startswith("tolerances: grid of 4; 4 of 4 members done, 4 failed")
+    assert ["4", "0, 1, 2, 3", "crashed"] in lines
+
+
+def test_a_study_that_has_not_begun_has_no_figures(capsys):
+    """No member is done."""
+    _, whole = tolerances()
+    study = MadeStudy({"rms": np.zeros(0)}, (), ("rms",), planned=3)
+    print_study(results_of_study(study, whole.layout), command_of, conditions=["rms < 1"])
+    assert printed(capsys)[0][0].endswith("0 of 3 members done, 3 missing (0, 1, 2), none failed")
+
+
+def test_a_metric_is_printed_with_all_intervals(capsys):
+    """And who has the largest values."""
+    study, results = tolerances()
+    print_metric(results, "settling")
+    lines = printed(capsys)
+    values = study.table(["settling"])["settling"].to_numpy()
+    kept = values[~np.isnan(values)]
+    expected = stats.quantile_test(kept, p=0.05).confidence_interval(0.95)
+    assert ["failed", "3"] in lines
+    assert ["no value", "4"] in lines
+    assert [
+        "5 %",
+        f"{np.quantile(kept, 0.05):.6g}",
+        f"{expected.low:.4g} to {expected.high:.4g}",
+    ] in lines
+    assert lines[0] == ["settling [s]"]
+    print_metric(results, "settling", as_json=True)
+    content = json.loads(capsys.readouterr().out)
+    assert content["worst"][0] == np.nanargmax(values)
+    assert content["best"][0] == np.nanargmin(values)
+
+
+def test_one_member_is_printed_with_its_command(capsys):
+    """Parameters, metrics, how it ended."""
+    study, results = tolerances()
+    print_member(study.row(3), results, command_of(3))
+    lines = printed(capsys)
+    reason = "RunawayError: the values of loop 1 grow without end at t = 0.25 s"
+    assert lines[0] == [f"member 3: failed: {reason}"]
+    assert ["settling [s]", "no value"] in lines
+    assert ["steps", "1000"] in lines
+    assert lines[-1] == [f"alone: {command_of(3)}"]
+    print_member(study.row(8), results, command_of(8), as_json=True)
+    content = json.loads(capsys.readouterr().out)
+    assert content["plant.mass"] == study.row(8)["plant.mass"]
+    assert content["command"] == command_of(8)
+
+
+def test_a_member_that_is_not_done_is_an_error():
+    """Nor is there one beyond the last."""
+    _, results = tolerances()
+    check_is_done(199, results)
+    with pytest.raises(UsageError, match=r"member 205 is not done yet: run the study again"):
+        check_is_done(205, results)
+    for number in (-1, 210):
+        with pytest.raises(UsageError, match=rf"found member {number}, needed one from 0 to 209"):
+            check_is_done(number, results)
+
+
+def saltelli_study():
+    """Return a Saltelli study of y = 3 p + 2 q, whose base point 4 has a failure."""
+    rng = np.random.default_rng(0)
+    points = stats.qmc.Sobol(4, rng=rng).random(256)
+    of_a, of_b = points[:, :2], points[:, 2:]
+    mixed = [np.column_stack([of_b[:, 0], of_a[:, 1]]), np.column_stack([of_a[:, 0], of_b[:, 1]])]
+    rows = np.stack([of_a, of_b, *mixed], axis=1).reshape(-1, 2)
+    status = np.full(1024, "complete", object)
+    status[17] = "failed"
+    columns = {"p": rows[:, 0], "q": rows[:, 1], "y": rows @ [3.0, 2.0], "z": np.ones(1024)}
+    study = MadeStudy({**columns, "status": list(status)}, ("p", "q"), ("y", "z"))
+    layout = StudyLayout("saltelli", samples=1024, parameters=("p", "q"))
+    return results_of_study(study, layout)
+
+
+def test_sobol_indices_are_printed(capsys):
+    """The largest first, with what was left out; a metric without any says why."""
+    results = saltelli_study()
+    print_sobol(results)
+    captured = capsys.readouterr()
+    lines = [line.split("\t") for line in captured.out.splitlines()]
+    assert lines[0] == ["Sobol indices of y"]
+    assert [line[0] for line in lines[2:5]] == ["p", "q", "sum"]
+    assert abs(float(lines[2][1]) - 9.0 / 13.0) < 0.02
+    assert abs(float(lines[3][3]) - 4.0 / 13.0) < 0.02
+    assert ["of 255 base points; intervals: bootstrap over them"] in lines
+    assert lines[-1][0].startswith("left out: 1 base point with a member that failed")
+    assert lines[-1][0].endswith(": 4")
+    assert "Sobol indices of 'z': found one value in all members" in captured.err
+    print_sobol(results, as_json=True)
+    assert list(json.loads(capsys.readouterr().out)) == ["y"]
+    with pytest.raises(UsageError, match=r"'z': found one value"):
+        print_sobol(results, ["z"])
+    with pytest.raises(UsageError, match=r"needed 'saltelli'"):
+        print_sobol(tolerances()[1])
+
+
+@pytest.mark.parametrize(
+    ("value", "half_width", "text"),
+    [
+        (0.12345678, 0.0012, "0.1235 ± 0.0012"),
+        (1234.5678, 0.01, "1234.568 ± 0.010"),
+        (5.0, 300.0, "5 ± 3e+02"),
+        (0.0, 0.25, "0.00 ± 0.25"),
+        (1.5e-12, 3e-13, "1.5e-12 ± 3e-13"),
+        (3.25, 0.0, "3.25"),
+    ],
+)
+def test_a_number_has_as_many_digits_as_are_known(value, half_width, text):
+    """As far as the second digit of its half-width."""
+    interval = ConfidenceInterval(value - half_width, value + half_width)
+    assert text_with_half_width(value, interval) == text
+
+
+def test_an_interval_names_the_end_that_it_does_not_have():
+    """Of few members a quantile has one end, or none."""
+    assert interval_text(ConfidenceInterval(None, None)) == ""
+    assert interval_text(ConfidenceInterval(0.5, 1.0)) == "0.5 to 1"
+    assert interval_text(ConfidenceInterval(None, 1.0)).startswith(
+        "to 1; too few members for the l"
+    )
+    assert interval_text(ConfidenceInterval(0.5, None)).startswith(
+        "from 0.5; too few members for t"
+    )
+    assert members_text(np.arange(5)) == "0, 1, 2, 3, 4"
+    assert members_text(np.arange(6)) == "0, 1, 2, 3, 4, and 1 more"
