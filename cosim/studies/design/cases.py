@@ -1,0 +1,170 @@
+"""Cases from a table: a column for each key, a row for each case.
+
+The cells of a CSV file, and texts of a Parquet file, are TOML where they can be, else strings, as
+the values of ``--set``. In an empty cell the scenario's own value is left as it is. A column
+``replay`` has logs, one with the name of a component what takes its place.
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+import re
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from cosim.errors import UsageError, quoted
+from cosim.files import file_type
+from cosim.log.conversion.parquet import need_pyarrow
+from cosim.scenario.data_files.csv_file import read_lines
+from cosim.scenario.document.edits import parse_value, plain, short
+from cosim.studies.design.columns import ColumnValues, packed
+from cosim.studies.design.study_design import RECORDING
+from cosim.studies.document.variations import SWAP
+
+_FLOAT: Final = re.compile(r"[+-]?(0|[1-9]\d*)(\.\d+([eE][+-]?\d+)?|[eE][+-]?\d+)", re.ASCII)
+_INTEGER: Final = re.compile(r"[+-]?(0|[1-9]\d{0,17})", re.ASCII)
+NO_ROWS: Final = "has no rows; needed a line of keys, and a row for each case"
+
+
+def read_cases(path: Path) -> dict[str, ColumnValues]:
+    """Read the columns of a table of cases, by dotted key.
+
+    None stands for an empty cell.
+
+    Raises
+    ------
+    UsageError
+        If the file cannot be read, or is no such table.
+    """
+    file = repr(str(path))
+    if file_type(path) != "table":
+        raise UsageError(f"cases: found {file}; needed a path that ends in .csv or .parquet")
+    if path.suffix.lower() == ".parquet":
+        names, columns = _read_parquet(path, file)
+    else:
+        names, columns = _read_csv(path, file)
+    found: dict[str, ColumnValues] = {}
+    for name, values in zip(names, columns, strict=True):
+        key = _key(name)
+        if not key or key in found:
+            problem = "two columns" if key else "a column without a name, beside"
+            raise UsageError(f"file {file} has {problem} {name!r}; needed a key for each column")
+        found[key] = _paths(key, values, path.parent, file)
+    return found
+
+
+def _key(name: str) -> str:
+    """Return the key of a column; one without a dot is a component that is swapped."""
+    key = short(name.strip())
+    if key == "replay":
+        return RECORDING
+    return f"{SWAP}{key}" if key and "." not in key and key != RECORDING else key
+
+
+def _paths(key: str, values: ColumnValues, folder: Path, file: str) -> ColumnValues:
+    """Return the values of a column; of paths, absolute ones."""
+    if key != RECORDING and not key.startswith(SWAP):
+        return values
+    absolute: list[str | None] = []
+    for value in values if isinstance(values, list) else values.tolist():
+        if value is not None and not isinstance(value, str):
+            raise UsageError(
+                f"file {file}, column {key!r}: found {quoted(value)}; needed a path, or a key with "
+                "a dot for a parameter"
+            )
+        absolute.append(None if value is None else os.path.normpath(folder / value))
+    return absolute
+
+
+# --- CSV ---
+
+
+def _read_csv(path: Path, file: str) -> tuple[list[str], list[ColumnValues]]:
+    reader = csv.reader(read_lines(path, file), strict=True)
+    names: list[str] = []
+    rows: list[list[str]] = []
+    try:
+        for row in reader:
+            if not any(cell.strip() for cell in row):
+                continue  # an empty line; with commas, a case of nothing else
+            if not names:
+                names = [name.strip() for name in row]
+            elif len(row) == len(names):
+                rows.append(row)
+            else:
+                raise UsageError(
+                    f"file {file}, line {reader.line_num}: found {len(row)} cells, needed "
+                    f"{len(names)}; a cell with commas needs double quotes around it"
+                )
+    except csv.Error as error:
+        raise UsageError(f"file {file}, line {reader.line_num}: {error}") from error
+    if not rows:
+        raise UsageError(f"file {file} {NO_ROWS}")
+    columns: list[ColumnValues] = []
+    for name, cells in zip(names, zip(*rows, strict=True), strict=True):
+        columns.append(_read_cells([cell.strip() for cell in cells], f"file {file}", name))
+    return names, columns
+
+
+def _read_cells(cells: Sequence[str], file: str, name: str) -> ColumnValues:
+    """Return the values of the cells of a column."""
+    if all(map(_FLOAT.fullmatch, cells)):
+        return np.array(list(map(float, cells)))
+    if all(map(_INTEGER.fullmatch, cells)):
+        return np.array(list(map(int, cells)), np.int64)
+    try:
+        values = [_parsed(cell) if cell else None for cell in cells]
+    except UsageError as error:
+        raise UsageError(f"{file}, column {name!r}: {error}") from error
+    return packed(values)
+
+
+@lru_cache(maxsize=1024)  # columns of words have few different ones
+def _parsed(cell: str) -> Any:
+    return plain(parse_value(cell))
+
+
+# --- Parquet ---
+
+
+def _read_parquet(path: Path, file: str) -> tuple[list[str], list[ColumnValues]]:
+    need_pyarrow()
+    import pyarrow
+    from pyarrow import parquet
+
+    try:
+        table = parquet.read_table(path)
+    except (OSError, pyarrow.ArrowException) as error:
+        reason = str(error).partition("\n")[0]
+        raise UsageError(f"file {file} cannot be read as Parquet: {reason}") from error
+    if not table.num_rows:
+        raise UsageError(f"file {file} {NO_ROWS}")
+    columns = []
+    for name, column in zip(table.column_names, table.columns, strict=True):
+        columns.append(_read_column(column, file, name))
+    return list(table.column_names), columns
+
+
+def _read_column(column: Any, file: str, name: str) -> ColumnValues:
+    import pyarrow
+
+    is_whole = pyarrow.types.is_signed_integer(column.type)
+    if pyarrow.types.is_floating(column.type) and not column.null_count:
+        numbers: ColumnValues = column.cast(pyarrow.float64()).to_numpy()
+        return numbers
+    if is_whole and not column.null_count:
+        numbers = column.cast(pyarrow.int64()).to_numpy()
+        return numbers
+    values = column.to_pylist()
+    if any(isinstance(value, str) for value in values):
+        cells = ["" if value is None else value.strip() for value in values]
+        return _read_cells(cells, f"file {file}", name)
+    try:
+        return packed([None if value is None else plain(value) for value in values])
+    except UsageError as error:
+        raise UsageError(f"file {file}, column {name!r}: {error}") from error

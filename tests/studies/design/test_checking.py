@@ -1,0 +1,122 @@
+"""What is found wrong with a design before anything runs."""
+
+from dataclasses import replace
+
+import pytest
+
+import cosim
+from cosim.errors import UsageError
+from cosim.studies.design.checking import check_design, is_own_code
+from cosim.studies.design.planning import plan_design
+from cosim.studies.document.reading import read_study
+
+EMPTY = read_study("academic-noisy")
+SCENARIO = cosim.load("academic-noisy")
+
+
+def check(**options):
+    study = EMPTY.with_options(**options)
+    check_design(plan_design(study, SCENARIO), SCENARIO)
+
+
+def test_what_the_scenario_takes_is_right(tmp_path):
+    """Grids, samples, seeds, cases with empty cells."""
+    path = tmp_path / "cases.csv"
+    path.write_text('observer.filter_rate,plant.x_a0\n,\n100.0,\n,"[0.0, 1.0]"\n')
+    check(cases=path, seeds=3, vary={"identifier.method": ["output-error", "least-squares"]})
+    check(
+        vary={
+            "delta.terms[0].theta": {"uniform": [-0.2, -0.1]},
+            "u.rate": {"log": [1.0, 10.0], "points": 5000},
+        },
+        samples=10,
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (
+            {"vary": {"observer.filter_rat": [1.0]}},
+            r"observer.filter_rat = 1.0: set\['observer.filter_rat'\]: .*unknown key .*did you "
+            "mean 'filter_rate'",
+        ),
+        ({"vary": {"obsrver.L": [1.0]}}, "obsrver.L = 1.0: .*there is no component 'obsrver'"),
+        (
+            {"vary": {"observer.filter_rate": [1.0, 2.0, "a"]}},
+            "observer.filter_rate = 'a': .*found 'a'; needed a number",
+        ),
+        (
+            {"vary": {"delta.terms[2].theta": {"uniform": [0.0, 1.0]}}, "samples": 3},
+            r"delta.terms\[2\].theta = 0\..*: .*terms has no element '2'; there are 2",
+        ),
+        (
+            {"vary": {"observer.filter_rate": {"normal": [10.0, 10.0]}}, "samples": 100},
+            r"observer.filter_rate = -.*: .*filter_rate = -.*; needed a positive finite rate",
+        ),
+        (
+            {"vary": {"observer.L": [[4.0, 0.0], [-50.0, 0.0]]}},
+            r"observer.L = \[-50.0, 0.0\]: .*Hurwitz",
+        ),
+        (
+            {"vary": {"plant": ["a.zip"]}},
+            r"swap\['plant'\]: found '.*a.zip', needed a path that ends in .fmu",
+        ),
+        ({"vary": {"plnt": ["a.fmu"]}}, r"swap\['plnt'\]: there is no component 'plnt'; did you"),
+        ({"set": {"observer.x": 1.0}, "vary": {"u.rate": [1.0]}}, r"\Aset\['observer.x'\]: .*unkn"),
+    ],
+)
+def test_what_it_does_not_take_is_refused(options, message):
+    """The message has the key, the value and the reason, once."""
+    with pytest.raises(UsageError, match=message):
+        check(**options)
+
+
+def test_every_word_of_cases_is_checked(tmp_path):
+    """Also the last one; of numbers the extremes."""
+    path = tmp_path / "cases.csv"
+    path.write_text("identifier.method,u.rate\n" + "output-error,1.0\n" * 9 + "lest-squares,2.0\n")
+    message = "identifier.method = 'lest-squares': .*did you mean 'least-squares'"
+    with pytest.raises(UsageError, match=message):
+        check(cases=path)
+    path.write_text("observer.filter_rate\n1.0\n2.0\n-3.0\n4.0\n")
+    with pytest.raises(UsageError, match=r"filter_rate = -3.0: .*needed a positive"):
+        check(cases=path)
+
+
+def test_code_of_others_is_not_run_here(tmp_path, monkeypatch):
+    """It is for the processes of the members; the schema is checked all the same."""
+    (tmp_path / "mine.py").write_text("raise SystemExit('this is run')\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    path = tmp_path / "mine.toml"
+    path.write_text(
+        'scenario = { name = "x", stop = 1.0, step = 0.1 }\n[components]\n'
+        'own = { kind = "python", class = "mine:Own", gain = 1.0 }\n'
+        'u = { kind = "constant", value = 1.0 }\n'
+    )
+    scenario = cosim.load(path)
+    assert not is_own_code(scenario)
+    study = read_study(path).with_options(vary={"own.gain": [1.0, 2.0]})
+    check_design(plan_design(study, scenario), scenario)
+    wrong = read_study(path).with_options(vary={"u.valu": [1.0, 2.0]})
+    with pytest.raises(UsageError, match=r"u.valu = 1.0: .*unknown key 'valu'; did you mean"):
+        check_design(plan_design(wrong, scenario), scenario)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"plant.kind": "fmu", "plant.path": "x.fmu"},
+        {"plant.kind": "fmu", "plant.path": "x.FMU"},
+        {"observer.model": {"fmu": "x.fmu", "disturbance": "d"}},
+    ],
+)
+def test_fmus_are_code_of_others(changes):
+    """Also those that an observer is designed from."""
+    assert is_own_code(SCENARIO)
+    tables = {**SCENARIO.tree["components"]}
+    for key, value in changes.items():
+        component, _, name = key.partition(".")
+        tables[component] = {**tables[component], name: value}
+    tree = {**SCENARIO.tree, "components": tables}
+    assert not is_own_code(replace(SCENARIO, tree=tree))
