@@ -19,6 +19,7 @@ from typing import Any, Final, NamedTuple, TypeAlias
 from cosim.studies.contracts import MemberOutcome, StudyMember, StudySubject
 
 _OF_MEMBER: Final = tuple(field.name for field in fields(StudyMember))
+_OF_SUBJECT: Final = tuple(field.name for field in fields(StudySubject))
 _OF_OUTCOME: Final = tuple(field.name for field in fields(MemberOutcome))
 _encode = json.JSONEncoder(default=dict, separators=(",", ":")).encode  # any mapping as a dict
 _decode = json.JSONDecoder().decode
@@ -71,7 +72,7 @@ def encode_opening(opening: WorkerOpening) -> bytes:
     """Return the first line for a worker."""
     values = {
         "opener": opening.opener,
-        "subject": opening.subject.to_dict(),
+        "subject": {name: getattr(opening.subject, name) for name in _OF_SUBJECT},
         "import_paths": opening.import_paths,
         "most_members": opening.most_members,
     }

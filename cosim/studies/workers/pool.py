@@ -56,7 +56,8 @@ class WorkerPool:
 
     A member that crashes, hangs or ends its process is an outcome that says so; its worker is
     replaced, and no other member is lost. Each worker leads a session of its own, keeps temporary
-    files in a folder of the pool, and ends with this process, however that ends.
+    files in a folder of the pool, and ends with this process, however that ends; on Linux with the
+    thread that started it, so that a pool belongs to one thread.
 
     Parameters
     ----------
@@ -95,7 +96,8 @@ class WorkerPool:
         _check_positive("timeout", timeout)
         _check_positive("members_per_worker", members_per_worker)
         self._most_members = members_per_worker or sys.maxsize
-        opening = WorkerOpening(opener, subject, sys.path, self._most_members)
+        import_paths = list(map(str, sys.path))
+        opening = WorkerOpening(opener, subject, import_paths, self._most_members)
         self._opening = encode_opening(opening)
         self._scenario = subject.scenario
         self._count = count

@@ -122,6 +122,10 @@ class DoingRunner:
         if self.is_poisoned:
             os.abort()
         does = member.set.get("does", "nothing")
+        if does == "wait":
+            while not Path(member.set["until"]).exists():
+                time.sleep(0.01)
+            does = "nothing"
         metrics = {"pid": float(os.getpid()), **member.set.get("metrics", {})}
         if does == "poison":
             self.is_poisoned = True

@@ -3,14 +3,16 @@
 import math
 import os
 import platform
+import select
 import struct
 import sys
+import time
 
 import pytest
 
 from cosim.errors import RunError, UsageError
 from cosim.studies.contracts import COMPLETE, FAILED, MemberOutcome, StudyMember, StudySubject
-from cosim.studies.workers import member_times, pool
+from cosim.studies.workers import member_times, pool, worker_process
 from cosim.studies.workers.pool import WorkerPool
 
 RUNNERS = "tests.studies.workers.runners"
@@ -85,6 +87,31 @@ def test_as_many_members_fail_as_are_bad():
     outcomes = outcomes_of(members)
     assert sorted(outcomes) == list(range(60))
     assert failures(outcomes) == {number: reason for number, (_, reason) in BAD.items()}
+
+
+def test_a_caller_that_comes_late_takes_no_member_for_one_that_hangs(tmp_path, monkeypatch):
+    """What has been answered meanwhile is read before a worker is judged, if it is read late."""
+    late = 0.0
+    for module in (pool, worker_process):
+        monkeypatch.setattr(module, "monotonic", lambda: time.monotonic() + late)
+    members = [doing(number) for number in range(300)]
+    members += [doing(number, "wait", until=str(tmp_path / str(number))) for number in (300, 301)]
+    with open_pool(1, timeout=60.0) as workers:
+        outcomes = workers.run([*members, doing(302)])
+        for outcome in outcomes:
+            if outcome.number == 299:
+                break
+        (tmp_path / "300").touch()
+        wait_for_reply(workers)
+        late = 1000.0
+        (tmp_path / "301").touch()
+        assert failures({outcome.number: outcome for outcome in outcomes}) == {}
+
+
+def wait_for_reply(workers):
+    """Wait until a reply of the only worker is there to be read."""
+    (replies,) = workers._workers
+    assert select.select([replies], [], [], 60.0)[0]
 
 
 @pytest.mark.parametrize("does", ["sleep", "search in C"])
