@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -15,6 +16,7 @@ from cosim.scenario.preparing import build_experiment
 from cosim.studies.contracts import StudyMember
 from cosim.studies.design.columns import GridColumn, SampleColumn
 from cosim.studies.design.planning import edited_scenario
+from cosim.studies.design.recording_check import RecordingCheck
 from cosim.studies.design.study_design import RECORDING, StudyDesign
 from cosim.studies.document.variations import SWAP
 
@@ -22,7 +24,7 @@ MOST_CHECKED: Final = 2000  # values of a key
 MOST_BUILT: Final = 20
 
 
-def check_design(design: StudyDesign, scenario: Scenario) -> None:
+def check_design(design: StudyDesign, scenario: Scenario, *, allow_code: bool = False) -> None:
     """Check that the scenario has every varied key, and takes its values.
 
     Of a key of the grid every value is checked, of a sampled one the first, the smallest and the
@@ -30,15 +32,17 @@ def check_design(design: StudyDesign, scenario: Scenario) -> None:
     first, the smallest and the largest number, and else the first 2000. The other keys have the
     values of the first member.
 
-    A scenario of components of this package is built with some of these values of each key, too.
-    Code of others is not run here: it belongs into the processes of the members, which say what is
-    wrong with it.
+    With some of these values of each key, a scenario of components of this package is built, and
+    so is the replay of a log; every log is opened. Code of others is not run here: it belongs into
+    the processes of the members, which say what is wrong with it.
 
     Parameters
     ----------
     design : StudyDesign
     scenario : Scenario
         As for :func:`cosim.studies.design.planning.plan_design`.
+    allow_code : bool
+        Members that replay logs may run the code of users.
 
     Raises
     ------
@@ -48,13 +52,19 @@ def check_design(design: StudyDesign, scenario: Scenario) -> None:
     study = design.study
     first = design.member(0)
     edited_scenario(study, scenario, first.swap)  # what all have is not blamed on a member
+    check_recording = RecordingCheck(study, scenario, allow_code=allow_code)
+    check_recording.open(first)
     for name, values in _checked(design):
         built = _some(values)
         for number, value in enumerate(values):
             member = _with_value(first, name, value)
             try:
                 edited = edited_scenario(study, scenario, member.swap, member.set)
-                if number in built and member.recording is None and is_own_code(edited):
+                if number not in built:
+                    continue
+                if member.recording is not None:
+                    check_recording(member)
+                elif is_own_code(edited):
                     _check_built(edited)
             except UsageError as error:
                 raise UsageError(f"{name} = {quoted(value)}: {error}") from error
@@ -68,7 +78,8 @@ def _some(values: list[Any]) -> set[int]:
 def _check_built(scenario: Scenario) -> None:
     with ExitStack() as resources:
         experiment = build_experiment(scenario, resources, None)
-        experiment.graph.prepare(experiment.clock.step_ns, experiment.designs)
+        if experiment.plan is None:
+            experiment.graph.prepare(experiment.clock.step_ns, experiment.designs)
 
 
 def is_own_code(scenario: Scenario) -> bool:
@@ -92,11 +103,11 @@ def _texts(value: Any) -> Iterator[str]:
 
 
 def _checked(design: StudyDesign) -> Iterator[tuple[str, list[Any]]]:
-    """Yield keys with the values to check."""
-    for name, column in design.columns.items():
-        if name == RECORDING or not isinstance(column, GridColumn | SampleColumn):
-            continue  # logs are opened where they are replayed; seeds are right
-        yield name, _values(column)
+    """Yield keys with the values to check; the logs last, as they are not to blame for a value."""
+    columns = sorted(design.columns.items(), key=lambda item: item[0] == RECORDING)
+    for name, column in columns:
+        if isinstance(column, GridColumn | SampleColumn):  # seeds are right
+            yield name, _values(column)
 
 
 def _values(column: GridColumn | SampleColumn) -> list[Any]:
@@ -117,7 +128,9 @@ def _values(column: GridColumn | SampleColumn) -> list[Any]:
 
 
 def _with_value(member: StudyMember, name: str, value: Any) -> StudyMember:
+    """Return a member with another value of a key."""
+    if name == RECORDING:
+        return replace(member, recording=value)
     if name.startswith(SWAP):
-        swaps = {**member.swap, name.removeprefix(SWAP): value}
-        return StudyMember(member.number, member.set, swaps, member.recording)
-    return StudyMember(member.number, {**member.set, name: value}, member.swap, member.recording)
+        return replace(member, swap={**member.swap, name.removeprefix(SWAP): value})
+    return replace(member, set={**member.set, name: value})

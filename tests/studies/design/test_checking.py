@@ -120,3 +120,54 @@ def test_fmus_are_code_of_others(changes):
         tables[component] = {**tables[component], name: value}
     tree = {**SCENARIO.tree, "components": tables}
     assert not is_own_code(replace(SCENARIO, tree=tree))
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory):
+    """Two logs of the scenario, and one of another."""
+    folder = tmp_path_factory.mktemp("logs")
+    end = {"scenario.stop": 0.05}
+    for name, scenario in (("a-1", SCENARIO), ("a-2", SCENARIO), ("b", "closed-loop")):
+        cosim.run(scenario, set=end, out=folder / f"{name}.mcap")
+    (folder / "c.mcap").write_bytes(b"no log")
+    return folder
+
+
+def test_what_a_replay_takes_is_right(logs):
+    """Of every log, with every value."""
+    vary = {"observer.filter_rate": [100.0, 300.0]}
+    check(replay=str(logs / "a-*.mcap"), vary=vary, seeds=2, set={"identifier.period": 0.05})
+    check(replay=str(logs / "a-*.mcap"))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (
+            {"replay": "a-*.mcap", "vary": {"plant.x_a0[0]": [2.0]}},
+            r"plant.x_a0\[0\] = 2.0: set\['plant.x_a0\[0\]'\]: 'plant' is taken from the rec",
+        ),
+        (
+            {"replay": "a-*.mcap", "vary": {"scenario.step": [0.01]}},
+            "scenario.step = 0.01: .*a replay keeps the recorded",
+        ),
+        (
+            {"replay": ["a-1.mcap", "b.mcap"], "vary": {"sensor.noise": [0.01]}},
+            r"recording = '.*b.mcap': .*there is no component 'sensor'",
+        ),
+        ({"replay": ["a-1.mcap", "c.mcap"]}, r"recording = '.*c.mcap': .*c.mcap"),
+        ({"replay": "c.mcap", "vary": {"u.rate": [1.0]}}, r"\A/.*c.mcap is no MCAP file"),
+    ],
+)
+def test_what_a_replay_does_not_take_is_refused(logs, monkeypatch, options, message):
+    """Before any of them."""
+    monkeypatch.chdir(logs)
+    with pytest.raises(UsageError, match=message):
+        check(**options)
+
+
+def test_code_of_users_is_not_run_to_check_a_replay(logs):
+    """Where it may be run at all, it is run in the processes of the members."""
+    study = EMPTY.with_options(replay=str(logs / "a-1.mcap"), vary={"plant.x_a0[0]": [2.0]})
+    design = plan_design(study, SCENARIO)
+    check_design(design, SCENARIO, allow_code=True)
