@@ -1,4 +1,4 @@
-"""Recorders that pass a run on to another recorder, and do something of their own with it."""
+"""Recorders that pass a run on to others, and do something of their own with it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, Self, final
 
 from cosim.arrays import Matrix
 from cosim.core.contracts import Block
-from cosim.core.recorders import close, memory_of
+from cosim.core.recorders import close, row_memory
 from cosim.core.recording import MessageLevel, Plan, Recorder, SignalEvent, Substep
 
 
@@ -91,6 +91,7 @@ class Watched(PassingRecorder):
         ended: Callable[[Recorder, BaseException | None], None] = close,
     ) -> None:
         super().__init__(recorder)
+        self._memory = row_memory(recorder)
         self._reached = reached
         self._began = began
         self._jumped = jumped
@@ -112,7 +113,7 @@ class Watched(PassingRecorder):
 
     def memory_for(self, block: Block, steps: int) -> Matrix | None:
         """Pass on."""
-        return memory_of(self._recorder, block, steps)
+        return None if self._memory is None else self._memory.memory_for(block, steps)
 
     def event(self, event: SignalEvent) -> None:
         """Pass on, then report."""
@@ -124,3 +125,72 @@ class Watched(PassingRecorder):
         """Pass on, then report."""
         self._recorder.write(block, signals)
         self._reached(block, signals)
+
+
+@final
+class TwoRecorders:
+    """Passes everything on to two recorders, one after the other.
+
+    What one raises ends the run; both are closed all the same.
+
+    Parameters
+    ----------
+    first : Recorder
+        Keeps the run: where it has memory for rows, that is used.
+    second : Recorder
+    """
+
+    def __init__(self, first: Recorder, second: Recorder) -> None:
+        self._first = first
+        self._second = second
+
+    def __enter__(self) -> Self:
+        self._first.__enter__()
+        self._second.__enter__()
+        return self
+
+    def __exit__(
+        self,
+        error_type: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        try:
+            self._first.__exit__(error_type, error, trace)
+        finally:
+            self._second.__exit__(error_type, error, trace)
+
+    def begin(self, plan: Plan) -> None:
+        """Pass on."""
+        self._first.begin(plan)
+        self._second.begin(plan)
+
+    def memory_for(self, block: Block, steps: int) -> Matrix | None:
+        """Return the memory of the first."""
+        memory = row_memory(self._first)
+        return None if memory is None else memory.memory_for(block, steps)
+
+    def write(self, block: Block, signals: Matrix) -> None:
+        """Pass on."""
+        self._first.write(block, signals)
+        self._second.write(block, signals)
+
+    def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
+        """Pass on."""
+        self._first.message(time_ns, level, source, text)
+        self._second.message(time_ns, level, source, text)
+
+    def event(self, event: SignalEvent) -> None:
+        """Pass on."""
+        self._first.event(event)
+        self._second.event(event)
+
+    def substep(self, substep: Substep) -> None:
+        """Pass on."""
+        self._first.substep(substep)
+        self._second.substep(substep)
+
+    def result(self, values: Mapping[str, Any]) -> None:
+        """Pass on."""
+        self._first.result(values)
+        self._second.result(values)

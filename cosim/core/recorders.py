@@ -304,9 +304,9 @@ class Memory(RecordedRun):
         return self._steps[-1][-1] if self._steps else 0
 
 
-def memory_of(recorder: Recorder, block: Block, steps: int) -> Matrix | None:
-    """Return the memory of a recorder where the rows of a block will stay; None: it has none."""
-    return recorder.memory_for(block, steps) if isinstance(recorder, RowMemory) else None
+def row_memory(recorder: Recorder) -> RowMemory | None:
+    """Return a recorder as what has the memory where rows will stay; None: it has none."""
+    return recorder if isinstance(recorder, RowMemory) else None
 
 
 def close(recorder: Recorder, error: BaseException | None) -> None:

@@ -6,11 +6,11 @@ from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
 from typing import Final, Self, final
 
+from cosim.core.passing_recorders import TwoRecorders
 from cosim.core.recording import Recorder
 from cosim.errors import UsageError
 from cosim.live.connection import ViewerConnection
 from cosim.live.recorder import LiveRecorder
-from cosim.live.two_recorders import TwoRecorders
 
 HOST: Final = "127.0.0.1"
 PORT: Final = 8765  # that viewers suggest

@@ -24,7 +24,7 @@ from cosim.core.clock import Clock
 from cosim.core.conditions import RunConditions
 from cosim.core.contracts import Block, Stopped
 from cosim.core.graph import Graph
-from cosim.core.recorders import memory_of
+from cosim.core.recorders import row_memory
 from cosim.core.recording import Recorder, Substep
 from cosim.core.stages.looking_ahead import LookingAhead
 from cosim.core.stages.native_stage import advancing_stages
@@ -89,7 +89,7 @@ class Engine:
         self._end: Stopped | None = None
         self._recorder = recorder
         # left limits have no place in the memory of a recorder
-        self._keeper = None if graph.layout.jumping else recorder
+        self._keeper = None if graph.layout.jumping else row_memory(recorder)
         self._steps = clock.steps
         self._rows = np.empty((min(self.limit, clock.steps) + 1, width))  # used again
 
@@ -131,7 +131,7 @@ class Engine:
         """
         rows: Matrix | None = None
         if self._keeper is not None:
-            rows = memory_of(self._keeper, block, self._steps - block.index)
+            rows = self._keeper.memory_for(block, self._steps - block.index)
         if rows is None:
             rows = self._rows[: block.steps + 1]
         rows[0] = first

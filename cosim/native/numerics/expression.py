@@ -31,7 +31,7 @@ import unicodedata
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal
-from functools import partial
+from functools import lru_cache, partial
 from itertools import pairwise
 from typing import Final
 
@@ -206,6 +206,7 @@ class ConditionProgram:
     duration_ns: int = 0
 
 
+@lru_cache(maxsize=64)  # the same texts come with every member of a study
 def compile_expression(text: str) -> Program:
     """Compile an expression in ``t``.
 

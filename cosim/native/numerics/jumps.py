@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ast
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TypeAlias
 
 from cosim.native.numerics.expression import (
@@ -57,6 +58,7 @@ class Jump:
         return step if self.slope > 0.0 else f"1 - {step}"
 
 
+@lru_cache(maxsize=64)
 def jumps(text: str) -> tuple[Jump, ...]:
     """Return where an expression may jump.
 

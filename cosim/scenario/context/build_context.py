@@ -161,6 +161,8 @@ class ScenarioBuildContext:
         tables : collection of str
             Such as ``components.plant``, ``models.academic``.
         """
+        self.clock = built.clock
+        self.step_ns = built.step_ns
         self.models.keep_from(built.models)
         for name, design in built._designs.items():
             if design.names.isdisjoint(tables) and f"components.{name}" not in tables:

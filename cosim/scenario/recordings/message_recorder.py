@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from types import TracebackType
 from typing import TYPE_CHECKING, final
@@ -17,7 +17,7 @@ from cosim.core.recording import MessageLevel, Plan, Recorder
 from cosim.core.stages.substep_control import SUBSTEP_COUNTS, SubstepCounts
 from cosim.errors import Interrupted, RunError, listing
 from cosim.interrupts import uninterrupted
-from cosim.scenario.building.experiment import Experiment
+from cosim.scenario.building.experiment import Experiment, MessageSource
 from cosim.scenario.identification.run_verdicts import IDENTIFICATION, Assessor
 from cosim.scenario.kinds.initial_states import INITIAL_STATES, change_text, changed_states
 
@@ -25,6 +25,54 @@ if TYPE_CHECKING:
     from cosim.fmi.binary.messages import Message
 
 UNTIL = "until"
+
+
+def terminated(
+    fmus: Mapping[str, MessageSource], error: BaseException | None
+) -> tuple[BaseException | None, list[tuple[str, str]]]:
+    """End the run of every FMU.
+
+    Returns
+    -------
+    error : BaseException or None
+        What the run as a whole ended with.
+    failures : list of (component, text)
+        What else failed then.
+    """
+    failures = []
+    try:
+        for name, fmu in fmus.items():
+            try:
+                fmu.terminate()
+            except RunError as failure:
+                text = f"{name!r} failed at the end of the run: {failure}"
+                if end_of_run(error).status == "complete":
+                    error = RunError(text)
+                else:
+                    failures.append((name, text))
+    except KeyboardInterrupt as interruption:  # an FMU may take long
+        error = interruption
+    return error, failures
+
+
+@final
+class TerminatingRecorder(PassingRecorder):
+    """Passes a run on, and ends that of its FMUs: what is recorded of a run without messages."""
+
+    def __init__(self, recorder: Recorder, fmus: Mapping[str, MessageSource]) -> None:
+        super().__init__(recorder)
+        self._fmus = fmus
+
+    def __exit__(
+        self,
+        error_type: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        ended, _ = terminated(self._fmus, error)
+        close(self._recorder, ended)
+        if ended is not None and ended is not error:
+            raise ended
 
 
 @final
@@ -56,19 +104,10 @@ class MessageRecorder(PassingRecorder):
 
     def _terminate(self, error: BaseException | None) -> BaseException | None:
         """End the run of every FMU; return what the run as a whole ended with."""
-        try:
-            for name, fmu in self._experiment.fmus.items():
-                try:
-                    fmu.terminate()
-                except RunError as failure:
-                    text = f"{name!r} failed at the end of the run: {failure}"
-                    if end_of_run(error).status == "complete":
-                        error = RunError(text)
-                    else:
-                        self._recorder.message(self._reached_ns, "error", name, text)
-        except KeyboardInterrupt as interruption:  # an FMU may take long
-            return interruption
-        return error
+        ended, failures = terminated(self._experiment.fmus, error)
+        for name, text in failures:
+            self._recorder.message(self._reached_ns, "error", name, text)
+        return ended
 
     def _conclude(self, error: BaseException | None) -> None:
         """Record what is known at the end: last messages, the error, the last row.

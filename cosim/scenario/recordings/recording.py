@@ -28,7 +28,7 @@ from cosim.log.writing.background import FLUSH_INTERVAL
 from cosim.log.writing.replaced_parts import check_no_parts
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.recordings.interrupting import interruptible
-from cosim.scenario.recordings.message_recorder import MessageRecorder
+from cosim.scenario.recordings.message_recorder import MessageRecorder, TerminatingRecorder
 from cosim.scenario.recordings.records import attachments_of, metadata_of
 
 Progress = Callable[[float, float], None]  # simulated time, end [s]
@@ -201,6 +201,13 @@ def run_into(
         elapsed = perf_counter() - first
         seconds["recorder and master"] = elapsed - sum(seconds.values())
         profile.update(seconds)
+
+
+def run_rows(recorder: Recorder, experiment: Experiment) -> None:
+    """Run an experiment; its rows alone go to the recorder, and how it ended."""
+    with interruptible() as check:
+        ended = TerminatingRecorder(recorder, experiment.fmus)
+        _run(experiment, Watched(ended, lambda block, signals: check()))
 
 
 def _run(experiment: Experiment, recorder: Recorder) -> None:

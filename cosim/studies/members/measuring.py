@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import TracebackType
-from typing import Any, Protocol, Self, final
+from typing import Protocol, final
 
 from cosim.arrays import Matrix
 from cosim.core.contracts import Block
 from cosim.core.passing_recorders import PassingRecorder
 from cosim.core.recorders import EndOfRun, end_of_run
-from cosim.core.recording import MessageLevel, Plan, Recorder, SignalEvent, Substep
+from cosim.core.recording import Recorder
 from cosim.studies.contracts import MetricValue
 
 
@@ -53,64 +53,3 @@ class MemberRecorder(PassingRecorder):
         """Pass on."""
         self.steps = block.index + block.steps
         self._recorder.write(block, signals)
-
-
-@final
-class BothRecorders(PassingRecorder):
-    """Passes a run on to two recorders.
-
-    Parameters
-    ----------
-    recorder, other : Recorder
-        What the first one cannot take ends the run for both.
-    """
-
-    def __init__(self, recorder: Recorder, other: Recorder) -> None:
-        super().__init__(recorder)
-        self._other = other
-
-    def __enter__(self) -> Self:
-        super().__enter__()
-        self._other.__enter__()
-        return self
-
-    def __exit__(
-        self,
-        error_type: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        try:
-            super().__exit__(error_type, error, trace)
-        finally:
-            self._other.__exit__(error_type, error, trace)
-
-    def begin(self, plan: Plan) -> None:
-        """Pass on to both."""
-        super().begin(plan)
-        self._other.begin(plan)
-
-    def write(self, block: Block, signals: Matrix) -> None:
-        """Pass on to both."""
-        super().write(block, signals)
-        self._other.write(block, signals)
-
-    def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
-        """Pass on to both."""
-        super().message(time_ns, level, source, text)
-        self._other.message(time_ns, level, source, text)
-
-    def event(self, event: SignalEvent) -> None:
-        """Pass on to both."""
-        super().event(event)
-        self._other.event(event)
-
-    def substep(self, substep: Substep) -> None:
-        """Pass on to both."""
-        super().substep(substep)
-        self._other.substep(substep)
-
-    def result(self, values: Mapping[str, Any]) -> None:
-        """Pass on to both."""
-        super().result(values)
-        self._other.result(values)

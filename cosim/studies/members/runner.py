@@ -10,7 +10,7 @@ from time import perf_counter
 from types import TracebackType
 from typing import Final, Self, final
 
-from cosim.core.ensemble import ROWS_BYTES
+from cosim.core.passing_recorders import TwoRecorders
 from cosim.core.recorders import error_text
 from cosim.core.recording import Recorder
 from cosim.errors import CosimError, Interrupted
@@ -24,7 +24,7 @@ from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.building.kept_build import KeptBuild
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.preparing import build_experiment
-from cosim.scenario.recordings.recording import Target, record, run_into
+from cosim.scenario.recordings.recording import Target, record, run_rows
 from cosim.scenario.running.execution import load
 from cosim.scenario.running.replay import Replays, replays_of
 from cosim.studies.contracts import (
@@ -37,7 +37,6 @@ from cosim.studies.contracts import (
     StudySubject,
 )
 from cosim.studies.members.measuring import (
-    BothRecorders,
     MemberRecorder,
     MetricSink,
 )
@@ -45,6 +44,7 @@ from cosim.studies.metrics.metrics import parse_metrics
 from cosim.studies.metrics.recorder import MetricRecorder
 
 OPEN_LOGS: Final = 4  # whose rows may be in memory
+BLOCK_BYTES: Final = 2**20  # of the rows of a block: they stay in the cache of most processors
 
 
 def open_runner(
@@ -155,8 +155,7 @@ class SubjectRunner:
         """Run an experiment; return its metrics, and its results where they are asked for."""
         if self._subject.with_results:
             return {**_results(experiment, measured), **measured.sink.values()}
-        # what identifiers come to is no metric
-        run_into(measured, replace(experiment, identified={}), progress=None, profile=None)
+        run_rows(measured, experiment)
         return measured.sink.values()
 
     def _run_kept(self, scenario: Scenario, measured: MemberRecorder) -> bool:
@@ -172,10 +171,7 @@ class SubjectRunner:
             experiment = self._kept.experiment(scenario, resources)
             if experiment is None:
                 return False
-            clock = experiment.clock
-            rows = ROWS_BYTES // (8 * experiment.graph.layout.row_width)
-            in_cache = replace(clock, block=max(1, rows))
-            run_into(measured, replace(experiment, clock=in_cache), progress=None, profile=None)
+            run_rows(measured, _in_short_blocks(experiment))
             return True
 
     def _build_kept(self) -> KeptBuild | None:
@@ -209,11 +205,19 @@ class SubjectRunner:
         return self._logs[path]
 
 
+def _in_short_blocks(experiment: Experiment) -> Experiment:
+    """Return an experiment whose rows stay in the cache until they are reduced."""
+    if experiment.until is not None:  # how far a run looks ahead for its end is its own affair
+        return experiment
+    steps = max(1, BLOCK_BYTES // (8 * experiment.graph.layout.row_width))
+    return replace(experiment, clock=replace(experiment.clock, block=steps))
+
+
 def _results(experiment: Experiment, measured: MemberRecorder) -> Mapping[str, MetricValue]:
     """Run an experiment, which is kept in memory, too; return what its result says."""
 
     def beside(memory: Recorder) -> Recorder:
-        return BothRecorders(memory, measured)
+        return TwoRecorders(memory, measured)
 
     recording = record(experiment, Target(None), progress=None, beside=beside)
     return results_of(summarize(recording))

@@ -6,9 +6,8 @@ import pytest
 
 from cosim.blocks import sine
 from cosim.core import Clock, Graph, Memory, run
-from cosim.core.passing_recorders import Watched
+from cosim.core.passing_recorders import TwoRecorders, Watched
 from cosim.core.recorders import Nothing
-from cosim.live.two_recorders import TwoRecorders
 
 
 class FullError(Exception):
