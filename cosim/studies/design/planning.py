@@ -33,6 +33,7 @@ from cosim.studies.document.study_file import StudyFile
 from cosim.studies.document.variations import SWAP, GridVariation, SampledVariation
 
 MOST_MEMBERS: Final = 10**9
+_BLOCK: Final = 2**16  # samples
 
 
 def plan_design(study: StudyFile, scenario: Scenario) -> StudyDesign:
@@ -199,7 +200,9 @@ def _sampled_columns(study: StudyFile, scenario: Scenario) -> dict[str, DesignCo
         if item.distribution == "choice":
             columns[item.key] = SampleColumn(packed(item.values), chosen(item, p))
         else:
-            p[:] = quantiles(item, p, own.get(item.key, math.nan))
+            for begin in range(0, len(p), _BLOCK):  # whose temporary arrays stay small
+                block = p[begin : begin + _BLOCK]
+                block[:] = quantiles(item, block, own.get(item.key, math.nan))
             _check_finite(item, p)
             columns[item.key] = SampleColumn(p)
     return columns

@@ -45,17 +45,20 @@ def unit_points(method: SamplingMethod, keys: Sequence[str], samples: int, *, se
     """
     match method:
         case "random":
-            points = np.stack([_stream(key, samples, seed) for key in keys])
+            points = np.empty((len(keys), samples))
+            for row, key in zip(points, keys, strict=True):
+                row[:] = _stream(key, samples, seed)
         case "latin-hypercube":
             from scipy.stats.qmc import LatinHypercube
 
             generator = np.random.default_rng(np.random.SeedSequence(seed))
-            points = LatinHypercube(len(keys), rng=generator).random(samples).T
+            drawn = LatinHypercube(len(keys), rng=generator).random(samples)
+            points = np.ascontiguousarray(drawn.T)
         case "sobol":
             points = _sobol(len(keys), samples, seed)
         case "saltelli":
             points = _saltelli(len(keys), samples, seed)
-    return np.clip(points, _SMALLEST, 1.0 - 2 * _SMALLEST)
+    return np.clip(points, _SMALLEST, 1.0 - 2 * _SMALLEST, out=points)
 
 
 def _stream(key: str, samples: int, seed: int) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
@@ -76,7 +79,9 @@ def _sobol(dimensions: int, samples: int, seed: int) -> Matrix:
     # The whole power of two, as a part of it has no balance that scipy would not warn of.
     points = sequence.random_base2((samples - 1).bit_length())[:samples]
     # It is a corner of its cell, and may be 0.
-    return np.ascontiguousarray(points.T) + 2.0 ** -(_BITS + 1)
+    rows = np.ascontiguousarray(points.T)
+    rows += 2.0 ** -(_BITS + 1)
+    return rows
 
 
 def _saltelli(dimensions: int, samples: int, seed: int) -> Matrix:

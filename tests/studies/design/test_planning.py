@@ -17,6 +17,17 @@ from cosim.studies.document.reading import read_study
 EMPTY = read_study("academic-noisy")
 SCENARIO = cosim.load("academic-noisy")
 THETA = {"delta.terms[0].theta": {"uniform": [-0.2, -0.1]}}
+DISTRIBUTIONS = [
+    {"log-uniform": [1.0, 1e4]},
+    {"normal": [1.0, 0.1]},
+    {"normal": [1.0, 0.1], "lower": 0.9},
+    {"lognormal": [1.0, 0.1]},
+    {"triangular": [0.0, 0.2, 1.0]},
+    {"exponential": 2.0},
+    {"beta": [2.0, 0.5]},
+    {"weibull": [1.0, 2.5]},
+    {"choice": ["a", 1, [2.0]], "weights": [1, 2, 3]},
+]
 RATES = {"observer.filter_rate": [100.0, 300.0, 1000.0], "identifier.method": ["a", "b"]}
 
 
@@ -99,12 +110,24 @@ def test_members_are_numbered_by_sample_seed_and_grid(counts, samples, seeds, sa
 @settings(max_examples=30, deadline=None)
 @given(st.sampled_from(["random", "sobol"]), st.integers(1, 50), st.integers(1, 50))
 def test_a_study_of_more_samples_begins_with_the_same_members(sampling, samples, more):
-    """Their seeds, too; the grid beside them stays the same."""
-    vary = {**THETA, "plant.x_a0[0]": {"normal": [1.0, 0.1]}, "u.rate": [1.0, 2.0]}
+    """Of every distribution, to the bit; their seeds, too; the grid beside them stays the same."""
+    vary = {f"x.{number}": table for number, table in enumerate(DISTRIBUTIONS)}
+    vary |= {**THETA, "plant.x_a0[0]": {"tolerance": 0.1}, "u.rate": [1.0, 2.0]}
     common = {"vary": vary, "sampling": sampling, "seeds": 2, "seed": 9}
     few = planned(**common, samples=samples)
     many = planned(**common, samples=samples + more)
     assert few.members() == many.members(0, len(few))
+
+
+def test_more_samples_than_are_computed_at_a_time_begin_with_the_same_ones():
+    """They are computed in blocks."""
+    vary = {f"x.{number}": table for number, table in enumerate(DISTRIBUTIONS)}
+    few = planned(vary=vary, samples=1001)
+    many = planned(vary=vary, samples=2**16 + 7)
+    assert few.members() == many.members(0, 1001)
+    part = many.column("x.3", 2**16 - 5, 2**16 + 7)
+    assert (part == many.column("x.3")[2**16 - 5 :]).all()
+    assert len(set(many.column("x.3").tolist())) == len(many)
 
 
 def test_more_seeds_of_a_grid_come_behind_it():
