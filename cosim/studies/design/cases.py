@@ -10,8 +10,9 @@ from __future__ import annotations
 import csv
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
+from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,12 +23,13 @@ from cosim.files import file_type
 from cosim.log.conversion.parquet import need_pyarrow
 from cosim.scenario.data_files.csv_file import read_lines
 from cosim.scenario.document.edits import parse_value, plain, short
-from cosim.studies.design.columns import ColumnValues, packed
+from cosim.studies.design.columns import ColumnValues, packed, plain_values
 from cosim.studies.design.study_design import RECORDING
 from cosim.studies.document.variations import SWAP
 
 _FLOAT: Final = re.compile(r"[+-]?(0|[1-9]\d*)(\.\d+([eE][+-]?\d+)?|[eE][+-]?\d+)", re.ASCII)
 _INTEGER: Final = re.compile(r"[+-]?(0|[1-9]\d{0,17})", re.ASCII)
+_BLOCK: Final = 2**15  # rows
 NO_ROWS: Final = "has no rows; needed a line of keys, and a row for each case"
 
 
@@ -87,32 +89,50 @@ def _paths(key: str, values: ColumnValues, folder: Path, file: str) -> ColumnVal
 def _read_csv(path: Path, file: str) -> tuple[list[str], list[ColumnValues]]:
     reader = csv.reader(read_lines(path, file), strict=True)
     names: list[str] = []
-    rows: list[list[str]] = []
+    parts: list[list[ColumnValues]] = []
     try:
         for row in reader:
-            if not any(cell.strip() for cell in row):
-                continue  # an empty line; with commas, a case of nothing else
-            if not names:
+            if len(row) > 1 or (row and row[0].strip()):
                 names = [name.strip() for name in row]
-            elif len(row) == len(names):
-                rows.append(row)
-            else:
-                raise UsageError(
-                    f"file {file}, line {reader.line_num}: found {len(row)} cells, needed "
-                    f"{len(names)}; a cell with commas needs double quotes around it"
-                )
+                break
+        while rows := list(islice(_rows(reader, len(names), file), _BLOCK)):
+            columns = zip(*rows, strict=True)
+            label = f"file {file}"
+            named = zip(names, columns, strict=True)
+            parts.append([_read_cells(cells, label, name) for name, cells in named])
     except csv.Error as error:
         raise UsageError(f"file {file}, line {reader.line_num}: {error}") from error
-    if not rows:
+    if not parts:
         raise UsageError(f"file {file} {NO_ROWS}")
-    columns: list[ColumnValues] = []
-    for name, cells in zip(names, zip(*rows, strict=True), strict=True):
-        columns.append(_read_cells([cell.strip() for cell in cells], f"file {file}", name))
-    return names, columns
+    return names, [_joined(blocks) for blocks in zip(*parts, strict=True)]
 
 
-def _read_cells(cells: Sequence[str], file: str, name: str) -> ColumnValues:
+def _rows(reader: Any, width: int, file: str) -> Iterator[list[str]]:
+    """Yield the rows of cells; empty lines are none."""
+    for row in reader:
+        if len(row) == width and (width > 1 or row[0].strip()):
+            yield row
+        elif len(row) > 1 or (row and row[0].strip()):
+            raise UsageError(
+                f"file {file}, line {reader.line_num}: found {len(row)} cells, needed {width}; a "
+                "cell with commas needs double quotes around it"
+            )
+
+
+def _joined(blocks: Sequence[ColumnValues]) -> ColumnValues:
+    """Return a column of its blocks: an array where all of them are of one type."""
+    types = {block.dtype if isinstance(block, np.ndarray) else None for block in blocks}
+    if len(types) == 1 and None not in types:
+        return np.concatenate(blocks)
+    values: list[Any] = []
+    for block in blocks:
+        values += plain_values(block)
+    return values
+
+
+def _read_cells(texts: Sequence[str], file: str, name: str) -> ColumnValues:
     """Return the values of the cells of a column."""
+    cells = [text.strip() for text in texts]
     if all(map(_FLOAT.fullmatch, cells)):
         return np.array(list(map(float, cells)))
     if all(map(_INTEGER.fullmatch, cells)):
@@ -162,7 +182,7 @@ def _read_column(column: Any, file: str, name: str) -> ColumnValues:
         return numbers
     values = column.to_pylist()
     if any(isinstance(value, str) for value in values):
-        cells = ["" if value is None else value.strip() for value in values]
+        cells = ["" if value is None else str(value) for value in values]
         return _read_cells(cells, f"file {file}", name)
     try:
         return packed([None if value is None else plain(value) for value in values])

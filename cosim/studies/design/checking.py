@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
@@ -9,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from cosim.errors import UsageError, quoted
+from cosim.errors import UsageError, option, quoted
 from cosim.files import file_type
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.preparing import build_experiment
@@ -52,6 +53,7 @@ def check_design(design: StudyDesign, scenario: Scenario, *, allow_code: bool = 
     study = design.study
     first = design.member(0)
     edited_scenario(study, scenario, first.swap)  # what all have is not blamed on a member
+    _check_files(study.settings.swap)
     check_recording = RecordingCheck(study, scenario, allow_code=allow_code)
     check_recording.open(first)
     for name, values in _checked(design):
@@ -60,6 +62,7 @@ def check_design(design: StudyDesign, scenario: Scenario, *, allow_code: bool = 
             member = _with_value(first, name, value)
             try:
                 edited = edited_scenario(study, scenario, member.swap, member.set)
+                _check_files(member.swap)
                 if number not in built:
                     continue
                 if member.recording is not None:
@@ -68,6 +71,13 @@ def check_design(design: StudyDesign, scenario: Scenario, *, allow_code: bool = 
                     _check_built(edited)
             except UsageError as error:
                 raise UsageError(f"{name} = {quoted(value)}: {error}") from error
+
+
+def _check_files(swaps: Mapping[str, str]) -> None:
+    """Check that there is what takes the place of components."""
+    for name, path in swaps.items():
+        if not (os.path.exists(path) or os.path.exists(path.rpartition("#")[0])):
+            raise UsageError(f"{option('swap', name)}: {path}: there is no such file")
 
 
 def _some(values: list[Any]) -> set[int]:

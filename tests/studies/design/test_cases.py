@@ -56,6 +56,30 @@ def test_integers_and_floats_of_a_column_stay_what_they_are(write):
     assert [type(value) for value in values] == [int, float, int]
 
 
+@given(st.lists(st.sampled_from(["1", "2.5", "", "sine", "-3e7"]), min_size=1, max_size=12))
+def test_long_tables_are_read_in_blocks_to_the_same_columns(cells):
+    """Whatever types the blocks have."""
+    import tempfile
+    from pathlib import Path
+
+    lines = ["a.x,a.y", *(f"{cell},{number}" for number, cell in enumerate(cells))]
+    with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
+        path = Path(folder) / "c.csv"
+        path.write_text("\n".join(lines))
+        whole = read_cases(path)
+        patch.setattr("cosim.studies.design.cases._BLOCK", 2)
+        blocks = read_cases(path)
+    for name, values in whole.items():
+        assert type(values) is type(blocks[name])
+        assert repr(plain_values(values)) == repr(plain_values(blocks[name]))
+
+
+def test_a_row_of_commas_is_a_case_of_the_own_values(write):
+    """An empty line is none."""
+    assert plain(read_cases(write("a.x,a.y\n,\n\n1,2\n"))) == {"a.x": [None, 1], "a.y": [None, 2]}
+    assert plain(read_cases(write("\na.x\n\n 1 \n  \n"))) == {"a.x": [1]}
+
+
 @given(st.lists(st.floats(allow_nan=False), min_size=1, max_size=20))
 def test_floats_come_back_to_the_bit(values):
     """Of a CSV with what repr writes."""

@@ -62,6 +62,14 @@ def test_what_the_scenario_takes_is_right(tmp_path):
             {"vary": {"plant": ["a.zip"]}},
             r"swap\['plant'\]: found '.*a.zip', needed a path that ends in .fmu",
         ),
+        (
+            {"vary": {"plant": ["a.fmu#cs"]}},
+            r"swap.plant = '.*a.fmu#cs': .*a.fmu.*: there is no such file",
+        ),
+        (
+            {"swap": {"plant": "a.fmu"}, "vary": {"u.rate": [1.0]}},
+            r"\Aswap\['plant'\]: .*a.fmu: there is no such file",
+        ),
         ({"vary": {"plnt": ["a.fmu"]}}, r"swap\['plnt'\]: there is no component 'plnt'; did you"),
         ({"set": {"observer.x": 1.0}, "vary": {"u.rate": [1.0]}}, r"\Aset\['observer.x'\]: .*unkn"),
     ],
