@@ -118,11 +118,11 @@ def draw_curves(panel: Any, curves: Sequence[Curve], *, styles: Sequence[Style])
     """
     in_one_unit = [_in_unit(curve, curves[0]) for curve in curves]
     for curve, style in zip(in_one_unit, styles, strict=True):
-        curve.draw(panel, style, label=_text(curve.name))
+        curve.draw(panel, style, label=shown_text(curve.name))
     first = in_one_unit[0]
-    bracketed_unit = "" if first.unit.name is None else f"[{_text(first.unit.name)}]"
+    bracketed_unit = "" if first.unit.name is None else f"[{shown_text(first.unit.name)}]"
     if len(curves) == 1:
-        panel.set_ylabel(f"{_text(first.name)} {bracketed_unit}".strip())
+        panel.set_ylabel(f"{shown_text(first.name)} {bracketed_unit}".strip())
     else:
         panel.set_ylabel(bracketed_unit)
         show_legend(panel)
@@ -172,6 +172,6 @@ def _in_unit(curve: Curve, first: Curve) -> Curve:
     return replace(curve, unit=first.unit, values=convert(curve.values))
 
 
-def _text(name: str) -> str:
+def shown_text(name: str) -> str:
     """Return a name as matplotlib shows it: no mathematics, no control characters."""
     return printable_line(name).replace("$", r"\$")

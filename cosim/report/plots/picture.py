@@ -139,10 +139,11 @@ class Picture:
         grid = self._figure.subplots(rows, columns, sharex=shares_time, squeeze=False)
         self.panels: list[Any] = list(np.ravel(grid))
 
-    def legend(self, lines: list[Any]) -> None:
-        """Show a legend of all panels above them."""
+    def legend(self, lines: list[Any], *, below: bool = False) -> None:
+        """Show a legend of all panels above them; below them where the picture has a title."""
         columns = min(6, len(lines))
-        self._figure.legend(handles=lines, loc="outside upper center", ncols=columns, frameon=False)
+        place = "outside lower center" if below else "outside upper center"
+        self._figure.legend(handles=lines, loc=place, ncols=columns, frameon=False)
 
     def save(self, out: Path, *, title: str = "") -> None:
         """Write the picture to a file; ``title`` is its standard one.

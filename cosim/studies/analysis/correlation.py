@@ -68,7 +68,7 @@ def rank_correlations(columns: MemberColumns, layout: StudyLayout) -> list[RankC
             continue
         rows = drawn.rows_of(column.numbers)
         for key, numbers in parameters.items():
-            value = _spearman(column.values, numbers[rows])
+            value = spearman(column.values, numbers[rows])
             interval = NO_INTERVAL
             if value is not None and independent:
                 interval = _interval(value, len(rows))
@@ -82,7 +82,8 @@ def strongest(correlations: Sequence[RankCorrelation], metric: str) -> list[Rank
     return sorted(known, key=lambda one: -abs(one.value or 0.0))
 
 
-def _spearman(first: Vector, other: Vector) -> float | None:
+def spearman(first: Vector, other: Vector) -> float | None:
+    """Return Spearman's rank correlation; None: one of them has one value, or there is one."""
     from scipy.stats import rankdata
 
     if len(first) < 2:

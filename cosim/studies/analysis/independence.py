@@ -23,13 +23,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any, Final, Literal, TypeAlias
+from typing import Any, Final
 
 import numpy as np
 
 from cosim.studies.analysis.columns import MemberColumns, NumberColumn
-
-LayoutKind: TypeAlias = Literal["grid", "cases", "random", "latin-hypercube", "sobol", "saltelli"]
+from cosim.studies.design.columns import NoiseSeedColumn
+from cosim.studies.design.study_design import SampleKind, StudyDesign
 
 _BASIS: Final = {
     "random": "samples drawn independently",
@@ -45,7 +45,7 @@ class StudyLayout:
 
     Parameters
     ----------
-    kind : LayoutKind
+    kind : SampleKind
     seeds : int
         Seeds of each sample, case or point of the grid.
     grid : int
@@ -54,13 +54,31 @@ class StudyLayout:
         What is drawn, in the order of the dimensions.
     samples : int
         Or cases; 1 where there is a grid alone.
+    noise_seeds : tuple of str
+        Columns that are seeds of noise sources: no parameters that a metric could depend on.
     """
 
-    kind: LayoutKind
+    kind: SampleKind
     seeds: int = 1
     grid: int = 1
     parameters: tuple[str, ...] = ()
     samples: int = 1
+    noise_seeds: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, design: StudyDesign) -> StudyLayout:
+        """Return the layout of a design."""
+        seeds = [
+            name for name, column in design.columns.items() if isinstance(column, NoiseSeedColumn)
+        ]
+        return cls(
+            design.kind,
+            seeds=design.layout.seeds,
+            grid=design.layout.grid,
+            parameters=design.sampled,
+            samples=design.layout.samples,
+            noise_seeds=tuple(seeds),
+        )
 
     def samples_of(self, numbers: NumberColumn) -> NumberColumn:
         """Return the samples, or cases, of members."""
@@ -71,30 +89,32 @@ class StudyLayout:
         return numbers // self.grid % self.seeds
 
     @property
-    def points_a_row(self) -> int:
-        """Of ``saltelli``: the samples of a base point, one behind the other: A, B, AB_1, ..."""
+    def matrices(self) -> int:
+        """Of ``saltelli``: A, B, AB_1, ..., AB_d, one behind the other."""
         return len(self.parameters) + 2
 
     @property
     def base_points(self) -> int:
-        """Of ``saltelli``: how many there are."""
-        return self.samples // self.points_a_row
+        """Of ``saltelli``: the rows of each matrix."""
+        return self.samples // self.matrices
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        return {**asdict(self), "parameters": list(self.parameters)}
+        content = asdict(self)
+        return {key: list(one) if isinstance(one, tuple) else one for key, one in content.items()}
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> StudyLayout:
         """Return the layout of :meth:`to_dict`."""
-        return cls(**{**content, "parameters": tuple(content["parameters"])})
+        tuples = {key: tuple(one) for key, one in content.items() if isinstance(one, list)}
+        return cls(**{**content, **tuples})
 
     @property
     def text(self) -> str:
         """The design in words."""
         factors = []
         if self.kind == "saltelli":
-            factors.append(f"{self.base_points} base points x {self.points_a_row}")
+            factors.append(f"{self.base_points} base points x {self.matrices}")
         elif self.kind == "cases":
             factors.append(f"{self.samples} cases")
         elif self.kind != "grid":
@@ -160,5 +180,5 @@ def drawn_members(columns: MemberColumns, layout: StudyLayout) -> MemberColumns:
     """
     if layout.kind != "saltelli":
         return columns
-    points = layout.samples_of(columns.numbers) % layout.points_a_row
-    return columns.only(np.asarray(points < 2, np.bool_))
+    matrices = layout.samples_of(columns.numbers) // layout.base_points
+    return columns.only(np.asarray(matrices < 2, np.bool_))

@@ -109,13 +109,14 @@ def results_of_study(study: StudyTable, layout: StudyLayout) -> StudyResults:
     DatasetError
         If a file is damaged.
     """
-    names = [*_OUTCOME, *study.parameters, *study.metrics]
+    parameters = [name for name in study.parameters if name not in layout.noise_seeds]
+    names = [*_OUTCOME, *parameters, *study.metrics]
     table = study.table(dict.fromkeys(names))
     columns = MemberColumns(
         numbers=table["member"].to_numpy().astype(np.int64),
         failed=np.array(table["status"].to_pylist(), object) == FAILED,
         reasons=[reason or "" for reason in table["reason"].to_pylist()],
-        parameters={name: _array(table[name]) for name in study.parameters},
+        parameters={name: _array(table[name]) for name in parameters},
         raw_metrics={name: _array(table[name]) for name in study.metrics},
     )
     wall_times = table["wall_time"].to_numpy().astype(np.float64)

@@ -7,9 +7,8 @@ scipy's want every base point, a power of two of them and more than one paramete
 bootstrap takes memory that grows with the square of their number.
 
 A base point is a row of the matrices A and B with its rows of AB_1, ..., AB_d, in each of which one
-column comes from B: d + 2 samples, one behind the other. Where one of its members failed, or has no
-value, the whole base point is left out: the others are what was drawn, under the condition that no
-member of theirs failed.
+column comes from B. Where one of its members failed, or has no value, the whole base point is left
+out: the others are what was drawn, under the condition that no member of theirs failed.
 """
 
 from __future__ import annotations
@@ -171,9 +170,9 @@ def bootstrap(values: Matrix, *, resamples: int = RESAMPLES) -> tuple[Matrix, Ma
 
 def _matrices(columns: MemberColumns, layout: StudyLayout, metric: str) -> Matrix:
     """Return a metric in the rows of A, B, AB_1, ..., AB_d; NaN: there is none, or not yet."""
-    values = np.full(layout.base_points * layout.points_a_row, np.nan)
+    values = np.full(layout.samples, np.nan)
     values[columns.numbers] = columns.numeric(metric)
-    return values.reshape(-1, layout.points_a_row).T
+    return values.reshape(layout.matrices, -1)
 
 
 def _percentiles(resampled: Matrix) -> tuple[ConfidenceInterval, ...]:

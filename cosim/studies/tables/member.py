@@ -27,7 +27,8 @@ def print_member(
     if as_json:
         print_json({**row, "command": command})
         return
-    parameters = {name: row[name] for name in results.columns.parameters}
+    varied = (*results.columns.parameters, *results.layout.noise_seeds)
+    parameters = {name: row[name] for name in varied}
     metrics = {name: row[name] for name in results.columns.raw_metrics}
     others = {name: value for name, value in row.items() if name not in (*parameters, *metrics)}
     reason = others.get("reason")

@@ -82,7 +82,7 @@ CLOSED = [
 def test_the_indices_are_those_of_the_closed_form(function, dimension, expected):
     """Within 0.02 of it, of 4096 base points; the intervals hold them."""
     values = saltelli(function, dimension, 4096, np.random.default_rng(0))
-    columns = columns_of({"y": values.T.ravel()})
+    columns = columns_of({"y": values.ravel()})
     found = sobol_indices(columns, layout_of(dimension, 4096), "y")
     first, total = expected
     assert abs(found.first_order - first).max() < 0.02
@@ -99,7 +99,7 @@ def test_the_indices_are_those_of_the_closed_form(function, dimension, expected)
 def test_the_indices_and_intervals_are_those_of_scipy():
     """Indices but for rounding; intervals as far as two kinds of bootstrap agree."""
     values = saltelli(ishigami, 3, 1024, np.random.default_rng(1)) + 5.0
-    found = sobol_indices(columns_of({"y": values.T.ravel()}), layout_of(3, 1024), "y")
+    found = sobol_indices(columns_of({"y": values.ravel()}), layout_of(3, 1024), "y")
     matrices = {"f_A": values[:1], "f_B": values[1:2], "f_AB": values[2:, np.newaxis]}
     expected = stats.sobol_indices(func=matrices, n=1024)
     assert np.allclose(found.first_order, expected.first_order, rtol=0.0, atol=1e-12)
@@ -123,7 +123,7 @@ def test_a_base_point_with_a_member_that_failed_is_left_out():
     raw = values.copy()
     raw[3, 17] = np.nan
     raw[0, 200] = np.inf
-    columns = columns_of({"y": raw.T.ravel()}, failed=[30 * 5 + 1])
+    columns = columns_of({"y": raw.ravel()}, failed=[256 + 30])
     found = sobol_indices(columns, layout_of(3, 256), "y")
     assert found.omitted.tolist() == [17, 30, 200]
     kept = np.setdiff1d(np.arange(256), [17, 30, 200])
@@ -134,16 +134,16 @@ def test_a_base_point_with_a_member_that_failed_is_left_out():
 
 def test_members_that_are_not_done_leave_their_base_points_out():
     """A study that was stopped has indices of what is complete."""
-    values = saltelli(linear, 2, 64, np.random.default_rng(3)).T.ravel()
+    values = saltelli(linear, 2, 64, np.random.default_rng(3)).ravel()
     columns = columns_of({"y": values[:-5]})
     found = sobol_indices(columns, layout_of(2, 64), "y")
-    assert found.omitted.tolist() == [62, 63]
+    assert found.omitted.tolist() == [59, 60, 61, 62, 63]
 
 
 def test_one_parameter_has_all_of_the_variance():
     """Which scipy does not compute."""
     values = saltelli(lambda u: u[0], 1, 1024, np.random.default_rng(4))
-    found = sobol_indices(columns_of({"y": values.T.ravel()}), layout_of(1, 1024), "y")
+    found = sobol_indices(columns_of({"y": values.ravel()}), layout_of(1, 1024), "y")
     assert found.first_order == pytest.approx([1.0], abs=0.02)
     assert found.total_order == pytest.approx([1.0], abs=0.02)
 

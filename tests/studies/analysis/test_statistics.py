@@ -78,8 +78,7 @@ def test_the_members_of_a_sample_count_together():
 def test_of_a_saltelli_design_only_the_drawn_members_count():
     """Those of A and B: the others repeat their values."""
     layout = StudyLayout("saltelli", parameters=("p", "q"), samples=4 * 8)
-    rows = [[2.0 * k, 2.0 * k + 1.0, 100.0, 100.0] for k in range(8)]
-    values = np.ravel(rows)
+    values = np.concatenate([np.arange(16.0), np.full(16, 100.0)])
     found = study_statistics(columns_of({"a": values}), layout)["a"]
     assert (found.count, found.maximum) == (16, 15.0)
     assert "not guaranteed" in found.basis

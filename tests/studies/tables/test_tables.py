@@ -160,9 +160,9 @@ def saltelli_study():
     points = stats.qmc.Sobol(4, rng=rng).random(256)
     of_a, of_b = points[:, :2], points[:, 2:]
     mixed = [np.column_stack([of_b[:, 0], of_a[:, 1]]), np.column_stack([of_a[:, 0], of_b[:, 1]])]
-    rows = np.stack([of_a, of_b, *mixed], axis=1).reshape(-1, 2)
+    rows = np.concatenate([of_a, of_b, *mixed])
     status = np.full(1024, "complete", object)
-    status[17] = "failed"
+    status[256 + 4] = "failed"
     columns = {"p": rows[:, 0], "q": rows[:, 1], "y": rows @ [3.0, 2.0], "z": np.ones(1024)}
     study = MadeStudy({**columns, "status": list(status)}, ("p", "q"), ("y", "z"))
     layout = StudyLayout("saltelli", samples=1024, parameters=("p", "q"))

@@ -1,0 +1,118 @@
+"""A picture with a panel for each metric of a study."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from textwrap import fill
+from typing import Any, Final
+
+from cosim.errors import UsageError
+from cosim.report.plots.curves import shown_text
+from cosim.report.plots.picture import LARGEST, Picture, PictureOptions
+from cosim.studies.analysis.columns import MetricColumn
+from cosim.studies.analysis.results import StudyResults
+from cosim.studies.plots.scales import LABEL
+
+MOST_PANELS: Final = 12
+FAILED_COLOR: Final = "#D55E00"
+FAINT: Final = 0.25  # opacity of a band
+_WIDTH: Final = 11.0  # cm of a panel
+_HEIGHT: Final = 7.5
+
+
+class MetricPanels:
+    """A picture with a panel for each of some metrics.
+
+    Parameters
+    ----------
+    results : StudyResults
+    metrics : sequence of str
+        Empty: those that have values, at most ``MOST_PANELS``.
+    options : PictureOptions
+
+    Raises
+    ------
+    UsageError
+        If there is no matplotlib, no such metric, or nothing to show.
+    """
+
+    def __init__(
+        self, results: StudyResults, metrics: Sequence[str], options: PictureOptions
+    ) -> None:
+        names = shown_metrics(results, metrics)
+        self._results = results
+        self._title = results.name
+        if len(names) > MOST_PANELS:
+            self._title += f": the first {MOST_PANELS} of {len(names)} metrics"
+        self.columns: list[MetricColumn] = []
+        for name in names[:MOST_PANELS]:
+            self.columns.append(results.columns.metric(name))
+        across = min(3, len(self.columns))
+        down = -(-len(self.columns) // across)
+        self._picture = sized_picture(down, across, options, size=(_WIDTH * across, _HEIGHT * down))
+        self.panels: list[Any] = self._picture.panels[: len(self.columns)]
+        for empty in self._picture.panels[len(self.columns) :]:
+            empty.set_visible(False)
+
+    def label(self, panel: Any, column: MetricColumn, words: str = "{}") -> str:
+        """Return words with the name of a metric and its unit, which fit an axis.
+
+        What the panel is of, and what is not shown in it, is written above it.
+        """
+        panel.set_title(without_text(column), fontsize="small", color="0.3")
+        panel.set_axisbelow(True)  # its grid
+        text = words.format(shown_text(self._results.with_unit(column.name)))
+        return fill(text, LABEL)
+
+    def legend(self, lines: list[Any]) -> None:
+        """Show a legend of all panels below them."""
+        self._picture.legend(lines, below=True)
+
+    def save(self, out: Path, what: str) -> None:
+        """Write the picture to a file; its title is that of the study and ``what``."""
+        self._picture.save(out, title=shown_text(f"{self._title}: {what}"))
+
+
+def sized_picture(
+    rows: int, columns: int, options: PictureOptions, *, size: tuple[float, float]
+) -> Picture:
+    """Return a picture of panels, of a size [cm] where the options have none."""
+    width, height = size
+    if options.size is None:
+        options = replace(options, size=(min(width + 1.0, LARGEST), min(height + 2.0, LARGEST)))
+    return Picture(rows, columns, options, shares_time=False)
+
+
+def shown_metrics(results: StudyResults, metrics: Sequence[str]) -> list[str]:
+    """Return the metrics that are named, or all that have values.
+
+    Raises
+    ------
+    UsageError
+        If one has none.
+    """
+    for name in metrics:
+        column = results.columns.metric(name)
+        if not len(column.values):
+            raise UsageError(f"metric {name!r}: no member has a value, so there is nothing to show")
+    if metrics:
+        return list(metrics)
+    found = [name for name, column in results.columns.metrics.items() if len(column.values)]
+    if not found:
+        raise UsageError("no metric of the study has a value, so there is nothing to show")
+    return found
+
+
+def without_text(column: MetricColumn) -> str:
+    """Return what figures of a metric are of, and which members are not in them."""
+    parts = [f"{len(column.values)} members"]
+    for words, numbers in (
+        ("failed", column.failed),
+        ("without value", column.without_value),
+        ("infinite", column.infinite),
+    ):
+        if len(numbers):
+            parts.append(f"{len(numbers)} {words}")
+    return ", ".join(parts)

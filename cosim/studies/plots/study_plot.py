@@ -1,0 +1,120 @@
+"""The kinds of pictures of a study."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from cosim.errors import UsageError, nearest
+from cosim.report.plots.picture import PictureOptions, need_plot
+from cosim.studies.analysis.independence import drawn_members
+from cosim.studies.analysis.results import StudyResults
+from cosim.studies.plots.convergence import plot_convergence
+from cosim.studies.plots.distributions import plot_distributions, plot_histograms
+from cosim.studies.plots.heat_map import plot_heat_maps
+from cosim.studies.plots.over_key import plot_over_key
+from cosim.studies.plots.scatter import plot_scatter
+from cosim.studies.plots.sensitivity import plot_sobol
+
+KINDS: Final = {
+    "histogram": "how the values of metrics are distributed, with mean and quantiles",
+    "distribution": "the share of members below each value",
+    "convergence": "the mean of metrics over the number of members, with its interval",
+    "line": "metrics over one varied key",
+    "map": "metrics over two varied keys",
+    "scatter": "every parameter and metric over every other one",
+    "sobol": "Sobol indices, of a Saltelli design",
+}
+_STANDARD = PictureOptions()
+
+
+def plot_study(
+    results: StudyResults,
+    out: Path,
+    *,
+    kind: str | None = None,
+    metrics: Sequence[str] = (),
+    keys: Sequence[str] = (),
+    options: PictureOptions = _STANDARD,
+) -> None:
+    """Draw a picture of a study.
+
+    Parameters
+    ----------
+    results : StudyResults
+    out : Path
+    kind : str, optional
+        One of ``KINDS``; None: ``line`` or ``map`` of a grid, ``sobol`` of a Saltelli design, else
+        ``histogram``.
+    metrics : sequence of str
+        Empty: all that have values.
+    keys : sequence of str
+        What is varied: the one or two of ``line`` and ``map``, those of ``scatter``. Empty: the
+        first ones with several values.
+    options : PictureOptions
+        Their times have no meaning here.
+
+    Raises
+    ------
+    UsageError
+        If there is no matplotlib, the format of ``out`` is unknown, there is no such kind, metric
+        or key, or there is nothing to show.
+    """
+    need_plot(out)
+    drawn = replace(results, columns=drawn_members(results.columns, results.layout))
+    if kind is not None and kind not in KINDS:
+        raise UsageError(f"kind of picture: found {kind!r}; {nearest(kind, KINDS)}")
+    varied = _varied(results)
+    for key in keys:
+        if key not in results.columns.parameters:
+            raise UsageError(f"the study does not vary {key!r}; {nearest(key, varied)}")
+    chosen = kind or _standard_kind(results, list(keys) or varied)
+    shown = list(keys) or varied
+    match chosen:
+        case "histogram":
+            plot_histograms(drawn, out, metrics, options)
+        case "distribution":
+            plot_distributions(drawn, out, metrics, options)
+        case "convergence":
+            plot_convergence(drawn, out, metrics, options)
+        case "line":
+            _check_keys(chosen, shown, 1)
+            plot_over_key(drawn, out, metrics, shown[:2], options)
+        case "map":
+            _check_keys(chosen, shown, 2)
+            plot_heat_maps(drawn, out, metrics, shown[:2], options)
+        case "scatter":
+            plot_scatter(drawn, out, metrics, shown, options)
+        case _:
+            plot_sobol(results, out, metrics, options)
+
+
+def _varied(results: StudyResults) -> list[str]:
+    """Return the keys that have several values among the members that are done."""
+    found = []
+    for key, values in results.columns.parameters.items():
+        texts = values if values.dtype != object else np.array(values.tolist(), np.str_)
+        if len(np.unique(texts)) > 1:
+            found.append(key)
+    return found
+
+
+def _standard_kind(results: StudyResults, keys: Sequence[str]) -> str:
+    kind = results.layout.kind
+    if kind == "saltelli":
+        return "sobol"
+    if kind == "grid" and keys:
+        return "line" if len(keys) == 1 else "map"
+    return "histogram"
+
+
+def _check_keys(kind: str, keys: Sequence[str], count: int) -> None:
+    if len(keys) < count:
+        found = f"{len(keys)} varied key{'' if len(keys) == 1 else 's'}"
+        raise UsageError(
+            f"a picture of kind {kind!r}: found {found} with several values, needed {count}"
+        )

@@ -1,0 +1,202 @@
+"""Pictures of studies: what they show, read back from the SVG, whose text is text."""
+
+import re
+
+import numpy as np
+import pyarrow
+import pytest
+
+from cosim.errors import UsageError
+from cosim.report.plots.picture import PictureOptions
+from cosim.studies.analysis.independence import StudyLayout
+from cosim.studies.analysis.results import results_of_study
+from cosim.studies.plots import KINDS, plot_study
+from cosim.studies.plots.heat_map import cell_means
+from cosim.studies.plots.scales import Scale, cell_edges, even_edges, is_logarithmic, short_names
+from tests.studies.tables.made import MadeStudy, tolerances
+from tests.studies.tables.test_tables import saltelli_study
+
+pytest.importorskip("matplotlib")
+
+DRAWN = ["histogram", "distribution", "convergence", "line", "map", "scatter"]
+
+
+def texts(path):
+    """Return the texts of an SVG."""
+    return re.findall(r"<text[^>]*>([^<]*)</text>", path.read_text(encoding="utf-8"))
+
+
+def grid_study(seeds=1, *, plants=None):
+    """Return a grid over rates, and over plants if there are some; the largest rate fails."""
+    rates = np.geomspace(10.0, 1e4, 7)
+    names = ["plain"] if plants is None else plants
+    numbers = np.arange(seeds * len(rates) * len(names))
+    rate = rates[numbers // len(names) % len(rates)]
+    plant = [names[number % len(names)] for number in numbers]
+    status = np.where(rate > 9e3, "failed", "complete")
+    rms = pyarrow.array(1.0 / rate + 1e-3 * numbers, mask=rate > 9e3)
+    columns = {"observer.filter_rate": rate, "rms": rms, "status": list(status)}
+    keys = ["observer.filter_rate"]
+    if plants is not None:
+        keys.append("swap.plant")
+        columns["swap.plant"] = plant
+    study = MadeStudy(columns, keys, ("rms",), units={"observer.filter_rate": "rad/s", "rms": "m"})
+    layout = StudyLayout("grid", seeds=seeds, grid=len(rates) * len(names))
+    return results_of_study(study, layout)
+
+
+@pytest.mark.parametrize("kind", DRAWN)
+def test_every_picture_names_metrics_units_and_what_it_does_not_show(kind, tmp_path):
+    """Failed members, and those without a value, are counted in the picture."""
+    _, results = tolerances()
+    plot_study(results, tmp_path / "a.svg", kind=kind)
+    shown = " ".join(texts(tmp_path / "a.svg"))
+    assert "settling [s]" in shown
+    assert "3 failed" in shown
+    assert ("4 without value" in shown) == (kind != "scatter")
+    assert "tolerances" in shown
+    assert "verdict" not in shown
+    if kind in ("line", "map", "scatter"):
+        assert "observer.filter_rate [rad/s]" in shown
+        assert "failed" in texts(tmp_path / "a.svg")
+
+
+@pytest.mark.parametrize("kind", DRAWN)
+@pytest.mark.parametrize("count", [61, 20_000])
+def test_every_picture_is_drawn_of_few_and_of_many_members(kind, count, tmp_path):
+    """And takes little room: many members are put together."""
+    _, results = tolerances(count)
+    plot_study(results, tmp_path / "a.svg", kind=kind)
+    assert (tmp_path / "a.svg").stat().st_size < 3e6
+
+
+def test_a_picture_follows_from_the_design(tmp_path):
+    """A line of one key, a map of two, bars of Sobol indices, else histograms."""
+    plot_study(grid_study(), tmp_path / "line.svg")
+    assert "tolerances: over observer.filter_rate" in texts(tmp_path / "line.svg")
+    plot_study(grid_study(plants=["x/a.fmu", "x/b.fmu"]), tmp_path / "map.svg")
+    shown = texts(tmp_path / "map.svg")
+    assert "tolerances: mean over observer.filter_rate and swap.plant" in shown
+    assert {"a.fmu", "b.fmu", "rms [m]", "failed"} <= set(shown)
+    plot_study(saltelli_study(), tmp_path / "sobol.svg")
+    shown = texts(tmp_path / "sobol.svg")
+    assert {"p", "q", "first order", "total order", "share of the variance of y"} <= set(shown)
+    assert "255 base points, 1 left out" in shown
+    plot_study(tolerances()[1], tmp_path / "histogram.svg")
+    assert "tolerances: histograms" in texts(tmp_path / "histogram.svg")
+
+
+def test_each_value_of_a_second_key_has_a_line(tmp_path):
+    """Named in the legend."""
+    study = grid_study(seeds=3, plants=["x/a.fmu", "x/b.fmu"])
+    keys = ("observer.filter_rate", "swap.plant")
+    plot_study(study, tmp_path / "a.svg", kind="line", keys=keys)
+    assert {"swap.plant = a.fmu", "swap.plant = b.fmu"} <= set(texts(tmp_path / "a.svg"))
+
+
+def test_metrics_and_title_can_be_chosen(tmp_path):
+    """And the size, as of other pictures."""
+    options = PictureOptions(title="mine $x$", size=(10.0, 8.0))
+    plot_study(tolerances()[1], tmp_path / "a.svg", metrics=["rms"], options=options)
+    shown = texts(tmp_path / "a.svg")
+    assert "rms" in shown
+    assert "settling [s]" not in shown
+    assert 'width="283.4' in (tmp_path / "a.svg").read_text()  # 10 cm [points]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"kind": "histgram"}, r"kind of picture: found 'histgram'; did you mean 'histogram'"),
+        ({"metrics": ["rsm"]}, r"the study has no metric 'rsm'; did you mean 'rms'"),
+        ({"metrics": ["verdict"]}, r"metric 'verdict': found texts, needed numbers"),
+        (
+            {"keys": ["plant.mas"]},
+            r"the study does not vary 'plant.mas'; did you mean 'plant.mass'",
+        ),
+        ({"kind": "sobol"}, r"Sobol indices: found the design 'random', needed 'saltelli'"),
+        (
+            {"kind": "map", "keys": ["plant.mass"]},
+            r"a picture of kind 'map': found 1 varied key with several values, needed 2",
+        ),
+    ],
+)
+def test_a_picture_that_cannot_be_drawn_says_why(options, message, tmp_path):
+    """Nothing is written."""
+    with pytest.raises(UsageError, match=message):
+        plot_study(tolerances()[1], tmp_path / "a.svg", **options)
+    assert not (tmp_path / "a.svg").exists()
+
+
+def test_a_study_without_values_has_no_picture(tmp_path):
+    """Nor is a number drawn that no axis can show; the mean of a grid does not converge."""
+    none = MadeStudy({"rms": np.full(3, np.nan)}, (), ("rms",))
+    layout = StudyLayout("random", samples=3)
+    with pytest.raises(UsageError, match=r"no metric of the study has a value, so there is noth"):
+        plot_study(results_of_study(none, layout), tmp_path / "a.svg")
+    with pytest.raises(UsageError, match=r"metric 'rms': no member has a value"):
+        plot_study(results_of_study(none, layout), tmp_path / "a.svg", metrics=["rms"])
+    huge = MadeStudy({"rms": np.full(3, 1e305)}, (), ("rms",))
+    with pytest.raises(UsageError, match=r"rms: found 1e\+305, too large to be drawn"):
+        plot_study(results_of_study(huge, layout), tmp_path / "a.svg")
+    with pytest.raises(UsageError, match=r"the mean of 'rms' does not converge"):
+        plot_study(grid_study(), tmp_path / "a.svg", kind="convergence")
+
+
+@pytest.mark.parametrize("kind", DRAWN)
+def test_equal_values_and_single_members_are_drawn(kind, tmp_path):
+    """Without a spread there is no width of a bin, a band or an axis."""
+    columns = {"p": np.array([1.0, 2.0]), "q": np.array([3.0, 4.0]), "rms": np.array([5.0, 5.0])}
+    study = MadeStudy(columns, ("p", "q"), ("rms",))
+    plot_study(
+        results_of_study(study, StudyLayout("random", samples=2)), tmp_path / "a.svg", kind=kind
+    )
+
+
+def test_values_far_off_do_not_hide_the_others(tmp_path):
+    """They are counted instead."""
+    values = np.concatenate([np.random.default_rng(0).normal(size=500), [1e9, -1e9]])
+    study = MadeStudy({"rms": values}, (), ("rms",))
+    plot_study(results_of_study(study, StudyLayout("random", samples=502)), tmp_path / "a.svg")
+    assert "502 members, 2 beyond the axis" in texts(tmp_path / "a.svg")
+
+
+def test_an_axis_is_logarithmic_where_values_are_spread_so():
+    """By one factor, or over a factor of 30 of nine of ten values."""
+    assert is_logarithmic(np.geomspace(1.0, 8.0, 4))
+    assert not is_logarithmic(np.linspace(1.0, 8.0, 4))
+    assert not is_logarithmic(np.array([1.0, 10.0]))
+    assert not is_logarithmic(np.geomspace(1.0, 8.0, 4) - 1.0)
+    assert is_logarithmic(np.exp(np.random.default_rng(0).uniform(0.0, 6.0, 200)))
+    assert not is_logarithmic(np.array([1.0, *[2.0] * 100, 3.0, 1e6]))
+
+
+def test_names_stand_where_values_are_none():
+    """Of paths the last part, if these differ."""
+    scale = Scale.of(np.array(["x/a.fmu", "y/b.fmu", "x/a.fmu"], object))
+    assert scale.positions.tolist() == [0.0, 1.0, 0.0]
+    assert scale.names == ("a.fmu", "b.fmu")
+    assert short_names(["x/a.fmu", "y/a.fmu"]) == ["x/a.fmu", "y/a.fmu"]
+    assert Scale.of(np.array([True, False], object)).names == ("True", "False")
+
+
+def test_cells_hold_their_centers():
+    """Halfway between neighbors, in the logarithm where the axis is."""
+    assert cell_edges(np.array([1.0, 2.0, 4.0]), logarithmic=False).tolist() == [0.5, 1.5, 3.0, 5.0]
+    edges = cell_edges(np.array([1.0, 100.0]), logarithmic=True)
+    assert edges == pytest.approx([0.1, 10.0, 1000.0])
+    assert even_edges(np.array([1.0, 16.0]), 2, logarithmic=True) == pytest.approx([1.0, 4.0, 16.0])
+    places = [np.array([0.0, 0.4, 1.9, 2.0]), np.array([0.0, 0.0, 1.0, 1.0])]
+    means = cell_means(
+        np.array([1.0, 3.0, 5.0, 8.0]),
+        places,
+        [np.array([0.0, 1.0, 2.0]), np.array([-1.0, 0.5, 2])],
+    )
+    assert means[0, 0] == 2.0
+    assert means[1, 1] == 6.5
+    assert np.isnan(means[0, 1])
+
+
+def test_every_kind_is_described():
+    """For the command line."""
+    assert set(DRAWN) | {"sobol"} == set(KINDS)
