@@ -364,11 +364,17 @@ def _with_options(archive: Archive, options: FmuOptions) -> tuple[InterfaceType,
     described = archive.description
     # In co-simulation clocks are active in event mode only (FMI 3.0 section 4.2.1).
     has_events = interface_type == "me" or described.capabilities["cs"].event_mode
-    described = replace(described, drives_clocks=bool(described.clocks) and has_events)
+    if described.clocks and has_events:
+        described = replace(described, drives_clocks=True)
     # Structural parameters first: they decide how many elements other start values have.
     description = resized(described, options.start)
-    description = description.with_inputs(check_start(description, options.start).numbers)
-    return interface_type, description.recording(options.outputs)
+    numbers = check_start(description, options.start).numbers
+    # what is known of a large description stays known where nothing of it is another
+    if any(description[name].causality == "input" for name in numbers):
+        description = description.with_inputs(numbers)
+    if options.outputs:
+        description = description.recording(options.outputs)
+    return interface_type, description
 
 
 def _choose_interface_type(archive: Archive, wanted: InterfaceType | None) -> InterfaceType:

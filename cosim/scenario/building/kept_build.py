@@ -6,6 +6,7 @@ interfaces, which have to be the same. What a run is refused for is checked as i
 it may be another one with other tables::
 
     connections, actions, until, record, truth   the same tables, of the same interfaces
+    swaps, and the maps of their ports           the same
     components, models                           by building them
     inputs that must not jump                    for every run
     the gain of loops                            for every run
@@ -24,6 +25,7 @@ from cosim.blocks.declared import with_units
 from cosim.core.connections import Connection
 from cosim.core.contracts import Component
 from cosim.core.port import Port
+from cosim.core.signals import Interface
 from cosim.errors import CosimError
 from cosim.scenario.building.build import Builder
 from cosim.scenario.building.coupling_check import with_loop_gains
@@ -48,8 +50,9 @@ class KeptBuild:
     Parameters
     ----------
     scenario : Scenario
-        Without actions and swaps.
     unpacked : UnpackedFmus
+    replaced : mapping of component name to Interface
+        Of the components that its swaps replaced.
 
     Raises
     ------
@@ -57,17 +60,24 @@ class KeptBuild:
         If it cannot be built and prepared.
     """
 
-    def __init__(self, scenario: Scenario, unpacked: UnpackedFmus) -> None:
+    def __init__(
+        self, scenario: Scenario, unpacked: UnpackedFmus, replaced: Mapping[str, Interface]
+    ) -> None:
         self._scenario = scenario
         self._unpacked = unpacked
         with ExitStack() as resources:
-            builder = Builder(scenario, resources, unpacked=unpacked)
+            builder = Builder(scenario, resources, unpacked=unpacked, replaced=replaced)
             experiment = builder.experiment()
             graph = experiment.graph
             self._plan = graph.prepare(experiment.clock.step_ns)
             self._experiment = experiment
+        actions = [timed.action for timed in experiment.actions]
+        for reaction in experiment.reactions:
+            actions += reaction.actions
+        self._puts_others_in = any(action.variants for action in actions)
         self._context = builder.context
         self._periods = builder.periods
+        self._port_maps = builder.port_maps
         self._components = dict(graph.components)
         self._notes = {name: member.note for name, member in graph.members.items()}
         self._exchanged: set[str] = set()
@@ -75,11 +85,6 @@ class KeptBuild:
         users = {name for name, spec in scenario.specs.items() if spec.code is not None}
         self._fresh = opened | users
         self._affected: dict[frozenset[str], frozenset[str]] = {}
-
-    @staticmethod
-    def is_possible(scenario: Scenario) -> bool:
-        """Return whether nothing but its tables decides what happens in its runs."""
-        return not (scenario.actions or scenario.file.swap)
 
     def experiment(self, scenario: Scenario, resources: ExitStack) -> Experiment | None:
         """Return the experiment of a scenario with other tables, its graph prepared.
@@ -99,7 +104,7 @@ class KeptBuild:
             None: it has to be built as a whole, be it to say why it cannot be.
         """
         tables = self._other_tables(scenario)
-        if tables is None:
+        if tables is None or self._puts_others_in:
             return None
         try:
             experiment = self._exchange(scenario, tables, resources)
@@ -186,16 +191,33 @@ class KeptBuild:
 
     def _component(self, name: str, spec: Kind, context: ScenarioBuildContext) -> Component | None:
         """Build a component again; None: it does not fit into the place of the one before."""
-        if name in self._scenario.maps:
-            return None
         context.records.begin(name)
-        component = with_units(spec.build(name, context), spec.units)
+        component = spec.build(name, context)
+        if name in self._port_maps:
+            renamed = self._renamed(name, spec, component)
+            if renamed is None:
+                return None
+            component = renamed
+        component = with_units(component, spec.units)
         period = spec.period_steps(name, context.step_ns)
         component = spec.with_period(component, period)
         is_same = spec.recorded_period(period) == self._periods[name]
         if is_same and component.interface == self._components[name].interface:
             return component
         return None
+
+    def _renamed(self, name: str, spec: Kind, component: Component) -> Component | None:
+        """Show a component under the scenario's names; None: these may be other ports of it."""
+        from cosim.blocks.renamed import Renamed  # rarely needed
+
+        ports = self._port_maps[name]
+        given = [entry.renaming for entry in self._scenario.maps[name]]
+        before = self._scenario.specs[name].renamings(ports.component, given)
+        if component.interface != ports.component:
+            return None
+        if spec.renamings(component.interface, given) != before:
+            return None
+        return Renamed(component, ports)
 
 
 def _has_model_problems(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
@@ -13,6 +13,7 @@ from typing import Final, Self, final
 from cosim.core.passing_recorders import TwoRecorders
 from cosim.core.recorders import error_text
 from cosim.core.recording import Recorder
+from cosim.core.signals import Interface
 from cosim.errors import CosimError, Interrupted
 from cosim.fmi.unpacked import UnpackedFmus
 from cosim.log import Log
@@ -44,6 +45,7 @@ from cosim.studies.metrics.metrics import parse_metrics
 from cosim.studies.metrics.recorder import MetricRecorder
 
 OPEN_LOGS: Final = 4  # whose rows may be in memory
+MOST_BUILDS: Final = 16  # that are kept: members with other swaps are built as a whole
 BLOCK_BYTES: Final = 2**20  # of the rows of a block: they stay in the cache of most processors
 
 
@@ -89,8 +91,7 @@ class SubjectRunner:
         self._scenario = load(subject.scenario)
         self._logs: dict[str, Log] = {}
         self._fmus = UnpackedFmus()
-        self._kept: KeptBuild | None = None
-        self._has_kept = False  # once it was tried
+        self._builds: dict[tuple[tuple[str, str], ...], KeptBuild | None] = {}
 
     def __enter__(self) -> Self:
         return self
@@ -143,7 +144,7 @@ class SubjectRunner:
                 replays = self._replays(member.recording, swaps)
                 return self._measure(replays.experiment(changes, resources), measured)
         scenario = self._scenario.edit(swap=swaps, map=subject.map, set=changes)
-        if not subject.with_results and self._run_kept(scenario, measured):
+        if not subject.with_results and self._run_kept(scenario, swaps, measured):
             return measured.sink.values()
         with ExitStack() as resources:
             experiment = build_experiment(scenario, resources, None, unpacked=self._fmus)
@@ -158,30 +159,41 @@ class SubjectRunner:
         run_rows(measured, experiment)
         return measured.sink.values()
 
-    def _run_kept(self, scenario: Scenario, measured: MemberRecorder) -> bool:
-        """Run a member in the graph that is kept; return False where it does not fit there."""
-        if not KeptBuild.is_possible(scenario):
-            return False
-        if not self._has_kept:
-            self._has_kept = True
-            self._kept = self._build_kept()
-        if self._kept is None:
+    def _run_kept(
+        self, scenario: Scenario, swaps: Mapping[str, str], measured: MemberRecorder
+    ) -> bool:
+        """Run a member in a graph that is kept; return False where it does not fit there."""
+        kept = self._kept(swaps)
+        if kept is None:
             return False
         with ExitStack() as resources:
-            experiment = self._kept.experiment(scenario, resources)
+            experiment = kept.experiment(scenario, resources)
             if experiment is None:
                 return False
             run_rows(measured, _in_short_blocks(experiment))
             return True
 
-    def _build_kept(self) -> KeptBuild | None:
-        """Build what all members have in common; None: that is no scenario by itself."""
+    def _kept(self, swaps: Mapping[str, str]) -> KeptBuild | None:
+        """Return what members with some swaps have in common; None: that is no run by itself."""
+        key = tuple(sorted(swaps.items()))
+        if key not in self._builds:
+            if len(self._builds) == MOST_BUILDS:
+                return None
+            self._builds[key] = None  # where it fails
+            with suppress(CosimError):
+                self._builds[key] = self._build(swaps)
+        return self._builds[key]
+
+    def _build(self, swaps: Mapping[str, str]) -> KeptBuild:
+        """Build what members with some swaps have in common."""
         subject = self._subject
-        try:
-            scenario = self._scenario.edit(swap=subject.swap, map=subject.map, set=subject.set)
-            return KeptBuild(scenario, self._fmus) if KeptBuild.is_possible(scenario) else None
-        except CosimError:
-            return None
+        scenario = self._scenario.edit(swap=swaps, map=subject.map, set=subject.set)
+        replaced: Mapping[str, Interface] = {}
+        if scenario.file.swap:
+            from cosim.scenario.swapping.swap_comparison import replaced_interfaces
+
+            replaced = replaced_interfaces(scenario, self._fmus)
+        return KeptBuild(scenario, self._fmus, replaced)
 
     def _replays(self, path: str, swaps: Mapping[str, str]) -> Replays:
         """Return a recording that can be replayed."""

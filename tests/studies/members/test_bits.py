@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 import cosim
 from cosim.errors import CosimError
+from cosim.scenario.exporting import export_component
 from cosim.studies.contracts import StudyMember, StudySubject
 from cosim.studies.members import runner as runner_module
 from cosim.studies.members.runner import open_runner
@@ -130,6 +131,39 @@ MIXTURES = {
     "stop": {"scenario.stop": 0.25},
     "model": {"plant.interface_type": "me"},
 }
+FAULTS = """
+scenario = { name = "faults", stop = 3.0, step = 1e-2, until = "plant.y > 2.5" }
+actions = [
+  { at = 0.5, signal = "pid.measurement", offset = 0.2 },
+  { at = 1.0, signal = "plant.u", noise = 0.1, seed = 3 },
+  { when = "plant.y > 0.8", signal = "pid.setpoint", override = 0.5 },
+  { at = 2.0, signal = "plant.u", release = true },
+]
+[components]
+setpoint = { kind = "constant", value = 1.0 }
+pid = { kind = "pid", gain = 2.0, integral_time = 1.0, lower = -3.0, upper = 3.0 }
+plant = { kind = "lag", time_constant = 0.5, initial = 0.0 }
+[connections]
+"pid.setpoint" = "setpoint.y"
+"pid.measurement" = "plant.y"
+"plant.u" = "pid.y"
+"""
+FAULT_EDITS = {
+    "gain": {"pid.gain": 3.0},
+    "setpoint": {"setpoint.value": 4.0},
+    "plant": {"plant.time_constant": 0.3},
+    "action": {"actions.0.offset": 0.3},
+    "seed": {"actions[1].seed": 4},
+    "until": {"scenario.until": "plant.y > 0.5"},
+    "refused": {"pid.gain": 1e3, "plant.time_constant": 0.02},
+}
+SWAPPED = {
+    "theta": {"delta.terms[0].theta": -0.2},
+    "initial state": {"plant.start": {"x_a[0]": 0.5, "x_a[1]": -2.0}},
+    "observer": {"observer.L": [3.0, 0.5]},
+    "no such variable": {"plant.start.q": 1.0},
+    "stop": {"scenario.stop": 0.5},
+}
 
 
 @cache
@@ -140,10 +174,22 @@ def folder():
     (path / "counting.py").write_text(COUNTING)
     fmu = able(compiled(path, "COUNTS"), path / "once.fmu", "once", "state", "slopes", D=0.0)
     (path / "mixed.toml").write_text(MIXED.format(fmu=fmu.name))
+    (path / "faults.toml").write_text(FAULTS)
+    export_component("academic", "plant", path / "plant.fmu")
     return path
 
 
 SUBJECTS = {
+    "faults": (lambda: StudySubject(str(folder() / "faults.toml")), FAULT_EDITS),
+    "swapped": (
+        lambda: StudySubject(
+            "academic",
+            set={"scenario.stop": 1.0},
+            swap={"plant": str(folder() / "plant.fmu")},
+            map={"plant.y": "y"},
+        ),
+        SWAPPED,
+    ),
     "academic": (
         lambda: StudySubject("academic-noisy", set={"scenario.stop": 4.0}),
         ACADEMIC,
@@ -161,7 +207,9 @@ def alone(name, member):
     digest = Digest()
     changes = {**subject.set, **edits.get(member, {})}
     try:
-        cosim.run(subject.scenario, set=changes, recorder=digest)
+        cosim.run(
+            subject.scenario, set=changes, swap=subject.swap, map=subject.map, recorder=digest
+        )
     except CosimError as error:
         return "failed", str(error), digest.steps
     return "complete", digest.reason, digest.steps, digest.values()["digest"]
@@ -198,6 +246,8 @@ def test_every_member_has_the_bits_of_its_own_run(name):
 
 
 KEPT = {
+    "faults": {"as it is", "gain", "setpoint", "plant"},
+    "swapped": {"as it is", "theta", "initial state", "observer"},
     "academic": {
         *("as it is", "initial state", "one of it", "theta", "both", "seed", "noise", "observer"),
         *("filter", "model", "regressor", "overflow"),
