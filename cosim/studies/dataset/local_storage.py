@@ -144,9 +144,7 @@ class AppendedJournal:
             If it cannot be written; the lines before it are there.
         """
         try:
-            written = os.write(self._file, line)
-            while written < len(line):  # after a part of it, the next write says why
-                written += os.write(self._file, line[written:])
+            _write_all(self._file, line)
         except OSError as error:
             with suppress(OSError):
                 os.ftruncate(self._file, self._length)
@@ -191,8 +189,7 @@ def _write_whole(path: Path, content: bytes) -> None:
     descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
     try:
         _locked(descriptor)
-        with open(descriptor, "wb", closefd=False) as file:
-            file.write(content)
+        _write_all(descriptor, content)
         os.fsync(descriptor)
         if sys.platform == "win32":  # an open file cannot be renamed there
             os.close(descriptor)
@@ -205,6 +202,12 @@ def _write_whole(path: Path, content: bytes) -> None:
     finally:
         if descriptor >= 0:
             os.close(descriptor)
+
+
+def _write_all(descriptor: int, content: bytes) -> None:
+    written = os.write(descriptor, content)
+    while written < len(content):  # a disk that gets full takes a part; the next write says why
+        written += os.write(descriptor, content[written:])
 
 
 def _locked(descriptor: int) -> bool:

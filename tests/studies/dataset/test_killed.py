@@ -1,0 +1,78 @@
+"""Whenever a study is killed: what was added is there, once, and the study goes on."""
+
+import random
+import sys
+
+import pytest
+
+from cosim.studies.dataset.study_dataset import StudyDataset
+from tests.studies.dataset.killed import complete, killed, opened
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="no signals to kill with")
+
+COUNT = 400
+SIZE = 20
+SESSION = ("wall_time", "worker")  # what differs between sessions
+
+
+def same(folder):
+    """Return what must not depend on how a study was run, and the names of its files."""
+    table = StudyDataset.open(folder).read()
+    files = sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
+    return table.drop_columns(list(SESSION)), files
+
+
+def check(folder, reported):
+    """Check what a kill has left, as a reader finds it."""
+    left = StudyDataset.open(folder).read(["member"])["member"].to_pylist()
+    assert left == sorted(set(left))
+    assert set(reported) <= set(left)
+
+
+@pytest.mark.parametrize("rounds", [1, pytest.param(20, marks=pytest.mark.campaign)])
+def test_a_study_that_was_killed_twenty_times_has_the_rows_of_an_undisturbed_one(tmp_path, rounds):
+    """Wall time and worker apart, in the same files."""
+    with opened(tmp_path / "whole", COUNT, SIZE) as dataset:
+        complete(dataset, seed=0)
+    expected, files = same(tmp_path / "whole")
+    assert expected["member"].to_pylist() == list(range(COUNT))
+    for turn in range(rounds):
+        chance = random.Random(turn)
+        folder = tmp_path / str(turn)
+        reported = []
+        for seed in range(20):
+            after = chance.randint(1, 2 * COUNT // 20 - 2)
+            reported += killed(folder, COUNT, SIZE, seed, after=after)[0]
+            check(folder, reported)
+        assert len(set(reported)) == len(reported)
+        with opened(folder, COUNT, SIZE) as dataset:
+            complete(dataset, seed=20)
+        found, names = same(folder)
+        assert found.equals(expected)
+        assert names == files
+
+
+@pytest.mark.parametrize("stride", [5, pytest.param(1, marks=pytest.mark.campaign)])
+def test_a_kill_at_a_call_of_the_system_leaves_a_dataset(tmp_path, stride):
+    """Before it, after it, in the middle of a write: at every call that changes a file."""
+    count = 14
+    size = 4
+    with opened(tmp_path / "whole", count, size) as dataset:
+        complete(dataset, seed=0)
+    expected, files = same(tmp_path / "whole")
+    for is_after in (False, True):
+        is_complete = False
+        number = 0
+        while not is_complete:
+            folder = tmp_path / f"{number}-{is_after}"
+            reported, is_complete = killed(folder, count, size, seed=1, cut=(number, is_after))
+            with opened(folder, count, size) as dataset:
+                left = dataset.read(["member"])["member"].to_pylist()
+                assert left == sorted(set(left))
+                assert set(reported) <= set(left)
+                complete(dataset, seed=2)
+            found, names = same(folder)
+            assert found.equals(expected)
+            assert names == files
+            number += stride
+        assert number > 40
