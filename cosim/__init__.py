@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from cosim.scenario.identifying import identify
     from cosim.scenario.running.execution import load, run
     from cosim.scenario.running.replay import replay
+    from cosim.studies.dataset.study import open_study
 
 _HOMES = {
     "certificate": "cosim.report.certificate",
@@ -39,6 +40,7 @@ _HOMES = {
     "load": "cosim.scenario.running.execution",
     "model_table": "cosim.scenario.context.models",
     "open_log": "cosim.log.reading.reader",
+    "open_study": "cosim.studies.dataset.study",
     "read_field_data": "cosim.scenario.data_files.field_file",
     "replay_sweep": "cosim.report.sweep",
     "replay": "cosim.scenario.running.replay",
@@ -58,6 +60,7 @@ __all__ = [
     "load",
     "model_table",
     "open_log",
+    "open_study",
     "read_field_data",
     "replay",
     "replay_sweep",

@@ -23,11 +23,12 @@ def opened(folder, count, part_size):
     return StudyDataset.open_or_create(folder, planned, design=design(count))
 
 
-def complete(dataset, seed, report=lambda number: None):
+def complete(dataset, seed, report=lambda number: None, most=10**9):
     """Run what is missing; members end in the order in which workers may end them."""
     chance = random.Random(seed)
     numbers = [number for absent in dataset.missing() for number in absent]
-    while numbers:
+    end = max(len(numbers) - most, 0)
+    while len(numbers) > end:
         number = numbers.pop(chance.randrange(min(WINDOW, len(numbers))))
         result = outcome(number, wall_time=chance.random(), worker=str(seed))
         dataset.add(member(number), result)

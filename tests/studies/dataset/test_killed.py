@@ -70,7 +70,9 @@ def test_a_kill_at_a_call_of_the_system_leaves_a_dataset(tmp_path, stride):
                 left = dataset.read(["member"])["member"].to_pylist()
                 assert left == sorted(set(left))
                 assert set(reported) <= set(left)
-                complete(dataset, seed=2)
+                complete(dataset, seed=2, most=2)
+            with opened(folder, count, size) as dataset:  # which reads what stands after the cut
+                complete(dataset, seed=3)
             found, names = same(folder)
             assert found.equals(expected)
             assert names == files

@@ -1,0 +1,169 @@
+"""A study that has been run, or is running, as users read it."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, final
+
+from cosim.errors import UsageError
+from cosim.studies.contracts import FAILED
+from cosim.studies.dataset.columns import ColumnRole
+from cosim.studies.dataset.study_dataset import StudyDataset
+
+if TYPE_CHECKING:
+    import pandas
+    import polars
+    import pyarrow
+
+
+@final
+class Study:
+    """What the members of a study came to, as it was when the study was opened.
+
+    >>> import cosim
+    >>> study = cosim.open_study("studies/tolerances")
+    >>> study.metrics
+    ('error',)
+    >>> study.to_pandas().sort_values("error").tail()
+
+    Parameters
+    ----------
+    dataset : StudyDataset
+    """
+
+    def __init__(self, dataset: StudyDataset) -> None:
+        self._dataset = dataset
+
+    @property
+    def name(self) -> str:
+        """Return the name of the study."""
+        return self._dataset.identity.name
+
+    @property
+    def text(self) -> str:
+        """Return the study as it was written."""
+        return self._dataset.identity.text
+
+    @property
+    def planned(self) -> int:
+        """Return how many members it has in all."""
+        return self._dataset.layout.total
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Return the names of all columns."""
+        return tuple(column.name for column in self._dataset.columns)
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Return the names of the columns of what is varied."""
+        return self._names("parameter")
+
+    @property
+    def metrics(self) -> tuple[str, ...]:
+        """Return the names of the columns of metrics and results."""
+        return self._names("metric")
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Return the units of the columns that have one."""
+        return {column.name: column.unit for column in self._dataset.columns if column.unit}
+
+    @property
+    def failures(self) -> dict[int, str]:
+        """Return the reason of each member that failed, by number."""
+        failed = {}
+        for table in self._dataset.tables(["member", "status", "reason"]):
+            for row in table.to_pylist():
+                if row["status"] == FAILED:
+                    failed[row["member"]] = row["reason"] or ""
+        return failed
+
+    @property
+    def logs(self) -> dict[int, str]:
+        """Return the path of each log that is kept, by number of its member."""
+        return self._dataset.logs()
+
+    def __len__(self) -> int:
+        """Return how many members have an outcome, which is the number of rows."""
+        return len(self._dataset)
+
+    def __repr__(self) -> str:
+        return f"<Study {self.name!r}: {len(self)} of {self.planned} members>"
+
+    def table(
+        self, columns: Iterable[str] | None = None, members: Collection[int] | None = None
+    ) -> pyarrow.Table:
+        """Return a row for each member that has an outcome, in the order of members.
+
+        Parameters
+        ----------
+        columns : iterable of str, optional
+            Without them all, and ``log``: the path of its log that was kept.
+        members : collection of int, optional
+            Of these only.
+
+        Raises
+        ------
+        DatasetError
+            If a column is unknown, or a file is damaged.
+        """
+        return self._dataset.read(columns, members)
+
+    def to_pandas(self, columns: Iterable[str] | None = None) -> pandas.DataFrame:
+        """Return the table as a frame of pandas, indexed by ``member``.
+
+        Raises
+        ------
+        UsageError
+            If there is no pandas.
+        DatasetError
+            If a column is unknown, or a file is damaged.
+        """
+        _library("pandas")
+        names = None if columns is None else ["member", *columns]
+        return self.table(names).to_pandas().set_index("member")
+
+    def to_polars(self, columns: Iterable[str] | None = None) -> polars.DataFrame:
+        """Return the table as a frame of polars.
+
+        Raises
+        ------
+        UsageError
+            If there is no polars.
+        DatasetError
+            If a column is unknown, or a file is damaged.
+        """
+        frame: polars.DataFrame = _library("polars").from_arrow(self.table(columns))
+        return frame
+
+    def _names(self, role: ColumnRole) -> tuple[str, ...]:
+        return tuple(column.name for column in self._dataset.columns if column.role == role)
+
+
+def open_study(place: str | Path) -> Study:
+    """Open the dataset of a study for reading, also while the study runs.
+
+    Parameters
+    ----------
+    place : str or Path
+        Its folder, or a URL of fsspec, such as ``s3://bucket/studies/tolerances``.
+
+    Raises
+    ------
+    DatasetError
+        If there is none, or it is damaged.
+    """
+    return Study(StudyDataset.open(place))
+
+
+def _library(name: str) -> Any:
+    try:
+        return import_module(name)
+    except ImportError as error:
+        raise UsageError(
+            f"to_{name} needs {name}, which is not installed: pip install {name}, or, in a clone "
+            f"of cosim, pip install -e '.[{name}]'"
+        ) from error

@@ -1,0 +1,123 @@
+"""What other readers find in the parts, and what a study is for its user."""
+
+import sys
+
+import duckdb
+import pandas
+import polars
+import pyarrow.dataset
+import pytest
+
+import cosim
+from cosim.errors import DatasetError, UsageError
+from cosim.studies.dataset.study_dataset import StudyDataset
+from tests.studies.dataset.outcomes import add, identity, outcome, rates
+
+COUNT = 30
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Return a study that is complete."""
+    with StudyDataset.create(tmp_path / "x", identity(COUNT)) as dataset:
+        add(dataset, range(COUNT))
+    return tmp_path / "x"
+
+
+def errors():
+    """Return the metric ``error`` of every member."""
+    return [outcome(number).metrics.get("error") for number in range(COUNT)]
+
+
+def test_pandas_reads_the_parts(folder):
+    """By their folder."""
+    frame = pandas.read_parquet(folder / "parts")
+    assert frame["observer.filter_rate"].tolist() == rates(COUNT)
+    assert frame["error"].isna().tolist() == [error is None for error in errors()]
+
+
+def test_polars_reads_the_parts(folder):
+    """By a pattern, and lazily."""
+    frame = polars.read_parquet(folder / "parts" / "*.parquet")
+    assert frame["error"].to_list() == errors()
+    failed = polars.scan_parquet(folder / "parts").filter(polars.col("status") == "failed")
+    assert failed.collect()["member"].to_list() == [3, 10, 17, 24]
+
+
+def test_duckdb_reads_the_parts(folder):
+    """In one line of SQL; the names of the columns are those of the study."""
+    parts = folder / "parts" / "*.parquet"
+    query = f"""select member, "observer.filter_rate" from '{parts}' where error < 0.05"""
+    found = duckdb.sql(f"{query} order by member").fetchall()
+    wanted = [n for n, error in enumerate(errors()) if error is not None and error < 0.05]
+    assert found == [(number, rates(COUNT)[number]) for number in wanted]
+
+
+def test_pyarrow_reads_the_folder_of_parts_as_one_dataset(folder):
+    """All parts have one schema."""
+    dataset = pyarrow.dataset.dataset(folder / "parts")
+    assert dataset.to_table().equals(cosim.open_study(folder).table().drop_columns("log"))
+
+
+def test_a_part_that_is_being_written_is_not_seen_by_readers(folder):
+    """What a kill has left of it has no name of a part."""
+    (folder / "parts" / "_part-0000000030-0000000039.parquet.00ff.tmp").write_bytes(b"PAR1")
+    assert len(pyarrow.dataset.dataset(folder / "parts").to_table()) == COUNT
+    parts = folder / "parts" / "*.parquet"
+    assert duckdb.sql(f"select count(*) from '{parts}'").fetchall() == [(COUNT,)]
+
+
+def test_a_study_says_what_it_holds(folder):
+    """Its names, units and failures."""
+    study = cosim.open_study(folder)
+    assert len(study) == study.planned == COUNT
+    assert study.parameters == ("observer.filter_rate", "noise.seed")
+    assert study.metrics == ("error", "late")
+    assert study.columns[0] == "member"
+    assert study.units == {"observer.filter_rate": "rad/s", "late": "s", "wall_time": "s"}
+    assert study.failures == {n: f"NaN at {n} s" for n in (3, 10, 17, 24)}
+    assert study.logs == {}
+    assert "academic" in study.text
+    assert repr(study) == "<Study 'tolerances': 30 of 30 members>"
+
+
+def test_a_study_becomes_frames(folder):
+    """Of pandas by member, and of polars."""
+    study = cosim.open_study(str(folder))
+    frame = study.to_pandas(["error"])
+    assert frame.index.tolist() == list(range(COUNT))
+    assert frame.columns.tolist() == ["error"]
+    assert study.to_polars()["error"].to_list() == errors()
+
+
+def test_a_study_that_runs_is_read_as_it_was_when_it_was_opened(tmp_path):
+    """What is added later is in the next study that is opened."""
+    with StudyDataset.create(tmp_path, identity(20)) as dataset:
+        add(dataset, range(7))
+        study = cosim.open_study(tmp_path)
+        add(dataset, range(7, 15))
+        assert study.table(["member"])["member"].to_pylist() == list(range(7))
+        assert len(cosim.open_study(tmp_path)) == 15
+
+
+@pytest.mark.parametrize("name", ["pandas", "polars"])
+def test_a_library_that_is_missing_is_named(folder, monkeypatch, name):
+    """With the command that installs it."""
+    monkeypatch.setitem(sys.modules, name, None)
+    study = cosim.open_study(folder)
+    with pytest.raises(UsageError, match=rf"to_{name} needs {name}, .* pip install {name}"):
+        getattr(study, f"to_{name}")()
+
+
+def test_studies_without_pyarrow_are_refused(tmp_path, monkeypatch):
+    """Before anything is made."""
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(UsageError, match="studies need pyarrow, which is not installed: pip inst"):
+        StudyDataset.create(tmp_path / "x", identity(1))
+    assert not (tmp_path / "x").exists()
+
+
+def test_what_is_no_study_is_refused(tmp_path):
+    """With what was needed."""
+    with pytest.raises(DatasetError, match=r"there is no study.json; needed the dataset of a stud"):
+        cosim.open_study(tmp_path)
