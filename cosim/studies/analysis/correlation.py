@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
+import numpy as np
 from scipy.special import ndtri
 
 from cosim.arrays import Vector
@@ -63,12 +64,18 @@ def rank_correlations(columns: MemberColumns, layout: StudyLayout) -> list[RankC
         if numbers is not None:
             parameters[key] = numbers
     found = []
+    ranked: dict[str, Vector] = {}
+    ranked_rows = np.zeros(0, np.intp)
     for name, column in drawn.metrics.items():
         if column.is_text:
             continue
         rows = drawn.rows_of(column.numbers)
-        for key, numbers in parameters.items():
-            value = spearman(column.values, numbers[rows])
+        if not ranked or not np.array_equal(rows, ranked_rows):  # most metrics have all members
+            ranked = {key: _centered_ranks(numbers[rows]) for key, numbers in parameters.items()}
+            ranked_rows = rows
+        of_metric = _centered_ranks(column.values)
+        for key, of_parameter in ranked.items():
+            value = _correlation(of_metric, of_parameter)
             interval = NO_INTERVAL
             if value is not None and independent:
                 interval = _interval(value, len(rows))
@@ -84,14 +91,19 @@ def strongest(correlations: Sequence[RankCorrelation], metric: str) -> list[Rank
 
 def spearman(first: Vector, other: Vector) -> float | None:
     """Return Spearman's rank correlation; None: one of them has one value, or there is one."""
+    return _correlation(_centered_ranks(first), _centered_ranks(other))
+
+
+def _centered_ranks(values: Vector) -> Vector:
     from scipy.stats import rankdata
 
-    if len(first) < 2:
-        return None
-    ranks = rankdata(first) - 0.5 * (len(first) + 1.0)
-    others = rankdata(other) - 0.5 * (len(first) + 1.0)
-    scale = math.sqrt(float(ranks @ ranks) * float(others @ others))
-    return float(ranks @ others) / scale if scale > 0.0 else None
+    ranks: Vector = rankdata(values) if len(values) else values
+    return ranks - 0.5 * (len(values) + 1.0)
+
+
+def _correlation(first: Vector, other: Vector) -> float | None:
+    scale = math.sqrt(float(first @ first) * float(other @ other))
+    return float(first @ other) / scale if scale > 0.0 else None
 
 
 def _interval(value: float, count: int) -> ConfidenceInterval:

@@ -58,11 +58,11 @@ def print_study(
         If a condition is none; nothing is printed then.
     """
     shares = [passed_share(results.columns, results.layout, text) for text in conditions]
-    statistics = study_statistics(results.columns, results.layout)
-    correlations = rank_correlations(results.columns, results.layout)
     if as_json:
         print_json(study_content(results, command_of, shares=shares, worst=worst))
         return
+    statistics = study_statistics(results.columns, results.layout)
+    correlations = rank_correlations(results.columns, results.layout)
     print_line(_overview(results))
     _print_statistics(results, statistics)
     _print_shares(shares)
