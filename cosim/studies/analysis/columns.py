@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,9 @@ from cosim.errors import UsageError, nearest
 
 NumberColumn: TypeAlias = NDArray[np.int64]  # of members, shape (N,)
 VariedValues: TypeAlias = NDArray[Any]  # float64, or object; shape (N,)
+
+_SMALLEST: Final = 1e-60  # its fourth power, and the sum of many of those of the largest, is normal
+_LARGEST: Final = 1e60
 
 
 @dataclass(frozen=True)
@@ -146,6 +150,17 @@ class MemberColumns:
             infinite=self.numbers[np.isinf(floats)],
             texts=dict(texts.most_common()),
         )
+
+
+def exact_scale(values: Vector) -> float:
+    """Return a power of two; over it the squares and sums of values are numbers.
+
+    1.0 but for values so large, or so small, that theirs are not.
+    """
+    largest = float(np.abs(values).max(initial=0.0))
+    if not largest or _SMALLEST < largest < _LARGEST:
+        return 1.0
+    return 2.0 ** (math.frexp(largest)[1] - 1)
 
 
 def numbers_of(values: VariedValues) -> Vector | None:

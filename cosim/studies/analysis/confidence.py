@@ -41,6 +41,12 @@ class ConfidenceInterval:
         """Return plain values for JSON."""
         return [self.lower, self.upper]
 
+    def scaled(self, factor: float) -> ConfidenceInterval:
+        """Return the interval of a value times a positive factor."""
+        lower = None if self.lower is None else factor * self.lower
+        upper = None if self.upper is None else factor * self.upper
+        return ConfidenceInterval(lower, upper)
+
 
 NO_INTERVAL: Final = ConfidenceInterval(None, None)
 

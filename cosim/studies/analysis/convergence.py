@@ -9,7 +9,7 @@ from scipy.special import stdtrit
 
 from cosim.arrays import Vector
 from cosim.errors import UsageError
-from cosim.studies.analysis.columns import MetricColumn, NumberColumn
+from cosim.studies.analysis.columns import MetricColumn, NumberColumn, exact_scale
 from cosim.studies.analysis.confidence import CONFIDENCE
 from cosim.studies.analysis.independence import Independence
 
@@ -47,7 +47,9 @@ def running_mean(column: MetricColumn, of_design: Independence) -> RunningMean:
             f"the mean of {column.name!r} does not converge: the members of this study were "
             "chosen, not drawn; needed samples, or seeds"
         )
-    values, counts = _unit_means(column, of_design.units_of(column.numbers))
+    scale = exact_scale(column.values)
+    units = of_design.units_of(column.numbers)
+    values, counts = _unit_means(column.values / scale, units)
     number = np.arange(1.0, len(values) + 1.0)
     origin = values[0] if len(values) else 0.0
     shifted = values - origin  # sums of squares about a value of the metric do not cancel
@@ -59,13 +61,13 @@ def running_mean(column: MetricColumn, of_design: Independence) -> RunningMean:
     if of_design.layout.kind == "latin-hypercube":
         with np.errstate(divide="ignore", invalid="ignore"):
             half_widths = half_widths * np.sqrt(number / (number - 1.0))
-    return RunningMean(counts, mean + origin, half_widths)
+    return RunningMean(counts, scale * (mean + origin), scale * half_widths)
 
 
-def _unit_means(column: MetricColumn, units: NumberColumn | None) -> tuple[Vector, NumberColumn]:
+def _unit_means(values: Vector, units: NumberColumn | None) -> tuple[Vector, NumberColumn]:
     """Return the mean of each unit, and how many members it and those before it have."""
     if units is None:
-        return column.values, np.arange(1, len(column.values) + 1)
+        return values, np.arange(1, len(values) + 1)
     _, index = np.unique(units, return_inverse=True)
     sizes = np.bincount(index)
-    return np.bincount(index, weights=column.values) / sizes, np.cumsum(sizes)
+    return np.bincount(index, weights=values) / sizes, np.cumsum(sizes)

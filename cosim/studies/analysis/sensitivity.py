@@ -20,7 +20,7 @@ import numpy as np
 
 from cosim.arrays import Matrix, Vector
 from cosim.errors import UsageError
-from cosim.studies.analysis.columns import MemberColumns, NumberColumn
+from cosim.studies.analysis.columns import MemberColumns, NumberColumn, exact_scale
 from cosim.studies.analysis.confidence import CONFIDENCE, ConfidenceInterval
 from cosim.studies.analysis.independence import StudyLayout
 
@@ -97,6 +97,7 @@ def sobol_indices(columns: MemberColumns, layout: StudyLayout, metric: str) -> S
             f"a value in all their members, needed at least {_LEAST}"
         )
     values = matrices[:, complete]
+    values = values / exact_scale(values)
     first, total = indices_of(values, np.ones((1, found)))
     if not np.isfinite(first).all():
         raise UsageError(

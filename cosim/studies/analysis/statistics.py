@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from cosim.studies.analysis.columns import MemberColumns, MetricColumn
+from cosim.studies.analysis.columns import MemberColumns, MetricColumn, exact_scale
 from cosim.studies.analysis.confidence import (
     NO_INTERVAL,
     ConfidenceInterval,
@@ -131,7 +131,8 @@ def metric_statistics(
     probabilities : sequence of float
         Of the quantiles, in (0, 1).
     """
-    values = column.values
+    scale = exact_scale(column.values)
+    values = column.values / scale
     count = len(values)
     of_mean = NO_INTERVAL
     of_deviation = NO_INTERVAL
@@ -146,12 +147,12 @@ def metric_statistics(
         failed=len(column.failed),
         without_value=len(column.without_value),
         infinite=len(column.infinite),
-        mean=float(values.mean()) if count else None,
-        mean_interval=of_mean,
-        deviation=float(values.std(ddof=1)) if count > 1 else None,
-        deviation_interval=of_deviation,
-        minimum=float(values.min()) if count else None,
-        maximum=float(values.max()) if count else None,
+        mean=scale * float(values.mean()) if count else None,
+        mean_interval=of_mean.scaled(scale),
+        deviation=scale * float(values.std(ddof=1)) if count > 1 else None,
+        deviation_interval=of_deviation.scaled(scale),
+        minimum=scale * float(values.min()) if count else None,
+        maximum=scale * float(values.max()) if count else None,
         quantiles=_quantiles(column, of_design, probabilities),
         basis=of_design.basis,
         texts=column.texts,

@@ -188,3 +188,13 @@ def test_95_percent_of_the_intervals_of_independent_base_points_hold(count):
             hold.append((lower <= true) & (true <= upper))
     low, high = (0.91, 0.98) if count < 1000 else (0.93, 0.97)
     assert low <= np.mean(hold) <= high
+
+
+@pytest.mark.parametrize("factor", [2.0**-700, 2.0**1000])
+def test_the_indices_of_huge_and_tiny_values_are_those_of_others(factor):
+    """They are shares of a variance that no number holds."""
+    values = saltelli(linear, 2, 64, np.random.default_rng(7)).ravel()
+    found = sobol_indices(columns_of({"y": values}), layout_of(2, 64), "y")
+    scaled = sobol_indices(columns_of({"y": values * factor}), layout_of(2, 64), "y")
+    assert np.array_equal(found.first_order, scaled.first_order)
+    assert found.total_intervals == scaled.total_intervals

@@ -199,3 +199,23 @@ def test_95_percent_of_the_intervals_of_rank_correlations_hold(count):
         interval = rank_correlations(columns, RANDOM)[0].interval
         hold += interval.lower <= true <= interval.upper
     assert 0.92 <= hold / count <= 0.98 if count < 1000 else 0.93 <= hold / count <= 0.97
+
+
+@pytest.mark.parametrize("scale", [1e-200, 1e200, 1e307])
+def test_statistics_of_huge_and_tiny_values_are_scaled(scale):
+    """Their squares are no numbers; all figures are those of the values times a power of two."""
+    factor = 2.0 ** np.floor(np.log2(scale))
+    values = np.random.default_rng(7).gamma(3.0, size=60)
+    small = study_statistics(columns_of({"a": values}), RANDOM)["a"].to_dict()
+    large = study_statistics(columns_of({"a": values * factor}), RANDOM)["a"].to_dict()
+    for key in ("mean", "deviation", "minimum", "maximum"):
+        assert large[key] == pytest.approx(small[key] * factor, rel=1e-12)
+    for key in ("mean_interval", "deviation_interval"):
+        assert np.allclose(large[key], np.array(small[key]) * factor, rtol=1e-12, atol=0.0)
+    for one, other in zip(large["quantiles"], small["quantiles"], strict=True):
+        assert one["value"] == pytest.approx(other["value"] * factor, rel=1e-12)
+    column = columns_of({"a": values * factor}).metric("a")
+    found = running_mean(column, independence_of(RANDOM))
+    assert found.means[-1] == pytest.approx(large["mean"], rel=1e-12)
+    low, high = large["mean_interval"]
+    assert found.half_widths[-1] == pytest.approx(0.5 * (high - low), rel=1e-9)
