@@ -88,10 +88,15 @@ class RowInstructions:
                 stack.append(self._operation("t"))
             elif code < _CODES["negate"]:
                 right = stack.pop()
-                stack.append(self._operation(OPERATIONS[code], stack.pop(), right))
+                stack.append(self._binary(OPERATIONS[code], stack.pop(), right))
             else:
                 stack.append(self._operation(OPERATIONS[code], stack.pop()))
         return stack[0]
+
+    def _binary(self, name: str, left: int, right: int) -> int:
+        if name == "power" and self.constants.get(right) == 2.0:
+            return self._operation("multiply", left, left)  # rounded once, and far less work
+        return self._operation(name, left, right)
 
     def _constant(self, value: float) -> int:
         bits = value.hex()  # 0 and -0 are equal

@@ -2,13 +2,20 @@
  *
  * The expressions of all reductions are one list of instructions, each of which computes a vector
  * of COSIM_CHUNK values at most from others; what several expressions have in common is computed
- * once. Sums run from row to row, whatever the chunks are. A value that is NaN is none. */
+ * once. A value that is NaN is none.
+ *
+ * A sum has COSIM_LANES parts, each of the rows whose numbers have the same rest; they run from row
+ * to row and are added up at the end: the bits do not depend on how the rows come, and a processor
+ * adds to several parts at once. */
 #ifndef COSIM_REDUCTIONS_H
 #define COSIM_REDUCTIONS_H
 
 #include "cosim.h"
 
 #define COSIM_CHUNK 128 /* rows */
+#define COSIM_LANES 4
+
+enum { COSIM_SUM, COSIM_SQUARES, COSIM_SHIFTED, COSIM_SHIFTED_SQUARES, COSIM_INTEGRAL, COSIM_SUMS };
 
 /* Operations beside those of expressions, behind them (COSIM_COLUMN and so on in reductions.c). */
 typedef struct {
@@ -32,11 +39,11 @@ typedef struct {
     int64_t count;  /* how many values there are */
     double first, last;
     double low, high;
-    double sum, squares;
-    double shifted_sum, shifted_squares; /* of the differences to the first value */
-    double integral;                     /* trapezoidal rule, between rows that follow each other */
-    double before, t_before;             /* the row before; NaN: it has no value, or is not there */
-    double *kept, *kept_times;           /* all values and their instants, with room for them */
+    double sums[COSIM_SUMS]; /* of values, of squares; of differences to the first value, of their
+                                squares; trapezoidal rule, between rows that follow each other */
+    double lanes[COSIM_SUMS][COSIM_LANES];
+    double before, t_before; /* the row before; NaN: it has no value, or is not there */
+    double *kept;            /* the values of all rows, NaN too, with room for them */
 } cosim_reduction;
 
 typedef struct {
@@ -44,11 +51,20 @@ typedef struct {
     cosim_hold *holds;
     cosim_reduction *reductions;
     double *registers;
-    int32_t n_instructions, n_reductions;
+    int32_t n_instructions, n_holds, n_reductions;
+    int64_t n_rows; /* so far */
 } cosim_reductions;
 
-/* Go on over `count` rows, which begin `stride` doubles apart. */
-void cosim_reduce_rows(cosim_reductions *s, int64_t count, const int64_t *time_ns, const double *t,
-                       const double *rows, int64_t stride);
+/* Forget all rows. */
+void cosim_begin_reductions(cosim_reductions *s);
+
+/* Go on over `count` rows, which begin `stride` doubles apart, at the instants t [s]. These are
+ * time_ns in nanoseconds; where it is NULL, they are step_ns apart from first_ns on. */
+void cosim_reduce_rows(cosim_reductions *s, int64_t count, const int64_t *time_ns, int64_t first_ns,
+                       int64_t step_ns, const double *t, const double *rows, int64_t stride);
+
+/* The place of the first value behind the last one that is farther than a band from `center`; NaN
+ * is no value; `count`: there is none. */
+int64_t cosim_settled(int64_t count, const double *x, double center, double band);
 
 #endif

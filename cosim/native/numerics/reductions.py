@@ -3,29 +3,29 @@
 from __future__ import annotations
 
 import ctypes
-import math
 from collections.abc import Sequence
-from ctypes import addressof, byref, c_double, c_int32, c_int64, c_void_p
+from ctypes import addressof, c_double, c_int32, c_int64, c_void_p
 from dataclasses import dataclass
-from typing import Final, final
+from typing import Final, NamedTuple, final
 
 import numpy as np
 
 from cosim.arrays import NAN, Matrix, Nanoseconds, Vector
-from cosim.native.library import declare, int32, library
+from cosim.instants import NANOSECONDS
+from cosim.native.library import declare, int32, library, pointer
 from cosim.native.numerics.expression import ConditionProgram, Program
 from cosim.native.numerics.instructions import RowInstructions
 from cosim.native.step import DOUBLE
 
 PARTS: Final = ("ends", "low", "high", "sum", "squares", "shifted", "integral", "kept")
 """What can be kept of values, beside their count; the bits of reductions.c in their order."""
-_NUMBERS: Final = (
-    *("first", "last", "low", "high", "sum", "squares"),
-    *("shifted_sum", "shifted_squares", "integral"),
-)
-_NOTHING: Final = np.empty((2, 0))
+_ENDS: Final = ("first", "last", "low", "high")
+_N_SUMS: Final = 5  # COSIM_SUMS
+_NOTHING: Final = np.empty(0)
+_NO_END: Final = 2**63
 _CHUNK: Final = 128  # COSIM_CHUNK
-_FIRST_ROOM: Final = 1024  # values that are kept before more memory is taken
+_LANES: Final = 4  # COSIM_LANES
+_FIRST_ROOM: Final = 1024  # rows of which values are kept before more memory is taken
 
 
 class HoldStruct(ctypes.Structure):
@@ -40,9 +40,11 @@ class ReductionStruct(ctypes.Structure):
     _fields_ = (
         *((name, c_int32) for name in ("values", "parts")),
         ("count", c_int64),
-        *((name, c_double) for name in _NUMBERS),
+        *((name, c_double) for name in _ENDS),
+        ("sums", c_double * _N_SUMS),
+        ("lanes", c_double * (_N_SUMS * _LANES)),
         *((name, c_double) for name in ("before", "t_before")),
-        *((name, c_void_p) for name in ("kept", "kept_times")),
+        ("kept", c_void_p),
     )
 
 
@@ -51,11 +53,21 @@ class ReductionsStruct(ctypes.Structure):
 
     _fields_ = (
         *((name, c_void_p) for name in ("instructions", "holds", "reductions", "registers")),
-        *((name, c_int32) for name in ("n_instructions", "n_reductions")),
+        *((name, c_int32) for name in ("n_instructions", "n_holds", "n_reductions")),
+        ("n_rows", c_int64),
     )
 
 
-declare({"cosim_reduce_rows": (None, (c_void_p, c_int64, c_void_p, c_void_p, c_void_p, c_int64))})
+declare(
+    {
+        "cosim_begin_reductions": (None, (c_void_p,)),
+        "cosim_reduce_rows": (
+            None,
+            (c_void_p, c_int64, c_void_p, c_int64, c_int64, c_void_p, c_void_p, c_int64),
+        ),
+        "cosim_settled": (c_int64, (c_int64, c_void_p, c_double, c_double)),
+    }
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,24 +89,25 @@ class RowReduction:
     where: ConditionProgram | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class KeptValues:
+class KeptValues(NamedTuple):
     """What was kept of some values; what is not among the parts of its reduction has no meaning.
 
     Parameters
     ----------
-    count : int
+    number : int
         How many there are; 0: nothing else has a meaning either.
     first, last, low, high, sum, squares : float
     shifted_sum, shifted_squares : float
         Of the differences to the first value.
     integral : float
         Trapezoidal rule over rows that follow each other and have a value both.
-    values, times : Vector, shape (count,)
-        All of them with their instants [s].
+    rows : RowReductions
+        What it was kept by.
+    values : Vector, shape (N,)
+        Of all rows, NaN where there is none.
     """
 
-    count: int
+    number: int
     first: float
     last: float
     low: float
@@ -104,8 +117,17 @@ class KeptValues:
     shifted_sum: float
     shifted_squares: float
     integral: float
+    rows: RowReductions
     values: Vector
-    times: Vector
+
+    def settled(self, band: float) -> float:
+        """Return the instant [s] of the first value from which on all are near the last one.
+
+        NaN: there is none.
+        """
+        count = len(self.values)
+        place: int = library.cosim_settled(count, pointer(self.values), self.last, band)
+        return NAN if place == count else self.rows.instant(place)
 
 
 @final
@@ -137,83 +159,105 @@ class RowReductions:
         self._memory = np.zeros((compiled.n_registers, _CHUNK))
         for register, value in compiled.constants.items():
             self._memory[register] = value
-        self._kept = {
-            place: np.empty((2, _FIRST_ROOM))
-            for place, bits in enumerate(parts.values())
-            if bits & _bits(("kept",))
-        }
+        keeping = [place for place, bits in enumerate(parts.values()) if bits & _bits(("kept",))]
+        self._kept = dict.fromkeys(keeping, _NOTHING)
+        self._room = 0 if keeping else _NO_END
+        self._n_rows = 0
+        self._instants: tuple[int, int] | Nanoseconds = (0, 0)
         self._struct = ReductionsStruct(
             self._code.ctypes.data,
             addressof(self._holds),
             addressof(self._reductions),
             self._memory.ctypes.data,
             len(self._code),
+            len(compiled.durations_ns),
             len(parts),
         )
+        self._address = addressof(self._struct)
         self.begin()
 
     def begin(self) -> None:
         """Forget all rows."""
-        for hold in self._holds:
-            hold.is_holding = 0
-        for reduction in self._reductions:
-            reduction.count = 0
-            for name in ("sum", "squares", "shifted_sum", "shifted_squares", "integral"):
-                setattr(reduction, name, 0.0)
-            reduction.low = math.inf
-            reduction.high = -math.inf
-            reduction.before = NAN
-            reduction.t_before = NAN
+        self._n_rows = 0
+        library.cosim_begin_reductions(self._address)
 
-    def add(self, time_ns: Nanoseconds, t: Vector, rows: Matrix) -> None:
-        """Go on over the next rows.
+    def add(self, time_ns: Nanoseconds, rows: Matrix) -> None:
+        """Take all rows of a run at once.
 
         Parameters
         ----------
         time_ns : Nanoseconds, shape (N,)
-        t : Vector, shape (N,)
-            The same instants [s].
         rows : Matrix, shape (N, width)
             May be strided; the elements of a row may not.
         """
-        count = len(rows)
-        if not count:
-            return
+        assert not self._n_rows
         assert time_ns.flags.c_contiguous
+        self._instants = time_ns
+        self._add(time_ns / NANOSECONDS, rows, time_ns.ctypes.data, 0, 0)
+
+    def add_regular(self, first_ns: int, step_ns: int, t: Vector, rows: Matrix) -> None:
+        """Go on over the next rows, which are a step apart [ns], as all rows of the run are.
+
+        Parameters
+        ----------
+        first_ns, step_ns : int
+            Of these rows [ns].
+        t : Vector, shape (N,)
+            Their instants [s].
+        rows : Matrix, shape (N, width)
+            As of :meth:`add`.
+        """
+        if not self._n_rows:
+            self._instants = (first_ns, step_ns)
+        self._add(t, rows, None, first_ns, step_ns)
+
+    def _add(
+        self, t: Vector, rows: Matrix, time_ns: int | None, first_ns: int, step_ns: int
+    ) -> None:
+        count = len(rows)
+        stride, size = rows.strides
+        assert size == DOUBLE
         assert t.flags.c_contiguous
-        assert rows.strides[1] == DOUBLE
-        for place in self._kept:
-            self._take_room(place, count)
+        if self._n_rows + count > self._room:
+            self._take_room(self._n_rows + count)
         library.cosim_reduce_rows(
-            byref(self._struct),
+            self._address,
             count,
-            time_ns.ctypes.data,
+            time_ns,
+            first_ns,
+            step_ns,
             t.ctypes.data,
             rows.ctypes.data,
-            rows.strides[0] // DOUBLE,
+            stride // DOUBLE,
         )
+        self._n_rows += count
 
-    def _take_room(self, place: int, count: int) -> None:
-        """Take memory for some more values, where it is needed."""
-        reduction = self._reductions[place]
-        room = self._kept[place]
-        needed = reduction.count + count
-        if needed > room.shape[1]:
-            room = np.empty((2, max(needed, 2 * room.shape[1])))
-            room[:, : reduction.count] = self._kept[place][:, : reduction.count]
-            self._kept[place] = room
-        reduction.kept, reduction.kept_times = (row.ctypes.data for row in room)
+    def _take_room(self, needed: int) -> None:
+        """Take memory for the values of so many rows, and more."""
+        self._room = max(needed, 2 * self._room, _FIRST_ROOM)
+        for place, values in self._kept.items():
+            larger = np.empty(self._room)
+            larger[: self._n_rows] = values[: self._n_rows]
+            self._kept[place] = larger
+            self._reductions[place].kept = larger.ctypes.data
 
     def kept(self, number: int) -> KeptValues:
         """Return what was kept of the rows so far for the reduction of a number.
 
-        Its arrays are used again by the rows that follow.
+        Its values stand in memory that the next run uses again.
         """
         place = self._places[self._registers[number]]
         struct = self._reductions[place]
-        values, times = self._kept.get(place, _NOTHING)[:, : struct.count]
-        numbers = {name: getattr(struct, name) for name in _NUMBERS}
-        return KeptValues(struct.count, values=values, times=times, **numbers)
+        ends = [getattr(struct, name) for name in _ENDS]
+        values = self._kept.get(place, _NOTHING)[: self._n_rows]
+        return KeptValues._make([struct.count, *ends, *struct.sums, self, values])
+
+    def instant(self, row: int) -> float:
+        """Return the instant of a row of the run [s]."""
+        if isinstance(self._instants, tuple):
+            first_ns, step_ns = self._instants
+            return (first_ns + row * step_ns) / NANOSECONDS
+        return int(self._instants[row]) / NANOSECONDS
 
 
 def _bits(parts: Sequence[str]) -> int:

@@ -17,7 +17,6 @@ from cosim.core.recorded.signals import RecordedPort, find_signal
 from cosim.core.recording import Recording
 from cosim.core.signals import Channel, Layout
 from cosim.errors import UnknownSignalError, UsageError, listing
-from cosim.instants import NANOSECONDS
 from cosim.native.numerics.expression import ConditionProgram, Program
 from cosim.native.numerics.reductions import KeptValues, RowReduction, RowReductions
 from cosim.studies.metrics.language import Reduction
@@ -120,7 +119,7 @@ def _reduced(
         own_ns = recording.time_ns(component)
         rows[:, column] = recording[name][np.searchsorted(own_ns, time_ns)]
     bound = _bound(reductions, range(len(reductions)), columns.__getitem__)
-    bound.add(time_ns, time_ns / NANOSECONDS, rows)
+    bound.add(time_ns, rows)
     return bound
 
 

@@ -11,8 +11,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
-import numpy as np
-
 from cosim.arrays import NAN
 from cosim.native.numerics.reductions import KeptValues
 
@@ -60,8 +58,8 @@ def _std(kept: KeptValues) -> float:
     Sums of differences to the first value x lose little: n var >= (x - mean)^2, as x is one of the
     values, so that the sum of squares of the differences is at most (n + 1) times n var.
     """
-    mean = kept.shifted_sum / kept.count
-    variance = kept.shifted_squares / kept.count - mean * mean
+    mean = kept.shifted_sum / kept.number
+    variance = kept.shifted_squares / kept.number - mean * mean
     return 0.0 if variance < 0.0 else math.sqrt(variance)
 
 
@@ -74,14 +72,9 @@ def _settling(kept: KeptValues, band: float | None) -> float:
     band : float or None
         None: a share of the change. One that has no value has no such instant.
     """
-    last = kept.values[-1]
     if band is None:
-        band = SETTLING_SHARE * abs(last - kept.values[0])
-    if not band >= 0.0:
-        return NAN
-    outside = np.flatnonzero(np.abs(kept.values - last) > band)
-    first_within = outside[-1] + 1 if len(outside) else 0
-    return float(kept.times[first_within])
+        band = SETTLING_SHARE * abs(kept.last - kept.first)
+    return kept.settled(band) if band >= 0.0 else NAN
 
 
 def _overshoot(kept: KeptValues) -> float:
@@ -108,16 +101,17 @@ KINDS: Final[Mapping[str, ReductionKind]] = {
         lambda kept, _: kept.first,
         takes_condition=False,
     ),
-    "max": _simple("max", ("high",), lambda kept: kept.high),
-    "min": _simple("min", ("low",), lambda kept: kept.low),
-    "mean": _simple("mean", ("sum",), lambda kept: kept.sum / kept.count),
-    "rms": _simple("rms", ("squares",), lambda kept: math.sqrt(kept.squares / kept.count)),
+    # -0 + 0 is 0: which one of zeros with different signs is found depends on the blocks of a run
+    "max": _simple("max", ("high",), lambda kept: kept.high + 0.0),
+    "min": _simple("min", ("low",), lambda kept: kept.low + 0.0),
+    "mean": _simple("mean", ("sum",), lambda kept: kept.sum / kept.number),
+    "rms": _simple("rms", ("squares",), lambda kept: math.sqrt(kept.squares / kept.number)),
     "std": _simple("std", ("shifted", "ends"), _std),
     "integral": _simple("integral", ("integral",), lambda kept: kept.integral),
     "count": ReductionKind(
         "count(EXPRESSION), or count(EXPRESSION, CONDITION)",
         (),
-        lambda kept, _: float(kept.count),
+        lambda kept, _: float(kept.number),
         without_values=0.0,
     ),
     "first": ReductionKind(
@@ -129,12 +123,12 @@ KINDS: Final[Mapping[str, ReductionKind]] = {
     "share": ReductionKind(
         "share(CONDITION), or share(CONDITION, CONDITION)",
         ("sum",),
-        lambda kept, _: kept.sum / kept.count,
+        lambda kept, _: kept.sum / kept.number,
         of_condition=True,
     ),
     "settling": ReductionKind(
         "settling(EXPRESSION), settling(EXPRESSION, BAND), or one of them with a CONDITION behind",
-        ("kept",),
+        ("kept", "ends"),
         _settling,
         takes_band=True,
     ),

@@ -57,10 +57,13 @@ class Arithmetic:
     def __init__(self, program: Program) -> None:
         columns = [int(name) for name in program.signals]
         self.columns = tuple(columns)
+        self._is_one = len(columns) == len(program.code) == 1
         self._program = RowProgram(program.with_columns(columns))
 
     def value(self, values: Vector) -> float:
         """Return its value for those of the reductions; NaN where it has none."""
+        if self._is_one:
+            return float(values[self.columns[0]])
         [value] = self._program.evaluate(np.zeros(1), values[np.newaxis]).tolist()
         return float(value)
 

@@ -154,7 +154,7 @@ def _value(metric: Metric, kept: Sequence[KeptValues]) -> float | None:
     """Return the value of a metric; None: it has none."""
     values = np.full(len(kept), NAN)
     for number, (reduction, part) in enumerate(zip(metric.reductions, kept, strict=True)):
-        if part.count:
+        if part.number:
             band = None if reduction.band is None else reduction.band.value(values)
             values[number] = reduction.kind.value(part, band)
         else:

@@ -31,6 +31,7 @@ class MetricRecorder(Nothing):
     def __init__(self, metrics: Metrics) -> None:
         self._metrics = metrics
         self._layout: Layout | None = None
+        self._step_ns = 0
         self._bound: list[BoundReductions] = []
         self._has_rows = False
 
@@ -49,6 +50,7 @@ class MetricRecorder(Nothing):
         for group in self._bound:
             group.rows.begin()
         self._has_rows = False
+        self._step_ns = plan.step_ns
 
     def write(self, block: Block, signals: Matrix) -> None:
         """Reduce the new rows."""
@@ -59,11 +61,15 @@ class MetricRecorder(Nothing):
         if signals.strides[1] != DOUBLE:
             signals = np.ascontiguousarray(signals)
         for group in self._bound:
-            begin = first + -(block.index + first) % group.period
-            chosen = slice(begin, None, group.period)
-            time_ns = np.ascontiguousarray(block.time_ns[chosen])
-            t = np.ascontiguousarray(block.time[chosen])
-            group.rows.add(time_ns, t, signals[chosen])
+            period = group.period
+            begin = first + -(block.index + first) % period
+            if begin > block.steps:
+                continue
+            first_ns = int(block.time_ns[begin])
+            t = block.time[begin::period]
+            if period > 1:
+                t = t.copy()
+            group.rows.add_regular(first_ns, period * self._step_ns, t, signals[begin::period])
 
     def values(self) -> dict[str, float | None]:
         """Return the metrics of the rows so far; None: one has no value."""
