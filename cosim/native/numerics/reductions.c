@@ -305,12 +305,23 @@ void cosim_reduce_rows(cosim_reductions *s, int64_t count, const int64_t *time_n
         add_up(&s->reductions[i]);
 }
 
+/* Whether one of COSIM_CHUNK values is farther than a band from `center`. */
+static int is_outside(const double *x, double center, double band)
+{
+    double outside[COSIM_LANES] = {0.0};
+    for (int64_t k = 0; k < COSIM_CHUNK; k += COSIM_LANES)
+        for (int32_t j = 0; j < COSIM_LANES; ++j)
+            outside[j] += fabs(x[k + j] - center) > band ? 1.0 : 0.0;
+    return (outside[0] + outside[1]) + (outside[2] + outside[3]) > 0.0;
+}
+
 int64_t cosim_settled(int64_t count, const double *x, double center, double band)
 {
-    int64_t k = count - 1;
-    while (k >= 0 && !(fabs(x[k] - center) > band))
+    int64_t k = count;
+    while (k >= COSIM_CHUNK && !is_outside(x + k - COSIM_CHUNK, center, band))
+        k -= COSIM_CHUNK;
+    while (k > 0 && !(fabs(x[k - 1] - center) > band))
         --k;
-    ++k;
     while (k < count && isnan(x[k]))
         ++k;
     return k;

@@ -163,6 +163,8 @@ class RowReductions:
         self._kept = dict.fromkeys(keeping, _NOTHING)
         self._room = 0 if keeping else _NO_END
         self._n_rows = 0
+        self._t = np.empty(_FIRST_ROOM)
+        self._t_address = self._t.ctypes.data
         self._instants: tuple[int, int] | Nanoseconds = (0, 0)
         self._struct = ReductionsStruct(
             self._code.ctypes.data,
@@ -191,9 +193,8 @@ class RowReductions:
             May be strided; the elements of a row may not.
         """
         assert not self._n_rows
-        assert time_ns.flags.c_contiguous
         self._instants = time_ns
-        self._add(time_ns / NANOSECONDS, rows, time_ns.ctypes.data, 0, 0)
+        self._reduce(time_ns / NANOSECONDS, rows, pointer(time_ns), 0, 0)
 
     def add_regular(self, first_ns: int, step_ns: int, t: Vector, rows: Matrix) -> None:
         """Go on over the next rows, which are a step apart [ns], as all rows of the run are.
@@ -203,30 +204,33 @@ class RowReductions:
         first_ns, step_ns : int
             Of these rows [ns].
         t : Vector, shape (N,)
-            Their instants [s].
+            Their instants [s]; may be strided.
         rows : Matrix, shape (N, width)
             As of :meth:`add`.
         """
         if not self._n_rows:
             self._instants = (first_ns, step_ns)
-        self._add(t, rows, None, first_ns, step_ns)
+        self._reduce(t, rows, None, first_ns, step_ns)
 
-    def _add(
+    def _reduce(
         self, t: Vector, rows: Matrix, time_ns: int | None, first_ns: int, step_ns: int
     ) -> None:
         count = len(rows)
         stride, size = rows.strides
-        assert size == DOUBLE
-        assert t.flags.c_contiguous
+        assert size == DOUBLE or rows.shape[1] == 1
         if self._n_rows + count > self._room:
             self._take_room(self._n_rows + count)
+        if count > len(self._t):
+            self._t = np.empty(count)
+            self._t_address = self._t.ctypes.data
+        self._t[:count] = t  # costs less than to ask for its address
         library.cosim_reduce_rows(
             self._address,
             count,
             time_ns,
             first_ns,
             step_ns,
-            t.ctypes.data,
+            self._t_address,
             rows.ctypes.data,
             stride // DOUBLE,
         )

@@ -44,6 +44,7 @@ class MetricRecorder(Nothing):
             If it has not the signals of all metrics; names all that are missing.
         """
         if plan.layout is not self._layout:
+            self._layout = None
             self._metrics.check(plan.channels)
             self._bound = bind_layout(self._metrics.reductions, plan.layout)
             self._layout = plan.layout
@@ -58,7 +59,7 @@ class MetricRecorder(Nothing):
         if first > block.steps:
             return
         self._has_rows = True
-        if signals.strides[1] != DOUBLE:
+        if signals.strides[1] != DOUBLE:  # chosen columns
             signals = np.ascontiguousarray(signals)
         for group in self._bound:
             period = group.period
@@ -66,13 +67,14 @@ class MetricRecorder(Nothing):
             if begin > block.steps:
                 continue
             first_ns = int(block.time_ns[begin])
-            t = block.time[begin::period]
-            if period > 1:
-                t = t.copy()
-            group.rows.add_regular(first_ns, period * self._step_ns, t, signals[begin::period])
+            step_ns = period * self._step_ns
+            rows = slice(begin, None, period)
+            group.rows.add_regular(first_ns, step_ns, block.time[rows], signals[rows])
 
     def values(self) -> dict[str, float | None]:
-        """Return the metrics of the rows so far; None: one has no value."""
+        """Return the metrics of the rows so far; None: one has no value, or no run has begun."""
+        if self._layout is None:
+            return dict.fromkeys(self._metrics.names)
         kept: dict[int, KeptValues] = {}
         for group in self._bound:
             kept.update({n: group.rows.kept(place) for place, n in enumerate(group.numbers)})
