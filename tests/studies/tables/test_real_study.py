@@ -1,0 +1,102 @@
+"""A study that was run: from its file to its tables, with the Ishigami function as its scenario."""
+
+import json
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.studies.analysis.independence import StudyLayout
+from cosim.studies.analysis.results import results_of_study
+from cosim.studies.dataset.columns import metric_column, parameter_column
+from cosim.studies.dataset.identity import StudyIdentity
+from cosim.studies.dataset.study import open_study
+from cosim.studies.dataset.study_dataset import StudyDataset
+from cosim.studies.design.commands import run_command
+from cosim.studies.design.planning import plan_design
+from cosim.studies.document.reading import read_study
+from cosim.studies.members.runner import open_runner
+from cosim.studies.plots import plot_study
+from cosim.studies.tables.member import print_member
+from cosim.studies.tables.sensitivity import print_sobol
+from cosim.studies.tables.study import print_study
+
+SCENARIO = """
+[scenario]
+name = "ishigami"
+stop = 1.0
+step = 1.0
+[components]
+a = { kind = "constant", value = 0.0 }
+b = { kind = "constant", value = 0.0 }
+c = { kind = "constant", value = 0.0 }
+made = { kind = "expression", y = "sin(a.y) + 7*sin(b.y)**2 + 0.1*c.y**4*sin(a.y)" }
+"""
+STUDY = """
+[study]
+scenario = "ishigami.toml"
+sampling = "saltelli"
+samples = 1024
+[vary]
+"a.value" = { uniform = [-3.141592653589793, 3.141592653589793] }
+"b.value" = { uniform = [-3.141592653589793, 3.141592653589793] }
+"c.value" = { uniform = [-3.141592653589793, 3.141592653589793] }
+[metrics]
+made = "last(made.y)"
+"""
+
+
+@pytest.fixture(scope="module")
+def ishigami(tmp_path_factory):
+    """Return the study, its file, its design and its place."""
+    folder = tmp_path_factory.mktemp("ishigami")
+    (folder / "ishigami.toml").write_text(SCENARIO)
+    (folder / "study.toml").write_text(STUDY)
+    study = read_study(str(folder / "study.toml"))
+    design = plan_design(study, cosim.load(str(folder / "ishigami.toml")))
+    columns = [parameter_column(name, design.column(name)) for name in design.names]
+    columns.append(metric_column("made", "last(made.y)"))
+    identity = StudyIdentity(study.name, STUDY, {}, tuple(columns), len(design))
+    with (
+        StudyDataset.create(folder / "data", identity) as dataset,
+        open_runner(study.subject) as runner,
+    ):
+        for member in design.members():
+            dataset.add(member, runner.run(member))
+    return open_study(folder / "data"), study, design
+
+
+def test_sobol_indices_of_a_study_are_those_of_the_closed_form(ishigami, capsys):
+    """Within 0.02 of them, of 5120 runs."""
+    study, _, design = ishigami
+    results = results_of_study(study, StudyLayout.of(design))
+    print_sobol(results, as_json=True)
+    content = json.loads(capsys.readouterr().out)["made"]
+    variance = 0.5 + 49.0 / 8.0 + 0.1 * np.pi**4 / 5.0 + 0.01 * np.pi**8 / 18.0
+    pair = 0.01 * np.pi**8 * (1.0 / 18.0 - 1.0 / 50.0)
+    alone = np.array([0.5 * (1.0 + 0.1 * np.pi**4 / 5.0) ** 2, 49.0 / 8.0, 0.0])
+    for key, own, shared in zip(design.sampled, alone, (pair, 0.0, pair), strict=True):
+        found = content["parameters"][key]
+        assert found["first_order"] == pytest.approx(own / variance, abs=0.02)
+        assert found["total_order"] == pytest.approx((own + shared) / variance, abs=0.02)
+    assert content["base_points"] == 1024
+
+
+def test_a_study_and_its_members_are_shown(ishigami, capsys, tmp_path):
+    """The command of a member is the one that runs it."""
+    study, file, design = ishigami
+    results = results_of_study(study, StudyLayout.of(design))
+
+    def command_of(number):
+        return run_command(design.member(number), file)
+
+    print_study(results, command_of, conditions=["made > 0"])
+    out = capsys.readouterr().out
+    assert "saltelli: 1024 base points x 5; 5120 of 5120 members done, none failed" in out
+    row = study.table(members=[7]).to_pylist()[0]
+    print_member(row, results, command_of(7))
+    out = capsys.readouterr().out
+    assert f"a.value\t{row['a.value']}" in out
+    assert f"--set a.value={row['a.value']!r}" in out
+    plot_study(results, tmp_path / "sobol.png")
+    assert (tmp_path / "sobol.png").stat().st_size > 10_000
