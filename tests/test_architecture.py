@@ -85,6 +85,7 @@ OUTSIDE = {
     "pandas": {"core", "studies"},
     "polars": {"core", "studies"},
     "xarray": {"core"},
+    "optuna": {"studies"},
     "pydantic": {"scenario", "studies"},
     "matplotlib": {"report", "studies"},
     "typer": {"cli", "completion", "report"},

@@ -1,0 +1,225 @@
+"""The result of a tuning, and the sentences that say what it is worth."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from cosim.errors import listing
+from cosim.studies.tuning.local import SearchEnd
+from cosim.studies.tuning.space import SearchSpace
+from cosim.studies.tuning.standard_errors import StandardErrors
+from cosim.studies.tuning.trials import Trial
+
+AT_BOUND: Final = 1e-4  # of the range between the bounds
+CONVERGED: Final = 1e-3  # of the range between the bounds
+SAME_PLACE: Final = 0.01  # of the range between the bounds
+SAME_COST: Final = 1e-6  # relative
+
+
+@dataclass(frozen=True, slots=True)
+class TuningResult:
+    """What a tuning found.
+
+    Parameters
+    ----------
+    space : SearchSpace
+    objective : str
+        The name of the metric.
+    method : str
+    maximize : bool
+    trials : tuple of Trial
+        All members, in the order in which they were asked for.
+    best : Trial or None
+        None: no member has an objective.
+    finished : bool
+        The search ended by itself, not because the members were used up.
+    stop_reason : str
+    ends : tuple of SearchEnd
+        Of local searches that ended by themselves.
+    best_end : SearchEnd or None
+        Of the search that converged at the best values; None: none did.
+    starts : int
+        Of local searches that were wanted; 0: the method has no starts.
+    errors : StandardErrors or None
+    errors_problem : str
+        Why there are no standard errors; empty: they were not wanted, or are there.
+    """
+
+    space: SearchSpace
+    objective: str
+    method: str
+    maximize: bool
+    trials: tuple[Trial, ...]
+    best: Trial | None
+    finished: bool
+    stop_reason: str
+    ends: tuple[SearchEnd, ...]
+    best_end: SearchEnd | None
+    starts: int
+    errors: StandardErrors | None
+    errors_problem: str
+
+    @property
+    def failed(self) -> tuple[Trial, ...]:
+        """The members without an objective."""
+        return tuple(trial for trial in self.trials if trial.objective is None)
+
+    @property
+    def at_bounds(self) -> dict[str, str]:
+        """The keys whose best value is at a bound: ``lower`` or ``upper``."""
+        found: dict[str, str] = {}
+        if self.best is None:
+            return found
+        for key in self.space.bounded:
+            coordinate = key.coordinate(self.best.point[key.key])
+            if coordinate <= AT_BOUND:
+                found[key.key] = "lower"
+            elif coordinate >= 1.0 - AT_BOUND:
+                found[key.key] = "upper"
+        return found
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        best = self.best
+        return {
+            "objective": self.objective,
+            "maximize": self.maximize,
+            "method": self.method,
+            "best": None if best is None else _trial_dict(best),
+            "members": len(self.trials),
+            "failed": [
+                {"member": trial.number, "values": dict(trial.point), "problem": trial.problem}
+                for trial in self.failed
+            ],
+            "finished": self.finished,
+            "converged": self.best_end is not None,
+            "stop_reason": self.stop_reason,
+            "at_bounds": self.at_bounds,
+            "statements": statements(self),
+            "standard_errors": None if self.errors is None else self.errors.to_dict(),
+        }
+
+    def ended_here(self, end: SearchEnd) -> bool:
+        """Return whether a search ended at the best values."""
+        return self.best is not None and _distance(self.space, self.best, end) <= SAME_PLACE
+
+
+def converged_end(
+    space: SearchSpace, best: Trial | None, ends: Sequence[SearchEnd]
+) -> SearchEnd | None:
+    """Return the end of a search that converged at the best values; None: there is none."""
+    for end in ends:
+        if best is not None and end.converged and _distance(space, best, end) <= CONVERGED:
+            return end
+    return None
+
+
+def _distance(space: SearchSpace, best: Trial, end: SearchEnd) -> float:
+    """Return the largest difference between the coordinates of two places."""
+    return float(np.abs(space.coordinates(end.point) - space.coordinates(best.point)).max())
+
+
+def _trial_dict(trial: Trial) -> dict[str, Any]:
+    return {"member": trial.number, "values": dict(trial.point), "objective": trial.objective}
+
+
+def values_text(point: Mapping[str, Any]) -> str:
+    """Return values in one line: ``plant.R = 1.5, plant.C = 0.2``."""
+    return ", ".join(
+        f"{key} = {value:.6g}" if isinstance(value, float) else f"{key} = {value}"
+        for key, value in point.items()
+    )
+
+
+def statements(result: TuningResult) -> list[str]:
+    """Return what is to be said of a result, a sentence each."""
+    said = [_ending(result)]
+    if result.failed:
+        said.append(_failures(result))
+    if result.best is None:
+        return said
+    if _is_flat(result):
+        said.append("all members have the same objective: what is varied has no effect on it here")
+        return said
+    said += [
+        f"{key} is at its {side} bound: values beyond it may be better"
+        for key, side in result.at_bounds.items()
+    ]
+    said += _elsewhere(result)
+    said += _of_errors(result)
+    return said
+
+
+def _ending(result: TuningResult) -> str:
+    """Return why the search ended, and whether it converged at the best values."""
+    end = result.best_end
+    if end is not None:
+        text = end.reason
+        return text if result.finished else f"{text}; then {result.stop_reason}"
+    if result.best is not None and not result.finished and result.method != "optuna":
+        return f"{result.stop_reason} before a search converged at these values"
+    return result.stop_reason
+
+
+def _failures(result: TuningResult) -> str:
+    failed = result.failed
+    count = len(failed)
+    problems = dict.fromkeys(trial.problem for trial in failed)
+    numbers = listing([str(trial.number) for trial in failed])
+    members = "member has" if count == 1 else "members have"
+    return f"{count} {members} no objective ({numbers}): {listing(list(problems), 3)}"
+
+
+def _is_flat(result: TuningResult) -> bool:
+    costs = {trial.cost for trial in result.trials if trial.objective is not None}
+    return len(costs) == 1 and len(result.trials) - len(result.failed) > 1
+
+
+def _elsewhere(result: TuningResult) -> list[str]:
+    """Return what other starts say of the best values."""
+    if not result.starts:
+        return ["whether there are better values elsewhere is not known"]
+    assert result.best is not None
+    here = [end for end in result.ends if result.ended_here(end)]
+    others = [end for end in result.ends if not result.ended_here(end)]
+    ended = len(result.ends)
+    if not others:
+        return [f"{_here_text(len(here), ended)}; better values elsewhere are not excluded"]
+    other = min(others, key=lambda end: end.cost)
+    place = values_text(other.point)
+    if math.isclose(other.cost, result.best.cost, rel_tol=SAME_COST):
+        return [f"the values are not unique: another start ended at {place} with this objective"]
+    objective = -other.cost if result.maximize else other.cost
+    return [
+        f"{len(others)} of {ended} starts ended elsewhere, the best of them at {place} with "
+        f"{objective:.6g}: more starts, or the method 'global', may find better values"
+    ]
+
+
+def _here_text(here: int, ended: int) -> str:
+    if not ended:
+        return "no search from a start has ended"
+    if ended == 1:
+        return "searched from one start"
+    return f"all {here} starts ended here"
+
+
+def _of_errors(result: TuningResult) -> list[str]:
+    if result.errors_problem:
+        return [f"no standard errors: {result.errors_problem}"]
+    if result.errors is None:
+        return []
+    said = [
+        f"the standard errors assume that the {result.errors.samples} samples of the residual are "
+        "white, with one deviation"
+    ]
+    said += [
+        f"along {key} the objective rises unevenly within a standard error: its interval is rough"
+        for key in result.errors.skewed
+    ]
+    return said

@@ -1,0 +1,193 @@
+"""Standard errors agree with closed forms and with scipy's curve_fit, and cover what they say."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.optimize import curve_fit
+
+from cosim.studies.tuning.result import statements
+from cosim.studies.tuning.searching import TuningSearch, search_best
+from cosim.studies.tuning.space import BoundedKey, SearchSpace
+from tests.studies.tuning.functions import OBJECTIVE, Recorded
+
+T = np.linspace(0.0, 1.0, 201)
+LINE = SearchSpace((BoundedKey("slope", -10.0, 10.0), BoundedKey("offset", -10.0, 10.0)))
+DECAY = SearchSpace((BoundedKey("a", 0.1, 10.0, True), BoundedKey("k", 0.1, 100.0)))
+
+
+def line(t, slope, offset):
+    return slope * t + offset
+
+
+def decay(t, a, k):
+    return a * np.exp(-k * t)
+
+
+def rms_of(model, measured, noise=0.0):
+    """Return the rms of the residual; with noise, as a solver with step control has it."""
+
+    def rms(point):
+        exact = math.sqrt(np.mean((model(T, *point.values()) - measured) ** 2))
+        jitter = math.modf(1e5 * sum(point.values()) * math.pi)[0] - 0.5
+        return exact * (1.0 + noise * jitter)
+
+    return rms
+
+
+def fitted(model, space, measured, *, noise=0.0, **options):
+    search = TuningSearch(space, OBJECTIVE, is_rms=True, samples=T.size, **options)
+    return search_best(Recorded(rms_of(model, measured, noise)), search)
+
+
+def test_a_line_has_the_errors_of_linear_regression():
+    """Of a line the sum of squares is quadratic: only rounding and the last move are left."""
+    noise = np.random.default_rng(3).standard_normal(T.size)
+    measured = line(T, 3.0, -2.0) + 0.1 * noise
+    X = np.column_stack([T, np.ones_like(T)])
+    solution, squares, *_ = np.linalg.lstsq(X, measured)
+    covariance = squares[0] / (T.size - 2) * np.linalg.inv(X.T @ X)
+    expected = np.sqrt(np.diag(covariance))
+    result = fitted(line, LINE, measured)
+    errors = result.errors
+    assert list(errors.errors.values()) == pytest.approx(expected, rel=1e-3)
+    assert list(result.best.point.values()) == pytest.approx(solution, abs=0.1 * expected.min())
+    assert errors.deviation == pytest.approx(math.sqrt(squares[0] / (T.size - 2)), rel=1e-4)
+    assert errors.correlation[0][1] == pytest.approx(
+        covariance[0, 1] / expected[0] / expected[1], abs=1e-3
+    )
+    assert errors.skewed == ()
+
+
+@pytest.mark.parametrize("deviation", [1e-6, 1e-2, 0.2])
+def test_a_decay_has_the_errors_of_curve_fit(deviation):
+    """curve_fit leaves the curvature of the model out: a part of about s over the amplitude."""
+    measured = decay(T, 2.0, 3.0) + deviation * np.random.default_rng(1).standard_normal(T.size)
+    solution, covariance = curve_fit(decay, T, measured, p0=[1.0, 1.0])
+    expected = np.sqrt(np.diag(covariance))
+    result = fitted(decay, DECAY, measured)
+    assert len(result.trials) <= 200
+    assert list(result.errors.errors.values()) == pytest.approx(expected, rel=0.01 + deviation)
+    assert list(result.best.point.values()) == pytest.approx(solution, abs=0.1 * expected.min())
+
+
+def test_the_interval_of_a_logarithm_is_of_the_logarithm():
+    """Its bounds stand symmetrically around the value on that scale."""
+    measured = decay(T, 2.0, 3.0) + 0.2 * np.random.default_rng(1).standard_normal(T.size)
+    low, high = fitted(decay, DECAY, measured).errors.intervals["a"]
+    result = fitted(decay, DECAY, measured)
+    assert math.sqrt(low * high) == pytest.approx(result.best.point["a"], rel=2e-3)
+
+
+def test_noise_of_the_objective_lengthens_the_steps():
+    """Noise of 1e-4 hides a rise by 1/N of 5e-3 for steps of one standard error, within 10 %."""
+    measured = decay(T, 2.0, 3.0) + 0.01 * np.random.default_rng(1).standard_normal(T.size)
+    _, covariance = curve_fit(decay, T, measured, p0=[1.0, 1.0])
+    result = fitted(decay, DECAY, measured, noise=1e-4)
+    expected = np.sqrt(np.diag(covariance))
+    assert list(result.errors.errors.values()) == pytest.approx(expected, rel=0.1)
+
+
+def test_noise_that_hides_the_curvature_is_said():
+    measured = decay(T, 2.0, 3.0) + 0.01 * np.random.default_rng(1).standard_normal(T.size)
+    result = fitted(decay, DECAY, measured, noise=0.1)
+    assert result.errors is None
+    assert "the objective is noisy, by 0.0" in result.errors_problem
+    assert "that hides its curvature" in statements(result)[-1]
+
+
+def test_a_value_at_its_bound_has_no_standard_error():
+    space = SearchSpace((LINE.bounded[0], BoundedKey("offset", -1.0, 10.0)))
+    measured = line(T, 3.0, -2.0) + 0.1 * np.random.default_rng(3).standard_normal(T.size)
+    result = fitted(line, space, measured)
+    assert result.errors_problem == (
+        "offset is at its bound; they hold for values between the bounds"
+    )
+
+
+def test_values_that_only_their_sum_matters_of_are_not_determined():
+    def both(t, slope, offset):
+        return (slope + offset) * t
+
+    measured = both(T, 1.0, 2.0) + 0.1 * np.random.default_rng(3).standard_normal(T.size)
+    result = fitted(both, LINE, measured)
+    assert "the objective does not rise along a combination of slope, offset" in (
+        result.errors_problem
+    )
+
+
+def test_a_value_without_effect_is_not_determined():
+    def first(t, slope, offset):
+        return slope * t
+
+    measured = first(T, 1.0, 2.0) + 0.1 * np.random.default_rng(3).standard_normal(T.size)
+    result = fitted(first, LINE, measured)
+    assert "offset hardly changes the objective: the data do not determine it" in (
+        result.errors_problem
+    )
+
+
+def test_a_residual_of_zero_has_no_errors():
+    result = fitted(line, LINE, line(T, 0.0, 0.0), first={"slope": 0.0, "offset": 0.0})
+    assert result.best.objective == 0.0
+    assert result.errors_problem == "the residual is zero"
+
+
+def test_few_samples_are_refused():
+    search = TuningSearch(LINE, OBJECTIVE, is_rms=True, samples=2)
+    result = search_best(Recorded(rms_of(line, line(T, 1.0, 1.0) + T**2)), search)
+    assert result.errors_problem == "2 values from 2 samples: needed more samples than values"
+
+
+def test_members_that_fail_beside_the_best_values_are_named():
+    measured = line(T, 3.0, -2.0) + 0.1 * np.random.default_rng(3).standard_normal(T.size)
+    rms = rms_of(line, measured)
+    slope = np.polyfit(T, measured, 1)[0]
+
+    def cliff(point):
+        if point["slope"] > slope + 0.01:  # a third of a standard error
+            raise ArithmeticError("too steep")
+        return rms(point)
+
+    search = TuningSearch(LINE, OBJECTIVE, is_rms=True, samples=T.size)
+    result = search_best(Recorded(cliff), search)
+    assert result.errors_problem == "a member next to the best values fails: too steep"
+
+
+def test_members_are_kept_for_the_errors_where_starts_would_use_all():
+    measured = decay(T, 2.0, 3.0) + 0.01 * np.random.default_rng(1).standard_normal(T.size)
+    result = fitted(decay, DECAY, measured, members=90, starts=100)
+    assert result.errors is not None
+    assert len(result.trials) <= 90
+
+
+def test_what_is_assumed_is_said():
+    measured = line(T, 3.0, -2.0) + 0.1 * np.random.default_rng(3).standard_normal(T.size)
+    assert statements(fitted(line, LINE, measured))[-1] == (
+        "the standard errors assume that the 201 samples of the residual are white, with one "
+        "deviation"
+    )
+
+
+def coverage(seeds):
+    """Return in how many of the seeds the interval of a and of k has the truth."""
+    hits = np.zeros(2, int)
+    for seed in range(seeds):
+        measured = decay(T, 2.0, 3.0)
+        measured += 0.02 * np.random.default_rng(seed).standard_normal(T.size)
+        errors = fitted(decay, DECAY, measured, starts=1).errors
+        (a_low, a_high), (k_low, k_high) = errors.intervals.values()
+        hits += [a_low < 2.0 < a_high, k_low < 3.0 < k_high]
+    return hits
+
+
+def test_intervals_have_the_truth_about_as_often_as_they_say():
+    """Of 100 seeds 95: fewer than 87 or all of 100 have a probability of 1 % together."""
+    hits = coverage(100)
+    assert ((hits >= 87) & (hits <= 100)).all()
+
+
+@pytest.mark.campaign
+def test_intervals_have_the_truth_as_often_as_they_say():
+    """Of 1000 seeds 950, with a deviation of 6.9; within four of them."""
+    assert np.abs(coverage(1000) - 950).max() <= 28
