@@ -13,9 +13,9 @@ _MOST_DECIMALS: Final = 8
 _LARGEST: Final = 1e8  # that is written without an exponent
 
 
-def number_text(value: float | None) -> str:
-    """Return a number in six digits; empty: there is none."""
-    return "" if value is None else f"{value:.6g}"
+def number_text(value: float | None, digits: int = 6) -> str:
+    """Return a number in so many digits; empty: there is none."""
+    return "" if value is None else f"{value:.{digits}g}"
 
 
 def text_with_half_width(value: float | None, interval: ConfidenceInterval) -> str:

@@ -8,9 +8,10 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 
 from cosim.report.tables.console import new_table, print_json, print_line, print_table
+from cosim.studies.analysis.columns import MemberColumns, NumberColumn
 from cosim.studies.analysis.conditions import PassedShare, passed_share
 from cosim.studies.analysis.correlation import RankCorrelation, rank_correlations, strongest
-from cosim.studies.analysis.extremes import worst_members
+from cosim.studies.analysis.extremes import best_members, worst_members
 from cosim.studies.analysis.failures import ReasonGroup, ends_by_reason, failures_by_reason
 from cosim.studies.analysis.results import StudyResults
 from cosim.studies.analysis.statistics import MetricStatistics, study_statistics
@@ -25,6 +26,7 @@ from cosim.studies.tables.numbers import (
 CommandOf: TypeAlias = Callable[[int], str]
 
 WORST: Final = 3  # members of each metric that are shown
+_DIGITS: Final = 4  # of a figure in a table of all metrics
 _MOST_REASONS: Final = 20  # that are shown; --json has all
 _MOST_TEXTS: Final = 5  # of a metric that is a text
 _MOST_PARAMETERS: Final = 3  # of the correlations of a metric
@@ -72,7 +74,7 @@ def print_study(
     for group in failures[:_MOST_REASONS]:
         _print_command(int(group.numbers[0]), command_of)
     _print_groups("ended before their stop", ends_by_reason(results.columns))
-    _print_worst(results, command_of, worst)
+    _print_extremes(results, command_of, worst)
 
 
 def study_content(
@@ -127,17 +129,15 @@ def _print_statistics(results: StudyResults, statistics: dict[str, MetricStatist
     figures = [one for one in statistics.values() if one.count]
     if figures:
         heads = [percent_text(quantile.probability) for quantile in figures[0].quantiles]
-        columns = ("", "members", "mean", "deviation", "smallest", *heads, "largest")
+        columns = ("", "members", "mean", "deviation", *heads)
         table = new_table("statistics", columns)
         for one in figures:
             table.add_row(
                 results.with_unit(one.name),
                 str(one.count),
                 text_with_half_width(one.mean, one.mean_interval),
-                number_text(one.deviation),
-                number_text(one.minimum),
-                *(number_text(quantile.value) for quantile in one.quantiles),
-                number_text(one.maximum),
+                number_text(one.deviation, _DIGITS),
+                *(number_text(quantile.value, _DIGITS) for quantile in one.quantiles),
             )
         print_table(table)
         print_line(f"95 % intervals: {figures[0].basis}")
@@ -214,19 +214,24 @@ def _print_command(number: int, command_of: CommandOf) -> None:
     print_line(f"member {number} alone: {command_of(number)}")
 
 
-def _print_worst(results: StudyResults, command_of: CommandOf, count: int) -> None:
+def _print_extremes(results: StudyResults, command_of: CommandOf, count: int) -> None:
     columns = results.columns
-    table = new_table("largest values", ("", "member and value"))
+    table = new_table("smallest and largest values, by member", ("", "smallest", "largest"))
     first = None
     for name, column in columns.metrics.items():
         if column.is_text or not count or not (len(column.values) or len(column.infinite)):
             continue
-        numbers = worst_members(columns, name, count)
-        values = columns.numeric(name)[columns.rows_of(numbers)]
-        first = numbers[0] if first is None else first
-        pairs = zip(numbers.tolist(), values.tolist(), strict=True)
-        cells = [f"{number}: {value:.6g}" for number, value in pairs]
-        table.add_row(results.with_unit(name), ", ".join(cells))
+        largest = worst_members(columns, name, count)
+        smallest = best_members(columns, name, 1)
+        first = largest[0] if first is None else first
+        cells = [_with_values(columns, name, numbers) for numbers in (smallest, largest)]
+        table.add_row(results.with_unit(name), *cells)
     if first is not None:
         print_table(table)
         _print_command(int(first), command_of)
+
+
+def _with_values(columns: MemberColumns, metric: str, numbers: NumberColumn) -> str:
+    values = columns.numeric(metric)[columns.rows_of(numbers)]
+    pairs = zip(numbers.tolist(), values.tolist(), strict=True)
+    return ", ".join(f"{number}: {number_text(value)}" for number, value in pairs)

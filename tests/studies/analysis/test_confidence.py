@@ -180,6 +180,19 @@ def test_intervals_of_even_designs_are_conservative(count, sampler):
         values = np.exp(points[:, 0]) + points[:, 1] * points[:, 2]
         means.append(values.mean())
         intervals.append(mean_interval(values, variance_factor=64.0 / 63.0))
+    # an integral of exp, and one of a product
     assert share_that_hold(intervals, math.e - 1.0 + 0.25) >= 0.99
     widths = [interval.upper - interval.lower for interval in intervals]
     assert np.mean(widths) > 2.0 * 3.92 * np.std(means)
+
+
+@pytest.mark.parametrize("count", [1000, pytest.param(10_000, marks=pytest.mark.campaign)])
+def test_intervals_of_a_latin_hypercube_hold_where_it_does_not_help(count):
+    """Of a product of two parameters, which has no part that depends on one of them alone."""
+    rng = np.random.default_rng(11)
+    intervals = []
+    for _ in range(count):
+        points = stats.qmc.LatinHypercube(2, rng=rng).random(128)
+        values = (points[:, 0] - 0.5) * (points[:, 1] - 0.5)
+        intervals.append(mean_interval(values, variance_factor=128.0 / 127.0))
+    assert 0.93 <= share_that_hold(intervals, 0.0) <= 0.975
