@@ -33,7 +33,7 @@ from cosim.arrays import Vector
 from cosim.studies.tuning.space import SearchSpace
 from cosim.studies.tuning.trials import Trials
 
-Cost: TypeAlias = Callable[[Vector], float]
+PointCost: TypeAlias = Callable[[Vector], float]
 LocalMethod: TypeAlias = Literal["cobyqa", "nelder-mead"]
 
 TOLERANCE: Final = 1e-5  # of the range between the bounds
@@ -140,7 +140,7 @@ class _ShapedCost:
     squared : bool
     """
 
-    def __init__(self, ask: Cost, *, squared: bool) -> None:
+    def __init__(self, ask: PointCost, *, squared: bool) -> None:
         self._ask = ask
         self._squared = squared
         self._scale = 0.0

@@ -13,7 +13,7 @@ from cosim.errors import listing
 from cosim.studies.tuning.local import SearchEnd
 from cosim.studies.tuning.space import SearchSpace
 from cosim.studies.tuning.standard_errors import StandardErrors
-from cosim.studies.tuning.trials import Trial
+from cosim.studies.tuning.trials import SearchTrial
 
 AT_BOUND: Final = 1e-4  # of the range between the bounds
 CONVERGED: Final = 1e-3  # of the range between the bounds
@@ -32,9 +32,9 @@ class TuningResult:
         The name of the metric.
     method : str
     maximize : bool
-    trials : tuple of Trial
+    trials : tuple of SearchTrial
         All members, in the order in which they were asked for.
-    best : Trial or None
+    best : SearchTrial or None
         None: no member has an objective.
     finished : bool
         The search ended by itself, not because the members were used up.
@@ -54,8 +54,8 @@ class TuningResult:
     objective: str
     method: str
     maximize: bool
-    trials: tuple[Trial, ...]
-    best: Trial | None
+    trials: tuple[SearchTrial, ...]
+    best: SearchTrial | None
     finished: bool
     stop_reason: str
     ends: tuple[SearchEnd, ...]
@@ -65,7 +65,7 @@ class TuningResult:
     errors_problem: str
 
     @property
-    def failed(self) -> tuple[Trial, ...]:
+    def failed(self) -> tuple[SearchTrial, ...]:
         """The members without an objective."""
         return tuple(trial for trial in self.trials if trial.objective is None)
 
@@ -110,7 +110,7 @@ class TuningResult:
 
 
 def converged_end(
-    space: SearchSpace, best: Trial | None, ends: Sequence[SearchEnd]
+    space: SearchSpace, best: SearchTrial | None, ends: Sequence[SearchEnd]
 ) -> SearchEnd | None:
     """Return the end of a search that converged at the best values; None: there is none."""
     for end in ends:
@@ -119,12 +119,12 @@ def converged_end(
     return None
 
 
-def _distance(space: SearchSpace, best: Trial, end: SearchEnd) -> float:
+def _distance(space: SearchSpace, best: SearchTrial, end: SearchEnd) -> float:
     """Return the largest difference between the coordinates of two places."""
     return float(np.abs(space.coordinates(end.point) - space.coordinates(best.point)).max())
 
 
-def _trial_dict(trial: Trial) -> dict[str, Any]:
+def _trial_dict(trial: SearchTrial) -> dict[str, Any]:
     return {"member": trial.number, "values": dict(trial.point), "objective": trial.objective}
 
 

@@ -27,7 +27,7 @@ class SearchEnded(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Trial:
+class SearchTrial:
     """A point that was tried.
 
     Parameters
@@ -71,21 +71,21 @@ class Trials:
         self._objective = objective
         self.members = members
         self._sign = -1.0 if maximize else 1.0
-        self._by_point: dict[str, Trial] = {}
+        self._by_point: dict[str, SearchTrial] = {}
         self._repeated = 0
-        self.best: Trial | None = None
+        self.best: SearchTrial | None = None
 
     @property
-    def all(self) -> tuple[Trial, ...]:
+    def all(self) -> tuple[SearchTrial, ...]:
         """All trials, in the order in which they were asked for."""
         return tuple(self._by_point.values())
 
     @property
-    def failed(self) -> tuple[Trial, ...]:
+    def failed(self) -> tuple[SearchTrial, ...]:
         """The trials without an objective."""
         return tuple(trial for trial in self.all if trial.objective is None)
 
-    def known(self, point: Mapping[str, Any]) -> Trial | None:
+    def known(self, point: Mapping[str, Any]) -> SearchTrial | None:
         """Return the trial of a point; None: it was not tried."""
         return self._by_point.get(_name_of(point))
 
@@ -124,7 +124,7 @@ class Trials:
     def _add(self, name: str, point: Mapping[str, Any], outcome: MemberOutcome) -> None:
         objective, problem = self._objective_of(outcome)
         cost = math.inf if objective is None else self._sign * objective
-        trial = Trial(outcome.number, dict(point), objective, problem, cost)
+        trial = SearchTrial(outcome.number, dict(point), objective, problem, cost)
         self._by_point[name] = trial
         if objective is not None and (self.best is None or cost < self.best.cost):
             self.best = trial
