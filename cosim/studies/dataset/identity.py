@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
-from cosim.errors import DatasetError
+from cosim.errors import DatasetError, flag
 from cosim.studies.dataset.columns import StudyColumn, all_columns
 from cosim.studies.dataset.layout import PartLayout
 from cosim.version import __version__
@@ -184,5 +184,6 @@ def digest_of(value: Any) -> str:
 
 def _damaged(label: str) -> DatasetError:
     return DatasetError(
-        f"{label} is damaged; take it from a copy, or remove the folder and run the study again"
+        f"{label} is damaged; take it from a copy, or {flag('new')} begins anew, without the "
+        "members that are there"
     )
