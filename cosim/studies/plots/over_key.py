@@ -18,6 +18,7 @@ from cosim.studies.plots.scales import Scale, check_drawable, is_logarithmic
 
 _MOST_POINTS: Final = 3000  # single members that are drawn
 _MOST_LINES: Final = len(COLORS)
+_BAR: Final = 12.0  # width [points]
 _MOST_PLACES: Final = 100  # values of a key that each have a place; more are put together
 _BINS: Final = 25  # that they are put together in
 _IN_BIN: Final = 40  # members; fewer than these have fewer bins
@@ -43,7 +44,8 @@ def plot_over_key(
     columns = results.columns
     scale = Scale.of(columns.parameters[keys[0]])
     lines = Scale.of(columns.parameters[keys[1]]) if len(keys) > 1 else None
-    is_grid = results.layout.kind == "grid"
+    has_many = len(np.unique(scale.positions)) > _MOST_PLACES
+    is_line = not scale.names and (results.layout.kind == "grid" or has_many)
     handles: list[Any] = []
     for panel, column in zip(picture.panels, picture.columns, strict=True):
         check_drawable(column.name, column.values)
@@ -53,7 +55,7 @@ def plot_over_key(
         for name, color, chosen in _lines(lines, rows, keys):
             x = scale.positions[rows[chosen]]
             values = column.values[chosen]
-            handles += _draw(panel, x, values, is_grid=is_grid, color=color, name=name)
+            handles += _draw(panel, x, values, is_line=is_line, color=color, name=name)
         handles += _draw_failed(panel, scale, columns.rows_of(column.failed))
         scale.apply(panel, "x")
         if is_logarithmic(column.values):
@@ -83,7 +85,7 @@ def _lines(
 
 
 def _draw(
-    panel: Any, x: Vector, values: Vector, *, is_grid: bool, color: str, name: str
+    panel: Any, x: Vector, values: Vector, *, is_line: bool, color: str, name: str
 ) -> list[Any]:
     """Draw the members of a line, their median and the band that 90 % of them are in."""
     places, index = _places(x)
@@ -91,24 +93,32 @@ def _draw(
     groups = np.split(values[order], np.cumsum(np.bincount(index))[:-1])
     medians = [float(np.median(group)) for group in groups]
     single = max(map(len, groups)) == 1
-    has_dots = len(values) <= _MOST_POINTS
-    if has_dots and not single:
+    if len(values) <= _MOST_POINTS and not single:
         panel.plot(x, values, ".", color=color, markersize=3.0, alpha=0.4, markeredgewidth=0.0)
     style = {"color": color, "linewidth": WIDTH}
     if single or len(places) <= _BINS:
         style |= {"marker": ".", "markersize": 5.0}
-    if single and not is_grid:
+    if not is_line and (single or len(places) <= _BINS):
         style["linestyle"] = "none"
     label = shown_text(name) or ("members" if single else "median")
     handles = list(panel.plot(places, medians, label=label, **style))
     if not single:
-        lower = [float(np.quantile(group, 0.05)) for group in groups]
-        upper = [float(np.quantile(group, 0.95)) for group in groups]
-        band = panel.fill_between(places, lower, upper, color=color, alpha=FAINT, linewidth=0.0)
+        band = _draw_band(panel, places, groups, color, is_line=is_line)
         if not name:
             band.set_label("5 % to 95 % of the members")
             handles.append(band)
     return handles
+
+
+def _draw_band(
+    panel: Any, places: Vector, groups: Sequence[Vector], color: str, *, is_line: bool
+) -> Any:
+    """Draw what 90 % of the members of each place are in; bars where nothing is between places."""
+    lower = [float(np.quantile(group, 0.05)) for group in groups]
+    upper = [float(np.quantile(group, 0.95)) for group in groups]
+    if is_line:
+        return panel.fill_between(places, lower, upper, color=color, alpha=FAINT, linewidth=0.0)
+    return panel.vlines(places, lower, upper, color=color, alpha=FAINT, linewidth=_BAR)
 
 
 def _places(x: Vector) -> tuple[Vector, NumberColumn]:

@@ -50,11 +50,12 @@ class Scale:
         positions = np.array([places[text] for text in texts])
         return cls(positions, tuple(short_names(names)))
 
-    def label(self, axis: Any, name: str) -> None:
+    def label(self, axis: Any, name: str, *, width: int = LABEL) -> None:
         """Write the name of the values, and those of positions, at an axis of a panel."""
-        axis.set_label_text(fill(shown_text(name), LABEL))
+        axis.set_label_text(fill(shown_text(name), width))
         if self.names:
             axis.set_ticks(range(len(self.names)), labels=[shown_text(n) for n in self.names])
+            axis.axes.set(**{f"{axis.axis_name}lim": (-0.5, len(self.names) - 0.5)})
 
     def apply(self, panel: Any, direction: str) -> None:
         """Make the ``x`` or ``y`` axis of a panel logarithmic, if this is."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from textwrap import fill
 from typing import Any, Final
 
 import numpy as np
@@ -20,6 +21,7 @@ from cosim.studies.plots.scales import Scale, check_drawable, even_edges, is_log
 _MOST: Final = 7  # rows and columns
 _PANEL: Final = 5.0  # cm
 _MOST_POINTS: Final = 4000  # that are drawn one by one
+_LABEL: Final = 22  # characters of a line at an axis
 _CELLS: Final = 50
 _BINS: Final = 24
 
@@ -59,7 +61,8 @@ def plot_scatter(
             _share_axes(panels, row, column)
             if column > row:
                 _write_correlation(panel, x, y)
-            elif column == row:
+                continue
+            if column == row:
                 _draw_histogram(panel, x)
             else:
                 handles += _draw_points(panel, x, y)
@@ -71,7 +74,7 @@ def plot_scatter(
         picture.legend(list(unique.values()), below=True)
     title = f"{results.name}: {results.done} members, {results.failed} failed; rank correlations"
     if count < len(quantities):
-        title += f"\n{count} of {len(quantities)} parameters and metrics"
+        title += f"; {count} of {len(quantities)} parameters and metrics"
     picture.save(out, title=shown_text(title))
 
 
@@ -173,17 +176,18 @@ def _label(
     if x is not y:
         y.scale.apply(panel, "y")
     if last:
-        x.scale.label(panel.xaxis, results.with_unit(x.name))
+        x.scale.label(panel.xaxis, results.with_unit(x.name), width=_LABEL)
         panel.xaxis.label.set_size("small")
         panel.tick_params(axis="x", labelrotation=45)
     else:
-        panel.tick_params(axis="x", labelbottom=False)
+        panel.tick_params(axis="x", which="both", labelbottom=False)
     if x is y:
-        panel.tick_params(axis="y", labelleft=False)
+        panel.tick_params(axis="y", which="both", labelleft=False)
         if first:
-            panel.set_ylabel(shown_text(results.with_unit(y.name)), fontsize="small")
+            text = fill(shown_text(results.with_unit(y.name)), _LABEL)
+            panel.set_ylabel(text, fontsize="small")
     elif first:
-        y.scale.label(panel.yaxis, results.with_unit(y.name))
+        y.scale.label(panel.yaxis, results.with_unit(y.name), width=_LABEL)
         panel.yaxis.label.set_size("small")
     else:
-        panel.tick_params(axis="y", labelleft=False)
+        panel.tick_params(axis="y", which="both", labelleft=False)

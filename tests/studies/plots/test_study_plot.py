@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pyarrow
 import pytest
+from scipy import stats
 
 from cosim.errors import UsageError
 from cosim.report.plots.picture import PictureOptions
@@ -12,6 +13,7 @@ from cosim.studies.analysis.independence import StudyLayout
 from cosim.studies.analysis.results import results_of_study
 from cosim.studies.plots import KINDS, plot_study
 from cosim.studies.plots.heat_map import cell_means
+from cosim.studies.plots.panels import MetricPanels
 from cosim.studies.plots.scales import Scale, cell_edges, even_edges, is_logarithmic, short_names
 from tests.studies.tables.made import MadeStudy, tolerances
 from tests.studies.tables.test_tables import saltelli_study
@@ -200,3 +202,29 @@ def test_cells_hold_their_centers():
 def test_every_kind_is_described():
     """For the command line."""
     assert set(DRAWN) | {"sobol"} == set(KINDS)
+
+
+def test_the_scatter_matrix_writes_rank_correlations_beside_its_panels(tmp_path):
+    """Of both a parameter and a metric: those of scipy."""
+    study, results = tolerances()
+    plot_study(results, tmp_path / "a.svg", kind="scatter")
+    table = study.table(["plant.mass", "settling"]).to_pandas().dropna()
+    expected = stats.spearmanr(table["plant.mass"], table["settling"]).statistic
+    assert f"{expected:+.2f}" in texts(tmp_path / "a.svg")
+
+
+def test_nothing_is_drawn_between_names(tmp_path):
+    """Each plant has a bar and a point: a line between two plants would say something."""
+    study = grid_study(seeds=3, plants=["x/a.fmu", "x/b.fmu"])
+    panels = []
+
+    class Panels(MetricPanels):
+        def save(self, out, what):
+            panels.extend(self.panels)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("cosim.studies.plots.over_key.MetricPanels", Panels)
+        plot_study(study, tmp_path / "a.svg", kind="line", keys=["swap.plant"])
+    (panel,) = panels
+    assert all(line.get_linestyle() == "None" for line in panel.lines)
+    assert panel.get_xlim() == (-0.5, 1.5)
