@@ -291,6 +291,12 @@ def test_powers_that_are_doubles_are_exact():
         assert computed(x * x, 0.5) == x
 
 
+def test_a_square_is_rounded_once():
+    """x**2 is x x, to the ends of the range."""
+    for x in np.concatenate([spread(1e-170, 1e160, 2000), evenly(-5, 5, 300)]).tolist():
+        assert same(function("pow")(x, 2.0), x * x)
+
+
 def test_odd_functions_are_odd_to_the_bit_and_even_ones_even():
     """f(-x) is -f(x), or f(x), also where the argument is reduced."""
     for x in np.concatenate([spread(1e-300, 1e308, 300), evenly(-5, 5, 300)]).tolist():

@@ -319,6 +319,8 @@ double cosim_pow(double x, double y)
         return 1.0;
     if (isnan(x) || isnan(y))
         return not_a_number();
+    if (y == 2.0)
+        return x * x; /* rounded once */
     const double a = fabs(x);
     const int whole = parity(y);
     const double sign = signbit(x) && whole == 1 ? -1.0 : 1.0;

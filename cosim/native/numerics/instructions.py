@@ -95,7 +95,7 @@ class RowInstructions:
 
     def _binary(self, name: str, left: int, right: int) -> int:
         if name == "power" and self.constants.get(right) == 2.0:
-            return self._operation("multiply", left, left)  # rounded once, and far less work
+            return self._operation("multiply", left, left)  # as cosim_pow
         return self._operation(name, left, right)
 
     def _constant(self, value: float) -> int:

@@ -36,8 +36,8 @@ from cosim.native.numerics.programs import RowProgram
 from cosim.studies.metrics.kinds import KINDS, ReductionKind
 
 _QUOTED_OR_DURATION: Final = re.compile(
-    r"'(?:\\.|[^'\\])*'"
-    r'|"(?:\\.|[^"\\])*"'
+    r"'(?:\\.|[^'\\])*(?:'|$)"
+    r'|"(?:\\.|[^"\\])*(?:"|$)'
     r"|(?<=[\s)\]])for(?=\s)(?P<duration>[^,()\[\]'\"]*)"
 )
 _CONSTANTS: Final = ("pi", "e")

@@ -1,8 +1,14 @@
 """What is no metric is refused, with the way out."""
 
+import re
+import tomllib
+from pathlib import Path
+
 import pytest
 
+import cosim
 from cosim.errors import UsageError
+from cosim.studies.metrics.kinds import KINDS
 from cosim.studies.metrics.metrics import parse_metrics
 from tests.studies.metrics.rows import CHANNELS
 
@@ -100,3 +106,24 @@ def test_all_signals_that_are_not_there_are_named():
     assert metrics.signals == (
         *("plnt.y", "plant.yy", "plant.y", "plant.v", "plant.v[0:2]", "plant.v[2]"),
     )
+
+
+DOCUMENT = Path(cosim.__file__).parents[1] / ".readme" / "studies.md"
+
+
+def test_the_document_shows_every_reduction_as_it_is_written():
+    """Its table, and its example, are metrics."""
+    text = DOCUMENT.read_text(encoding="utf-8").partition("## Metrics")[2].partition("\n## ")[0]
+    shown = []
+    for line in text.splitlines():
+        if line.startswith("| `"):
+            shown += re.findall("`([^`]+)`", line.split("|")[1])
+    metrics = parse_metrics({metric: metric for metric in shown})
+    assert {name.partition("(")[0] for name in metrics.names} == set(KINDS)
+    words = text.partition("```toml")[0] + text.rpartition("```")[2]
+    others = [part for part in re.findall("`([^`]+)`", words) if re.match(r"[a-z]+\(.*[.)]", part)]
+    assert len(others) > len(shown)
+    functions = ("sqrt(", "min(a, b)", "max(a, b)")
+    parse_metrics({t: t.replace("C", "t > 1") for t in others if not t.startswith(functions)})
+    example = tomllib.loads(text.partition("```toml")[2].partition("```")[0])
+    assert len(parse_metrics(example["metrics"])) == 4

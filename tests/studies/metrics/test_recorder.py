@@ -69,7 +69,7 @@ def test_where_signals_jump_the_row_has_the_right_limit():
     assert found["step"] == 0.5
 
 
-@pytest.mark.parametrize("condition", ["plant.y > 0.3", "plant.y > 0.3 for 100 ms", "t >= 0.7"])
+@pytest.mark.parametrize("condition", ["plant.y > 0.3", "plant.y**2 > 0.09 for 100 ms", "t >= 0.7"])
 def test_first_is_where_a_run_until_the_condition_ends(condition):
     """``first(t, C)`` and ``until C`` name the same instant."""
     found, _ = both(wave(), CLOCK, {"m": f"first(t, {condition})"})
@@ -77,6 +77,10 @@ def test_first_is_where_a_run_until_the_condition_ends(condition):
     run(wave(), CLOCK, memory, until=condition)
     assert memory.end_ns < CLOCK.stop * 1e9
     assert found["m"] == memory.end_ns / 1e9
+    metrics = parse_metrics(TEXTS)
+    recorder = MetricRecorder(metrics)
+    run(wave(), CLOCK, recorder, until=condition)
+    assert recorder.values() == metrics.of(memory)
 
 
 def test_a_run_that_fails_has_the_metrics_of_its_rows():
