@@ -25,6 +25,11 @@ MemberRow: TypeAlias = list[Any]
 MEMBER: Final = "member"
 RECORDING: Final = "recording"
 LOG: Final = "log"
+_ARRAY_TYPES: Final[Mapping[str, ColumnType]] = {
+    "float64": "double",
+    "int64": "int64",
+    "bool": "bool",
+}
 _SWAP: Final = "swap."
 _LARGEST_EXACT: Final = 2**53  # every whole number up to it is a double
 _LARGEST_INT64: Final = 2**63
@@ -114,8 +119,8 @@ def result_columns(
 
 
 def _type_of(values: Iterable[Any]) -> ColumnType:
-    if isinstance(values, np.ndarray) and values.dtype.kind in "fb":
-        return "double" if values.dtype.kind == "f" else "bool"
+    if isinstance(values, np.ndarray) and values.dtype.name in _ARRAY_TYPES:
+        return _ARRAY_TYPES[values.dtype.name]
     present = [value for value in values if value is not None]
     types = {_kind(value) for value in present}
     if len(types) == 1:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -11,11 +11,19 @@ from cosim.errors import DatasetError, flag, quoted
 from cosim.studies.dataset.columns import MEMBER, StudyColumn, planned_array
 
 
+class PlannedColumns(Protocol):
+    """The values that members are planned to have, such as a design's."""
+
+    def column(self, name: str, begin: int = 0, end: int | None = None) -> Any:
+        """Return an array or a list of a parameter's values, from one member to another."""
+        ...
+
+
 def check_part(
     label: str,
     parameters: Sequence[StudyColumn],
     recorded: Any,
-    design: Mapping[str, Sequence[Any]],
+    design: PlannedColumns,
 ) -> None:
     """Check that recorded members have the planned parameters, bit for bit.
 
@@ -25,9 +33,8 @@ def check_part(
         Place of the dataset.
     parameters : sequence of StudyColumn
     recorded : pyarrow.Table
-        Of some members.
-    design : mapping of str to sequence or array
-        Of each parameter the values of all members, by number.
+        Of some members, in order.
+    design : PlannedColumns
 
     Raises
     ------
@@ -35,10 +42,14 @@ def check_part(
         If one has others; names the first member, and its parameter.
     """
     members = recorded[MEMBER].to_numpy()
+    if not len(members):
+        return
+    begin = int(members[0])
+    end = int(members[-1]) + 1
     first: tuple[int, str, Any, Any] | None = None
     for column in parameters:
-        values = design[column.name]
-        planned = planned_array(column, _taken(values, members))
+        values = design.column(column.name, begin, end)
+        planned = planned_array(column, _taken(values, members - begin))
         found = recorded[column.name].combine_chunks()
         row = _first_difference(found, planned)
         if row is not None and (first is None or members[row] < first[0]):
@@ -52,11 +63,10 @@ def check_part(
         )
 
 
-def _taken(values: Sequence[Any], members: Any) -> Sequence[Any]:
+def _taken(values: Any, rows: Any) -> Any:
     if isinstance(values, np.ndarray):
-        taken: Any = values[members]
-        return taken
-    return [values[number] for number in members.tolist()]
+        return values[rows]
+    return [values[row] for row in rows.tolist()]
 
 
 def _first_difference(found: Any, planned: Any) -> int | None:

@@ -15,7 +15,7 @@ is read: the part where there is one, else the journal.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, final
@@ -24,7 +24,7 @@ from cosim.errors import DatasetError, command, flag
 from cosim.studies.contracts import MemberOutcome, StudyMember
 from cosim.studies.dataset.columns import MEMBER, RowMaker, StudyColumn, pyarrow
 from cosim.studies.dataset.contents import LOGS, DatasetContents, recorded_files
-from cosim.studies.dataset.design_check import check_part
+from cosim.studies.dataset.design_check import PlannedColumns, check_part
 from cosim.studies.dataset.identity import (
     DESCRIPTION,
     DatasetDescription,
@@ -109,7 +109,7 @@ class StudyDataset:
         place: str | Path,
         identity: StudyIdentity,
         *,
-        design: Mapping[str, Sequence[Any]] | None = None,
+        design: PlannedColumns | None = None,
         new: bool = False,
     ) -> Self:
         """Open the dataset of a study for writing, or make it where there is none.
@@ -121,8 +121,8 @@ class StudyDataset:
             there.
         identity : StudyIdentity
             It may have more members than when the dataset was made.
-        design : mapping of str to sequence or array, optional
-            Of each parameter the planned values of all members: see :meth:`check_design`.
+        design : PlannedColumns, optional
+            The planned values of the parameters: see :meth:`check_design`.
         new : bool
             Remove the dataset that is there first: files of a dataset only.
 
@@ -138,7 +138,7 @@ class StudyDataset:
         cls,
         place: str | Path,
         identity: StudyIdentity,
-        design: Mapping[str, Sequence[Any]] | None,
+        design: PlannedColumns | None,
         *,
         new: bool,
         may_exist: bool = True,
@@ -277,13 +277,13 @@ class StudyDataset:
         self._contents.parts[part.start] = part
         self._contents.open.remove(part)
 
-    def check_design(self, design: Mapping[str, Sequence[Any]]) -> None:
+    def check_design(self, design: PlannedColumns) -> None:
         """Check that recorded members have the parameters that are planned for their numbers.
 
         Parameters
         ----------
-        design : mapping of str to sequence or array
-            Of each parameter the values of all members, by number.
+        design : PlannedColumns
+            Such as the study's design.
 
         Raises
         ------
@@ -377,7 +377,7 @@ def _grown(
     storage: Storage,
     recorded: DatasetDescription,
     identity: StudyIdentity,
-    design: Mapping[str, Sequence[Any]] | None,
+    design: PlannedColumns | None,
 ) -> DatasetDescription:
     """Return the description of a dataset that goes on with a study.
 

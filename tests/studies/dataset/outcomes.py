@@ -19,9 +19,17 @@ def seeds(count):
     return [number % 5 for number in range(count)]
 
 
+class Planned(dict):
+    """Planned parameters, of all members, by name."""
+
+    def column(self, name, begin=0, end=None):
+        """Return the values of some members."""
+        return self[name][begin:end]
+
+
 def design(count):
     """Return the planned parameters."""
-    return {"observer.filter_rate": rates(count), "noise.seed": seeds(count)}
+    return Planned({"observer.filter_rate": rates(count), "noise.seed": seeds(count)})
 
 
 def columns():

@@ -11,6 +11,7 @@ from cosim.studies.dataset.columns import metric_column, parameter_column, resul
 from cosim.studies.dataset.study_dataset import StudyDataset
 from tests.studies.dataset.outcomes import (
     DIGESTS,
+    Planned,
     add,
     columns,
     design,
@@ -112,7 +113,7 @@ def test_values_of_every_type_come_back(tmp_path):
     kinds = ["double", "int64", "bool", "string", "string", "list<double>", "json"]
     assert [column.type for column in of] == kinds
     planned = identity(3, of=of, part_size=2)
-    with StudyDataset.open_or_create(tmp_path, planned, design=values) as dataset:
+    with StudyDataset.open_or_create(tmp_path, planned, design=Planned(values)) as dataset:
         for number in range(3):
             chosen = {name: column[number] for name, column in values.items()}
             swap = {"plant": chosen.pop("swap.plant")}
@@ -124,7 +125,7 @@ def test_values_of_every_type_come_back(tmp_path):
     for name in values.keys() - {"mixed"}:
         assert repr(table[name].to_pylist()) == repr(values[name])
     assert table["mixed"].to_pylist() == ['"auto"', "3", '{"kind": "sine", "rate": 1.5}']
-    with StudyDataset.open_or_create(tmp_path, planned, design=values) as dataset:
+    with StudyDataset.open_or_create(tmp_path, planned, design=Planned(values)) as dataset:
         assert dataset.missing() == []
 
 
@@ -245,7 +246,9 @@ def test_members_that_were_renumbered_are_refused_by_the_first(tmp_path):
     with StudyDataset.open_or_create(tmp_path, identity(1, of=of), new=True) as dataset:
         dataset.add(StudyMember(0, {"plant.x": -0.0}), MemberOutcome(0, "complete"))
     with pytest.raises(DatasetError, match=r"member 0 was plant.x = -0.0, is 0.0"):
-        StudyDataset.open_or_create(tmp_path, identity(1, of=of), design={"plant.x": [0.0]})
+        StudyDataset.open_or_create(
+            tmp_path, identity(1, of=of), design=Planned({"plant.x": [0.0]})
+        )
 
 
 def test_two_studies_cannot_write_one_dataset_at_once(tmp_path):
