@@ -1,36 +1,54 @@
-"""One metric of a study, with every figure and its interval."""
+"""Metrics of a study, with every figure and its interval."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Final
+
 from cosim.report.tables.console import new_table, print_json, print_line, print_table
-from cosim.studies.analysis.correlation import rank_correlations, strongest
+from cosim.studies.analysis.correlation import RankCorrelation, rank_correlations, strongest
 from cosim.studies.analysis.extremes import best_members, worst_members
 from cosim.studies.analysis.results import StudyResults
-from cosim.studies.analysis.statistics import study_statistics
+from cosim.studies.analysis.statistics import MetricStatistics, study_statistics
 from cosim.studies.tables.numbers import interval_text, members_text, number_text, percent_text
 
+_MOST_MEMBERS: Final = 20  # with the largest and smallest values, in JSON
 
-def print_metric(results: StudyResults, name: str, *, as_json: bool = False) -> None:
-    """Print the statistics of a metric with all intervals, its extremes and correlations.
+
+def print_metrics(results: StudyResults, names: Sequence[str], *, as_json: bool = False) -> None:
+    """Print the statistics of metrics with all intervals, their extremes and correlations.
 
     Raises
     ------
     UsageError
-        If there is no such metric, or it is a text.
+        If there is no such metric, or it is a text; nothing is printed then.
     """
     columns = results.columns
-    column = columns.metric(name)
-    statistics = study_statistics(columns, results.layout)[name]
-    correlations = strongest(rank_correlations(columns, results.layout), name)
+    for name in names:
+        columns.metric(name)
+    statistics = study_statistics(columns, results.layout)
+    correlations = rank_correlations(columns, results.layout)
     if as_json:
-        content = {
-            **statistics.to_dict(),
-            "correlations": [one.to_dict() for one in correlations],
-            "worst": worst_members(columns, name, 20).tolist(),
-            "best": best_members(columns, name, 20).tolist(),
-        }
+        content = {}
+        for name in names:
+            content[name] = {
+                **statistics[name].to_dict(),
+                "correlations": [one.to_dict() for one in strongest(correlations, name)],
+                "largest": worst_members(columns, name, _MOST_MEMBERS).tolist(),
+                "smallest": best_members(columns, name, _MOST_MEMBERS).tolist(),
+            }
         print_json(content)
         return
+    for name in names:
+        _print_metric(results, statistics[name], strongest(correlations, name))
+
+
+def _print_metric(
+    results: StudyResults, statistics: MetricStatistics, correlations: Sequence[RankCorrelation]
+) -> None:
+    columns = results.columns
+    name = statistics.name
+    column = columns.metrics[name]
     table = new_table(results.with_unit(name), ("", "", "95 % interval"))
     table.add_row("members", str(statistics.count), "")
     for words, count in (

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import cosim
+from cosim.errors import UsageError, shell_language
 from cosim.studies.analysis.independence import StudyLayout
 from cosim.studies.analysis.results import results_of_study
 from cosim.studies.dataset.columns import metric_column, parameter_column
@@ -17,9 +18,8 @@ from cosim.studies.design.planning import plan_design
 from cosim.studies.document.reading import read_study
 from cosim.studies.members.runner import open_runner
 from cosim.studies.plots import plot_study
-from cosim.studies.tables.member import print_member
 from cosim.studies.tables.sensitivity import print_sobol
-from cosim.studies.tables.study import print_study
+from cosim.studies.tables.show import ShownParts, show_study
 
 SCENARIO = """
 [scenario]
@@ -85,18 +85,54 @@ def test_sobol_indices_of_a_study_are_those_of_the_closed_form(ishigami, capsys)
 def test_a_study_and_its_members_are_shown(ishigami, capsys, tmp_path):
     """The command of a member is the one that runs it."""
     study, file, design = ishigami
-    results = results_of_study(study, StudyLayout.of(design))
+    layout = StudyLayout.of(design)
 
-    def command_of(number):
-        return run_command(design.member(number), file)
+    def shown(**parts):
+        def command_of(number):
+            return run_command(design.member(number), file)
 
-    print_study(results, command_of, conditions=["made > 0"])
-    out = capsys.readouterr().out
+        show_study(study, layout, command_of, ShownParts(**parts))
+        return capsys.readouterr().out
+
+    out = shown(conditions=("made > 0",))
     assert "saltelli: 1024 base points x 5; 5120 of 5120 members done, none failed" in out
+    assert "made > 0" in out
     row = study.table(members=[7]).to_pylist()[0]
-    print_member(row, results, command_of(7))
-    out = capsys.readouterr().out
+    out = shown(member=7)
     assert f"a.value\t{row['a.value']}" in out
     assert f"--set a.value={row['a.value']!r}" in out
-    plot_study(results, tmp_path / "sobol.png")
+    assert json.loads(shown(member=7, as_json=True))["made"] == row["made"]
+    assert "standard deviation" in shown(metrics=("made",))
+    assert list(json.loads(shown(sobol=True, as_json=True))) == ["made"]
+    plot_study(results_of_study(study, layout), tmp_path / "sobol.png")
     assert (tmp_path / "sobol.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("parts", "message"),
+    [
+        ({"member": 5120}, r"found member 5120, needed one from 0 to 5119"),
+        ({"metrics": ("mad",)}, r"the study has no metric 'mad'; did you mean 'made'"),
+        ({"conditions": ("made",)}, r"condition 'made': found 'made'; needed a metric, a compar"),
+    ],
+)
+def test_what_cannot_be_shown_is_an_error(ishigami, parts, message):
+    """Found before anything is printed."""
+    study, _, design = ishigami
+    with pytest.raises(UsageError, match=message):
+        show_study(study, StudyLayout.of(design), str, ShownParts(**parts))
+
+
+@pytest.mark.parametrize(
+    ("parts", "message"),
+    [
+        ({"worst": -1}, r"--worst: found -1, needed 0 or more"),
+        ({"member": 1, "sobol": True}, r"found --member and --sobol; needed one of them"),
+        ({"member": 1, "metrics": ("a",)}, r"found --member and --metric; needed one of them"),
+        ({"conditions": ("a < 1",), "sobol": True}, r"found --pass and --sobol; needed one of"),
+    ],
+)
+def test_options_that_do_not_go_together_are_an_error(parts, message):
+    """They name the options of the shell there."""
+    with shell_language(), pytest.raises(UsageError, match=message):
+        ShownParts(**parts)

@@ -11,7 +11,7 @@ from cosim.studies.analysis.confidence import ConfidenceInterval
 from cosim.studies.analysis.independence import StudyLayout
 from cosim.studies.analysis.results import results_of_study
 from cosim.studies.tables.member import check_is_done, print_member
-from cosim.studies.tables.metric import print_metric
+from cosim.studies.tables.metric import print_metrics
 from cosim.studies.tables.numbers import interval_text, members_text, text_with_half_width
 from cosim.studies.tables.sensitivity import print_sobol
 from cosim.studies.tables.study import print_study
@@ -109,7 +109,7 @@ def test_a_study_that_has_not_begun_has_no_figures(capsys):
 def test_a_metric_is_printed_with_all_intervals(capsys):
     """And who has the largest values."""
     study, results = tolerances()
-    print_metric(results, "settling")
+    print_metrics(results, ["settling"])
     lines = printed(capsys)
     values = study.table(["settling"])["settling"].to_numpy()
     kept = values[~np.isnan(values)]
@@ -122,10 +122,13 @@ def test_a_metric_is_printed_with_all_intervals(capsys):
         f"{expected.low:.4g} to {expected.high:.4g}",
     ] in lines
     assert lines[0] == ["settling [s]"]
-    print_metric(results, "settling", as_json=True)
-    content = json.loads(capsys.readouterr().out)
-    assert content["worst"][0] == np.nanargmax(values)
-    assert content["best"][0] == np.nanargmin(values)
+    print_metrics(results, ["settling"], as_json=True)
+    content = json.loads(capsys.readouterr().out)["settling"]
+    assert content["largest"][0] == np.nanargmax(values)
+    assert content["smallest"][0] == np.nanargmin(values)
+    with pytest.raises(UsageError, match=r"no metric 'settlin'; did you mean 'settling'"):
+        print_metrics(results, ["rms", "settlin"])
+    assert capsys.readouterr().out == ""
 
 
 def test_one_member_is_printed_with_its_command(capsys):

@@ -1,0 +1,98 @@
+"""What ``cosim study show`` prints: the study, one metric, one member, or Sobol indices."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from cosim.errors import UsageError, option
+from cosim.studies.analysis.independence import StudyLayout
+from cosim.studies.analysis.results import results_of_study
+from cosim.studies.tables.member import check_is_done, print_member
+from cosim.studies.tables.metric import print_metrics
+from cosim.studies.tables.sensitivity import print_sobol
+from cosim.studies.tables.study import WORST, CommandOf, print_study
+
+if TYPE_CHECKING:
+    from cosim.studies.dataset.study import Study
+
+
+@dataclass(frozen=True, slots=True)
+class ShownParts:
+    """What of a study is printed.
+
+    Parameters
+    ----------
+    member : int or None
+        Of this one all; None: of the study.
+    metrics : tuple of str
+        Of these all figures with their intervals; with ``sobol`` their indices.
+    conditions : tuple of str
+        The share of members that pass each, such as ``rms < 0.1``.
+    sobol : bool
+        Sobol indices.
+    worst : int
+        How many members with the largest values are named.
+    as_json : bool
+
+    Raises
+    ------
+    UsageError
+        If these do not go together.
+    """
+
+    member: int | None = None
+    metrics: tuple[str, ...] = ()
+    conditions: tuple[str, ...] = ()
+    sobol: bool = False
+    worst: int = WORST
+    as_json: bool = False
+
+    def __post_init__(self) -> None:
+        if self.worst < 0:
+            raise UsageError(f"{option('worst')}: found {self.worst}, needed 0 or more")
+        if self.member is not None and (self.metrics or self.conditions or self.sobol):
+            others = {"metric": self.metrics, "pass": self.conditions, "sobol": self.sobol}
+            given = next(option(name) for name, value in others.items() if value)
+            raise UsageError(f"found {option('member')} and {given}; needed one of them")
+        if self.conditions and (self.metrics or self.sobol):
+            given = option("metric" if self.metrics else "sobol")
+            raise UsageError(f"found {option('pass')} and {given}; needed one of them")
+
+
+def show_study(study: Study, layout: StudyLayout, command_of: CommandOf, parts: ShownParts) -> None:
+    """Print what a study came to, or a part of it.
+
+    Parameters
+    ----------
+    study : Study
+    layout : StudyLayout
+    command_of : callable
+        Returns the command that runs a member alone.
+    parts : ShownParts
+
+    Raises
+    ------
+    UsageError
+        If there is no such member or metric, it is not done yet, a condition is none, or the
+        design of the study has no Sobol indices.
+    DatasetError
+        If a file is damaged.
+    """
+    results = results_of_study(study, layout)
+    if parts.member is not None:
+        check_is_done(parts.member, results)
+        row = study.table(members=[parts.member]).to_pylist()[0]
+        print_member(row, results, command_of(parts.member), as_json=parts.as_json)
+    elif parts.sobol:
+        print_sobol(results, parts.metrics, as_json=parts.as_json)
+    elif parts.metrics:
+        print_metrics(results, parts.metrics, as_json=parts.as_json)
+    else:
+        print_study(
+            results,
+            command_of,
+            conditions=parts.conditions,
+            worst=parts.worst,
+            as_json=parts.as_json,
+        )
