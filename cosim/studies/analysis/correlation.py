@@ -30,7 +30,7 @@ class RankCorrelation:
     interval : ConfidenceInterval
         95 %; there is one where the members were drawn one by one.
     count : int
-        Members that have the metric.
+        Members that have the metric, and a value of the parameter.
     """
 
     metric: str
@@ -75,11 +75,17 @@ def rank_correlations(columns: MemberColumns, layout: StudyLayout) -> list[RankC
             ranked_rows = rows
         of_metric = _centered_ranks(column.values)
         for key, of_parameter in ranked.items():
+            count = len(rows)
             value = _correlation(of_metric, of_parameter)
+            if np.isnan(of_parameter).any():
+                numbers = parameters[key][rows]
+                known = ~np.isnan(numbers)
+                count = int(known.sum())
+                value = spearman(column.values[known], numbers[known])
             interval = NO_INTERVAL
             if value is not None and independent:
-                interval = _interval(value, len(rows))
-            found.append(RankCorrelation(name, key, value, interval, len(rows)))
+                interval = _interval(value, count)
+            found.append(RankCorrelation(name, key, value, interval, count))
     return found
 
 

@@ -13,7 +13,7 @@ from cosim.arrays import Vector
 from cosim.report.plots.picture import PictureOptions
 from cosim.studies.analysis.columns import NumberColumn
 from cosim.studies.analysis.results import StudyResults
-from cosim.studies.plots.panels import FAILED_COLOR, MetricPanels
+from cosim.studies.plots.panels import FAILED_COLOR, MetricPanels, placed
 from cosim.studies.plots.scales import (
     Scale,
     cell_edges,
@@ -37,6 +37,7 @@ def plot_heat_maps(
     """Draw the mean of each metric over two keys, and mark where members failed."""
     from matplotlib.colors import LogNorm
 
+    results, note = placed(results, keys)
     picture = MetricPanels(results, metrics, options)
     scales = [Scale.of(results.columns.parameters[key]) for key in keys]
     edges = [_edges(scale) for scale in scales]
@@ -59,7 +60,7 @@ def plot_heat_maps(
             scale.label(axis, results.with_unit(key))
     if handles:
         picture.legend(handles)
-    picture.save(out, f"mean over {keys[0]} and {keys[1]}")
+    picture.save(out, f"mean over {keys[0]} and {keys[1]}{note}")
 
 
 def _edges(scale: Scale) -> Vector:

@@ -13,7 +13,7 @@ from cosim.report.plots.curves import COLORS, WIDTH, shown_text
 from cosim.report.plots.picture import PictureOptions
 from cosim.studies.analysis.columns import NumberColumn
 from cosim.studies.analysis.results import StudyResults
-from cosim.studies.plots.panels import FAILED_COLOR, FAINT, MetricPanels
+from cosim.studies.plots.panels import FAILED_COLOR, FAINT, MetricPanels, placed
 from cosim.studies.plots.scales import Scale, check_drawable, is_logarithmic
 
 _MOST_POINTS: Final = 3000  # single members that are drawn
@@ -40,6 +40,7 @@ def plot_over_key(
     keys : sequence of str
         The key; if there is a second one of few values, each has a line of its own.
     """
+    results, note = placed(results, keys)
     picture = MetricPanels(results, metrics, options)
     columns = results.columns
     scale = Scale.of(columns.parameters[keys[0]])
@@ -63,7 +64,7 @@ def plot_over_key(
         scale.label(panel.xaxis, results.with_unit(keys[0]))
         panel.set_ylabel(label)
     picture.legend(handles)
-    picture.save(out, f"over {keys[0]}")
+    picture.save(out, f"over {keys[0]}{note}")
 
 
 def _lines(

@@ -8,12 +8,14 @@ from pathlib import Path
 from textwrap import fill
 from typing import Any, Final
 
+import numpy as np
+
 from cosim.errors import UsageError
 from cosim.report.plots.curves import shown_text
 from cosim.report.plots.picture import LARGEST, Picture, PictureOptions
 from cosim.studies.analysis.columns import MetricColumn
 from cosim.studies.analysis.results import StudyResults
-from cosim.studies.plots.scales import LABEL
+from cosim.studies.plots.scales import LABEL, Scale
 
 MOST_PANELS: Final = 12
 FAILED_COLOR: Final = "#D55E00"
@@ -73,6 +75,21 @@ class MetricPanels:
     def save(self, out: Path, what: str) -> None:
         """Write the picture to a file; its title is that of the study and ``what``."""
         self._picture.save(out, title=shown_text(f"{self._title}: {what}"))
+
+
+def placed(results: StudyResults, keys: Sequence[str]) -> tuple[StudyResults, str]:
+    """Return the members that have a place on the axes of keys, and which were left out."""
+    kept = np.ones(results.done, np.bool_)
+    notes = ""
+    for key in keys:
+        has_place = Scale.of(results.columns.parameters[key]).is_placed
+        kept &= has_place
+        if not has_place.all():
+            count = int((~has_place).sum())
+            notes += f"; {count} member{'' if count == 1 else 's'} without a finite {key}"
+    if not notes:
+        return results, ""
+    return replace(results, columns=results.columns.only(kept)), notes
 
 
 def sized_picture(

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from cosim.arrays import Vector
+from cosim.arrays import Mask, Vector
 from cosim.errors import UsageError
 from cosim.report.plots.curves import LARGEST_DRAWN, shown_text
 from cosim.studies.analysis.columns import VariedValues, numbers_of
@@ -49,6 +49,11 @@ class Scale:
         places = {name: float(place) for place, name in enumerate(names)}
         positions = np.array([places[text] for text in texts])
         return cls(positions, tuple(short_names(names)))
+
+    @property
+    def is_placed(self) -> Mask:
+        """Whether a value has a place: it is there, and finite."""
+        return np.isfinite(self.positions)
 
     def label(self, axis: Any, name: str, *, width: int = LABEL) -> None:
         """Write the name of the values, and those of positions, at an axis of a panel."""

@@ -97,8 +97,8 @@ def _varied(results: StudyResults) -> list[str]:
     """Return the keys that have several values among the members that are done."""
     found = []
     for key, values in results.columns.parameters.items():
-        texts = values if values.dtype != object else np.array(values.tolist(), np.str_)
-        if len(np.unique(texts)) > 1:
+        different = set(map(str, values.tolist())) if values.dtype == object else np.unique(values)
+        if len(different) > 1:
             found.append(key)
     return found
 

@@ -219,3 +219,12 @@ def test_statistics_of_huge_and_tiny_values_are_scaled(scale):
     assert found.means[-1] == pytest.approx(large["mean"], rel=1e-12)
     low, high = large["mean_interval"]
     assert found.half_widths[-1] == pytest.approx(0.5 * (high - low), rel=1e-9)
+
+
+def test_members_without_a_parameter_have_no_part_in_its_correlation():
+    """They are counted as without."""
+    first = np.array([1.0, 2.0, np.nan, 4.0, 5.0])
+    columns = columns_of({"m": np.array([2.0, 1.0, 9.0, 4.0, 5.0])}, parameters={"p": first})
+    (found,) = rank_correlations(columns, RANDOM)
+    assert found.count == 4
+    assert found.value == pytest.approx(stats.spearmanr([1, 2, 4, 5], [2, 1, 4, 5]).statistic)

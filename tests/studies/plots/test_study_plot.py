@@ -228,3 +228,22 @@ def test_nothing_is_drawn_between_names(tmp_path):
     (panel,) = panels
     assert all(line.get_linestyle() == "None" for line in panel.lines)
     assert panel.get_xlim() == (-0.5, 1.5)
+
+
+@pytest.mark.parametrize("kind", DRAWN)
+def test_parameters_without_a_number_have_no_place(kind, tmp_path):
+    """Cases have empty cells, lists of any length, and infinity."""
+    count = 12
+    rate = pyarrow.array(np.geomspace(1.0, 1e3, count), mask=np.arange(count) == 2)
+    bound = np.arange(1.0, count + 1.0)
+    bound[4] = np.inf
+    lists = [[1.0, 2.0], [3.0], []] * (count // 3)
+    columns = {"rate": rate, "bound": bound, "gains": lists, "rms": np.arange(1.0, count + 1.0)}
+    status = ["complete"] * (count - 1) + ["failed"]
+    study = MadeStudy({**columns, "status": status}, ("rate", "bound", "gains"), ("rms",))
+    results = results_of_study(study, StudyLayout("random", samples=count))
+    for keys in ((), ("gains", "bound")):
+        plot_study(results, tmp_path / "a.svg", kind=kind, keys=keys)
+        if kind == "line" and not keys:
+            note = "; 1 member without a finite rate; 1 member without a finite bound"
+            assert f"tolerances: over rate{note}" in texts(tmp_path / "a.svg")
