@@ -7,7 +7,8 @@ turn, in rounds of shuffled order, CPU seconds; the ratio is that of a round, it
 * with the recorder ``Nothing``;
 * with a ``MetricRecorder`` of five metrics, their values included.
 
-Once without the identifier, whose run is the shortest, so that metrics weigh most; once with it.
+Without the identifier, whose run is the shortest, so that metrics weigh most, and with it; in
+blocks as short as those of a study's members, and as long as time allows.
 The values are printed beside those of numpy over the recorded rows, as a faster wrong answer does
 not count.
 """
@@ -25,13 +26,13 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from cosim.core.clock import Clock
-from cosim.core.ensemble import ROWS_BYTES
 from cosim.core.graph import Graph
 from cosim.core.master import run
 from cosim.core.recorders import Memory, Nothing
 from cosim.core.recording import Plan
 from cosim.scenario.building.build import Builder
 from cosim.scenario.running.execution import load
+from cosim.studies.members.runner import BLOCK_BYTES
 from cosim.studies.metrics.metrics import parse_metrics
 from cosim.studies.metrics.recorder import MetricRecorder
 from tests.bench.masters.core_systems import without_identifier
@@ -109,7 +110,7 @@ def main() -> None:
         experiment = Builder(load("academic"), resources, block=None).experiment()
         clock = experiment.clock
         for graph in (without_identifier(experiment.graph), experiment.graph):
-            block = ROWS_BYTES // (8 * graph.layout.row_width)
+            block = BLOCK_BYTES // (8 * graph.layout.row_width)
             for fixed in (block, None):
                 fixed_clock = Clock(clock.stop, clock.step, fixed)
                 print(f"block: {fixed}")

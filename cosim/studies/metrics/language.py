@@ -185,7 +185,9 @@ class _MetricParser:
                 pass
             case _ if is_condition(node):
                 found = f"the condition {self._quoted(node)} outside a reduction"
-                raise self._refusal(found, f"needed a number, such as share({self._part(node)})")
+                is_of_rows = _first_reduction(node) is None
+                example = f", such as share({self._part(node)})" if is_of_rows else ""
+                raise self._refusal(found, f"needed a number{example}")
             case _ if is_signal(node) or isinstance(node, ast.Name):
                 found = f"{self._quoted(node)} outside a reduction"
                 raise self._refusal(found, f"needed one of it, such as last({self._part(node)})")
@@ -214,6 +216,9 @@ class _MetricParser:
         kind = KINDS[name]
         arguments = list(node.args)
         durations = self._durations_of(node)
+        for place, argument in enumerate(arguments):
+            if place == 0 or is_condition(argument):
+                self._check_nesting(name, argument)
         where: ConditionProgram | None = None
         if len(arguments) > 1 and is_condition(arguments[-1]) and kind.takes_condition:
             where = compile_condition_part(arguments.pop(), self._source, durations[len(arguments)])
@@ -221,7 +226,6 @@ class _MetricParser:
         fits = 1 <= len(arguments) <= most and (where is not None or not kind.needs_condition)
         if not fits or is_condition(arguments[0]) is not kind.of_condition:
             raise self._refusal(self._quoted(node), f"needed {kind.usage}")
-        self._check_nesting(name, arguments[0])
         values: Program | ConditionProgram
         if kind.of_condition:
             values = compile_condition_part(arguments[0], self._source, durations[0])
@@ -260,17 +264,14 @@ class _MetricParser:
         return durations
 
     def _check_nesting(self, name: str, argument: ast.expr) -> None:
-        """Check that there is no reduction in what is reduced."""
-        for node in ast.walk(argument):
-            match node:
-                case ast.Call(func=ast.Name(id=inner), args=arguments) if inner in _NOT_NESTED or (
-                    inner in KINDS and len(arguments) == 1
-                ):
-                    raise self._refusal(
-                        f"{self._quoted(node)} inside {name}(...)",
-                        "needed an expression over signals there: reductions are joined by "
-                        "arithmetic, and not nested",
-                    )
+        """Check that there is no reduction in what is reduced, or in its condition."""
+        inner = _first_reduction(argument)
+        if inner is not None:
+            raise self._refusal(
+                f"{self._quoted(inner)} inside {name}(...)",
+                "needed an expression over signals there: reductions are joined by arithmetic, and "
+                "not nested",
+            )
 
     def _part(self, node: ast.expr) -> str:
         return ast.get_source_segment(self._source, node) or ""
@@ -280,6 +281,17 @@ class _MetricParser:
 
     def _refusal(self, found: str, needed: str) -> UsageError:
         return UsageError(f"{self._start}: found {found}; {needed}")
+
+
+def _first_reduction(tree: ast.expr) -> ast.expr | None:
+    """Return a reduction in a syntax tree; None: there is none."""
+    for node in ast.walk(tree):
+        match node:
+            case ast.Call(func=ast.Name(id=name), args=arguments) if name in _NOT_NESTED or (
+                name in KINDS and len(arguments) == 1
+            ):
+                return node
+    return None
 
 
 def _is_over_signals(node: ast.expr) -> bool:

@@ -43,7 +43,7 @@ class MetricRecorder(Nothing):
         UsageError
             If it has not the signals of all metrics; names all that are missing.
         """
-        if plan.layout is not self._layout:
+        if plan.layout != self._layout:
             self._layout = None
             self._metrics.check(plan.channels)
             self._bound = bind_layout(self._metrics.reductions, plan.layout)

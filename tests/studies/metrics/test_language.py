@@ -40,7 +40,9 @@ REFUSED = {
     "rms(last(plant.y))": "found 'last(plant.y)' inside rms(...); needed an expression over "
     "signals there: reductions are joined by arithmetic, and not nested",
     "max(max(plant.y))": "found 'max(plant.y)' inside max(...)",
-    "first(t, plant.y > last(plant.y))": "unknown function 'last'",
+    "first(t, plant.y > last(plant.y))": "found 'last(plant.y)' inside first(...); needed an",
+    "last(plant.y) > 1": "found the condition 'last(plant.y) > 1' outside a reduction; needed a "
+    "number",
     "rms(plnt)": "expression 'plnt': found unknown name 'plnt'",
     "rms(plant.y; 3)": "not a metric at column",
     "rms(plant.y, x=3)": "found 'rms(plant.y, x=3)'; only numbers, pi, e, reductions such as",

@@ -102,8 +102,10 @@ def test_a_recorder_takes_runs_of_other_graphs():
     plant = Linear(lag(time_constant=1.0, initial=3.0))
     run(Graph({"u": step(time=9.0), "plant": plant}, {"plant.u": "u.y"}), CLOCK, recorder)
     assert recorder.values()["m"] == pytest.approx(3.0 * np.exp(-2.0), rel=1e-12)
-    run(wave(), CLOCK, recorder)
-    assert recorder.values() == first
+    graph = wave()
+    for _ in range(2):
+        run(graph, CLOCK, recorder)
+        assert recorder.values() == first
     with pytest.raises(UsageError) as error:
         run(Graph({"p": plant, "u": step(time=9.0)}, {"p.u": "u.y"}), CLOCK, recorder)
     assert [line.split(";")[0] for line in str(error.value).splitlines()] == [
