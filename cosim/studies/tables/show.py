@@ -1,4 +1,4 @@
-"""What ``cosim study show`` prints: the study, one metric, one member, or Sobol indices."""
+"""What ``cosim study show`` prints: the study, metrics, groups, a member, or Sobol indices."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from cosim.errors import UsageError, option
 from cosim.studies.analysis.independence import StudyLayout
 from cosim.studies.analysis.results import results_of_study
+from cosim.studies.tables.groups import print_groups
 from cosim.studies.tables.member import check_is_done, print_member
 from cosim.studies.tables.metric import print_metrics
 from cosim.studies.tables.sensitivity import print_sobol
@@ -26,9 +27,11 @@ class ShownParts:
     member : int or None
         Of this one all; None: of the study.
     metrics : tuple of str
-        Of these all figures with their intervals; with ``sobol`` their indices.
+        Of these all figures with their intervals; with ``by`` or ``sobol`` only theirs.
     conditions : tuple of str
         The share of members that pass each, such as ``rms < 0.1``.
+    by : str
+        Statistics for each value of this key; empty: of all members.
     sobol : bool
         Sobol indices.
     worst : int
@@ -44,6 +47,7 @@ class ShownParts:
     member: int | None = None
     metrics: tuple[str, ...] = ()
     conditions: tuple[str, ...] = ()
+    by: str = ""
     sobol: bool = False
     worst: int = WORST
     as_json: bool = False
@@ -51,13 +55,18 @@ class ShownParts:
     def __post_init__(self) -> None:
         if self.worst < 0:
             raise UsageError(f"{option('worst')}: found {self.worst}, needed 0 or more")
-        if self.member is not None and (self.metrics or self.conditions or self.sobol):
-            others = {"metric": self.metrics, "pass": self.conditions, "sobol": self.sobol}
-            given = next(option(name) for name, value in others.items() if value)
-            raise UsageError(f"found {option('member')} and {given}; needed one of them")
-        if self.conditions and (self.metrics or self.sobol):
-            given = option("metric" if self.metrics else "sobol")
-            raise UsageError(f"found {option('pass')} and {given}; needed one of them")
+        # Each of these prints something of its own; metrics choose what of it.
+        alone = {
+            "member": self.member is not None,
+            "pass": bool(self.conditions),
+            "by": bool(self.by),
+            "sobol": self.sobol,
+        }
+        given = [option(name) for name, is_given in alone.items() if is_given]
+        if self.metrics and (self.member is not None or self.conditions):
+            given.append(option("metric"))
+        if len(given) > 1:
+            raise UsageError(f"found {given[0]} and {given[1]}; needed one of them")
 
 
 def show_study(study: Study, layout: StudyLayout, command_of: CommandOf, parts: ShownParts) -> None:
@@ -86,6 +95,8 @@ def show_study(study: Study, layout: StudyLayout, command_of: CommandOf, parts: 
         print_member(row, results, command_of(parts.member), as_json=parts.as_json)
     elif parts.sobol:
         print_sobol(results, parts.metrics, as_json=parts.as_json)
+    elif parts.by:
+        print_groups(results, parts.by, parts.metrics, as_json=parts.as_json)
     elif parts.metrics:
         print_metrics(results, parts.metrics, as_json=parts.as_json)
     else:

@@ -130,6 +130,7 @@ def test_what_cannot_be_shown_is_an_error(ishigami, parts, message):
         ({"member": 1, "sobol": True}, r"found --member and --sobol; needed one of them"),
         ({"member": 1, "metrics": ("a",)}, r"found --member and --metric; needed one of them"),
         ({"conditions": ("a < 1",), "sobol": True}, r"found --pass and --sobol; needed one of"),
+        ({"by": "a", "sobol": True}, r"found --by and --sobol; needed one of"),
     ],
 )
 def test_options_that_do_not_go_together_are_an_error(parts, message):

@@ -10,6 +10,7 @@ from cosim.errors import UsageError
 from cosim.studies.analysis.confidence import ConfidenceInterval
 from cosim.studies.analysis.independence import StudyLayout
 from cosim.studies.analysis.results import results_of_study
+from cosim.studies.tables.groups import print_groups
 from cosim.studies.tables.member import check_is_done, print_member
 from cosim.studies.tables.metric import print_metrics
 from cosim.studies.tables.numbers import interval_text, members_text, text_with_half_width
@@ -224,3 +225,53 @@ def test_an_interval_names_the_end_that_it_does_not_have():
     )
     assert members_text(np.arange(5)) == "0, 1, 2, 3, 4"
     assert members_text(np.arange(6)) == "0, 1, 2, 3, 4, and 1 more"
+
+
+def seeded_grid():
+    """Return 3 rates with 20 seeds each; of the largest rate every second member fails."""
+    numbers = np.arange(60)
+    rates = np.array([10.0, 100.0, 1000.0])[numbers % 3]
+    values = rates + np.random.default_rng(2).normal(size=60)
+    status = np.where((rates > 500.0) & (numbers % 2 == 0), "failed", "complete")
+    columns = {"rate": rates, "plant": ["b.fmu", "a.fmu", "a.fmu"] * 20, "y": values}
+    study = MadeStudy({**columns, "status": list(status)}, ("rate", "plant"), ("y",))
+    return results_of_study(study, StudyLayout("grid", seeds=20, grid=3))
+
+
+def test_each_value_of_a_key_has_statistics(capsys):
+    """Of its members: the interval of 20 seeds at one rate is Student's."""
+    results = seeded_grid()
+    print_groups(results, "rate")
+    lines = printed(capsys)
+    assert lines[0] == ["y"]
+    assert [line[0] for line in lines[2:5]] == ["10.0", "100.0", "1000.0"]
+    assert [line[1:3] for line in lines[2:5]] == [["20", ""], ["20", ""], ["10", "10"]]
+    values = results.columns.metric("y").values
+    first = values[values < 50.0]
+    half_width = stats.t.ppf(0.975, 19) * first.std(ddof=1) / np.sqrt(20)
+    assert lines[2][3] == f"{first.mean():.2f} ± {half_width:.2f}"
+    assert lines[5] == ["95 % intervals: 20 seeds drawn independently"]
+    print_groups(results, "plant", ["y"], as_json=True)
+    content = json.loads(capsys.readouterr().out)
+    assert [group["value"] for group in content["groups"]] == ["b.fmu", "a.fmu"]
+    assert content["groups"][1]["failed"] == 10
+    assert content["groups"][0]["statistics"]["y"]["mean"] == pytest.approx(first.mean())
+
+
+@pytest.mark.parametrize(
+    ("key", "metrics", "message"),
+    [
+        ("rat", (), r"the study does not vary 'rat'; did you mean 'rate'"),
+        ("rate", ("z",), r"the study has no metric 'z'; there is: y"),
+    ],
+)
+def test_groups_of_what_is_not_there_are_an_error(key, metrics, message):
+    """Found before anything is printed."""
+    with pytest.raises(UsageError, match=message):
+        print_groups(seeded_grid(), key, metrics)
+
+
+def test_a_key_of_very_many_values_has_no_groups():
+    """One that is drawn from a continuous distribution."""
+    with pytest.raises(UsageError, match=r"'plant.mass': found 300 values, needed at most 200"):
+        print_groups(tolerances(300)[1], "plant.mass")
