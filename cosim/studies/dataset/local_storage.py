@@ -22,6 +22,7 @@ if sys.platform != "win32":
 
 LOCK: Final = "_lock"
 _TEMPORARY: Final = ".tmp"
+_NONE: Final = -1  # no descriptor: to write there is an error
 
 
 @final
@@ -164,15 +165,28 @@ class AppendedJournal:
                 os.ftruncate(self._file, 0)
                 self._length = 0
                 return
-            _write_whole(self._path, b"".join(lines))
-            os.close(self._file)
-            self._file = self._opened()
+            self._write_anew(lines)
         except OSError as error:
             raise _write_error(self._path, error) from error
 
     def close(self) -> None:
-        """Close the file."""
-        os.close(self._file)
+        """Close the file. Twice does no harm."""
+        if self._file != _NONE:
+            os.close(self._file)
+            self._file = _NONE
+
+    def _write_anew(self, lines: Sequence[bytes]) -> None:
+        # While it is not known which file has the name, there is none to append to: a line in
+        # the file that was replaced would be lost.
+        replaced = self._file
+        self._file = _NONE
+        try:
+            _write_whole(self._path, b"".join(lines))
+        except OSError:
+            self._file = replaced
+            raise
+        os.close(replaced)
+        self._file = self._opened()
 
     def _opened(self) -> int:
         descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
