@@ -173,11 +173,13 @@ class Description:
     _ports: dict[str, PortVariables] = field(
         init=False, repr=False, compare=False
     )  # those asked for
+    _references: dict[str, ReferenceMap] = field(init=False, repr=False, compare=False)  # the same
 
     def __post_init__(self) -> None:
         named = {variable.name: variable for variable in self.variables}
         object.__setattr__(self, "_named", named)
         object.__setattr__(self, "_ports", {})
+        object.__setattr__(self, "_references", {})
 
     def __contains__(self, name: str) -> bool:
         """Return whether there is a variable of that name."""
@@ -224,10 +226,12 @@ class Description:
 
     def references(self, causality: str) -> ReferenceMap:
         """Return all inputs or outputs with their value references, in the interface's order."""
-        variables: list[Variable] = []
-        for _, group in self.ports(causality):
-            variables += group
-        return ReferenceMap.of(variables)
+        if causality not in self._references:
+            variables: list[Variable] = []
+            for _, group in self.ports(causality):
+                variables += group
+            self._references[causality] = ReferenceMap.of(variables)
+        return self._references[causality]
 
     def values(self, causality: str) -> ReferenceMap:
         """Return the inputs or outputs that have values, a selection of all: clocks have none."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,11 +33,17 @@ class Group:
 
     @staticmethod
     def of(
-        variable_type: VariableType, references: Sequence[int], columns: NDArray[np.intp]
+        variable_type: VariableType,
+        references: Sequence[int] | NDArray[np.uint32],
+        columns: NDArray[np.intp],
     ) -> Group:
         """Build a group from its value references."""
         array = np.array(references, np.uint32)
         return Group(variable_type, array, columns, array.ctypes.data, len(array))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Be built anew by another process, which has other addresses."""
+        return Group.of, (self.type, self.references, self.columns)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

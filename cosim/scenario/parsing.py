@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -19,7 +19,13 @@ from cosim.scenario.document.document import Document
 from cosim.scenario.document.problems import Key, Problem, TableProblems, problems_of
 from cosim.scenario.document.recorded_inputs import RecordedInput, with_recorded_inputs
 from cosim.scenario.document.schema import ActionTable, ConnectionTable, File
-from cosim.scenario.document.swap import MapEntry, PortNames, ports_in, resolve_maps
+from cosim.scenario.document.swap import (
+    MapEntry,
+    PortNames,
+    ports_in,
+    resolve_maps,
+    swapped_components,
+)
 from cosim.scenario.kinds import KINDS, Kind
 
 if TYPE_CHECKING:
@@ -232,7 +238,8 @@ def read(
     specs, component_problems = _validate_components(file.components, foreign)
     connections, connection_problems = _connections(file)
     followed = _followed(specs, connections)
-    connections, implied, given_twice = _with_implied(_replaced(document, specs), followed)
+    replaced = _replaced(document, specs, swapped_components(tree) if document.swapped else ())
+    connections, implied, given_twice = _with_implied(replaced, followed)
     written, _ = _connections(file)
     without_inputs = [name for name, spec in specs.items() if not spec.follows_inputs]
     maps, connections, recorded_inputs, input_problems = with_recorded_inputs(
@@ -351,9 +358,11 @@ def _kind(table: Mapping[str, Any], foreign: Collection[str]) -> type[Kind]:
     raise TableProblems([(("kind",), text)])
 
 
-def _replaced(document: Document, specs: Mapping[str, Kind]) -> Mapping[str, Kind]:
+def _replaced(
+    document: Document, specs: Mapping[str, Kind], swapped: Iterable[str]
+) -> Mapping[str, Kind]:
     """Return the specs with those that swaps replaced: what takes their place has their inputs."""
-    names = [name for name in document.swapped_components() if name in specs]
+    names = [name for name in swapped if name in specs]
     names = [name for name in names if specs[name].follows_inputs]
     if not names:
         return specs

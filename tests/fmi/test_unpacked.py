@@ -1,5 +1,6 @@
 """FMUs that are opened again and again in one process are unpacked once, and loaded once."""
 
+import pickle
 import shutil
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,6 +11,7 @@ import pytest
 from cosim.errors import FmuError
 from cosim.fmi.component import load
 from cosim.fmi.options import FmuOptions
+from cosim.fmi.reading.model_description import read
 from cosim.fmi.unpacked import UnpackedFmus
 from tests.fmi.small import able, compiled
 
@@ -114,3 +116,13 @@ def test_what_is_no_fmu_leaves_nothing(tmp_path, temporary):
         with pytest.raises(FmuError, match="there is no such file"):
             load(tmp_path / "y.fmu", unpacked=fmus)
         assert list(temporary.iterdir()) == []
+
+
+def test_a_description_goes_to_another_process_without_addresses(counting, tmp_path):
+    """Its references were asked for here, and stand elsewhere in memory there."""
+    description = read(able(counting, tmp_path / "x.fmu", A=-1.0)).description
+    own = description.references("output")
+    assert description.references("output") is own
+    other = pickle.loads(pickle.dumps(description)).references("output")
+    assert other.ungrouped.references.tolist() == own.ungrouped.references.tolist()
+    assert other.ungrouped.address == other.ungrouped.references.ctypes.data
