@@ -213,12 +213,7 @@ class Graph:
         schedule = tuple(stage.description for stage in self.stages)
         return Plan(self.layout, step_ns, designs, self.held, schedule)
 
-    def exchange(
-        self,
-        components: Mapping[str, Component],
-        step_ns: int,
-        recorded: Mapping[str, Design] | None = None,
-    ) -> dict[str, Design]:
+    def exchange(self, components: Mapping[str, Component], step_ns: int) -> dict[str, Design]:
         """Put other components in the places of some, and prepare those; return their designs.
 
         Parameters
@@ -226,8 +221,6 @@ class Graph:
         components : mapping of component name to Component
         step_ns : int
             Communication step [ns].
-        recorded : mapping of component name to Design, optional
-            Recorded designs to use instead of computing them.
 
         Raises
         ------
@@ -243,16 +236,27 @@ class Graph:
             if component is not self.components[name]:
                 others[name] = component
                 self._members[name].component.check_exchange(component)
-        taken: Mapping[str, Design] = {} if recorded is None else recorded
         designs: dict[str, Design] = {}
         for name, component in others.items():
             self.components[name] = component
-            guarded = self._members[name].component
-            guarded.exchange(component)
-            lengths = self._lengths(name, step_ns)
-            design = taken.get(name, {})
-            designs[name] = guarded.prepare(step_ns / 1e9, self.held[name], design, lengths)
+            self._members[name].component.exchange(component)
+            designs[name] = self.prepare_one(name, step_ns, {})
         return designs
+
+    def prepare_one(self, name: str, step_ns: int, recorded: Design) -> Design:
+        """Prepare a component in its place; return its design.
+
+        Parameters
+        ----------
+        name : str
+        step_ns : int
+            Communication step [ns].
+        recorded : Design
+            To use instead of computing it; empty: it is computed.
+        """
+        guarded = self._members[name].component
+        lengths = self._lengths(name, step_ns)
+        return guarded.prepare(step_ns / 1e9, self.held[name], recorded, lengths)
 
     def prepare_variant(
         self,

@@ -20,10 +20,11 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cosim.blocks.declared import with_units
 from cosim.core.connections import Connection
-from cosim.core.contracts import Component
+from cosim.core.contracts import Component, Design
 from cosim.core.port import Port
 from cosim.core.signals import Interface
 from cosim.errors import CosimError
@@ -53,6 +54,14 @@ class KeptBuild:
     unpacked : UnpackedFmus
     replaced : mapping of component name to Interface
         Of the components that its swaps replaced.
+    recorded : mapping of component name to Design
+        Its designs as another machine has computed them, which are taken then; empty: those of
+        this one are. Runs take each array of them that their own tables do not change.
+
+    Attributes
+    ----------
+    designs : mapping of component name to Design
+        Its designs.
 
     Raises
     ------
@@ -61,7 +70,11 @@ class KeptBuild:
     """
 
     def __init__(
-        self, scenario: Scenario, unpacked: UnpackedFmus, replaced: Mapping[str, Interface]
+        self,
+        scenario: Scenario,
+        unpacked: UnpackedFmus,
+        replaced: Mapping[str, Interface],
+        recorded: Mapping[str, Design],
     ) -> None:
         self._scenario = scenario
         self._unpacked = unpacked
@@ -70,7 +83,11 @@ class KeptBuild:
             experiment = builder.experiment()
             graph = experiment.graph
             self._plan = graph.prepare(experiment.clock.step_ns)
+            self._computed = self._plan.designs  # on this machine
+            if recorded:
+                self._plan = graph.prepare(experiment.clock.step_ns, recorded)
             self._experiment = experiment
+        self.designs = self._plan.designs
         actions = [timed.action for timed in experiment.actions]
         for reaction in experiment.reactions:
             actions += reaction.actions
@@ -176,7 +193,12 @@ class KeptBuild:
         for name in self._exchanged - names:
             graph.put(name, self._components[name])
         self._exchanged = set(names)
-        designs = graph.exchange(components, experiment.clock.step_ns) if components else {}
+        step_ns = experiment.clock.step_ns
+        designs = graph.exchange(components, step_ns) if components else {}
+        for name, design in designs.items():
+            taken = _taken(design, self._computed.get(name, {}), self.designs.get(name, {}))
+            if any(taken[key] is not array for key, array in design.items()):
+                designs[name] = graph.prepare_one(name, step_ns, taken)
         for name, note in self._notes.items():
             graph.members[name].note = note
         graph.watched = frozenset()
@@ -218,6 +240,24 @@ class KeptBuild:
         if spec.renamings(component.interface, given) != before:
             return None
         return Renamed(component, ports)
+
+
+def _taken(design: Design, computed: Design, common: Design) -> Design:
+    """Return a design with those arrays that are common to all runs.
+
+    Which these are shows where both were computed, on this machine: there they have the same bits.
+    """
+    taken = {}
+    for key, array in design.items():
+        is_common = key in computed and key in common and same_bits(array, computed[key])
+        is_other = is_common and not same_bits(common[key], array)
+        taken[key] = common[key] if is_other else array
+    return taken
+
+
+def same_bits(one: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
+    """Return whether two arrays are the same in shape and bits."""
+    return one.shape == other.shape and one.tobytes() == other.tobytes()
 
 
 def _has_model_problems(

@@ -10,7 +10,7 @@ from cosim.arrays import Matrix
 from cosim.core.contracts import Block
 from cosim.core.passing_recorders import PassingRecorder
 from cosim.core.recorders import EndOfRun, end_of_run
-from cosim.core.recording import Recorder
+from cosim.core.recording import Plan, Recorder
 from cosim.studies.contracts import MetricValue
 
 
@@ -32,6 +32,8 @@ class MemberRecorder(PassingRecorder):
     steps : int
         Communication steps that were completed.
     end : EndOfRun
+    plan : Plan or None
+        None: it did not begin.
     """
 
     def __init__(self, sink: MetricSink) -> None:
@@ -39,6 +41,7 @@ class MemberRecorder(PassingRecorder):
         self.sink = sink
         self.steps = 0
         self.end = EndOfRun()
+        self.plan: Plan | None = None
 
     def __exit__(
         self,
@@ -48,6 +51,11 @@ class MemberRecorder(PassingRecorder):
     ) -> None:
         self.end = end_of_run(error)
         super().__exit__(error_type, error, trace)
+
+    def begin(self, plan: Plan) -> None:
+        """Pass on."""
+        self.plan = plan
+        self._recorder.begin(plan)
 
     def write(self, block: Block, signals: Matrix) -> None:
         """Pass on."""

@@ -10,6 +10,7 @@ from time import perf_counter
 from types import TracebackType
 from typing import Final, Self, final
 
+from cosim.core.contracts import Design
 from cosim.core.passing_recorders import TwoRecorders
 from cosim.core.recorders import error_text
 from cosim.core.recording import Recorder
@@ -37,6 +38,7 @@ from cosim.studies.contracts import (
     StudyMember,
     StudySubject,
 )
+from cosim.studies.members.designs import decode_designs, encode_designs, own_designs
 from cosim.studies.members.measuring import (
     MemberRecorder,
     MetricSink,
@@ -46,17 +48,23 @@ from cosim.studies.metrics.recorder import MetricRecorder
 
 OPEN_LOGS: Final = 4  # whose rows may be in memory
 MOST_BUILDS: Final = 16  # that are kept: members with other swaps are built as a whole
-BLOCK_BYTES: Final = 2**20  # of the rows of a block: they stay in the cache of most processors
+BLOCK_BYTES: Final = 2**21  # of the rows of a block: most of them stay in the cache
 
 
 def open_runner(
-    subject: StudySubject, *, sink_of: Callable[[], MetricSink] | None = None
+    subject: StudySubject,
+    *,
+    designs: str = "",
+    sink_of: Callable[[], MetricSink] | None = None,
 ) -> SubjectRunner:
     """Return what runs the members of a study in this process; a context manager.
 
     Parameters
     ----------
     subject : StudySubject
+    designs : str
+        What :meth:`SubjectRunner.designs` returned where the study was planned: members take from
+        there what their own values do not change. Empty: this machine computes all of it.
     sink_of : callable, optional
         Returns what keeps the metrics of a run; left out: those of the subject.
 
@@ -65,13 +73,13 @@ def open_runner(
     ScenarioError
         If there is no such scenario, or it has problems of its own.
     UsageError
-        If a metric cannot be understood.
+        If a metric or the designs cannot be understood.
     """
     metrics = parse_metrics(subject.metrics)
     if sink_of is not None:
-        return SubjectRunner(subject, sink_of)
+        return SubjectRunner(subject, sink_of, decode_designs(designs))
     recorder = MetricRecorder(metrics)  # of one run after the other
-    return SubjectRunner(subject, lambda: recorder)
+    return SubjectRunner(subject, lambda: recorder, decode_designs(designs))
 
 
 @final
@@ -83,9 +91,17 @@ class SubjectRunner:
     subject : StudySubject
     sink_of : callable
         Returns what keeps the metrics of a run.
+    recorded : mapping of component name to Design
+        Of what all members have in common, from another machine; empty: it is computed.
     """
 
-    def __init__(self, subject: StudySubject, sink_of: Callable[[], MetricSink]) -> None:
+    def __init__(
+        self,
+        subject: StudySubject,
+        sink_of: Callable[[], MetricSink],
+        recorded: Mapping[str, Design],
+    ) -> None:
+        self._recorded = recorded
         self._subject = subject
         self._sink_of = sink_of
         self._scenario = load(subject.scenario)
@@ -104,6 +120,11 @@ class SubjectRunner:
     ) -> None:
         self._logs.clear()
         self._fmus.close()
+
+    def designs(self) -> str:
+        """Return the designs of what all members have in common, as text; empty: there are none."""
+        kept = self._kept(self._subject.swap)
+        return "" if kept is None else encode_designs(kept.designs)
 
     def run(self, member: StudyMember) -> MemberOutcome:
         """Run a member.
@@ -132,13 +153,25 @@ class SubjectRunner:
             steps=measured.steps,
             metrics=values,
             wall_time=perf_counter() - began,
+            designs=self._own_designs(member, measured),
         )
+
+    def _own_designs(self, member: StudyMember, measured: MemberRecorder) -> str:
+        """Return what was designed for a member alone; of a replay its log knows that."""
+        if measured.plan is None or member.recording is not None:
+            return ""
+        kept = self._kept(self._swaps(member))
+        common = {} if kept is None else kept.designs
+        return encode_designs(own_designs(measured.plan.designs, common))
+
+    def _swaps(self, member: StudyMember) -> Mapping[str, str]:
+        return {**self._subject.swap, **member.swap}
 
     def _run(self, member: StudyMember, measured: MemberRecorder) -> Mapping[str, MetricValue]:
         """Run a member; return its metrics, and its results where they are asked for."""
         subject = self._subject
         changes = {**subject.set, **member.set}
-        swaps = {**subject.swap, **member.swap}
+        swaps = self._swaps(member)
         if member.recording is not None:
             with ExitStack() as resources:
                 replays = self._replays(member.recording, swaps)
@@ -193,7 +226,8 @@ class SubjectRunner:
             from cosim.scenario.swapping.swap_comparison import replaced_interfaces
 
             replaced = replaced_interfaces(scenario, self._fmus)
-        return KeptBuild(scenario, self._fmus, replaced)
+        recorded = self._recorded if swaps == subject.swap else {}
+        return KeptBuild(scenario, self._fmus, replaced, recorded)
 
     def _replays(self, path: str, swaps: Mapping[str, str]) -> Replays:
         """Return a recording that can be replayed."""
