@@ -161,10 +161,6 @@ class AppendedJournal:
             If they cannot be written; all lines are there then.
         """
         try:
-            if not lines:
-                os.ftruncate(self._file, 0)
-                self._length = 0
-                return
             self._write_anew(lines)
         except OSError as error:
             raise _write_error(self._path, error) from error
@@ -176,6 +172,7 @@ class AppendedJournal:
             self._file = _NONE
 
     def _write_anew(self, lines: Sequence[bytes]) -> None:
+        # A new file, as who reads the old one must not find its lines changed meanwhile.
         # While it is not known which file has the name, there is none to append to: a line in
         # the file that was replaced would be lost.
         replaced = self._file
@@ -204,7 +201,8 @@ def _write_whole(path: Path, content: bytes) -> None:
     try:
         _locked(descriptor)
         _write_all(descriptor, content)
-        os.fsync(descriptor)
+        if content:  # an empty journal needs no disk: it says nothing
+            os.fsync(descriptor)
         if sys.platform == "win32":  # an open file cannot be renamed there
             os.close(descriptor)
             descriptor = -1

@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from cosim.studies.dataset.study_dataset import StudyDataset
-from tests.studies.dataset.killed import complete, killed, opened
+from tests.studies.dataset.killed import complete, killed, opened, processes, write
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="no signals to kill with")
 
@@ -78,3 +78,24 @@ def test_a_kill_at_a_call_of_the_system_leaves_a_dataset(tmp_path, stride):
             assert names == files
             number += stride
         assert number > 40
+
+
+@pytest.mark.parametrize("count", [COUNT, pytest.param(20_000, marks=pytest.mark.campaign)])
+def test_who_reads_while_a_study_runs_misses_nothing_that_was_there_before(tmp_path, count):
+    """Whatever moves from the journal into a part meanwhile."""
+    with opened(tmp_path, count, SIZE):
+        pass
+    receiver, sender = processes.Pipe(duplex=False)
+    process = processes.Process(target=write, args=(sender, tmp_path, count, SIZE, 1, None))
+    process.start()
+    sender.close()
+    reported = set()
+    while len(reported) < count:
+        reported.add(receiver.recv())
+        while len(reported) < count and receiver.poll():
+            reported.add(receiver.recv())
+        found = StudyDataset.open(tmp_path).read(["member"])["member"].to_pylist()
+        assert found == sorted(set(found))
+        assert reported <= set(found)
+    process.join()
+    assert process.exitcode == 0
