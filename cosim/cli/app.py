@@ -31,6 +31,7 @@ COMMANDS = LazyMapping[Callable[..., None]](
         "diff": "comparing.diff",
         "hash": "hashing.hash_",
         "compare": "comparing.compare",
+        "tune": "tuning.tune",
         "identify": "identifying.identify",
         "design": "designing.design",
         "info": "contents.info",

@@ -18,7 +18,7 @@ def own_number(scenario: Scenario, key: str) -> float:
     UsageError
         If there is none, or it is 0.
     """
-    value = _own_value(scenario, key)
+    value = own_value(scenario, key)
     label = option("vary", key)
     if value is None:
         raise UsageError(
@@ -38,7 +38,7 @@ def own_number(scenario: Scenario, key: str) -> float:
     return float(value)
 
 
-def _own_value(scenario: Scenario, key: str) -> Any:
+def own_value(scenario: Scenario, key: str) -> Any:
     """Return the value of a key as the file has it, or the default; None: there is none."""
     first, _, rest = key.partition(".")
     if first in FLAT:

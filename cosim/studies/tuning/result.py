@@ -19,6 +19,7 @@ AT_BOUND: Final = 1e-4  # of the range between the bounds
 CONVERGED: Final = 1e-3  # of the range between the bounds
 SAME_PLACE: Final = 0.01  # of the range between the bounds
 SAME_COST: Final = 1e-6  # relative
+FLAT: Final = 1e-9  # relative; rounding alone differs by less
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,8 +177,8 @@ def _failures(result: TuningResult) -> str:
 
 
 def _is_flat(result: TuningResult) -> bool:
-    costs = {trial.cost for trial in result.trials if trial.objective is not None}
-    return len(costs) == 1 and len(result.trials) - len(result.failed) > 1
+    costs = [trial.cost for trial in result.trials if trial.objective is not None]
+    return len(costs) > 1 and max(costs) - min(costs) <= FLAT * max(map(abs, costs))
 
 
 def _elsewhere(result: TuningResult) -> list[str]:

@@ -48,8 +48,10 @@ class TuningSearch:
         The values that the scenario has, where they are known; tried first.
     is_rms : bool
         The objective is the rms of one residual.
+    with_errors : bool
+        Find the standard errors of the best values, too.
     samples : int or None
-        Of that residual, for standard errors; None: they are not wanted.
+        Of that residual; None: the metric ``samples`` of the best member has their number.
     """
 
     space: SearchSpace
@@ -61,6 +63,7 @@ class TuningSearch:
     seed: int = 1
     first: Mapping[str, Any] | None = None
     is_rms: bool = False
+    with_errors: bool = False
     samples: int | None = None
 
 
@@ -91,12 +94,14 @@ def check_search(search: TuningSearch) -> None:
             f"{option('vary', key)}: found a list of values; the method {search.method!r} needs "
             "bounds, 'optuna' takes lists too"
         )
-    if search.samples is not None:
+    if search.with_errors:
         _check_errors(search)
 
 
 def _check_errors(search: TuningSearch) -> None:
     name = option("standard_errors")
+    if search.samples is not None and search.samples < 1:
+        raise UsageError(f"{option('samples')}: found {search.samples}, needed 1 or more")
     if search.space.choices:
         raise UsageError(f"{name}: found a list of values of a key; needed bounds of all keys")
     if search.maximize or not search.is_rms:
@@ -160,7 +165,7 @@ def _reserve(search: TuningSearch) -> int:
 
     At most half.
     """
-    if search.samples is None:
+    if not search.with_errors:
         return 0
     return min(members_of_errors(len(search.space.keys)), search.members // 2)
 
@@ -208,12 +213,14 @@ def _first(search: TuningSearch) -> Vector:
 
 def _errors(search: TuningSearch, trials: Trials) -> tuple[StandardErrors | None, str]:
     """Return the standard errors, and why there are none."""
-    if search.samples is None:
+    if not search.with_errors:
         return None, ""
-    if trials.best is None:
+    best = trials.best
+    if best is None:
         return None, "no member has an objective"
+    samples = best.samples if search.samples is None else search.samples
     try:
-        found = standard_errors(search.space, trials, trials.best.point, search.samples)
+        found = standard_errors(search.space, trials, best.point, samples)
     except NoStandardErrors as problem:
         return None, str(problem)
     except SearchEnded as ended:

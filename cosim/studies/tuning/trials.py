@@ -15,6 +15,7 @@ from cosim.studies.contracts import COMPLETE, MemberOutcome
 
 Evaluate: TypeAlias = Callable[[Sequence[Mapping[str, Any]]], Sequence[MemberOutcome]]
 
+SAMPLES: Final = "samples"  # the metric that counts those of a residual
 MOST_REPEATED: Final = 1000  # points in a row, all of them known: the search goes round in circles
 
 
@@ -41,6 +42,8 @@ class SearchTrial:
         Why there is none; empty: there is one.
     cost : float
         What is minimized; +inf where there is no objective.
+    samples : int
+        What the metric ``samples`` says; 0: there is none.
     """
 
     number: int
@@ -48,6 +51,7 @@ class SearchTrial:
     objective: float | None
     problem: str
     cost: float
+    samples: int = 0
 
 
 class Trials:
@@ -124,7 +128,9 @@ class Trials:
     def _add(self, name: str, point: Mapping[str, Any], outcome: MemberOutcome) -> None:
         objective, problem = self._objective_of(outcome)
         cost = math.inf if objective is None else self._sign * objective
-        trial = SearchTrial(outcome.number, dict(point), objective, problem, cost)
+        samples = outcome.metrics.get(SAMPLES)
+        count = int(samples) if isinstance(samples, float) else 0
+        trial = SearchTrial(outcome.number, dict(point), objective, problem, cost, count)
         self._by_point[name] = trial
         if objective is not None and (self.best is None or cost < self.best.cost):
             self.best = trial

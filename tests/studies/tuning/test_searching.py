@@ -241,16 +241,23 @@ def test_optuna_searches_lists_of_values_and_ends_when_all_are_tried():
         ({"method": "newton"}, "method: found 'newton'; needed one of cobyqa, nelder-mead, global"),
         ({"members": 0}, "members: found 0, needed 1 or more"),
         ({"starts": 0}, "starts: found 0, needed 1 or more"),
+        (
+            {"with_errors": True, "is_rms": True, "samples": 0},
+            "samples: found 0, needed 1 or more",
+        ),
         ({"seed": -1}, "seed: found -1, needed 0 or more"),
         (
             {"space": SearchSpace((ChoiceKey("plant", (1, 2)),))},
             "vary['plant']: found a list of values; the method 'cobyqa' needs bounds, 'optuna'",
         ),
         (
-            {"samples": 10},
+            {"with_errors": True},
             "standard_errors: needed an objective that is the rms of one residual and is minimized",
         ),
-        ({"samples": 10, "is_rms": True, "maximize": True}, "of one residual and is minimized"),
+        (
+            {"with_errors": True, "is_rms": True, "maximize": True},
+            "of one residual and is minimized",
+        ),
     ],
 )
 def test_wrong_searches_are_refused(options, message):

@@ -36,7 +36,9 @@ def rms_of(model, measured, noise=0.0):
 
 
 def fitted(model, space, measured, *, noise=0.0, **options):
-    search = TuningSearch(space, OBJECTIVE, is_rms=True, samples=T.size, **options)
+    search = TuningSearch(
+        space, OBJECTIVE, is_rms=True, with_errors=True, samples=T.size, **options
+    )
     return search_best(Recorded(rms_of(model, measured, noise)), search)
 
 
@@ -134,7 +136,7 @@ def test_a_residual_of_zero_has_no_errors():
 
 
 def test_few_samples_are_refused():
-    search = TuningSearch(LINE, OBJECTIVE, is_rms=True, samples=2)
+    search = TuningSearch(LINE, OBJECTIVE, is_rms=True, with_errors=True, samples=2)
     result = search_best(Recorded(rms_of(line, line(T, 1.0, 1.0) + T**2)), search)
     assert result.errors_problem == "2 values from 2 samples: needed more samples than values"
 
@@ -149,7 +151,7 @@ def test_members_that_fail_beside_the_best_values_are_named():
             raise ArithmeticError("too steep")
         return rms(point)
 
-    search = TuningSearch(LINE, OBJECTIVE, is_rms=True, samples=T.size)
+    search = TuningSearch(LINE, OBJECTIVE, is_rms=True, with_errors=True, samples=T.size)
     result = search_best(Recorded(cliff), search)
     assert result.errors_problem == "a member next to the best values fails: too steep"
 

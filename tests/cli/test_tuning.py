@@ -1,0 +1,84 @@
+"""The command tune: what it reads, says and returns."""
+
+import json
+
+import pytest
+
+from tests.studies.tuning.test_tuning import LAG
+
+VARY = "--vary=plant.time_constant=log:0.1:10"
+OBJECTIVE = "--minimize=abs(last(plant.y) - 0.5)"
+
+
+@pytest.fixture
+def lag(tmp_path):
+    path = tmp_path / "lag.toml"
+    path.write_text(LAG)
+    return str(path)
+
+
+def call(capsys, *arguments):
+    from cosim.cli.app import main
+
+    with pytest.raises(SystemExit) as ended:
+        main(["tune", *arguments])
+    out, err = capsys.readouterr()
+    return ended.value.code or 0, out, err
+
+
+def test_it_says_the_best_values_and_how_to_run_them(lag, capsys):
+    code, out, _ = call(capsys, lag, OBJECTIVE, VARY, "--members=60", "--starts=1", "--workers=1")
+    lines = out.splitlines()
+    assert code == 0
+    assert lines[0].startswith("abs(last(plant.y) - 0.5) = ")
+    assert lines[1].startswith("  plant.time_constant = 2.885")  # 2 / log 2 = 2.88539
+    assert lines[2] == "COBYQA converged: trust region 1e-05 of the bounds"
+    assert lines[3] == "searched from one start; better values elsewhere are not excluded"
+    assert lines[4].startswith(f"again: cosim run {lag} --set plant.time_constant=2.885")
+
+
+def test_it_prints_json(lag, capsys):
+    code, out, _ = call(capsys, lag, OBJECTIVE, VARY, "--members=5", "--workers=1", "--json")
+    content = json.loads(out)
+    assert code == 0
+    assert content["members"] == 5
+    assert not content["converged"]
+    assert content["best"]["values"].keys() == {"plant.time_constant"}
+
+
+def test_maximizing_ends_at_a_bound(lag, capsys):
+    """The faster the lag, the higher its output."""
+    options = ["--maximize=last(plant.y)", "--vary=plant.time_constant=0.5:2", "--workers=1"]
+    _, out, _ = call(capsys, lag, *options, "--starts=1")
+    assert "plant.time_constant is at its lower bound: values beyond it may be better" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([VARY], "found neither of --minimize and --maximize, needed one of them"),
+        ([OBJECTIVE, "--maximize=last(plant.y)", VARY], "found both of --minimize and --maximize"),
+        ([OBJECTIVE], "--vary: found no key, needed one or more to tune"),
+        (
+            [OBJECTIVE, "--vary=plant.time_constant=3"],
+            "--vary plant.time_constant: found '3'; needed LOWER:UPPER, log:LOWER:UPPER or values",
+        ),
+        (
+            [OBJECTIVE, "--vary=plant.time_constant=2:1"],
+            "--vary plant.time_constant: found 2.0 to 1.0; needed two finite bounds",
+        ),
+        (
+            [OBJECTIVE, "--vary=plant.time_constant=1,2"],
+            "found a list of values; the method 'cobyqa' needs bounds, 'optuna' takes lists too",
+        ),
+        ([OBJECTIVE, VARY, "--members=0"], "--members: found 0, needed 1 or more"),
+        (
+            [OBJECTIVE, VARY, "--standard-errors"],
+            "--standard-errors: needed an objective that is the rms of one residual",
+        ),
+    ],
+)
+def test_wrong_options_are_refused_with_exit_code_2(lag, capsys, arguments, message):
+    code, out, err = call(capsys, lag, *arguments)
+    assert (code, out) == (2, "")
+    assert message in err

@@ -1,0 +1,226 @@
+"""Scenarios are tuned by members in workers; a dataset makes a tuning go on where it was."""
+
+import os
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import curve_fit
+
+from cosim.errors import CosimError, UsageError
+from cosim.studies.dataset.study_dataset import StudyDataset
+from cosim.studies.tuning.result import statements
+from cosim.studies.tuning.searching import TuningSearch
+from cosim.studies.tuning.space import BoundedKey, ChoiceKey, SearchSpace
+from cosim.studies.tuning.tuning import TuningTask, is_rms, tune_task
+from tests.studies.tuning.fitted_fmu import (
+    EXPRESSION,
+    SPACE,
+    TIMES,
+    A,
+    B,
+    record,
+    response,
+    task_of,
+    write_fit,
+)
+
+VARYING = ("wall_time", "worker", "log")  # columns that differ from run to run
+LAG = """
+scenario = { name = "lag", stop = 2.0, step = 0.01 }
+[components]
+one = { kind = "constant", value = 1.0 }
+plant = { kind = "lag", time_constant = 0.7, initial = 0.0 }
+[connections]
+"plant.u" = "one.y"
+"""
+
+
+@pytest.fixture(scope="module")
+def fit(tmp_path_factory):
+    return write_fit(tmp_path_factory.mktemp("fit"))
+
+
+@pytest.fixture
+def lag(tmp_path):
+    path = tmp_path / "lag.toml"
+    path.write_text(LAG)
+    return path
+
+
+def rows_of(place):
+    table = StudyDataset.open(place).read()
+    return table.drop_columns(list(VARYING)).to_pylist()
+
+
+def lag_task(path, expression="abs(last(plant.y) - 0.5)", **options):
+    search = TuningSearch(
+        SearchSpace((BoundedKey("plant.time_constant", 0.1, 10.0, True),)), "", **options
+    )
+    return TuningTask(str(path), expression, search)
+
+
+def test_two_parameters_of_an_fmu_come_from_a_recording_with_noise(fit, tmp_path):
+    """Within three standard errors of the truth, and the result of curve_fit on the closed form."""
+    measured = record(fit.parent, 1)
+    solution, covariance = curve_fit(response, TIMES, measured, p0=[-1.0, 1.0])
+    expected = np.sqrt(np.diag(covariance))
+    result = tune_task(task_of(fit, with_errors=True), out=tmp_path / "d", workers=2)
+    found = np.array(list(result.best.point.values()))
+    errors = np.array(list(result.errors.errors.values()))
+    assert len(result.trials) <= 200
+    assert result.errors.samples == TIMES.size
+    assert (np.abs(found - [A, B]) <= 3.0 * errors).all()
+    assert (np.abs(found - solution) <= 0.1 * expected).all()
+    assert errors == pytest.approx(expected, rel=0.02)
+
+
+@pytest.mark.campaign
+def test_standard_errors_of_an_fmu_cover_the_truth_over_many_seeds(tmp_path):
+    """Of 100 seeds 95: fewer than 87 have a probability below 1 % for each of both."""
+    path = write_fit(tmp_path)
+    hits = np.zeros(2, int)
+    for seed in range(100):
+        record(tmp_path, seed)
+        task = task_of(path, with_errors=True, starts=1, members=100)
+        intervals = tune_task(task, workers=1).errors.intervals.values()
+        hits += [low < truth < high for (low, high), truth in zip(intervals, [A, B], strict=True)]
+    assert (hits >= 87).all()
+
+
+def test_a_tuning_that_is_killed_again_and_again_ends_as_an_undisturbed_one(fit, tmp_path):
+    """Its dataset is the same, row for row and bit for bit, but for times and workers."""
+    record(fit.parent, 1)
+    task = task_of(fit, with_errors=True, members=90)
+    whole = tune_task(task, out=tmp_path / "whole", workers=2)
+    vary = [
+        f"--vary={key.key}={'log' if key.logarithmic else 'linear'}:{key.lower}:{key.upper}"
+        for key in SPACE.bounded
+    ]
+    command = [sys.executable, "-m", "cosim", "tune", str(fit), f"--minimize={EXPRESSION}", *vary]
+    command += ["--members=90", "--standard-errors", "--workers=2", f"--out={tmp_path / 'killed'}"]
+    journal = tmp_path / "killed" / "_journal.jsonl"
+    for most in (1, 20, 45):
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, start_new_session=True)
+        while process.poll() is None:
+            if journal.exists() and journal.read_bytes().count(b"\n") > most:
+                os.kill(process.pid, signal.SIGKILL)
+            try:
+                process.wait(0.01)
+            except subprocess.TimeoutExpired:
+                continue
+        assert process.returncode == -signal.SIGKILL
+    recorded = len(StudyDataset.open(tmp_path / "killed"))
+    assert 45 <= recorded < len(whole.trials)
+    again = tune_task(task, out=tmp_path / "killed", workers=1)
+    assert again.to_dict() == whole.to_dict()
+    assert rows_of(tmp_path / "killed") == rows_of(tmp_path / "whole")
+
+
+def test_a_tuning_that_is_run_again_runs_nothing(lag, tmp_path):
+    task = lag_task(lag, members=30)
+    first = tune_task(task, out=tmp_path / "d", workers=1)
+    lag_rows = StudyDataset.open(tmp_path / "d").read().to_pylist()
+    second = tune_task(task, out=tmp_path / "d", workers=1)
+    assert second == first
+    assert StudyDataset.open(tmp_path / "d").read().to_pylist() == lag_rows
+
+
+@pytest.mark.parametrize("method", ["cobyqa", "global"])
+def test_a_tuning_grows_as_if_it_had_had_more_members_from_the_start(lag, tmp_path, method):
+    task = lag_task(lag, members=15, method=method)
+    grown = replace(task, search=replace(task.search, members=40))
+    tune_task(task, out=tmp_path / "grown", workers=1)
+    tune_task(grown, out=tmp_path / "grown", workers=2)
+    tune_task(grown, out=tmp_path / "whole", workers=1)
+    assert rows_of(tmp_path / "grown") == rows_of(tmp_path / "whole")
+
+
+def test_a_lag_is_tuned_to_its_closed_form(lag):
+    """1 - exp(-2 / T) = 0.5 has T = 2 / log 2."""
+    result = tune_task(lag_task(lag), workers=1)
+    assert result.best.point["plant.time_constant"] == pytest.approx(2.0 / np.log(2.0), rel=1e-4)
+    assert result.trials[0].point == {"plant.time_constant": 0.7}
+
+
+def test_the_dataset_has_columns_of_keys_and_objective(lag, tmp_path):
+    result = tune_task(lag_task(lag, members=12), out=tmp_path / "d", workers=1)
+    rows = StudyDataset.open(tmp_path / "d").read(["plant.time_constant", "objective"]).to_pylist()
+    assert rows == [{**trial.point, "objective": trial.objective} for trial in result.trials]
+
+
+def test_swapped_models_are_searched_with_optuna(fit):
+    """The recording itself fits best: its residual is zero; the FMU's is not."""
+    pytest.importorskip("optuna")
+    choices = (str(fit.parent / "plant.fmu"), f"{fit.parent / 'measured.csv'}")
+    search = TuningSearch(
+        SearchSpace((ChoiceKey("swap.plant", choices),)), "", method="optuna", members=4
+    )
+    result = tune_task(TuningTask(str(fit), EXPRESSION, search), workers=1)
+    assert result.best.point == {"swap.plant": choices[1]}
+    assert len(result.trials) == 2
+
+
+def test_another_search_does_not_go_on_in_a_dataset(lag, tmp_path):
+    tune_task(lag_task(lag, members=3), out=tmp_path / "d", workers=1)
+    for other, what in [
+        (
+            lag_task(lag, members=3, seed=2),
+            "the search (its keys, bounds, method, starts and seed)",
+        ),
+        (lag_task(lag, "last(plant.y)", members=3), "the objective changed"),
+        (replace(lag_task(lag, members=3), set={"scenario.stop": 1.0}), "the scenario changed"),
+    ]:
+        with pytest.raises(CosimError) as caught:
+            tune_task(other, out=tmp_path / "d", workers=1)
+        assert what in str(caught.value)
+    tune_task(other, out=tmp_path / "d", new=True, workers=1)
+
+
+@pytest.mark.parametrize(
+    ("expression", "key", "message"),
+    [
+        ("last(plant.z)", "plant.time_constant", "minimize: metrics.objective: the run has no"),
+        ("last(plant.y)", "plant.tim", "plant.tim = 0.1: set['plant.tim']: components.plant.tim"),
+        ("last(plant.y", "plant.time_constant", "metrics.objective"),
+    ],
+)
+def test_what_is_wrong_is_said_before_anything_runs(lag, expression, key, message):
+    search = TuningSearch(SearchSpace((BoundedKey(key, 0.1, 10.0),)), "")
+    with pytest.raises(UsageError) as caught:
+        tune_task(TuningTask(str(lag), expression, search), workers=1)
+    assert message in str(caught.value)
+
+
+def test_a_first_member_that_fails_ends_the_tuning(fit):
+    search = TuningSearch(SearchSpace((BoundedKey("plant.start.Q", 0.1, 10.0),)), "")
+    with pytest.raises(UsageError) as caught:
+        tune_task(TuningTask(str(fit), EXPRESSION, search), workers=1)
+    assert "the first member fails, nothing was tuned: " in str(caught.value)
+    assert "no variable 'Q'" in str(caught.value)
+    assert "first values with which it runs, such as by set" in str(caught.value)
+
+
+def test_statements_name_the_samples(fit):
+    record(fit.parent, 1)
+    result = tune_task(task_of(fit, with_errors=True, starts=1), workers=1)
+    assert any("501 samples" in text for text in statements(result))
+
+
+@pytest.mark.parametrize(
+    ("expression", "expected"),
+    [
+        ("rms(a.y - b.y)", True),
+        (" rms(a.y, t > 5) ", True),
+        ("rms(a.y) + rms(b.y)", False),
+        ("(rms(a.y)) * (2)", False),
+        ("2 * rms(a.y)", False),
+        ("max(a.y)", False),
+        ("rms(", False),
+    ],
+)
+def test_an_rms_is_told_from_what_has_one_in_it(expression, expected):
+    assert is_rms(expression) is expected
