@@ -85,6 +85,8 @@ OUTSIDE = {
     "pandas": {"core", "studies"},
     "polars": {"core", "studies"},
     "xarray": {"core"},
+    "dask": {"studies"},
+    "distributed": {"studies"},
     "optuna": {"studies"},
     "pydantic": {"scenario", "studies"},
     "matplotlib": {"report", "studies"},

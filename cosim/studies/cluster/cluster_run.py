@@ -1,0 +1,331 @@
+"""Run the missing members of a study on a cluster.
+
+::
+
+    check the workers that are there, give them the files, open the study on them
+    until every member has its outcome:
+        keep two tasks a thread on their way
+        take what came into the dataset
+        now and then: check workers that came; take back the tasks of those that went
+
+The scheduler knows the tasks on their way only, however many members there are. A task whose worker
+died is given to another by dask. Dask gives up a task with which several workers died
+(``distributed.scheduler.allowed-failures``): the others go on, and the error at the end names it.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+from collections.abc import Callable, Mapping
+from queue import Empty, SimpleQueue
+from time import monotonic
+from typing import TYPE_CHECKING, Any, Final, Protocol, final
+
+from cosim.errors import CosimError, RunError, listing
+from cosim.interrupts import uninterrupted
+from cosim.studies.cluster.connection import connect, distributed, lost
+from cosim.studies.cluster.opening import OPENER
+from cosim.studies.cluster.tasks import MemberTask, RemainingTasks
+from cosim.studies.contracts import MemberOutcome, StudyMember, StudySubject
+from cosim.studies.dataset.storage import open_storage
+from cosim.studies.dataset.study_dataset import StudyDataset
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+    from cosim.studies.cluster.workforce import Workforce
+
+AHEAD: Final = 2  # tasks a thread: the one that runs, and the next
+LOOK: Final = 1.0  # [s] between looks at the workers
+PATIENCE: Final = 60.0  # [s] without any worker
+FETCHING: Final = 60.0  # [s] for a result; its worker may have died with it
+RETRIES: Final = 1  # where a task raises: a full disk of one worker may be
+
+
+class PlannedMembers(Protocol):
+    """The members of a study by number, such as its design."""
+
+    def __len__(self) -> int: ...
+
+    def members(self, begin: int = 0, end: int | None = None) -> list[StudyMember]:
+        """Return the members from one number to another (not included)."""
+        ...
+
+
+def run_on_cluster(
+    scheduler: str | Client,
+    subject: StudySubject,
+    design: PlannedMembers,
+    dataset: StudyDataset,
+    place: str,
+    *,
+    files: Mapping[str, str],
+    timeout: float | None = None,
+    progress: Callable[[int, int, int], None] | None = None,
+    notice: Callable[[str], None] | None = None,
+    opener: str = OPENER,
+) -> None:
+    """Run the members of a study that have no outcome, as tasks of dask.distributed.
+
+    Parameters
+    ----------
+    scheduler : str or Client
+        An address such as ``tcp://host:8786``, or a client that is connected.
+    subject : StudySubject
+        With absolute paths.
+    design : StudyDesign
+        With absolute paths.
+    dataset : StudyDataset
+        Opened for writing.
+    place : str
+        Where it is. Workers that reach it write whole parts themselves.
+    files : mapping of absolute path to SHA-256
+        Of every file that the scenario and its members read: scenario, FMUs, tables, logs, modules
+        of users. Workers without them are sent copies.
+    timeout : float or None
+        Wall time that a member may take [s], as of :class:`WorkerPool`.
+    progress : callable, optional
+        Takes how many members have an outcome, how many of those that came now failed, and how
+        many are planned.
+    notice : callable, optional
+        Takes a sentence for each worker that is not used.
+    opener : str
+        As of :class:`WorkerPool`; its runner completes a member of number -1, without running it,
+        where the study can be run on that machine.
+
+    Raises
+    ------
+    UsageError
+        If there is no scheduler, or no worker that can run the study.
+    RunError
+        If workers or scheduler are lost, or dask gave up members.
+    DatasetError, DatasetWriteError
+        If the dataset cannot be written.
+    """
+    if len(dataset) == len(design):
+        return
+    with connect(scheduler) as client:
+        from cosim.studies.cluster.workforce import Workforce, first_member
+
+        if "://" not in place:
+            place = os.path.abspath(place)
+        storage = open_storage(place)
+        name = f"cosim-study-{secrets.token_hex(6)}"
+        probe = (f"_{name}", secrets.token_bytes(16))
+        first = dataset.missing(len(design))[0].start
+        (member,) = design.members(first, first + 1)
+        settings = {
+            "name": name,
+            "subject": _plain(subject.to_dict()),
+            "files": dict(files),
+            "first": first_member(member),
+            "timeout": timeout,
+            "place": place,
+            "sha256": dataset.sha256,
+            "probe": probe,
+            "opener": opener,
+        }
+        workforce = Workforce(client, settings, notice or _ignore)
+        run = _ClusterRun(client, workforce, dataset, design, name=name)
+        storage.write(*probe)
+        try:
+            run.complete(progress or _ignore)
+        finally:
+            run.close()
+            storage.remove([probe[0]], [])
+
+
+@final
+class _ClusterRun:
+    """The tasks of a study on their way."""
+
+    def __init__(
+        self,
+        client: Client,
+        workforce: Workforce,
+        dataset: StudyDataset,
+        design: PlannedMembers,
+        *,
+        name: str,
+    ) -> None:
+        self._client = client
+        self._workforce = workforce
+        self._dataset = dataset
+        self._design = design
+        self._name = name
+        self._tasks = RemainingTasks(dataset.missing(len(design)), dataset.empty_parts())
+        self._flying: dict[Future, tuple[MemberTask, frozenset[str]]] = {}
+        self._arrived: SimpleQueue[Future] = SimpleQueue()
+        self._given_up: list[range] = []
+        self._submitted = 0
+        self._failed = 0
+        self._seen = monotonic()  # when there was a worker
+        self._next_look = 0.0
+
+    def complete(self, progress: Callable[[int, int, int], None]) -> None:
+        """Run until every member has its outcome."""
+        while self._tasks or self._flying:
+            self._look()
+            self._submit()
+            for future in self._wait():
+                self._take(future)
+            progress(len(self._dataset), self._failed, len(self._design))
+        if self._given_up:
+            names = [f"{part.start}-{part.stop - 1}" for part in self._given_up]
+            raise RunError(
+                f"dask gave up members {listing(names)}: every worker that ran them ended; the "
+                "other members are in the dataset, and the same study goes on from there"
+            )
+
+    def close(self) -> None:
+        """Cancel what is on its way, and end the study on the workers."""
+        with uninterrupted():
+            try:
+                if self._flying:
+                    self._client.cancel(list(self._flying), force=True)
+                self._flying.clear()
+                self._workforce.close()
+            except _LOST:
+                return
+
+    def _look(self) -> None:
+        """Take notice of workers that came and went."""
+        if monotonic() < self._next_look:
+            return
+        try:
+            self._workforce.refresh()
+        except _LOST as error:
+            raise lost(self._client) from error
+        present = self._workforce.threads.keys()
+        for future, (task, workers) in list(self._flying.items()):
+            if not workers & present:  # nobody is left to whom dask may give it
+                del self._flying[future]
+                self._client.cancel([future], force=True)
+                self._tasks.give_back(task)
+        self._next_look = monotonic() + LOOK
+        if present:
+            self._seen = monotonic()
+        elif self._workforce.has_excluded or monotonic() > self._seen + PATIENCE:
+            raise self._workforce.none_left()
+
+    def _submit(self) -> None:
+        """Keep tasks on their way."""
+        from cosim.studies.cluster.worker_side import run_members
+
+        threads = sum(self._workforce.threads.values())
+        workers = sorted(self._workforce.threads)
+        while self._tasks and len(self._flying) < AHEAD * threads:
+            task = self._tasks.take(threads)
+            self._submitted += 1
+            first = task.members.start
+            is_written = task.is_part and self._workforce.writes
+            future = self._client.submit(
+                run_members,
+                self._name,
+                self._values(task.members),
+                first if is_written else None,
+                key=(self._name, self._submitted),
+                workers=workers,
+                retries=RETRIES,
+                pure=False,
+            )
+            self._flying[future] = (task, frozenset(workers))
+            future.add_done_callback(self._arrived.put)
+
+    def _values(self, members: range) -> list[tuple[Any, ...]]:
+        planned = self._design.members(members.start, members.stop)
+        return [
+            (member.number, dict(member.set), dict(member.swap), member.recording)
+            for member in planned
+        ]
+
+    def _wait(self) -> list[Future]:
+        """Return the tasks that are done, after a while also none."""
+        try:
+            arrived = [self._arrived.get(timeout=LOOK)]
+        except Empty:
+            return []
+        while not self._arrived.empty():
+            arrived.append(self._arrived.get())
+        return [future for future in arrived if future in self._flying]
+
+    def _take(self, future: Future) -> None:
+        """Take what a task came to into the dataset."""
+        task, _ = self._flying[future]
+        answer = self._answer(future, task)
+        with uninterrupted():
+            del self._flying[future]
+            if answer is None:
+                return
+            if not answer["is_open"]:
+                self._workforce.forget(answer["worker"])
+                self._next_look = 0.0
+                self._tasks.give_back(task)
+                return
+            self._tasks.note(answer["count"], answer["seconds"])
+            self._record(task, answer["outcomes"])
+            self._failed += answer["failed"]
+
+    def _answer(self, future: Future, task: MemberTask) -> dict[str, Any] | None:
+        """Return what a task answers; None: there is nothing, and its members are seen to.
+
+        Raises
+        ------
+        CosimError
+            As the task did.
+        """
+        library = distributed()
+        try:
+            answer: dict[str, Any] = future.result(timeout=FETCHING)
+        except (Exception, library.CancelledError) as error:
+            if self._client.status != "running":
+                raise lost(self._client) from error
+            if future.status != "error":  # its worker died with the result
+                self._client.cancel([future], force=True)
+                self._tasks.give_back(task)
+            elif isinstance(error, library.KilledWorker):
+                self._given_up.append(task.members)
+            else:
+                raise _error_of(task, error) from None
+            return None
+        return answer
+
+    def _record(self, task: MemberTask, outcomes: list[tuple[Any, ...]] | None) -> None:
+        """Record outcomes; None: a worker wrote them."""
+        members = task.members
+        if outcomes is None:
+            self._dataset.note_part(members.start)
+            return
+        came = {values[0]: MemberOutcome(*values) for values in outcomes}
+        planned = self._design.members(members.start, members.stop)
+        pairs = [(member, came[member.number]) for member in planned]
+        if task.is_part:
+            self._dataset.write_part(members.start, pairs)
+            return
+        for member, outcome in pairs:
+            self._dataset.add(member, outcome)
+
+
+_LOST: Final = (OSError, RuntimeError)  # what dask raises where a connection has gone
+
+
+def _error_of(task: MemberTask, error: BaseException) -> CosimError:
+    """Return the error for what a task raised."""
+    if isinstance(error, CosimError):
+        return error
+    members = task.members
+    return RunError(f"members {members.start}-{members.stop - 1}: {type(error).__name__}: {error}")
+
+
+def _plain(value: Any) -> Any:
+    """Return mappings as dictionaries."""
+    if isinstance(value, Mapping):
+        return {key: _plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(entry) for entry in value]
+    return value
+
+
+def _ignore(*_: object) -> None:
+    """Take no notice."""

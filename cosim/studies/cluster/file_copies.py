@@ -1,0 +1,102 @@
+"""The files of a study on a worker: those that the planner has, or copies of them.
+
+Copies stand in one folder under the paths that the files have where the study is planned, so that
+what one says of another by a relative path still holds. A worker keeps the content of every file
+that it was sent by its hash: it is sent once, however many studies have it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import secrets
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+STORE: Final = "cosim-files"
+FOLDER: Final = "cosim-studies"
+
+
+def has_all(files: Mapping[str, str]) -> bool:
+    """Return whether this machine has all files under the same paths: their storage is shared."""
+    return all(_hash_of(Path(path)) == digest for path, digest in files.items())
+
+
+def missing_content(folder: Path, files: Mapping[str, str]) -> list[str]:
+    """Return the hashes of the files whose content a worker does not have.
+
+    Parameters
+    ----------
+    folder : Path
+        The worker's own.
+    files : mapping of absolute path to SHA-256
+    """
+    wanted = sorted(set(files.values()))
+    return [digest for digest in wanted if not (folder / STORE / digest).exists()]
+
+
+def store_content(folder: Path, content: bytes) -> None:
+    """Keep the content of a file."""
+    store = folder / STORE
+    store.mkdir(parents=True, exist_ok=True)
+    temporary = store / f"{secrets.token_hex(8)}.tmp"
+    temporary.write_bytes(content)
+    os.replace(temporary, store / hashlib.sha256(content).hexdigest())
+
+
+def place_copies(folder: Path, study: str, files: Mapping[str, str]) -> Path:
+    """Put the files of a study into one folder; return it.
+
+    Parameters
+    ----------
+    folder : Path
+        The worker's own.
+    study : str
+        Name of the study's folder.
+    files : mapping of absolute path to SHA-256
+        Their content is there.
+    """
+    root = folder / FOLDER / study
+    for path, digest in files.items():
+        copy = Path(moved(path, str(root)))
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        copy.unlink(missing_ok=True)
+        shutil.copyfile(folder / STORE / digest, copy)
+    return root
+
+
+def remove_copies(folder: Path, study: str) -> None:
+    """Remove the folder of a study."""
+    shutil.rmtree(folder / FOLDER / study, ignore_errors=True)
+
+
+def moved(path: str, root: str) -> str:
+    """Return where the copy of a file is."""
+    return os.path.join(root, path.replace(":", "").lstrip("/\\"))
+
+
+def with_copies(value: Any, files: Mapping[str, str], root: str) -> Any:
+    """Return a value in which the paths of files are those of their copies.
+
+    What follows a path, as in ``x.fmu#cs``, stays.
+    """
+    match value:
+        case str():
+            path, mark, rest = value.partition("#")
+            return moved(path, root) + mark + rest if path in files else value
+        case Mapping():
+            return {key: with_copies(entry, files, root) for key, entry in value.items()}
+        case list() | tuple():
+            return [with_copies(entry, files, root) for entry in value]
+        case _:
+            return value
+
+
+def _hash_of(path: Path) -> str | None:
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError:
+        return None

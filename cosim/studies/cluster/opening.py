@@ -1,0 +1,75 @@
+"""What a guarded child of a cluster's worker opens: the study's runner, which can be tried first.
+
+A member of a negative number is built, not run. So it is known before the first task whether this
+machine imports the classes of users, reads the tables and loads the FMUs.
+"""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from types import TracebackType
+from typing import Final, Self, final
+
+from cosim.core.recorders import error_text
+from cosim.errors import Interrupted
+from cosim.scenario.preparing import build_experiment
+from cosim.scenario.running.execution import load
+from cosim.studies.contracts import COMPLETE, FAILED, MemberOutcome, StudyMember, StudySubject
+from cosim.studies.members.runner import SubjectRunner, open_runner
+
+OPENER: Final = "cosim.studies.cluster.opening:open_trying_runner"
+TRIAL: Final = -1  # number of the member that is built only
+
+
+@final
+class TryingRunner:
+    """Runs the members of a study, and builds the one that is tried.
+
+    Parameters
+    ----------
+    subject : StudySubject
+    runner : SubjectRunner
+    """
+
+    def __init__(self, subject: StudySubject, runner: SubjectRunner) -> None:
+        self._subject = subject
+        self._runner = runner
+
+    def __enter__(self) -> Self:
+        self._runner.__enter__()
+        return self
+
+    def __exit__(
+        self,
+        error_type: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._runner.__exit__(error_type, error, trace)
+
+    def run(self, member: StudyMember) -> MemberOutcome:
+        """Run a member, or build it where it is the one that is tried."""
+        if member.number != TRIAL:
+            return self._runner.run(member)
+        try:
+            self._build(member)
+        except Interrupted:
+            raise
+        except Exception as error:  # of a user's code, too
+            return MemberOutcome(TRIAL, FAILED, reason=error_text(error))
+        return MemberOutcome(TRIAL, COMPLETE)
+
+    def _build(self, member: StudyMember) -> None:
+        if member.recording is not None:
+            return
+        subject = self._subject
+        swaps = {**subject.swap, **member.swap}
+        changes = {**subject.set, **member.set}
+        scenario = load(subject.scenario).edit(swap=swaps, map=subject.map, set=changes)
+        with ExitStack() as resources:
+            build_experiment(scenario, resources, None)
+
+
+def open_trying_runner(subject: StudySubject) -> TryingRunner:
+    """Return the runner of a study that can be tried first."""
+    return TryingRunner(subject, open_runner(subject))

@@ -1,0 +1,96 @@
+"""A guarded child process that runs members, whichever thread asks for it.
+
+On Linux a child process ends with the thread that started it, and the threads of dask's workers
+come and go. So the pool is used in a thread of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import Future
+from queue import SimpleQueue
+from threading import Event, Thread
+from typing import TypeAlias, final
+
+from cosim.errors import CosimError, RunError
+from cosim.studies.contracts import MemberOutcome, StudyMember, StudySubject
+from cosim.studies.workers.pool import WorkerPool
+
+Outcomes: TypeAlias = list[MemberOutcome]
+StationCall: TypeAlias = tuple[Sequence[StudyMember], "Future[Outcomes]"]
+
+
+@final
+class MemberStation:
+    """Runs members of one study in a guarded child that stays open between calls.
+
+    Parameters
+    ----------
+    opener : str
+    subject : StudySubject
+    timeout : float or None
+        As of :class:`WorkerPool`.
+    """
+
+    def __init__(self, opener: str, subject: StudySubject, *, timeout: float | None) -> None:
+        self._pool = WorkerPool(opener, subject, 1, timeout=timeout)
+        self._calls: SimpleQueue[StationCall | None] = SimpleQueue()
+        self._is_closed = Event()
+        self._thread = Thread(target=self._serve, name="cosim-station", daemon=True)
+        self._thread.start()
+
+    def begin(self, members: Sequence[StudyMember]) -> Future[Outcomes]:
+        """Have members run; the future raises what the pool does."""
+        future: Future[Outcomes] = Future()
+        if self._is_closed.is_set():
+            future.set_exception(_closed())
+        else:
+            self._calls.put((members, future))
+        return future
+
+    def run(self, members: Sequence[StudyMember]) -> Outcomes:
+        """Return the outcomes of members.
+
+        Raises
+        ------
+        UsageError
+            If the child refuses the study.
+        RunError
+            If it is lost whenever it opens it, or the station is closed meanwhile.
+        """
+        return self.begin(members).result()
+
+    def close(self) -> None:
+        """Have the child end after the member that it runs; returns at once."""
+        self._is_closed.set()
+        self._calls.put(None)
+
+    def _serve(self) -> None:
+        reason: BaseException = _closed()
+        try:
+            with self._pool as pool:
+                while (call := self._calls.get()) is not None:
+                    members, future = call
+                    try:
+                        future.set_result(self._outcomes(pool, members))
+                    except Exception as error:
+                        future.set_exception(error)
+        except OSError as error:  # no room for the folder of a pool
+            reason = error
+        self._is_closed.set()
+        while not self._calls.empty():
+            late = self._calls.get()
+            if late is not None:
+                late[1].set_exception(reason)
+
+    def _outcomes(self, pool: WorkerPool, members: Sequence[StudyMember]) -> Outcomes:
+        outcomes = []
+        for outcome in pool.run(members):
+            outcomes.append(outcome)
+            if self._is_closed.is_set() and len(outcomes) < len(members):
+                raise _closed()
+        return outcomes
+
+
+def _closed() -> CosimError:
+    return RunError("the study was ended while its members ran")

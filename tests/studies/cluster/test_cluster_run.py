@@ -1,0 +1,181 @@
+"""Studies on a scheduler and workers in processes of their own, over TCP on loopback."""
+
+import os
+import signal
+import threading
+import time
+
+import pytest
+
+from cosim.errors import UsageError
+from cosim.studies.cluster.cluster_run import run_on_cluster
+from cosim.studies.dataset.study_dataset import StudyDataset
+from cosim.studies.workers.pool import WorkerPool
+from tests.studies.cluster.planned import OPENER, SUBJECT, CountedMembers, identity
+from tests.studies.cluster.processes import LIMIT, cluster
+
+pytest.importorskip("distributed")
+
+APART = {"wall_time", "worker"}
+
+
+@pytest.fixture(scope="module")
+def two_workers(tmp_path_factory):
+    """Serve a scheduler with two workers that nobody ends."""
+    with cluster(tmp_path_factory.mktemp("cluster")) as processes:
+        yield processes
+
+
+def run(scheduler, design, place, **options):
+    """Run a study in a new dataset; return its table."""
+    with StudyDataset.open_or_create(place, identity(len(design))) as dataset:
+        run_on_cluster(
+            scheduler, SUBJECT, design, dataset, str(place), files={}, opener=OPENER, **options
+        )
+        assert dataset.missing() == []
+        return dataset.read()
+
+
+def local(design, place):
+    """Run a study in one worker of this machine; return its table."""
+    with (
+        StudyDataset.open_or_create(place, identity(len(design))) as dataset,
+        WorkerPool(OPENER, SUBJECT, 1) as pool,
+    ):
+        for outcome in pool.run(design.members()):
+            dataset.add(design.members(outcome.number, outcome.number + 1)[0], outcome)
+        return dataset.read()
+
+
+def assert_same(found, needed):
+    """Compare column by column, but for where and how long members ran."""
+    assert found.column_names == needed.column_names
+    for name in set(found.column_names) - APART:
+        assert found.column(name).to_pylist() == needed.column(name).to_pylist(), name
+
+
+def parts(folder):
+    """Return the names of the parts in a folder."""
+    return sorted(path.name for path in (folder / "parts").iterdir())
+
+
+def test_content_is_that_of_the_local_run(two_workers, tmp_path):
+    """In every column but wall time and worker, members that crash included; the same parts."""
+    design = CountedMembers(210, cost=1e-3, crashes=True)
+    counts = []
+    found = run(two_workers.address, design, tmp_path / "a", progress=lambda *c: counts.append(c))
+    assert_same(found, local(design, tmp_path / "b"))
+    assert parts(tmp_path / "a") == parts(tmp_path / "b")
+    assert len(set(found.column("worker").to_pylist())) >= 2
+    assert counts[-1] == (210, 25, 210)  # 19 elevenths and 6 that crash
+    assert not [path for path in (tmp_path / "a").iterdir() if path.name.startswith("_cosim")]
+
+
+def test_outcomes_come_back_where_workers_do_not_reach_the_dataset(two_workers, tmp_path):
+    """A dataset in the memory of this process is written by this process."""
+    fsspec = pytest.importorskip("fsspec")
+    design = CountedMembers(90)
+    try:
+        found = run(two_workers.address, design, "memory://cluster")
+    finally:
+        fsspec.filesystem("memory").rm("/cluster", recursive=True)
+    assert_same(found, local(design, tmp_path / "b"))
+
+
+def test_a_study_goes_on_with_what_is_missing(two_workers, tmp_path):
+    """Members in the journal, and in parts, are not run again."""
+    design = CountedMembers(100, marks=str(tmp_path))
+    place = tmp_path / "a"
+    with StudyDataset.open_or_create(place, identity(100)) as dataset:
+        with WorkerPool(OPENER, SUBJECT, 1) as pool:
+            for outcome in pool.run(design.members(0, 50)):
+                dataset.add(design.members(outcome.number, outcome.number + 1)[0], outcome)
+        run_on_cluster(
+            two_workers.address, SUBJECT, design, dataset, str(place), files={}, opener=OPENER
+        )
+        assert dataset.missing() == []
+    marks = [path.name.partition("-")[0] for path in tmp_path.glob("*-*")]
+    assert sorted(map(int, marks)) == list(range(100))
+
+
+def test_a_worker_killed_in_the_middle_costs_nothing(tmp_path):
+    """Every member is there once, with the content of the local run."""
+    design = CountedMembers(300, cost=0.01, marks=str(tmp_path))
+    with cluster(tmp_path / _made(tmp_path, "cluster")) as processes:
+        victim = processes.workers[0]
+        killer = threading.Thread(target=_kill_after, args=(victim, tmp_path, 60), daemon=True)
+        killer.start()
+        found = run(processes.address, design, tmp_path / "a")
+        killer.join(LIMIT)
+        assert victim.wait(LIMIT) == -signal.SIGKILL
+    assert found.column("member").to_pylist() == list(range(300))
+    assert_same(found, local(design, tmp_path / "b"))
+
+
+def test_a_worker_that_comes_later_is_used(tmp_path):
+    """It is checked first, as the others were."""
+    design = CountedMembers(400, cost=0.01, marks=str(tmp_path))
+    with cluster(tmp_path / _made(tmp_path, "cluster"), workers=1) as processes:
+        begun = threading.Thread(target=_start_after, args=(processes, tmp_path, 5), daemon=True)
+        begun.start()
+        found = run(processes.address, design, tmp_path / "a")
+        begun.join(LIMIT)
+    assert found.num_rows == 400
+
+
+def test_a_worker_with_another_library_is_named_and_not_used(tmp_path):
+    """The others do its work."""
+    folder = tmp_path / _made(tmp_path, "cluster")
+    other = tmp_path / _made(tmp_path, "other") / _made(tmp_path / "other", "numpy-0.1.dist-info")
+    (other / "METADATA").write_text("Metadata-Version: 2.1\nName: numpy\nVersion: 0.1\n")
+    notices = []
+    with cluster(folder, workers=0) as processes:
+        root = os.path.join(os.path.dirname(__file__), *[".."] * 3)
+        path = os.pathsep.join([str(other.parent), os.path.abspath(root)])
+        processes.start_worker(PYTHONPATH=path)
+        _wait_for_workers(processes.address, 1)
+        with pytest.raises(UsageError, match=r"no worker can run the study: tcp://.*: it has num"):
+            run(processes.address, CountedMembers(40), tmp_path / "a")
+        processes.start_worker()
+        _wait_for_workers(processes.address, 2)
+        found = run(processes.address, CountedMembers(40), tmp_path / "a", notice=notices.append)
+    assert found.num_rows == 40
+    (notice,) = notices
+    assert notice.startswith("worker tcp://127.0.0.1:")
+    assert "is not used: it has numpy 0.1, needed " in notice
+
+
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nowhere", "tcp://nowhere.invalid:8786"])
+def test_a_scheduler_that_is_not_there_is_one_error(address, tmp_path):
+    """Whether the address is wrong, or nobody is there."""
+    with pytest.raises(UsageError, match=r"there is no scheduler of dask at '.*'; needed the addr"):
+        run(address, CountedMembers(3), tmp_path / "a")
+
+
+def _made(folder, name):
+    (folder / name).mkdir()
+    return name
+
+
+def _kill_after(process, folder, count):
+    """Kill a process once some members have begun."""
+    _wait_for_marks(folder, count)
+    process.kill()
+
+
+def _start_after(processes, folder, count):
+    _wait_for_marks(folder, count)
+    processes.start_worker()
+
+
+def _wait_for_marks(folder, count):
+    until = time.monotonic() + LIMIT
+    while len(list(folder.glob("*-*"))) < count and time.monotonic() < until:
+        time.sleep(0.01)
+
+
+def _wait_for_workers(address, count):
+    from distributed import Client
+
+    with Client(address, timeout=LIMIT, set_as_default=False) as client:
+        client.wait_for_workers(count, timeout=LIMIT)
