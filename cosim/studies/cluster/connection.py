@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
@@ -72,7 +73,9 @@ def lost(client: Client) -> RunError:
 
 def _new_client(library: Any, address: str) -> Client:
     try:
-        client: Client = library.Client(address, timeout=CONNECTING, set_as_default=False)
+        with warnings.catch_warnings():  # what differs is checked, and named, for each worker
+            warnings.filterwarnings("ignore", message=r"\s*Mismatched versions")
+            client: Client = library.Client(address, timeout=CONNECTING, set_as_default=False)
     except (OSError, ValueError) as error:
         raise UsageError(
             f"{option('scheduler')}: there is no scheduler of dask at {quoted(address)}; needed "

@@ -9,6 +9,7 @@ import pytest
 
 from cosim.errors import UsageError
 from cosim.studies.cluster.cluster_run import run_on_cluster
+from cosim.studies.cluster.connection import connect
 from cosim.studies.dataset.study_dataset import StudyDataset
 from cosim.studies.workers.pool import WorkerPool
 from tests.studies.cluster.planned import OPENER, SUBJECT, CountedMembers, identity
@@ -175,7 +176,5 @@ def _wait_for_marks(folder, count):
 
 
 def _wait_for_workers(address, count):
-    from distributed import Client
-
-    with Client(address, timeout=LIMIT, set_as_default=False) as client:
+    with connect(address) as client:
         client.wait_for_workers(count, timeout=LIMIT)
