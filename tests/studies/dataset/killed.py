@@ -17,10 +17,10 @@ WINDOW = 30  # members that are under way at once
 CALLS = ["open", "write", "ftruncate", "fsync", "replace", "unlink"]  # that change files
 
 
-def opened(folder, count, part_size):
+def opened(folder, count, part_size, **options):
     """Open the dataset of a study, or make it."""
     planned = identity(count, part_size=part_size)
-    return StudyDataset.open_or_create(folder, planned, design=design(count))
+    return StudyDataset.open_or_create(folder, planned, design=design(count), **options)
 
 
 def complete(dataset, seed, report=lambda number: None, most=10**9):
@@ -49,6 +49,12 @@ def write(pipe, folder, count, part_size, seed, cut):
         complete(dataset, seed, pipe.send)
 
 
+def begin_anew(pipe, folder, count, part_size, seed, cut):
+    """Remove the dataset and begin anew; nothing is added."""
+    _cut(*cut)
+    opened(folder, count, part_size, new=True).close()
+
+
 def _cut(number, is_after):
     """Kill this process at a call of the operating system that changes a file."""
     calls = iter(range(number + 1))
@@ -71,7 +77,7 @@ def _cut(number, is_after):
         setattr(os, name, cutting(getattr(os, name)))
 
 
-def killed(folder, count, part_size, seed, *, cut=None, after=None):
+def killed(folder, count, part_size, seed, *, cut=None, after=None, target=write):
     """Return the members that a process has added until it was killed, or had them all.
 
     Parameters
@@ -80,7 +86,7 @@ def killed(folder, count, part_size, seed, *, cut=None, after=None):
         It is killed when it has reported so many.
     """
     receiver, sender = processes.Pipe(duplex=False)
-    process = processes.Process(target=write, args=(sender, folder, count, part_size, seed, cut))
+    process = processes.Process(target=target, args=(sender, folder, count, part_size, seed, cut))
     process.start()
     sender.close()
     reported = []

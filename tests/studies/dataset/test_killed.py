@@ -1,12 +1,13 @@
 """Whenever a study is killed: what was added is there, once, and the study goes on."""
 
 import random
+import shutil
 import sys
 
 import pytest
 
 from cosim.studies.dataset.study_dataset import StudyDataset
-from tests.studies.dataset.killed import complete, killed, opened, processes, write
+from tests.studies.dataset.killed import begin_anew, complete, killed, opened, processes, write
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="no signals to kill with")
 
@@ -78,6 +79,25 @@ def test_a_kill_at_a_call_of_the_system_leaves_a_dataset(tmp_path, stride):
             assert names == files
             number += stride
         assert number > 40
+
+
+def test_a_new_beginning_that_is_killed_leaves_a_dataset_of_fewer_members(tmp_path):
+    """What is left goes on as it was, to the rows of the whole study."""
+    with opened(tmp_path / "whole", 14, 4) as dataset:
+        complete(dataset, seed=0)
+    expected, files = same(tmp_path / "whole")
+    left = []
+    is_complete = False
+    while not is_complete:
+        folder = tmp_path / str(len(left))
+        shutil.copytree(tmp_path / "whole", folder)
+        cut = (len(left), False)
+        _, is_complete = killed(folder, 14, 4, seed=1, cut=cut, target=begin_anew)
+        with opened(folder, 14, 4) as dataset:
+            left.append(len(dataset))
+            complete(dataset, seed=2)
+        assert same(folder) == (expected, files)
+    assert {0, 2, 6, 10, 14} == set(left)
 
 
 @pytest.mark.parametrize("count", [COUNT, pytest.param(20_000, marks=pytest.mark.campaign)])
