@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from cosim.scenario.running.execution import load, run
     from cosim.scenario.running.replay import replay
     from cosim.studies.dataset.study import open_study
+    from cosim.studies.running.studying import study
 
 _HOMES = {
     "certificate": "cosim.report.certificate",
@@ -45,6 +46,7 @@ _HOMES = {
     "replay_sweep": "cosim.report.sweep",
     "replay": "cosim.scenario.running.replay",
     "run": "cosim.scenario.running.execution",
+    "study": "cosim.studies.running.studying",
 }
 
 __all__ = [
@@ -65,6 +67,7 @@ __all__ = [
     "replay",
     "replay_sweep",
     "run",
+    "study",
 ]
 
 _named = lazy_names(__name__, _HOMES)

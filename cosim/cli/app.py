@@ -23,13 +23,14 @@ from cosim.terminal import ended_by_signals, keep_stdout, open_standard_streams,
 from cosim.unanswered import ended_if_unanswered
 from cosim.version import __version__
 
-COMMANDS = LazyMapping[Callable[..., None]](
+COMMANDS = LazyMapping[Callable[..., None] | typer.Typer](
     "cosim.cli",
     {  # in the order of the help
         "run": "running.run",
         "replay": "replaying.replay",
         "diff": "comparing.diff",
         "hash": "hashing.hash_",
+        "study": "studying.study",
         "compare": "comparing.compare",
         "tune": "tuning.tune",
         "identify": "identifying.identify",
@@ -84,7 +85,11 @@ def _command_line(names: Iterable[str]) -> typer.Typer:
     )
     app.callback()(cosim)
     for name in names:
-        app.command(name=name)(COMMANDS[name])
+        command = COMMANDS[name]
+        if isinstance(command, typer.Typer):
+            app.add_typer(command, name=name)
+        else:
+            app.command(name=name)(command)
     return app
 
 

@@ -14,6 +14,13 @@ from cosim.errors import UsageError
 from cosim.files import file_type
 from cosim.report.printable import printable
 
+SizeOption = Annotated[
+    str | None,
+    typer.Option(metavar="WIDTHxHEIGHT", help="Size of the picture [cm], such as 16x9."),
+]
+
+TitleOption = Annotated[str | None, typer.Option(metavar="TEXT", help="Title of the picture.")]
+
 
 def info(
     source: Annotated[
@@ -97,23 +104,20 @@ def plot(
         Path,
         typer.Option("--out", "-o", metavar="FILE", help="Picture to write (.png, .svg, .pdf)."),
     ],
-    size: Annotated[
-        str | None,
-        typer.Option(metavar="WIDTHxHEIGHT", help="Size of the picture [cm], such as 16x9."),
-    ] = None,
+    size: SizeOption = None,
     start: Annotated[
         float | None, typer.Option("--from", metavar="T", help="First time shown [s].")
     ] = None,
     stop: Annotated[
         float | None, typer.Option("--to", metavar="T", help="Last time shown [s].")
     ] = None,
-    title: Annotated[str | None, typer.Option(metavar="TEXT", help="Title of the picture.")] = None,
+    title: TitleOption = None,
 ) -> None:
     """Plot signals of one or several logs over time."""
     from cosim.log import open_log
     from cosim.report.plots import PictureOptions, plot_run, plot_signals
 
-    options = PictureOptions(_size(size), start, stop, title)
+    options = PictureOptions(read_size(size), start, stop, title)
     logs = [open_log(source) for source in sources if file_type(source) == "log"]
     signals = [source for source in sources if file_type(source) != "log"]
     if not logs:
@@ -129,7 +133,8 @@ def plot(
     typer.echo(printable(str(out)))
 
 
-def _size(text: str | None) -> tuple[float, float] | None:
+def read_size(text: str | None) -> tuple[float, float] | None:
+    """Read the size of a picture [cm]; None: it is not given."""
     if text is None:
         return None
     width, _, height = text.partition("x")

@@ -96,6 +96,8 @@ class StudySubject:
         Keep, beside the metrics, what the result of a run says: estimates, errors, verdicts.
     allow_code : bool
         Of members that replay logs, as of :func:`cosim.replay`.
+    logs : str
+        Folder for the logs of members that are logged, ``<number>.mcap``.
     """
 
     scenario: str
@@ -105,6 +107,7 @@ class StudySubject:
     metrics: Mapping[str, str] = field(default_factory=dict)
     with_results: bool = False
     allow_code: bool = False
+    logs: str = ""
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack, suppress
 from dataclasses import replace
-from pathlib import Path
 from time import perf_counter
 from types import TracebackType
 from typing import Final, Self, final
@@ -16,19 +15,12 @@ from cosim.core.recorders import error_text
 from cosim.core.recording import Recorder
 from cosim.core.signals import Interface
 from cosim.errors import CosimError, Interrupted
-from cosim.fmi.unpacked import UnpackedFmus
-from cosim.log import Log
-from cosim.log.editing.joining import open_joined
-from cosim.log.foreign.topics import is_foreign
 from cosim.report.summary import summarize
 from cosim.report.sweep import results_of
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.building.kept_build import KeptBuild
 from cosim.scenario.parsing import Scenario
-from cosim.scenario.preparing import build_experiment
 from cosim.scenario.recordings.recording import Target, record, run_rows
-from cosim.scenario.running.execution import load
-from cosim.scenario.running.replay import Replays, replays_of
 from cosim.studies.contracts import (
     COMPLETE,
     FAILED,
@@ -43,10 +35,10 @@ from cosim.studies.members.measuring import (
     MemberRecorder,
     MetricSink,
 )
+from cosim.studies.members.member_builder import MemberBuilder
 from cosim.studies.metrics.metrics import parse_metrics
 from cosim.studies.metrics.recorder import MetricRecorder
 
-OPEN_LOGS: Final = 4  # whose rows may be in memory
 MOST_BUILDS: Final = 16  # that are kept: members with other swaps are built as a whole
 BLOCK_BYTES: Final = 2**21  # of the rows of a block: most of them stay in the cache
 
@@ -104,9 +96,7 @@ class SubjectRunner:
         self._recorded = recorded
         self._subject = subject
         self._sink_of = sink_of
-        self._scenario = load(subject.scenario)
-        self._logs: dict[str, Log] = {}
-        self._fmus = UnpackedFmus()
+        self._builder = MemberBuilder(subject)
         self._builds: dict[tuple[tuple[str, str], ...], KeptBuild | None] = {}
 
     def __enter__(self) -> Self:
@@ -118,8 +108,7 @@ class SubjectRunner:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._logs.clear()
-        self._fmus.close()
+        self._builder.close()
 
     def designs(self) -> str:
         """Return the designs of what all members have in common, as text; empty: there are none."""
@@ -160,28 +149,19 @@ class SubjectRunner:
         """Return what was designed for a member alone; of a replay its log knows that."""
         if measured.plan is None or member.recording is not None:
             return ""
-        kept = self._kept(self._swaps(member))
+        kept = self._kept(self._builder.swaps(member))
         common = {} if kept is None else kept.designs
         return encode_designs(own_designs(measured.plan.designs, common))
 
-    def _swaps(self, member: StudyMember) -> Mapping[str, str]:
-        return {**self._subject.swap, **member.swap}
-
     def _run(self, member: StudyMember, measured: MemberRecorder) -> Mapping[str, MetricValue]:
         """Run a member; return its metrics, and its results where they are asked for."""
-        subject = self._subject
-        changes = {**subject.set, **member.set}
-        swaps = self._swaps(member)
-        if member.recording is not None:
-            with ExitStack() as resources:
-                replays = self._replays(member.recording, swaps)
-                return self._measure(replays.experiment(changes, resources), measured)
-        scenario = self._scenario.edit(swap=swaps, map=subject.map, set=changes)
-        if not subject.with_results and self._run_kept(scenario, swaps, measured):
-            return measured.sink.values()
+        if member.recording is None and not self._subject.with_results:
+            swaps = self._builder.swaps(member)
+            scenario = self._builder.scenario(swaps, member.set)
+            if self._run_kept(scenario, swaps, measured):
+                return measured.sink.values()
         with ExitStack() as resources:
-            experiment = build_experiment(scenario, resources, None, unpacked=self._fmus)
-            return self._measure(experiment, measured)
+            return self._measure(self._builder.experiment(member, resources), measured)
 
     def _measure(
         self, experiment: Experiment, measured: MemberRecorder
@@ -219,36 +199,14 @@ class SubjectRunner:
 
     def _build(self, swaps: Mapping[str, str]) -> KeptBuild:
         """Build what members with some swaps have in common."""
-        subject = self._subject
-        scenario = self._scenario.edit(swap=swaps, map=subject.map, set=subject.set)
+        scenario = self._builder.scenario(swaps)
         replaced: Mapping[str, Interface] = {}
         if scenario.file.swap:
             from cosim.scenario.swapping.swap_comparison import replaced_interfaces
 
-            replaced = replaced_interfaces(scenario, self._fmus)
-        recorded = self._recorded if swaps == subject.swap else {}
-        return KeptBuild(scenario, self._fmus, replaced, recorded)
-
-    def _replays(self, path: str, swaps: Mapping[str, str]) -> Replays:
-        """Return a recording that can be replayed."""
-        log = self._log(path)
-        return replays_of(
-            log,
-            swap=swaps,
-            map=self._subject.map,
-            allow_code=self._subject.allow_code,
-            scenario=None if isinstance(log, Log) else self._scenario,
-        )
-
-    def _log(self, path: str) -> Log | str:
-        """Return a log, which is opened once; of another tool's recording its path."""
-        if path not in self._logs:
-            if is_foreign(Path(path)):
-                return path
-            while len(self._logs) >= OPEN_LOGS:
-                del self._logs[next(iter(self._logs))]
-            self._logs[path] = open_joined(path)
-        return self._logs[path]
+            replaced = replaced_interfaces(scenario, self._builder.fmus)
+        recorded = self._recorded if swaps == self._subject.swap else {}
+        return KeptBuild(scenario, self._builder.fmus, replaced, recorded)
 
 
 def _in_short_blocks(experiment: Experiment) -> Experiment:

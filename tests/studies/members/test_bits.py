@@ -10,7 +10,7 @@ import cosim
 from cosim.errors import CosimError
 from cosim.scenario.exporting import export_component
 from cosim.studies.contracts import StudyMember, StudySubject
-from cosim.studies.members import runner as runner_module
+from cosim.studies.members import member_builder as builder_module
 from cosim.studies.members.runner import open_runner
 from tests.fmi.compiled import kept_folder
 from tests.fmi.small import able, compiled
@@ -262,13 +262,13 @@ def test_the_graph_is_built_once(name, monkeypatch):
     """Only what changes more than tables of components and models is built as a whole."""
     make, edits = SUBJECTS[name]
     whole = []
-    build = runner_module.build_experiment
+    build = builder_module.build_experiment
 
     def counted(*arguments, **options):
         whole.append(member)
         return build(*arguments, **options)
 
-    monkeypatch.setattr(runner_module, "build_experiment", counted)
+    monkeypatch.setattr(builder_module, "build_experiment", counted)
     with open_runner(make(), sink_of=Digest) as runner:
         for member in ["as it is", *edits]:
             runner.run(StudyMember(0, edits.get(member, {})))

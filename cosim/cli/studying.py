@@ -1,0 +1,355 @@
+"""The command study: many runs of one scenario, and what they came to."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+from cosim import completion
+from cosim.cli.contents import SizeOption, TitleOption, read_size
+from cosim.cli.options import (
+    JsonOption,
+    MapOption,
+    QuietOption,
+    SetOption,
+    StopOption,
+    SwapOption,
+    print_notice,
+    prints_to_stderr,
+    read_edits,
+    read_unique_pairs,
+)
+from cosim.errors import UsageError, option, quoted
+from cosim.report.printable import printable
+from cosim.terminal import show_members
+
+
+class StudyCommands(TyperGroup):
+    """The commands of ``cosim study``; what is none of them is a study to run."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Put ``run`` before a study."""
+        if args and args[0] not in self.commands and args[0] not in ("--help",):
+            args = ["run", *args]
+        return super().parse_args(ctx, args)
+
+
+study = typer.Typer(
+    cls=StudyCommands,
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    help="Run a scenario many times with other values, and show what comes of it. 'cosim study "
+    "STUDY' is 'cosim study run STUDY'.",
+)
+
+DatasetArgument = Annotated[
+    str, typer.Argument(metavar="DIR", help="The dataset of a study: a folder, or a URL.")
+]
+
+VariationsOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--vary",
+        metavar="COMPONENT.PARAMETER=VALUES",
+        autocompletion=completion.complete_setting,
+        help="What is varied: a grid, such as observer.filter_rate=log:10:1e4:25, linear:0:1:11 or "
+        "1,2,3; a distribution, such as uniform:0:1, normal:0:0.1 or tolerance:0.05; or plants, "
+        "plant=[a.fmu,b.fmu]. Repeatable; grids are combined, distributions drawn together.",
+    ),
+]
+
+MetricOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--metric",
+        metavar="NAME=EXPRESSION",
+        help="What is kept of every member, such as error='rms(observer.delta - delta.y)'. "
+        "Without metrics it is what the result of a run says. Repeatable.",
+    ),
+]
+
+
+@study.command("run")
+def run(
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar="STUDY",
+            help="A study file (.toml with [study]), a scenario, or a shipped one by name.",
+            autocompletion=completion.complete_scenario,
+        ),
+    ],
+    out: Annotated[
+        str | None,
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="DIR",
+            help="Folder of the dataset, or a URL such as s3://bucket/x; default: "
+            "logs/<name>-study.",
+        ),
+    ] = None,
+    vary: VariationsOption = None,
+    metric: MetricOption = None,
+    samples: Annotated[
+        int | None, typer.Option(help="How often the distributions are drawn.")
+    ] = None,
+    sampling: Annotated[
+        str | None,
+        typer.Option(help="random (default), latin-hypercube, sobol, or saltelli."),
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(help="That all random numbers follow from. [default: 0]")
+    ] = None,
+    seeds: Annotated[
+        int | None, typer.Option(help="How many seeds each noise source gets.")
+    ] = None,
+    cases: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Table of members (.csv, .parquet), with a column for each key."
+        ),
+    ] = None,
+    replay: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="LOG", help="Logs that members replay, such as 'field-*.mcap'. Repeatable."
+        ),
+    ] = None,
+    changes: SetOption = None,
+    swaps: SwapOption = None,
+    maps: MapOption = None,
+    stop: StopOption = None,
+    results: Annotated[
+        bool | None,
+        typer.Option(
+            "--results/--no-results",
+            help="Keep what the result of a run says beside the metrics: estimates, errors, "
+            "verdicts.",
+        ),
+    ] = None,
+    keep: Annotated[
+        str | None,
+        typer.Option(
+            metavar="MEMBERS",
+            help="Members whose logs are kept: failed, all, 'worst 5 of METRIC', 'best 5 of "
+            "METRIC', or numbers, 3,14.",
+        ),
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(help="Processes at a time. [default: one a processor]")
+    ] = None,
+    timeout: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SECONDS",
+            help="Wall time after which a member has failed. [default: 10 times the longest of "
+            "the first ones, at least 60 s]",
+        ),
+    ] = None,
+    new: Annotated[
+        bool, typer.Option("--new", help="Remove the dataset that is there, and begin anew.")
+    ] = False,
+    dry_run: Annotated[
+        bool,
+        typer.Option(
+            "--dry-run",
+            help="Check everything, time a few members, and show what the study will take; record "
+            "nothing.",
+        ),
+    ] = False,
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Run a study, or what is missing of it.
+
+    Members run in processes of their own: one that crashes or hangs costs itself. A study that was
+    stopped goes on with the same command; one that has grown runs what is new.
+    """
+    from cosim.studies.document.reading import read_study
+    from cosim.studies.running.studying import default_place
+    from cosim.studies.running.studying import study as run_study
+
+    with prints_to_stderr():
+        file = read_study(source).with_options(
+            vary=_variations(vary),
+            metrics=read_unique_pairs(metric, "metric"),
+            set=read_edits(changes, {"scenario.stop": stop}),
+            swap=read_unique_pairs(swaps, "swap"),
+            map=read_unique_pairs(maps, "map"),
+            replay=replay,
+            cases=cases,
+            sampling=sampling,
+            samples=samples,
+            seed=seed,
+            seeds=seeds,
+            timeout=timeout,
+            keep=_kept(keep),
+            results=results,
+        )
+    if dry_run:
+        _dry_run(file, workers, as_json=as_json)
+        return
+    place = str(default_place(file)) if out is None else out
+    with prints_to_stderr(), show_members(quiet or as_json) as progress:
+        try:
+            run_study(
+                file,
+                out=place,
+                workers=workers,
+                new=new,
+                progress=progress,
+                notice=None if quiet else print_notice,
+            )
+        except KeyboardInterrupt:
+            typer.echo(printable(_stopped(place)), err=True)
+            raise
+    if not quiet:
+        show(place, as_json=as_json)
+
+
+def _variations(texts: list[str] | None) -> dict[str, Any]:
+    """Return what is varied, by key."""
+    from cosim.studies.document.vary_option import read_vary_option
+
+    variations = {}
+    for key, text in read_unique_pairs(texts, "vary").items():
+        try:
+            variations[key] = read_vary_option(text)
+        except UsageError as error:
+            raise UsageError(f"{option('vary', key)}: {error}") from error
+    return variations
+
+
+def _kept(text: str | None) -> str | list[int] | None:
+    """Return which logs are kept: numbers, or a text."""
+    if text is None or not text.replace(",", "").replace(" ", "").isdigit():
+        return text
+    try:
+        return [int(part) for part in text.split(",")]
+    except ValueError as error:
+        raise UsageError(
+            f"{option('keep')}: found {quoted(text)}; needed numbers with commas between them"
+        ) from error
+
+
+def _dry_run(file: Any, workers: int | None, *, as_json: bool) -> None:
+    """Print what a study will take."""
+    from cosim.studies.running.estimate import estimate_study
+    from cosim.studies.running.plan import plan_study
+    from cosim.studies.running.studying import worker_count
+    from cosim.studies.tables.estimate import print_estimate
+
+    with prints_to_stderr():
+        plan = plan_study(file)
+        estimate = estimate_study(plan, worker_count(workers))
+    print_estimate(file.name, estimate, as_json=as_json)
+
+
+def _stopped(place: str) -> str:
+    """Return what there is of a study that is stopped."""
+    from cosim.errors import DatasetError
+    from cosim.studies.dataset.study import open_study
+
+    try:
+        stopped = open_study(place)
+    except DatasetError:
+        return "stopped before the first member was recorded"
+    return (
+        f"stopped: {len(stopped)} of {stopped.planned} members are recorded in {place}; the same "
+        "command goes on"
+    )
+
+
+@study.command("show")
+def show(
+    place: DatasetArgument,
+    member: Annotated[
+        int | None,
+        typer.Option(metavar="NUMBER", help="All of one member, and the command that runs it."),
+    ] = None,
+    metrics: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--metric", metavar="NAME", help="All figures of a metric with intervals. Repeatable."
+        ),
+    ] = None,
+    conditions: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--pass",
+            metavar="CONDITION",
+            help="The share of members that pass it, such as 'error < 0.1'. Repeatable.",
+        ),
+    ] = None,
+    by: Annotated[
+        str,
+        typer.Option(metavar="KEY", help="Statistics for each value of a varied key."),
+    ] = "",
+    sobol: Annotated[
+        bool, typer.Option("--sobol", help="Sobol indices, of a study with sampling saltelli.")
+    ] = False,
+    worst: Annotated[
+        int, typer.Option(help="How many members with the largest values are named.")
+    ] = 3,
+    as_json: JsonOption = False,
+) -> None:
+    """Show what a study came to, also while it runs."""
+    from cosim.studies.dataset.study import open_study
+    from cosim.studies.running.plan import RecordedStudy
+    from cosim.studies.tables.show import ShownParts, show_study
+
+    opened = open_study(place)
+    recorded = RecordedStudy.read(opened.text)
+    parts = ShownParts(
+        member,
+        tuple(metrics or ()),
+        tuple(conditions or ()),
+        by=by,
+        sobol=sobol,
+        worst=worst,
+        as_json=as_json,
+    )
+    show_study(opened, recorded.layout, recorded.command_of(), parts)
+
+
+@study.command("plot")
+def plot(
+    place: DatasetArgument,
+    out: Annotated[
+        Path,
+        typer.Option("--out", "-o", metavar="FILE", help="Picture to write (.png, .svg, .pdf)."),
+    ],
+    kind: Annotated[
+        str | None,
+        typer.Option(
+            help="histogram, distribution, convergence, line, map, scatter or sobol; default: what "
+            "fits the design."
+        ),
+    ] = None,
+    metrics: Annotated[
+        list[str] | None,
+        typer.Option("--metric", metavar="NAME", help="Shown; default: all. Repeatable."),
+    ] = None,
+    keys: Annotated[
+        list[str] | None,
+        typer.Option("--key", metavar="KEY", help="Varied key that is shown. Repeatable."),
+    ] = None,
+    size: SizeOption = None,
+    title: TitleOption = None,
+) -> None:
+    """Draw what a study came to."""
+    from cosim.report.plots import PictureOptions
+    from cosim.studies.analysis.results import results_of_study
+    from cosim.studies.dataset.study import open_study
+    from cosim.studies.plots.study_plot import plot_study
+    from cosim.studies.running.plan import RecordedStudy
+
+    opened = open_study(place)
+    results = results_of_study(opened, RecordedStudy.read(opened.text).layout)
+    options = PictureOptions(read_size(size), title=title)
+    plot_study(results, out, kind=kind, metrics=metrics or (), keys=keys or (), options=options)
+    typer.echo(printable(str(out)))

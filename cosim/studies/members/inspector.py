@@ -1,0 +1,91 @@
+"""Build members without running them: what they are made of, and whether their metrics are there.
+
+FMUs are loaded for that, and classes of users imported: it belongs into a worker.
+"""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from hashlib import file_digest
+from pathlib import Path
+from types import TracebackType
+from typing import Final, Self, final
+
+from cosim.errors import UsageError
+from cosim.scenario.building.experiment import Experiment
+from cosim.studies.contracts import COMPLETE, MemberOutcome, StudyMember, StudySubject
+from cosim.studies.dataset.identity import digest_of
+from cosim.studies.members.member_builder import MemberBuilder
+from cosim.studies.metrics.metrics import parse_metrics
+
+REFUSED: Final = "refused"  # why a member cannot be built
+FILE: Final = "file "  # before the path of a file that a member reads
+CODE: Final = "code of "  # before the name of a component of a user's class
+
+
+def open_inspector(subject: StudySubject) -> MemberInspector:
+    """Return what builds members of a study; parameters and errors as of ``open_runner``."""
+    return MemberInspector(subject)
+
+
+@final
+class MemberInspector:
+    """Builds members; an outcome says what a member reads, in place of metrics.
+
+    Parameters
+    ----------
+    subject : StudySubject
+    """
+
+    def __init__(self, subject: StudySubject) -> None:
+        self._metrics = parse_metrics(subject.metrics)
+        self._builder = MemberBuilder(subject)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        error_type: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._builder.close()
+
+    def run(self, member: StudyMember) -> MemberOutcome:
+        """Build a member; return the SHA-256 of each file and class that it is made of.
+
+        Where it is refused, or a metric is of signals that it has not, the outcome says why.
+
+        Raises
+        ------
+        RunError
+            If an FMU fails, as it then does in the run of the member.
+        """
+        try:
+            with ExitStack() as resources:
+                experiment = self._builder.experiment(member, resources)
+                channels = {channel.name: channel for channel in experiment.graph.layout.channels}
+                self._metrics.check(channels)
+                read = _sources(experiment)
+        except UsageError as error:
+            return MemberOutcome(member.number, COMPLETE, metrics={REFUSED: str(error)})
+        if member.recording is not None:
+            path = Path(member.recording).resolve()
+            read[f"{FILE}{path}"] = sha256_of(path)
+        return MemberOutcome(member.number, COMPLETE, metrics=dict(read))
+
+
+def _sources(experiment: Experiment) -> dict[str, str]:
+    """Return the SHA-256 of all files that are read for a run, and of the classes of users."""
+    sources = {f"{FILE}{path}": sha256_of(path) for path in sorted(experiment.files)}
+    for name, metadata in experiment.metadata.items():
+        if "code" in metadata:
+            sources[f"{CODE}{name}"] = digest_of(metadata["code"])
+    return sources
+
+
+def sha256_of(path: Path) -> str:
+    """Return the SHA-256 of a file."""
+    with path.open("rb") as file:
+        return file_digest(file, "sha256").hexdigest()

@@ -1,0 +1,75 @@
+"""Run members again, with a log of each: the same bits, so the same metrics."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+from typing import Self, final
+
+from cosim.core.passing_recorders import TwoRecorders
+from cosim.core.recorders import error_text
+from cosim.core.recording import Recorder
+from cosim.errors import Interrupted
+from cosim.scenario.recordings.recording import Target, record
+from cosim.studies.contracts import COMPLETE, FAILED, MemberOutcome, StudyMember, StudySubject
+from cosim.studies.members.measuring import MemberRecorder
+from cosim.studies.members.member_builder import MemberBuilder
+from cosim.studies.metrics.metrics import parse_metrics
+from cosim.studies.metrics.recorder import MetricRecorder
+
+
+def open_logging_runner(subject: StudySubject) -> LoggingRunner:
+    """Return what runs members with a log; parameters and errors as of ``open_runner``."""
+    return LoggingRunner(subject)
+
+
+@final
+class LoggingRunner:
+    """Runs members of a study and writes their logs to ``<subject.logs>/<number>.mcap``.
+
+    A run that fails leaves its log up to there; so does one that crashes, without its last second.
+
+    Parameters
+    ----------
+    subject : StudySubject
+    """
+
+    def __init__(self, subject: StudySubject) -> None:
+        self._recorder = MetricRecorder(parse_metrics(subject.metrics))
+        self._builder = MemberBuilder(subject)
+        self._folder = Path(subject.logs)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        error_type: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._builder.close()
+
+    def run(self, member: StudyMember) -> MemberOutcome:
+        """Run a member with a log; its metrics are those of :class:`SubjectRunner`."""
+        measured = MemberRecorder(self._recorder)
+        outcome = MemberOutcome(member.number, COMPLETE)
+        try:
+            with ExitStack() as resources:
+                self._record(member, measured, resources)
+        except Interrupted:
+            raise
+        except Exception as error:  # of a user's code, too: it costs this member, and no other
+            return replace(outcome, status=FAILED, reason=error_text(error), steps=measured.steps)
+        metrics = self._recorder.values()
+        return replace(outcome, reason=measured.end.reason, steps=measured.steps, metrics=metrics)
+
+    def _record(self, member: StudyMember, measured: MemberRecorder, resources: ExitStack) -> None:
+        def beside(log: Recorder) -> Recorder:
+            return TwoRecorders(log, measured)
+
+        experiment = self._builder.experiment(member, resources)
+        target = Target(self._folder / f"{member.number}.mcap", force=True)
+        record(experiment, target, progress=None, beside=beside)

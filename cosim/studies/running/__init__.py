@@ -1,0 +1,1 @@
+"""Run studies: plan them, run what is missing, keep logs."""

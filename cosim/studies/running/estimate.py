@@ -1,0 +1,125 @@
+"""What a study will take, from members that are timed: ``cosim study --dry-run``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Final
+
+from cosim.errors import UsageError
+from cosim.studies.contracts import FAILED, MemberOutcome, MetricValue
+from cosim.studies.dataset.columns import all_columns
+from cosim.studies.document.keep import KeptLogs
+from cosim.studies.running.keeping import LOGGING_RUNNER
+from cosim.studies.running.plan import RUNNER, StudyPlan
+from cosim.studies.workers.pool import WorkerPool
+from cosim.temporary import TemporaryFolder
+
+TIMED: Final = 3  # members: the first of a worker also builds what all have in common
+_NUMBER_BYTES: Final = 8
+
+
+@dataclass(frozen=True)
+class StudyEstimate:
+    """What a study will take.
+
+    Parameters
+    ----------
+    members : int
+    workers : int
+    first_time, member_time : float
+        Wall time of the first member of a worker, and of the one that was timed after it [s].
+    study_time : float
+        Of all members, on these workers [s].
+    dataset_bytes : int
+        At most, before compression.
+    log_bytes : int or None
+        Of the logs that are kept, each as large as that of member 0; None: how many members fail is
+        not known.
+    """
+
+    members: int
+    workers: int
+    first_time: float
+    member_time: float
+    study_time: float
+    dataset_bytes: int
+    log_bytes: int | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return asdict(self)
+
+
+def estimate_study(plan: StudyPlan, workers: int) -> StudyEstimate:
+    """Run a few members of a study, record nothing, and return what all will take.
+
+    Raises
+    ------
+    UsageError
+        If one of them fails.
+    """
+    outcomes = _timed(plan)
+    total = len(plan.design)
+    first = outcomes[0].wall_time
+    other = outcomes[-1].wall_time
+    each = -(-total // workers)
+    return StudyEstimate(
+        total,
+        workers,
+        first,
+        other,
+        first + (each - 1) * other,
+        dataset_bytes=total * _row_bytes(plan, outcomes[-1]),
+        log_bytes=_log_bytes(plan),
+    )
+
+
+def _timed(plan: StudyPlan) -> list[MemberOutcome]:
+    members = plan.design.members(0, TIMED)
+    with WorkerPool(RUNNER, plan.subject, 1, timeout=plan.study.settings.timeout) as pool:
+        outcomes = list(pool.run(members))
+    for outcome in outcomes:
+        if outcome.status == FAILED:
+            raise UsageError(
+                f"member {outcome.number} failed, so that the others cannot be timed by it: "
+                f"{outcome.reason}"
+            )
+    return outcomes
+
+
+def _row_bytes(plan: StudyPlan, outcome: MemberOutcome) -> int:
+    """Return how many bytes a row has at most, before compression."""
+    metrics: Mapping[str, MetricValue] = outcome.metrics if plan.subject.with_results else {}
+    columns = all_columns(plan.identity(metrics).columns)
+    texts = [outcome.reason, outcome.worker, outcome.status, outcome.designs]
+    member = plan.design.member(len(plan.design) - 1)
+    texts += [str(value) for value in (*member.set.values(), *member.swap.values())]
+    # of a text the column has the length
+    return _NUMBER_BYTES * len(columns) + sum(len(text.encode()) for text in texts)
+
+
+def _log_bytes(plan: StudyPlan) -> int | None:
+    """Return how large the kept logs are; None: that is not known."""
+    count = _kept_count(plan.study.kept_logs, len(plan.design))
+    if not count:
+        return count
+    with TemporaryFolder("estimate") as folder:
+        subject = replace(plan.subject, logs=str(folder))
+        with WorkerPool(LOGGING_RUNNER, subject, 1) as pool:
+            list(pool.run([plan.design.member(0)]))
+        return count * sum(path.stat().st_size for path in folder.glob("*.mcap"))
+
+
+def _kept_count(kept: KeptLogs, members: int) -> int | None:
+    match kept.which:
+        case "none":
+            return 0
+        case "failed":
+            return None
+        case "all":
+            return members
+        case "numbers":
+            return sum(number < members for number in kept.numbers)
+        case _:
+            return min(kept.count, members)

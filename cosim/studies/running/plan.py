@@ -1,0 +1,238 @@
+"""Plan a study: everything that can be wrong with it is found before a member runs."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from cosim.errors import UsageError
+from cosim.scenario.parsing import Scenario
+from cosim.scenario.running.execution import load
+from cosim.studies.analysis.independence import StudyLayout
+from cosim.studies.contracts import MemberOutcome, MetricValue, StudyMember, StudySubject
+from cosim.studies.dataset.columns import (
+    StudyColumn,
+    metric_column,
+    parameter_column,
+    result_columns,
+)
+from cosim.studies.dataset.identity import StudyIdentity, digest_of
+from cosim.studies.design.checking import check_design
+from cosim.studies.design.planning import plan_design
+from cosim.studies.design.study_design import StudyDesign
+from cosim.studies.document.study_file import STUDY, StudyFile, study_of
+from cosim.studies.members.inspector import CODE, FILE, REFUSED, sha256_of
+from cosim.studies.metrics.metrics import parse_metrics
+from cosim.studies.workers.pool import WorkerPool
+
+INSPECTOR: Final = "cosim.studies.members.inspector:open_inspector"
+RUNNER: Final = "cosim.studies.members.runner:open_runner"
+MOST_INSPECTED: Final = 100  # members, one for each text that is varied: files, logs
+_TABLES: Final = "tables"
+_LAYOUT: Final = "layout"
+_SOURCE: Final = "source"
+
+
+@dataclass(frozen=True)
+class StudyPlan:
+    """A study that can run.
+
+    Parameters
+    ----------
+    study : StudyFile
+    scenario : Scenario
+        As its file says, with the edits that all members have.
+    design : StudyDesign
+    sources : mapping of str to str
+        SHA-256 of every file that members read, behind ``file``, and of the classes of users.
+    """
+
+    study: StudyFile
+    scenario: Scenario
+    design: StudyDesign
+    sources: Mapping[str, str]
+
+    @property
+    def subject(self) -> StudySubject:
+        """What all members have in common."""
+        return self.study.subject
+
+    @property
+    def files(self) -> dict[str, str]:
+        """SHA-256 by absolute path of the files that members read, the scenario's among them."""
+        files = {}
+        for name, digest in self.sources.items():
+            if name.startswith(FILE):
+                files[name.removeprefix(FILE)] = digest
+        return files
+
+    def identity(self, results: Mapping[str, MetricValue]) -> StudyIdentity:
+        """Return whose dataset it is.
+
+        Parameters
+        ----------
+        results : mapping of name to value
+            Of the result of a run, where those are kept beside the metrics.
+        """
+        described = {
+            _TABLES: self.study.to_dict(),
+            _SOURCE: self.study.source,
+            _LAYOUT: StudyLayout.of(self.design).to_dict(),
+        }
+        digests = {
+            "the scenario": digest_of(_base(self.scenario)),
+            "the metrics": digest_of([dict(self.study.metrics), self.subject.with_results]),
+        }
+        folder = self.scenario.document.folder
+        for name, digest in self.sources.items():
+            digests[_source_label(name, folder)] = digest
+        return StudyIdentity(
+            self.study.name,
+            json.dumps(described, ensure_ascii=False),
+            digests,
+            self._columns(results),
+            len(self.design),
+        )
+
+    def _columns(self, results: Mapping[str, MetricValue]) -> tuple[StudyColumn, ...]:
+        columns = []
+        for name in self.design.names:
+            columns.append(parameter_column(name, self.design.column(name)))
+        for name, text in self.study.metrics.items():
+            columns.append(metric_column(name, text))
+        taken = [column.name for column in columns]
+        return (*columns, *result_columns(results, taken))
+
+
+def plan_study(study: StudyFile) -> StudyPlan:
+    """Plan a study.
+
+    Members are built for that, in a process of their own: one of all, and one for each file or log
+    that is varied.
+
+    Raises
+    ------
+    CosimError
+        If a parameter, a distribution, a metric, or a file is wrong.
+    """
+    parse_metrics(study.metrics)
+    scenario = load(study.scenario)
+    design = plan_design(study, scenario)
+    check_design(design, scenario)
+    inspected = [design.member(number) for number in _inspected(design)]
+    sources = _swapped_files(inspected)
+    with WorkerPool(INSPECTOR, study.subject, 1) as pool:
+        for outcome in pool.run(inspected):
+            sources |= _sources_of(outcome)
+    settings = study.settings
+    edited = scenario
+    if settings.replay is None and settings.cases is None:
+        edited = scenario.edit(swap=settings.swap, map=dict(settings.map), set=settings.set)
+    return StudyPlan(study, edited, design, sources)
+
+
+def _inspected(design: StudyDesign) -> list[int]:
+    """Return the first member, and the first with each text that is varied."""
+    numbers = {0}
+    for name in design.names:
+        column = design.column(name)
+        if not isinstance(column, list):
+            continue
+        seen: set[str] = set()
+        for number, value in enumerate(column):
+            if isinstance(value, str) and value not in seen:
+                seen.add(value)
+                numbers.add(number)
+            if len(seen) == MOST_INSPECTED:
+                break
+    return sorted(numbers)
+
+
+def _swapped_files(members: Iterable[StudyMember]) -> dict[str, str]:
+    """Return the files that take the places of components, also where they cannot be loaded."""
+    files = {}
+    for member in members:
+        for text in member.swap.values():
+            path = Path(text)
+            if not path.is_file():
+                path = Path(text.rpartition("#")[0])
+            files[f"{FILE}{path.resolve()}"] = sha256_of(path)
+    return files
+
+
+def _sources_of(outcome: MemberOutcome) -> dict[str, str]:
+    """Return what a member is made of; what is lost with its process fails in its run, too.
+
+    Raises
+    ------
+    UsageError
+        If the member is refused.
+    """
+    if REFUSED in outcome.metrics:
+        raise UsageError(f"member {outcome.number}: {outcome.metrics[REFUSED]}")
+    return {name: str(digest) for name, digest in outcome.metrics.items()}
+
+
+def _base(scenario: Scenario) -> dict[str, Any]:
+    """Return the tables of a scenario that its runs rest on."""
+    return {name: table for name, table in scenario.tree.items() if name != STUDY}
+
+
+def _source_label(name: str, folder: Path) -> str:
+    """Return how a source is named in messages: files by their path from the scenario's folder."""
+    if name.startswith(CODE):
+        return name
+    path = Path(name.removeprefix(FILE))
+    kinds: Mapping[str, str] = {".fmu": "FMU", ".mcap": "log", ".csv": "table", ".parquet": "table"}
+    kind = kinds.get(path.suffix.lower(), "file")
+    return f"{kind} {path.relative_to(folder) if path.is_relative_to(folder) else path}"
+
+
+@dataclass(frozen=True)
+class RecordedStudy:
+    """What a dataset says of its study.
+
+    Parameters
+    ----------
+    study : StudyFile
+    layout : StudyLayout
+    """
+
+    study: StudyFile
+    layout: StudyLayout
+
+    @classmethod
+    def read(cls, text: str) -> RecordedStudy:
+        """Read the text of a dataset's study.
+
+        Raises
+        ------
+        UsageError
+            If it is of another version of this package.
+        """
+        try:
+            described = json.loads(text)
+            study, problems = study_of(described[_TABLES], described[_SOURCE])
+            layout = StudyLayout.from_dict(described[_LAYOUT])
+        except (ValueError, KeyError, TypeError) as error:
+            raise UsageError("the study of this dataset cannot be read by this version") from error
+        if study is None:
+            texts = "; ".join(text for _, text in problems)
+            raise UsageError(f"the study of this dataset cannot be read by this version: {texts}")
+        return cls(study, layout)
+
+    def command_of(self) -> Callable[[int], str]:
+        """Return what gives the command that runs a member alone.
+
+        Raises
+        ------
+        CosimError
+            If the scenario, or a table of cases, is no longer there.
+        """
+        from cosim.studies.design.commands import run_command
+
+        design = plan_design(self.study, load(self.study.scenario))
+        return lambda number: run_command(design.member(number), self.study)

@@ -1,0 +1,167 @@
+"""Run a study: what is missing of it, into its dataset."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from cosim.arguments import truth_argument, whole_argument
+from cosim.errors import DatasetError, UsageError, option
+from cosim.studies.contracts import COMPLETE, MetricValue
+from cosim.studies.dataset.study import Study, open_study
+from cosim.studies.dataset.study_dataset import StudyDataset
+from cosim.studies.document.reading import read_study
+from cosim.studies.document.study_file import StudyFile
+from cosim.studies.running.keeping import keep_logs
+from cosim.studies.running.local import MembersDone, default_workers, run_locally
+from cosim.studies.running.plan import RUNNER, StudyPlan, plan_study
+from cosim.studies.workers.pool import WorkerPool
+
+MOST_TRIED: Final = 3  # members, until one is completed that shows what a result says
+
+
+def study(
+    source: str | Path | StudyFile,
+    *,
+    out: str | Path | None = None,
+    vary: Mapping[str, Any] | None = None,
+    metrics: Mapping[str, str] | None = None,
+    set: Mapping[str, Any] | None = None,
+    swap: Mapping[str, str | Path] | None = None,
+    map: Mapping[str, str | list[str]] | None = None,
+    replay: str | Sequence[str] | None = None,
+    cases: str | Path | None = None,
+    sampling: str | None = None,
+    samples: int | None = None,
+    seed: int | None = None,
+    seeds: int | None = None,
+    timeout: float | None = None,
+    keep: str | Sequence[int] | None = None,
+    results: bool | None = None,
+    workers: int | None = None,
+    new: bool = False,
+    progress: MembersDone | None = None,
+    notice: Callable[[str], None] | None = None,
+) -> Study:
+    """Run a study, or what is missing of it; return what its members came to.
+
+    Parameters
+    ----------
+    source : str, Path or StudyFile
+        A study file, a scenario, the name of a shipped one, or what ``read_study`` returned.
+    out : str or Path, optional
+        Folder of its dataset, or a URL of fsspec; left out: ``logs/<name>-study``.
+    vary, metrics, set, swap, map, replay, cases, sampling, samples, seed, seeds, timeout, keep, \
+results : optional
+        In addition to what the file says; see
+        :meth:`cosim.studies.document.study_file.StudyFile.with_options`.
+    workers : int, optional
+        Processes at a time; left out: one a processor.
+    new : bool
+        Remove the dataset that is there, and begin anew.
+    progress : callable, optional
+        Called with how many members are done, of how many, and how many of these failed.
+    notice : callable, optional
+        Called with what is noteworthy about the run.
+
+    Raises
+    ------
+    CosimError
+        UsageError before a member runs; DatasetError if ``out`` holds another study's dataset.
+        What fails in a member is in its row.
+    """
+    new = truth_argument("new", new)
+    count = worker_count(workers)
+    file = source if isinstance(source, StudyFile) else read_study(source)
+    file = file.with_options(
+        vary=vary,
+        metrics=metrics,
+        set=set,
+        swap=swap,
+        map=map,
+        replay=replay,
+        cases=cases,
+        sampling=sampling,
+        samples=samples,
+        seed=seed,
+        seeds=seeds,
+        timeout=timeout,
+        keep=keep,
+        results=results,
+    )
+    place = default_place(file) if out is None else out
+    plan = plan_study(file)
+    with open_dataset(plan, place, new=new) as dataset:
+        run_locally(plan, dataset, workers=count, progress=progress)
+        keep_logs(plan, dataset, workers=count, notice=notice or _ignore)
+    return open_study(place)
+
+
+def worker_count(workers: int | None) -> int:
+    """Return how many workers a study has; left out: one for each processor of this process.
+
+    Raises
+    ------
+    UsageError
+        If it is no whole number from 1 on.
+    """
+    count = whole_argument("workers", workers)
+    if count is None:
+        return default_workers()
+    if count < 1:
+        raise UsageError(f"{option('workers')}: found {count}, needed 1 or more")
+    return count
+
+
+def default_place(file: StudyFile) -> Path:
+    """Return where the dataset of a study is, unless it is said."""
+    return Path("logs") / f"{file.name}-study"
+
+
+def open_dataset(plan: StudyPlan, place: str | Path, *, new: bool) -> StudyDataset:
+    """Open the dataset of a study for writing, or make it.
+
+    Raises
+    ------
+    DatasetError
+        If there is another study's.
+    """
+    results: Mapping[str, MetricValue] = {}
+    if plan.subject.with_results and (new or not _is_there(place)):
+        results = _example_results(plan)
+    identity = plan.identity(results)
+    return StudyDataset.open_or_create(place, identity, design=plan.design, new=new)
+
+
+def _is_there(place: str | Path) -> bool:
+    try:
+        StudyDataset.open(place).close()
+    except DatasetError:
+        return False  # or damaged, which is said where it is opened for writing
+    return True
+
+
+def _example_results(plan: StudyPlan) -> Mapping[str, MetricValue]:
+    """Return the results of the first member that is completed: their names are columns.
+
+    Raises
+    ------
+    UsageError
+        If none of the first is.
+    """
+    tried = plan.design.members(0, MOST_TRIED)
+    reasons = []
+    with WorkerPool(RUNNER, plan.subject, 1, timeout=plan.study.settings.timeout) as pool:
+        for outcome in pool.run(tried):
+            if outcome.status == COMPLETE:
+                return outcome.metrics
+            reasons.append(f"member {outcome.number}: {outcome.reason}")
+    raise UsageError(
+        f"none of the first {len(tried)} members is completed, so that nobody knows what a result "
+        f"says; needed {option('metrics')}, or members that run: {'; '.join(reasons)}"
+    )
+
+
+def _ignore(_: str) -> None:
+    """Do nothing."""

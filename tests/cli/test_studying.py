@@ -1,0 +1,140 @@
+"""The command study: run, show, plot, and what it refuses."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from cosim.cli import main
+
+STUDY = """
+[study]
+name = "filters"
+scenario = "academic"
+set = { "scenario.stop" = 0.5 }
+
+[vary]
+"observer.filter_rate" = { log = [10.0, 1e3], points = 4 }
+
+[metrics]
+error = "rms(observer.delta - delta.y)"
+"""
+
+
+@pytest.fixture
+def call(tmp_path, monkeypatch, capsys):
+    """Return what runs a command line in a folder with a study, and returns what it prints."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "filters.toml").write_text(STUDY)
+
+    def run(*arguments, code=0):
+        with pytest.raises(SystemExit) as ended:
+            main(list(arguments))
+        captured = capsys.readouterr()
+        assert ended.value.code == code, captured.err
+        return captured.out if code == 0 else captured.err
+
+    return run
+
+
+def test_a_study_runs_and_is_shown(call, tmp_path):
+    """With and without the word run; the second call runs nothing."""
+    printed = call("study", "filters.toml", "--workers", "1")
+    assert "4 of 4 members done, none failed" in printed
+    assert call("study", "run", "filters.toml") == printed
+    place = "logs/filters-study"
+    assert call("study", "show", place) == printed
+    shown = json.loads(call("study", "show", place, "--json"))
+    assert shown["members"]["done"] == 4
+    alone = call("study", "show", place, "--member", "2")
+    assert "cosim run academic --set scenario.stop=0.5 --set observer.filter_rate=" in alone
+    assert call("study", "plot", place, "--out", "a.png") == "a.png\n"
+    assert (tmp_path / "a.png").stat().st_size > 10_000
+
+
+def test_options_are_those_of_a_file(call):
+    """Everything of the file stands on one line, too."""
+    call("study", "filters.toml", "-q", "--out", "one")
+    call(
+        "study",
+        "academic",
+        "--stop",
+        "0.5",
+        "--vary",
+        "observer.filter_rate=log:10:1e3:4",
+        "--metric",
+        "error=rms(observer.delta - delta.y)",
+        "--out",
+        "two",
+        "-q",
+    )
+    one = json.loads(call("study", "show", "one", "--json"))
+    two = json.loads(call("study", "show", "two", "--json"))
+    assert one["statistics"] == two["statistics"]
+
+
+def test_a_dry_run_records_nothing(call, tmp_path):
+    """It says how many members there are, and what they take."""
+    printed = call("study", "filters.toml", "--dry-run")
+    assert "nothing was recorded" in printed
+    assert not (tmp_path / "logs").exists()
+    estimate = json.loads(call("study", "filters.toml", "--dry-run", "--json"))
+    assert estimate["members"] == 4
+    assert estimate["study_time"] > 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["--vary", "observer.filter_rate=log:10:1e3"], "needed log:FIRST:LAST:POINTS"),
+        (["--vary", "observer.filter_rate=lgo:10:1e3:3"], "did you mean 'log'"),
+        (["--metric", "error=rms("], "metrics.error: metric 'rms('"),
+        (["--keep", "1,,2"], "needed numbers"),
+        (["--keep", "wurst"], "--keep"),
+        (["--workers", "0"], "--workers: found 0"),
+        (["--timeout", "-1"], "--timeout"),
+        (["--sampling", "sobol"], "nothing is drawn"),
+        (["--seeds", "3"], "nothing in the scenario has a seed"),
+        (["--set", "observer.filter_rate=1"], "it is varied"),
+    ],
+)
+def test_wrong_options_are_named(call, arguments, text):
+    """One clear error each, with exit code 2."""
+    assert text in call("study", "filters.toml", *arguments, code=2)
+
+
+def test_what_is_no_dataset_is_refused(call):
+    """A folder, a file, nothing."""
+    for place in (".", "filters.toml", "none"):
+        assert "dataset of a study" in call("study", "show", place, code=2)
+
+
+def test_an_interrupted_study_says_how_to_go_on(tmp_path):
+    """Ctrl-C: exit 130, no worker is left, and the same command goes on."""
+    arguments = [
+        "study",
+        "academic-noisy",
+        "--seeds",
+        "500",
+        "--metric",
+        "y=rms(sensor.y)",
+        "--out",
+        "out",
+        "-q",
+    ]
+    command = [sys.executable, "-m", "cosim", *arguments]
+    child = subprocess.Popen(
+        command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    deadline = time.monotonic() + 60
+    journal = tmp_path / "out" / "_journal.jsonl"
+    while time.monotonic() < deadline and not (journal.exists() and journal.stat().st_size):
+        time.sleep(0.05)
+    os.kill(child.pid, signal.SIGINT)
+    _, messages = child.communicate(timeout=60)
+    assert child.returncode == 130
+    assert "of 500 members are recorded in out; the same command goes on" in messages

@@ -1,0 +1,239 @@
+"""Studies from their file to their dataset: run, resumed, grown, refused, kept."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+import cosim
+from cosim.errors import DatasetError, UsageError
+from cosim.studies.document.reading import read_study
+from cosim.studies.running.plan import RecordedStudy, plan_study
+from tests.fmi.compiled import compile_fmu
+from tests.fmi.test_process import STATELESS
+
+SHORT = {"scenario.stop": 0.5}
+METRICS = {"error": "rms(observer.delta - delta.y)", "last": "last(plant.y)"}
+VARIED = ("member", "wall_time", "worker")
+
+
+def rows(study):
+    """Return what members came to, without what differs from run to run."""
+    return study.table().drop_columns(["wall_time", "worker", "log"]).to_pylist()
+
+
+@pytest.fixture(scope="module")
+def grid(tmp_path_factory):
+    """Return a study of six members."""
+    return cosim.study(
+        "academic",
+        vary={"observer.filter_rate": {"log": [10.0, 1e3], "points": 6}},
+        metrics=METRICS,
+        set=SHORT,
+        out=tmp_path_factory.mktemp("studies") / "grid",
+        workers=2,
+    )
+
+
+def test_every_member_has_the_metrics_of_its_run_alone(grid):
+    """The parameters of a row are those of a run with the same metrics, bit for bit."""
+    for row in grid.table().to_pylist():
+        edits = {**SHORT, "observer.filter_rate": row["observer.filter_rate"]}
+        alone = cosim.run("academic", set=edits)
+        assert row["last"] == alone["plant.y"][-1]
+        assert row["status"] == "complete"
+    assert grid.failures == {}
+    assert len(grid) == grid.planned == 6
+
+
+def test_a_study_that_is_done_runs_nothing_again(grid, tmp_path):
+    """The rows keep their wall times and workers."""
+    place = grid._dataset.label
+    again = cosim.study(
+        "academic",
+        vary={"observer.filter_rate": {"log": [10.0, 1e3], "points": 6}},
+        metrics=METRICS,
+        set=SHORT,
+        out=place,
+    )
+    assert again.table().equals(grid.table())
+
+
+@pytest.mark.parametrize(
+    ("changed", "text"),
+    [
+        ({"metrics": {"error": "rms(plant.y)"}}, "the metrics changed"),
+        ({"set": {"scenario.stop": 0.4}}, "the scenario changed"),
+        (
+            {"vary": {"observer.filter_rate": {"log": [10.0, 1e4], "points": 6}}},
+            "member 1 was observer.filter_rate",
+        ),
+        ({"vary": {"plant.x_a0[0]": [1.0, 2.0]}}, "plant.x_a0[0] is varied now"),
+    ],
+)
+def test_the_dataset_of_another_study_is_refused(grid, changed, text):
+    """The message says what differs."""
+    given = {
+        "vary": {"observer.filter_rate": {"log": [10.0, 1e3], "points": 6}},
+        "metrics": METRICS,
+        "set": SHORT,
+    }
+    with pytest.raises(DatasetError) as caught:
+        cosim.study("academic", out=grid._dataset.label, **(given | changed))
+    assert text in str(caught.value)
+
+
+def test_a_study_that_has_grown_runs_only_what_is_new(tmp_path):
+    """The members that were there are not touched."""
+    place = tmp_path / "grown"
+
+    def run(seeds):
+        return cosim.study(
+            "academic-noisy", seeds=seeds, metrics={"y": "rms(sensor.y)"}, set=SHORT, out=place
+        )
+
+    few = run(3).table()
+    more = run(5)
+    assert len(more) == 5
+    assert more.table(members=[0, 1, 2]).equals(few)
+    assert len({row["y"] for row in more.table().to_pylist()}) == 5
+
+
+def test_workers_do_not_change_what_members_come_to(grid, tmp_path):
+    """One worker, two, and another order of members."""
+    one = cosim.study(
+        "academic",
+        vary={"observer.filter_rate": {"log": [10.0, 1e3], "points": 6}},
+        metrics=METRICS,
+        set=SHORT,
+        out=tmp_path / "one",
+        workers=1,
+    )
+    assert rows(one) == rows(grid)
+
+
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        ({"vary": {"observer.filter_rat": [1.0]}}, "did you mean 'filter_rate'"),
+        ({"vary": {"observer.filter_rate": {"normal": [1.0, -1.0]}}, "samples": 3}, "deviation"),
+        ({"metrics": {"a": "rms(observer.delt)"}}, "did you mean 'delta'"),
+        ({"metrics": {"a": "observer.delta"}}, "metrics.a"),
+        ({"workers": 0}, "workers"),
+        ({"keep": "worst 3 of b"}, "there is no metric 'b'"),
+        ({"swap": {"plant": "none.fmu"}}, "none.fmu"),
+    ],
+)
+def test_wrong_input_is_refused_before_anything_runs(tmp_path, given, text):
+    """No dataset is begun."""
+    place = tmp_path / "refused"
+    with pytest.raises(UsageError) as caught:
+        cosim.study("academic", **({"metrics": METRICS, "out": place} | given))
+    assert text in str(caught.value)
+    assert not place.exists()
+
+
+def test_failed_members_are_named_and_their_logs_kept(tmp_path):
+    """A plant that fails in a step: the log has its run up to there."""
+    for name in ("GOOD", "FAILS_STEP", "CRASH"):
+        define = "LIES" if name == "GOOD" else name
+        compile_fmu(tmp_path / f"{name}.fmu", STATELESS, "rogue2.c", defines=(f"ROGUE={define}",))
+    scenario = tmp_path / "x.toml"
+    scenario.write_text(
+        'scenario = { name = "x", stop = 0.1, step = 0.01 }\n'
+        '[components]\nplant = { kind = "fmu", path = "GOOD.fmu" }\n'
+    )
+    names = ["GOOD", "FAILS_STEP", "GOOD", "CRASH"]
+    study = cosim.study(
+        scenario,
+        vary={"plant.path": [str(tmp_path / f"{name}.fmu") for name in names]},
+        metrics={"y": "last(plant.y)"},
+        keep="failed",
+        out=tmp_path / "out",
+        workers=2,
+        timeout=20.0,
+    )
+    assert set(study.failures) == {1, 3}
+    assert "fmi2DoStep returned 3 (error)" in study.failures[1]
+    assert study.failures[3] == "crashes: SIGSEGV"
+    assert 1 in study.logs
+    assert cosim.open_log(study.logs[1]).status == "failed"
+
+
+def test_the_logs_of_the_worst_members_are_kept(tmp_path):
+    """They are the runs of these members: their metrics are those of the rows."""
+    place = tmp_path / "kept"
+    study = cosim.study(
+        "academic-noisy",
+        seeds=4,
+        metrics={"y": "last(sensor.y)"},
+        set=SHORT,
+        keep="worst 2 of y",
+        out=place,
+    )
+    table = study.table().to_pylist()
+    worst = sorted(table, key=lambda row: -row["y"])[:2]
+    assert set(study.logs) == {row["member"] for row in worst}
+    for row in worst:
+        log = cosim.open_log(study.logs[row["member"]])
+        assert log["sensor.y"][-1] == row["y"]
+
+
+def test_a_study_says_how_each_member_is_run_alone(grid):
+    """What is recorded of the study is enough for that."""
+    command_of = RecordedStudy.read(grid.text).command_of()
+    for row in grid.table().to_pylist():
+        value = row["observer.filter_rate"]
+        assert command_of(row["member"]) == (
+            f"cosim run academic --set scenario.stop=0.5 --set observer.filter_rate={value!r}"
+        )
+
+
+def test_changed_files_of_members_are_another_study(tmp_path):
+    """The digests name each file."""
+    scenario = tmp_path / "x.toml"
+    table = tmp_path / "u.csv"
+    table.write_text("t,u\n0,1\n1,2\n")
+    scenario.write_text(
+        'scenario = { name = "x", stop = 1.0, step = 0.1 }\n'
+        '[components]\nu = { kind = "table", file = "u.csv" }\n'
+    )
+    study = read_study(scenario).with_options(metrics={"u": "last(u.y)"})
+    before = plan_study(study).identity({}).digests
+    table.write_text("t,u\n0,1\n1,3\n")
+    after = plan_study(study).identity({}).digests
+    assert [name for name in before if before[name] != after[name]] == ["table u.csv"]
+
+
+KILLED = """
+import sys, cosim
+cosim.study("academic-noisy", seeds=30, metrics={"y": "rms(sensor.y)"},
+            set={"scenario.stop": 0.5}, out=sys.argv[1], workers=2)
+"""
+
+
+def test_a_killed_study_goes_on_to_the_same_dataset(tmp_path):
+    """kill -9 of the whole study, several times at other instants: row for row the same."""
+    whole = cosim.study(
+        "academic-noisy",
+        seeds=30,
+        metrics={"y": "rms(sensor.y)"},
+        set=SHORT,
+        out=tmp_path / "whole",
+    )
+    place = tmp_path / "killed"
+    for delay in (2.5, 3.0, 3.5):
+        child = subprocess.Popen([sys.executable, "-c", KILLED, str(place)], start_new_session=True)
+        deadline = time.monotonic() + delay
+        while child.poll() is None and time.monotonic() < deadline:
+            time.sleep(0.05)
+        if child.poll() is None:
+            os.kill(child.pid, signal.SIGKILL)
+        child.wait()
+    again = cosim.study(
+        "academic-noisy", seeds=30, metrics={"y": "rms(sensor.y)"}, set=SHORT, out=place
+    )
+    assert rows(again) == rows(whole)
