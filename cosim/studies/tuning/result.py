@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from cosim.errors import listing
+from cosim.errors import listing, option
 from cosim.studies.tuning.local import SearchEnd
 from cosim.studies.tuning.space import SearchSpace
 from cosim.studies.tuning.standard_errors import StandardErrors
@@ -19,6 +19,7 @@ AT_BOUND: Final = 1e-4  # of the range between the bounds
 CONVERGED: Final = 1e-3  # of the range between the bounds
 SAME_PLACE: Final = 0.01  # of the range between the bounds
 SAME_COST: Final = 1e-6  # relative
+WHITE: Final = 2.58  # over sqrt(N): neighbours of white samples, in 99 of 100 cases
 FLAT: Final = 1e-9  # relative; rounding alone differs by less
 
 
@@ -49,6 +50,9 @@ class TuningResult:
     errors : StandardErrors or None
     errors_problem : str
         Why there are no standard errors; empty: they were not wanted, or are there.
+    neighbours : float or None
+        How neighbouring samples of the residual correlate at the best values; None: that is not
+        known.
     """
 
     space: SearchSpace
@@ -64,6 +68,7 @@ class TuningResult:
     starts: int
     errors: StandardErrors | None
     errors_problem: str
+    neighbours: float | None = None
 
     @property
     def failed(self) -> tuple[SearchTrial, ...]:
@@ -103,6 +108,7 @@ class TuningResult:
             "at_bounds": self.at_bounds,
             "statements": statements(self),
             "standard_errors": None if self.errors is None else self.errors.to_dict(),
+            "neighbours": self.neighbours,
         }
 
     def ended_here(self, end: SearchEnd) -> bool:
@@ -215,12 +221,27 @@ def _of_errors(result: TuningResult) -> list[str]:
         return [f"no standard errors: {result.errors_problem}"]
     if result.errors is None:
         return []
-    said = [
-        f"the standard errors assume that the {result.errors.samples} samples of the residual are "
-        "white, with one deviation"
-    ]
+    said = [_whiteness(result.neighbours, result.errors.samples)]
     said += [
         f"along {key} the objective rises unevenly within a standard error: its interval is rough"
         for key in result.errors.skewed
     ]
     return said
+
+
+def _whiteness(correlation: float | None, samples: int) -> str:
+    """Return what the standard errors assume of the residual, and what it looks like."""
+    assumed = (
+        f"the standard errors assume that the {samples} samples of the residual are white, with "
+        "one deviation"
+    )
+    if correlation is None:
+        return f"{assumed}: that is not checked"
+    found = f"its neighbours correlate by {correlation:.2g}"
+    if correlation > WHITE / math.sqrt(samples):
+        independent = max(1, round(samples * (1.0 - correlation) / (1.0 + correlation)))
+        return (
+            f"{assumed}, and they are not: {found}; the errors are too small, as if about "
+            f"{independent} samples were independent: {option('samples')}"
+        )
+    return f"{assumed}; {found}"

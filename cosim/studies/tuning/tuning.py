@@ -7,7 +7,7 @@ import json
 import os
 from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -29,6 +29,7 @@ from cosim.studies.tuning.result import TuningResult
 from cosim.studies.tuning.searching import TuningSearch, check_search, search_best
 from cosim.studies.tuning.space import BoundedKey, SearchSpace
 from cosim.studies.tuning.trials import SAMPLES
+from cosim.studies.tuning.whiteness import residual_correlation
 from cosim.studies.workers.pool import WorkerPool
 
 OBJECTIVE: Final = "objective"  # the name of its column
@@ -129,13 +130,15 @@ def tune_task(
             dataset = resources.enter_context(StudyDataset.open_or_create(out, identity, new=new))
         pool = WorkerPool(_OPENER, task.subject, count, timeout=timeout)
         resources.enter_context(pool)
-        return search_best(TrialMembers(pool, dataset, progress), search)
+        result = search_best(TrialMembers(pool, dataset, progress), search)
+    if result.errors is None or result.best is None:
+        return result
+    neighbours = residual_correlation(task.subject, OBJECTIVE, result.best.point)
+    return replace(result, neighbours=neighbours)
 
 
 def _completed(task: TuningTask, scenario: Scenario) -> TuningSearch:
     """Return the search with the values that the scenario has."""
-    from dataclasses import replace
-
     first = {}
     for key in task.search.space.keys:
         value = own_value(scenario, key.key)

@@ -167,7 +167,7 @@ def test_what_is_assumed_is_said():
     measured = line(T, 3.0, -2.0) + 0.1 * np.random.default_rng(3).standard_normal(T.size)
     assert statements(fitted(line, LINE, measured))[-1] == (
         "the standard errors assume that the 201 samples of the residual are white, with one "
-        "deviation"
+        "deviation: that is not checked"
     )
 
 

@@ -204,10 +204,33 @@ def test_a_first_member_that_fails_ends_the_tuning(fit):
     assert "first values with which it runs, such as by set" in str(caught.value)
 
 
-def test_statements_name_the_samples(fit):
-    record(fit.parent, 1)
+def test_a_white_residual_is_looked_at(fit):
+    """The correlation is that of the closed form at the best values."""
+    measured = record(fit.parent, 1)
     result = tune_task(task_of(fit, with_errors=True, starts=1), workers=1)
-    assert any("501 samples" in text for text in statements(result))
+    residual = response(TIMES, *result.best.point.values()) - measured
+    expected = residual[1:] @ residual[:-1] / (residual @ residual)
+    assert result.neighbours == pytest.approx(expected, abs=1e-9)
+    assert abs(expected) < 2.58 / np.sqrt(TIMES.size)
+    assert statements(result)[-1].endswith(
+        f"501 samples of the residual are white, with one deviation; its neighbours correlate by "
+        f"{expected:.2g}"
+    )
+
+
+def test_a_residual_that_is_not_white_is_said_to_be_none(fit):
+    """Noise of which each value has 0.9 of the one before: a twentieth is independent."""
+    noise = np.random.default_rng(1).standard_normal(TIMES.size)
+    colored = np.zeros(TIMES.size)
+    for k in range(1, TIMES.size):
+        colored[k] = 0.9 * colored[k - 1] + 0.01 * noise[k]
+    y = response(TIMES, A, B) + colored
+    rows = [f"{t!r},{value!r}\n" for t, value in zip(TIMES.tolist(), y.tolist(), strict=True)]
+    (fit.parent / "measured.csv").write_text("time,y\n" + "".join(rows))
+    result = tune_task(task_of(fit, with_errors=True, starts=1), workers=1)
+    assert 0.8 < result.neighbours < 0.95
+    assert "and they are not: its neighbours correlate by 0." in statements(result)[-1]
+    assert "samples were independent: samples" in statements(result)[-1]
 
 
 @pytest.mark.parametrize(
