@@ -195,10 +195,11 @@ class KeptBuild:
         self._exchanged = set(names)
         step_ns = experiment.clock.step_ns
         designs = graph.exchange(components, step_ns) if components else {}
-        for name, design in designs.items():
+        others = designs.items() if self._computed is not self.designs else ()
+        for name, design in others:
             taken = _taken(design, self._computed.get(name, {}), self.designs.get(name, {}))
             if any(taken[key] is not array for key, array in design.items()):
-                designs[name] = graph.prepare_one(name, step_ns, taken)
+                designs[name] = graph.prepare_one(name, step_ns, taken)  # its key is there
         for name, note in self._notes.items():
             graph.members[name].note = note
         graph.watched = frozenset()
@@ -257,7 +258,7 @@ def _taken(design: Design, computed: Design, common: Design) -> Design:
 
 def same_bits(one: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
     """Return whether two arrays are the same in shape and bits."""
-    return one.shape == other.shape and one.tobytes() == other.tobytes()
+    return one is other or (one.shape == other.shape and one.tobytes() == other.tobytes())
 
 
 def _has_model_problems(

@@ -19,8 +19,10 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from types import NoneType, UnionType
 from typing import Any, Final, Literal, Union, get_args, get_origin
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from pydantic import Field, StrictStr, ValidationError, create_model
@@ -46,6 +48,26 @@ _NEEDED: Final = (
     "needed float, int, bool, str, Literal, a list, Sequence or tuple[T, ...] of these, "
     "a numpy array of float64, or alternatives of them"
 )
+
+
+@dataclass(frozen=True, slots=True)
+class _Constructor:
+    """The constructor of a class.
+
+    Parameters
+    ----------
+    names, annotations : mapping of field of the model to the name and annotation of a parameter
+    model : type
+        The table that has their values.
+    """
+
+    names: Mapping[str, str]
+    annotations: Mapping[str, Any]
+    model: type[TomlTable]
+
+
+# making a model takes longer than many a run, and a study has a component of a class a member
+_constructors: Final[WeakKeyDictionary[type, _Constructor]] = WeakKeyDictionary()
 
 
 def construct(name: str, user_class: UserClass, table: Mapping[str, Any]) -> Component:
@@ -79,6 +101,26 @@ def construct(name: str, user_class: UserClass, table: Mapping[str, Any]) -> Com
 
 
 def _arguments(user_class: UserClass, table: Mapping[str, Any]) -> dict[str, Any]:
+    if user_class.loaded not in _constructors:
+        _constructors[user_class.loaded] = _read_constructor(user_class)
+    constructor = _constructors[user_class.loaded]
+    model = constructor.model
+    try:
+        values = model.model_validate(dict(table))
+    except ValidationError as error:
+        raise TableProblems(problems_of(error, model, table, ())) from error
+    arguments = {}
+    for field in values.model_fields_set:
+        name = constructor.names[field]
+        try:
+            arguments[name] = _converted(getattr(values, field), constructor.annotations[field])
+        except ValueError as error:
+            raise TableProblems([((name,), str(error))]) from error
+    return arguments
+
+
+def _read_constructor(user_class: UserClass) -> _Constructor:
+    """Return the parameters of the constructor of a class, and the table that has their values."""
     fields: dict[str, Any] = {}
     names: dict[str, str] = {}
     annotations: dict[str, Any] = {}
@@ -93,17 +135,7 @@ def _arguments(user_class: UserClass, table: Mapping[str, Any]) -> dict[str, Any
         description = described(schema)
         fields[field] = (schema, Field(default, alias=parameter.name, description=description))
     model = create_model("Parameters", __base__=TomlTable, **fields)
-    try:
-        values = model.model_validate(dict(table))
-    except ValidationError as error:
-        raise TableProblems(problems_of(error, model, table, ())) from error
-    arguments = {}
-    for field in values.model_fields_set:
-        try:
-            arguments[names[field]] = _converted(getattr(values, field), annotations[field])
-        except ValueError as error:
-            raise TableProblems([((names[field],), str(error))]) from error
-    return arguments
+    return _Constructor(names, annotations, model)
 
 
 def _parameters(user_class: UserClass) -> list[inspect.Parameter]:

@@ -1,5 +1,8 @@
 """A member has the bits of its own run, in whatever order members are run in one process."""
 
+import gc
+import tempfile
+import tracemalloc
 from functools import cache
 
 import pytest
@@ -199,6 +202,16 @@ SUBJECTS = {
 }
 
 
+@pytest.fixture
+def temporary_folders(tmp_path, monkeypatch):
+    """Return where temporary folders are made."""
+    folder()
+    made = tmp_path / "temporary"
+    made.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(made))
+    return made
+
+
 @cache
 def alone(name, member):
     """Return what a member comes to in a run of its own: status, reason, steps and all bits."""
@@ -273,3 +286,29 @@ def test_the_graph_is_built_once(name, monkeypatch):
         for member in ["as it is", *edits]:
             runner.run(StudyMember(0, edits.get(member, {})))
     assert KEPT[name].isdisjoint(whole)
+
+
+def test_nothing_stays_of_members(temporary_folders):
+    """Neither memory, nor folders, nor binaries, nor files; of members that fail, either."""
+    make, edits = SUBJECTS["mixed"]
+    members = [edits[name] for name in ("source", "start", "user's error", "not finite", "stop")]
+
+    def run_all(runner, times):
+        for number in range(times):
+            runner.run(StudyMember(number, members[number % len(members)]))
+        gc.collect()
+
+    with open_runner(make()) as runner:
+        run_all(runner, 50)
+        objects = len(gc.get_objects())
+        tracemalloc.start()
+        run_all(runner, 5)
+        before, _ = tracemalloc.get_traced_memory()
+        run_all(runner, 100)
+        after, _ = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        assert len(gc.get_objects()) <= objects + 20
+        # bytes: memory for compiled code comes in slabs of 64 KiB, of which two may be in use
+        assert after - before < 2 * 2**16 + 100 * 100
+        assert len(list(temporary_folders.iterdir())) == 1
+    assert list(temporary_folders.iterdir()) == []
