@@ -14,11 +14,13 @@ from cosim.cli.options import (
     ScenarioArgument,
     SetOption,
     SwapOption,
+    prints_to_stderr,
     read_edits,
     read_unique_pairs,
 )
 from cosim.errors import UsageError, option, quoted
 from cosim.report.printable import printable
+from cosim.terminal import show_members
 
 if TYPE_CHECKING:
     from cosim.studies.tuning.space import BoundedKey, ChoiceKey
@@ -122,7 +124,10 @@ def tune(
         swap=read_unique_pairs(swap or [], "swap"),
         map=read_unique_pairs(map_ or [], "map"),
     )
-    result = tune_task(task, out=out, new=new, workers=workers, timeout=timeout)
+    with prints_to_stderr(), show_members(quiet or as_json) as progress:
+        result = tune_task(
+            task, out=out, new=new, workers=workers, timeout=timeout, progress=progress
+        )
     if as_json:
         typer.echo(json.dumps(result.to_dict(), indent=2))
     elif not quiet:

@@ -8,18 +8,17 @@ middle of a batch numbers its members as an undisturbed one.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final, TypeAlias, cast, final
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, cast, final
 
 from cosim.errors import UsageError, option
 from cosim.studies.contracts import COMPLETE, MemberOutcome, StudyMember
 from cosim.studies.dataset.columns import StudyColumn
 from cosim.studies.dataset.study_dataset import StudyDataset
 from cosim.studies.document.variations import SWAP
+from cosim.studies.running.local import MembersDone
 from cosim.studies.tuning.trials import SearchEnded
 from cosim.studies.workers.pool import WorkerPool
-
-TrialProgress: TypeAlias = Callable[[MemberOutcome], None]
 
 _OUTCOME: Final = ("member", "status", "reason", "steps")
 
@@ -33,19 +32,24 @@ class TrialMembers:
     pool : WorkerPool
     dataset : StudyDataset or None
         None: nothing is kept.
+    members : int
+        How many there may be.
     progress : callable or None
-        Called with the outcome of every member, also of those from the dataset.
+        Called with how many members are done, of how many, and how many of these failed.
     """
 
     def __init__(
         self,
         pool: WorkerPool,
         dataset: StudyDataset | None,
-        progress: TrialProgress | None = None,
+        members: int,
+        progress: MembersDone | None = None,
     ) -> None:
         self._pool = pool
         self._dataset = dataset
+        self._members = members
         self._progress = progress
+        self._done: dict[int, bool] = {}  # whether it failed, by member
         self._recorded = {} if dataset is None else _recorded(dataset)
         self._numbers = {outcome.number for outcome in self._recorded.values()}
         self._next = 0
@@ -73,6 +77,7 @@ class TrialMembers:
             if self._dataset is not None:
                 self._dataset.add(member, outcome)
             self._recorded[name] = outcome
+            self._note(outcome)
         outcomes = [self._recorded[name] for name in names]
         for outcome in outcomes:
             self._note(outcome)
@@ -92,8 +97,9 @@ class TrialMembers:
                 f"the first member fails, nothing was tuned: {outcome.reason}\nneeded a metric of "
                 f"the run, and first values with which it runs, such as by {option('set')}"
             )
+        self._done[outcome.number] = outcome.status != COMPLETE
         if self._progress is not None:
-            self._progress(outcome)
+            self._progress(len(self._done), self._members, sum(self._done.values()))
 
 
 def member_of(number: int, point: Mapping[str, Any]) -> StudyMember:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import json
-import os
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field, replace
@@ -23,8 +22,10 @@ from cosim.studies.dataset.study_dataset import StudyDataset
 from cosim.studies.design.checking import is_own_code
 from cosim.studies.design.own_values import own_value
 from cosim.studies.metrics.metrics import parse_metrics
+from cosim.studies.running.local import MembersDone, default_workers
+from cosim.studies.running.plan import RUNNER
 from cosim.studies.tuning.digests import scenario_digests
-from cosim.studies.tuning.members import TrialMembers, TrialProgress, member_of
+from cosim.studies.tuning.members import TrialMembers, member_of
 from cosim.studies.tuning.result import TuningResult
 from cosim.studies.tuning.searching import TuningSearch, check_search, search_best
 from cosim.studies.tuning.space import BoundedKey, SearchSpace
@@ -33,7 +34,6 @@ from cosim.studies.tuning.whiteness import residual_correlation
 from cosim.studies.workers.pool import WorkerPool
 
 OBJECTIVE: Final = "objective"  # the name of its column
-_OPENER: Final = "cosim.studies.members.runner:open_runner"
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +90,7 @@ def tune_task(
     new: bool = False,
     workers: int | None = None,
     timeout: float | None = None,
-    progress: TrialProgress | None = None,
+    progress: MembersDone | None = None,
 ) -> TuningResult:
     """Tune a scenario.
 
@@ -107,7 +107,7 @@ def tune_task(
     timeout : float, optional
         Wall time that a member may take [s], as of :class:`WorkerPool`.
     progress : callable, optional
-        Called with the outcome of every member.
+        Called with how many members are done, of how many, and how many of these failed.
 
     Raises
     ------
@@ -122,15 +122,15 @@ def tune_task(
     search = _completed(task, scenario)
     check_search(search)
     _check_metrics(task, scenario)
-    count = len(os.sched_getaffinity(0)) if workers is None else workers
+    count = default_workers() if workers is None else workers
     with ExitStack() as resources:
         dataset = None
         if out is not None:
             identity = _identity(task, search, scenario)
             dataset = resources.enter_context(StudyDataset.open_or_create(out, identity, new=new))
-        pool = WorkerPool(_OPENER, task.subject, count, timeout=timeout)
+        pool = WorkerPool(RUNNER, task.subject, count, timeout=timeout)
         resources.enter_context(pool)
-        result = search_best(TrialMembers(pool, dataset, progress), search)
+        result = search_best(TrialMembers(pool, dataset, search.members, progress), search)
     if result.errors is None or result.best is None:
         return result
     neighbours = residual_correlation(task.subject, OBJECTIVE, result.best.point)

@@ -146,6 +146,19 @@ def test_a_lag_is_tuned_to_its_closed_form(lag):
     assert result.trials[0].point == {"plant.time_constant": 0.7}
 
 
+def test_progress_counts_every_member_once(lag, tmp_path):
+    """Also those that the dataset has."""
+    for _ in range(2):
+        seen = []
+        tune_task(
+            lag_task(lag, members=12),
+            out=tmp_path / "d",
+            workers=1,
+            progress=lambda *counts, seen=seen: seen.append(counts),
+        )
+        assert list(dict.fromkeys(seen)) == [(k, 12, 0) for k in range(1, 13)]
+
+
 def test_the_dataset_has_columns_of_keys_and_objective(lag, tmp_path):
     result = tune_task(lag_task(lag, members=12), out=tmp_path / "d", workers=1)
     rows = StudyDataset.open(tmp_path / "d").read(["plant.time_constant", "objective"]).to_pylist()
