@@ -142,6 +142,13 @@ def run(
     workers: Annotated[
         int | None, typer.Option(help="Processes at a time. [default: one a processor]")
     ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Run members on a cluster of dask.distributed, such as tcp://host:8786.",
+        ),
+    ] = None,
     timeout: Annotated[
         float | None,
         typer.Option(
@@ -200,6 +207,7 @@ def run(
                 file,
                 out=place,
                 workers=workers,
+                scheduler=scheduler,
                 new=new,
                 progress=progress,
                 notice=None if quiet else print_notice,

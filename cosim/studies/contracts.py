@@ -98,6 +98,9 @@ class StudySubject:
         Of members that replay logs, as of :func:`cosim.replay`.
     logs : str
         Folder for the logs of members that are logged, ``<number>.mcap``.
+    designs : str
+        What was designed where the study was planned (gains, discretized matrices) for all members
+        alike: JSON. Linear algebra gives other bits on other machines. Empty: it is computed.
     """
 
     scenario: str
@@ -108,6 +111,7 @@ class StudySubject:
     with_results: bool = False
     allow_code: bool = False
     logs: str = ""
+    designs: str = ""
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""

@@ -86,8 +86,8 @@ def run_on_cluster(
     timeout : float or None
         Wall time that a member may take [s], as of :class:`WorkerPool`.
     progress : callable, optional
-        Takes how many members have an outcome, how many of those that came now failed, and how
-        many are planned.
+        Takes how many members have an outcome, how many are planned, and how many of those that
+        came now failed.
     notice : callable, optional
         Takes a sentence for each worker that is not used.
     opener : str
@@ -170,7 +170,7 @@ class _ClusterRun:
             self._submit()
             for future in self._wait():
                 self._take(future)
-            progress(len(self._dataset), self._failed, len(self._design))
+            progress(len(self._dataset), len(self._design), self._failed)
         if self._given_up:
             names = [f"{part.start}-{part.stop - 1}" for part in self._given_up]
             raise RunError(

@@ -16,8 +16,10 @@ from cosim.scenario.building.experiment import Experiment
 from cosim.studies.contracts import COMPLETE, MemberOutcome, StudyMember, StudySubject
 from cosim.studies.dataset.identity import digest_of
 from cosim.studies.members.member_builder import MemberBuilder
+from cosim.studies.members.runner import open_runner
 from cosim.studies.metrics.metrics import parse_metrics
 
+DESIGNS: Final = "designs"  # of what all members have in common, as of StudySubject
 REFUSED: Final = "refused"  # why a member cannot be built
 FILE: Final = "file "  # before the path of a file that a member reads
 CODE: Final = "code of "  # before the name of a component of a user's class
@@ -38,6 +40,7 @@ class MemberInspector:
     """
 
     def __init__(self, subject: StudySubject) -> None:
+        self._subject = subject
         self._metrics = parse_metrics(subject.metrics)
         self._builder = MemberBuilder(subject)
 
@@ -53,7 +56,7 @@ class MemberInspector:
         self._builder.close()
 
     def run(self, member: StudyMember) -> MemberOutcome:
-        """Build a member; return the SHA-256 of each file and class that it is made of.
+        """Build a member; return the SHA-256 of each file and class, and the common designs.
 
         Where it is refused, or a metric is of signals that it has not, the outcome says why.
 
@@ -73,6 +76,9 @@ class MemberInspector:
         if member.recording is not None:
             path = Path(member.recording).resolve()
             read[f"{FILE}{path}"] = sha256_of(path)
+        else:
+            with open_runner(self._subject) as runner:
+                read[DESIGNS] = runner.designs()
         return MemberOutcome(member.number, COMPLETE, metrics=dict(read))
 
 

@@ -46,7 +46,6 @@ BLOCK_BYTES: Final = 2**21  # of the rows of a block: most of them stay in the c
 def open_runner(
     subject: StudySubject,
     *,
-    designs: str = "",
     sink_of: Callable[[], MetricSink] | None = None,
 ) -> SubjectRunner:
     """Return what runs the members of a study in this process; a context manager.
@@ -54,9 +53,6 @@ def open_runner(
     Parameters
     ----------
     subject : StudySubject
-    designs : str
-        What :meth:`SubjectRunner.designs` returned where the study was planned: members take from
-        there what their own values do not change. Empty: this machine computes all of it.
     sink_of : callable, optional
         Returns what keeps the metrics of a run; left out: those of the subject.
 
@@ -69,9 +65,9 @@ def open_runner(
     """
     metrics = parse_metrics(subject.metrics)
     if sink_of is not None:
-        return SubjectRunner(subject, sink_of, decode_designs(designs))
+        return SubjectRunner(subject, sink_of, decode_designs(subject.designs))
     recorder = MetricRecorder(metrics)  # of one run after the other
-    return SubjectRunner(subject, lambda: recorder, decode_designs(designs))
+    return SubjectRunner(subject, lambda: recorder, decode_designs(subject.designs))
 
 
 @final

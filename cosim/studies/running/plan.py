@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -24,7 +24,7 @@ from cosim.studies.design.checking import check_design
 from cosim.studies.design.planning import plan_design
 from cosim.studies.design.study_design import StudyDesign
 from cosim.studies.document.study_file import STUDY, StudyFile, study_of
-from cosim.studies.members.inspector import CODE, FILE, REFUSED, sha256_of
+from cosim.studies.members.inspector import CODE, DESIGNS, FILE, REFUSED, sha256_of
 from cosim.studies.metrics.metrics import parse_metrics
 from cosim.studies.workers.pool import WorkerPool
 
@@ -48,22 +48,28 @@ class StudyPlan:
     design : StudyDesign
     sources : mapping of str to str
         SHA-256 of every file that members read, behind ``file``, and of the classes of users.
+    designs : str
+        As of StudySubject.
     """
 
     study: StudyFile
     scenario: Scenario
     design: StudyDesign
     sources: Mapping[str, str]
+    designs: str
 
     @property
     def subject(self) -> StudySubject:
         """What all members have in common."""
-        return self.study.subject
+        return replace(self.study.subject, designs=self.designs)
 
     @property
     def files(self) -> dict[str, str]:
         """SHA-256 by absolute path of the files that members read, the scenario's among them."""
         files = {}
+        scenario = Path(self.study.scenario)
+        if scenario.is_file():
+            files[str(scenario.resolve())] = sha256_of(scenario)
         for name, digest in self.sources.items():
             if name.startswith(FILE):
                 files[name.removeprefix(FILE)] = digest
@@ -127,11 +133,12 @@ def plan_study(study: StudyFile) -> StudyPlan:
     with WorkerPool(INSPECTOR, study.subject, 1) as pool:
         for outcome in pool.run(inspected):
             sources |= _sources_of(outcome)
+    designs = sources.pop(DESIGNS, "")
     settings = study.settings
     edited = scenario
     if settings.replay is None and settings.cases is None:
         edited = scenario.edit(swap=settings.swap, map=dict(settings.map), set=settings.set)
-    return StudyPlan(study, edited, design, sources)
+    return StudyPlan(study, edited, design, sources, designs)
 
 
 def _inspected(design: StudyDesign) -> list[int]:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from cosim.arguments import truth_argument, whole_argument
 from cosim.errors import DatasetError, UsageError, option
+from cosim.studies.cluster.cluster_run import run_on_cluster
 from cosim.studies.contracts import COMPLETE, MetricValue
 from cosim.studies.dataset.study import Study, open_study
 from cosim.studies.dataset.study_dataset import StudyDataset
@@ -17,6 +18,9 @@ from cosim.studies.running.keeping import keep_logs
 from cosim.studies.running.local import MembersDone, default_workers, run_locally
 from cosim.studies.running.plan import RUNNER, StudyPlan, plan_study
 from cosim.studies.workers.pool import WorkerPool
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 MOST_TRIED: Final = 3  # members, until one is completed that shows what a result says
 
@@ -40,6 +44,7 @@ def study(
     keep: str | Sequence[int] | None = None,
     results: bool | None = None,
     workers: int | None = None,
+    scheduler: str | Client | None = None,
     new: bool = False,
     progress: MembersDone | None = None,
     notice: Callable[[str], None] | None = None,
@@ -58,6 +63,9 @@ results : optional
         :meth:`cosim.studies.document.study_file.StudyFile.with_options`.
     workers : int, optional
         Processes at a time; left out: one a processor.
+    scheduler : str or distributed.Client, optional
+        Of a cluster of dask.distributed, such as ``"tcp://host:8786"``: members run there instead
+        of on this machine.
     new : bool
         Remove the dataset that is there, and begin anew.
     progress : callable, optional
@@ -93,7 +101,20 @@ results : optional
     place = default_place(file) if out is None else out
     plan = plan_study(file)
     with open_dataset(plan, place, new=new) as dataset:
-        run_locally(plan, dataset, workers=count, progress=progress)
+        if scheduler is None:
+            run_locally(plan, dataset, workers=count, progress=progress)
+        else:
+            run_on_cluster(
+                scheduler,
+                plan.subject,
+                plan.design,
+                dataset,
+                str(place),
+                files=plan.files,
+                timeout=file.settings.timeout,
+                progress=progress,
+                notice=notice,
+            )
         keep_logs(plan, dataset, workers=count, notice=notice or _ignore)
     return open_study(place)
 

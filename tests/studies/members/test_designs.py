@@ -2,6 +2,7 @@
 
 import json
 from contextlib import ExitStack
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -72,10 +73,10 @@ def test_a_machine_takes_the_designs_of_the_one_that_planned_the_study():
             StudyMember(2, {"observer.L": [3.0, 0.5]}),
         ]
         own = [runner.run(member) for member in members]
-    with open_runner(SUBJECT, designs=planned, sink_of=Digest) as runner:
+    with open_runner(replace(SUBJECT, designs=planned), sink_of=Digest) as runner:
         same = [runner.run(member) for member in members]
     other = of_another_machine(planned)
-    with open_runner(SUBJECT, designs=other, sink_of=Digest) as runner:
+    with open_runner(replace(SUBJECT, designs=other), sink_of=Digest) as runner:
         assert runner.designs() == other
         others = [runner.run(member) for member in members]
         again = [runner.run(member) for member in members]
@@ -91,4 +92,4 @@ def test_designs_of_something_else_are_refused():
     """Before any member."""
     for text in ("no designs", json.dumps({"plant": "?"}), json.dumps([1])):
         with pytest.raises(UsageError, match=r"designs: found .*; needed what a runner"):
-            open_runner(SUBJECT, designs=text)
+            open_runner(replace(SUBJECT, designs=text))
