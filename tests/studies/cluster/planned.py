@@ -46,6 +46,7 @@ class CountedRunner:
         if "marks" in member.set:
             Path(member.set["marks"], f"{member.number}-{os.getpid()}").touch()
         spend(member.set.get("cost", 0.0))
+        time.sleep(member.set.get("sleeps", 0.0))
         if member.set.get("crashes") and member.number % 31 == 30:
             os.kill(os.getpid(), 11)
         wall_time = time.perf_counter() - began

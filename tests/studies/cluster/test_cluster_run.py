@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from cosim.errors import UsageError
+from cosim.errors import RunError, UsageError
 from cosim.studies.cluster.cluster_run import run_on_cluster
 from cosim.studies.cluster.connection import connect
 from cosim.studies.dataset.study_dataset import StudyDataset
@@ -151,6 +151,64 @@ def test_a_scheduler_that_is_not_there_is_one_error(address, tmp_path):
     """Whether the address is wrong, or nobody is there."""
     with pytest.raises(UsageError, match=r"there is no scheduler of dask at '.*'; needed the addr"):
         run(address, CountedMembers(3), tmp_path / "a")
+
+
+def test_ctrl_c_leaves_what_came_and_nothing_on_its_way(two_workers, tmp_path):
+    """The same study goes on from there."""
+    design = CountedMembers(300, cost=0.01)
+
+    def interrupt(done, failed, planned):
+        if 30 <= done < 300:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    place = tmp_path / "a"
+    with StudyDataset.open_or_create(place, identity(300)) as dataset:
+        with pytest.raises(KeyboardInterrupt):
+            run_on_cluster(
+                two_workers.address,
+                SUBJECT,
+                design,
+                dataset,
+                str(place),
+                files={},
+                opener=OPENER,
+                progress=interrupt,
+            )
+        assert 30 <= len(dataset) < 300
+    with connect(two_workers.address) as client:
+        assert client.run_on_scheduler(_queued) == 0
+    assert_same(run(two_workers.address, design, place), local(design, tmp_path / "b"))
+
+
+def test_a_scheduler_that_goes_is_one_error(tmp_path):
+    """What came is in the dataset."""
+    design = CountedMembers(3000, cost=0.01, marks=str(tmp_path))
+    with cluster(tmp_path / _made(tmp_path, "cluster"), workers=1) as processes:
+        killer = threading.Thread(
+            target=_kill_after, args=(processes.scheduler, tmp_path, 60), daemon=True
+        )
+        killer.start()
+        with (
+            StudyDataset.open_or_create(tmp_path / "a", identity(3000)) as dataset,
+            pytest.raises(RunError, match=r"the connection to tcp://.* was lost; what came until"),
+        ):
+            run_on_cluster(
+                processes.address,
+                SUBJECT,
+                design,
+                dataset,
+                str(tmp_path / "a"),
+                files={},
+                opener=OPENER,
+            )
+        killer.join(LIMIT)
+
+
+def _queued(dask_scheduler):
+    """Return how many tasks wait, or run and are still wanted."""
+    return sum(
+        task.state in ("waiting", "queued", "no-worker") for task in dask_scheduler.tasks.values()
+    )
 
 
 def _made(folder, name):

@@ -1,0 +1,174 @@
+"""Studies on dask.distributed: what a cluster costs beside the members, and a million members.
+
+``python tests/bench/bench_cluster.py [overhead] [million]``
+
+*overhead*: a scheduler and two workers in processes of their own, over TCP on loopback; members
+sleep for 20 ms, so that the processors of this machine are not what is measured. Time: two workers
+times the time from the first look at the cluster to the last outcome in the dataset, against the
+sum of the members' wall times; with and without opening the study. Processors: what scheduler,
+workers and this process used beside the guarded children.
+
+*million*: members that cost nothing, in workers inside of this process, without guarded children:
+what is left is planning, the scheduler, and the writing of parts. Tasks of 1000 members, then of
+100, where what limits is the number of tasks a second.
+"""
+
+from __future__ import annotations
+
+import resource
+import sys
+import tempfile
+import threading
+import time
+from concurrent.futures import Future
+from pathlib import Path
+
+from distributed import Client, LocalCluster
+
+sys.path.insert(0, str(Path(__file__).parents[2]))
+
+from cosim.studies.cluster import worker_side
+from cosim.studies.cluster.cluster_run import run_on_cluster
+from cosim.studies.dataset.study_dataset import StudyDataset
+from tests.studies.cluster.planned import (
+    OPENER,
+    SUBJECT,
+    CountedMembers,
+    CountedRunner,
+    identity,
+)
+from tests.studies.cluster.processes import cluster
+
+MEMBERS = 6000
+SLEEP = 0.02  # s
+WORKERS = 2
+
+
+def processor_time(pid):
+    """Return what a process has used, without its children [s]."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / 100
+
+
+def overhead(folder):
+    """Print what a cluster costs beside the members."""
+    with cluster(folder, WORKERS) as processes:
+        pids = [process.pid for process in [processes.scheduler, *processes.workers]]
+        for title, count in (("first study", MEMBERS // 6), ("second", MEMBERS)):
+            design = CountedMembers(count, sleeps=SLEEP)
+            before = [*map(processor_time, pids), time.process_time()]
+            place = folder / title
+            arrivals = []
+            with StudyDataset.open_or_create(place, identity(count, part_size=100)) as dataset:
+                began = time.perf_counter()
+                run_on_cluster(
+                    processes.address,
+                    SUBJECT,
+                    design,
+                    dataset,
+                    str(place),
+                    files={},
+                    opener=OPENER,
+                    progress=lambda *counts, arrivals=arrivals: arrivals.append(
+                        (time.perf_counter(), counts[0])
+                    ),
+                )
+                ended = time.perf_counter()
+                members = sum(dataset.read(["wall_time"]).column("wall_time").to_pylist())
+            after = [*map(processor_time, pids), time.process_time()]
+            used = [late - early for early, late in zip(before, after, strict=True)]
+            first = next(at for at in arrivals if at[1])
+            share = (count - first[1]) / count
+            steady = WORKERS * (arrivals[-1][0] - first[0]) / (members * share) - 1
+            print(
+                f"{title}: {count} members of {1e3 * members / count:.2f} ms, "
+                f"{ended - began:.2f} s on {WORKERS} workers; time beside the members "
+                f"{100 * (WORKERS * (ended - began) / members - 1):.2f} %, after the first outcome "
+                f"{100 * steady:.2f} %; processors beside the children: scheduler {used[0]:.2f} s, "
+                f"workers {sum(used[1:-1]):.2f} s, this process {used[-1]:.2f} s, together "
+                f"{100 * sum(used) / members:.2f} %"
+            )
+
+
+class InProcess:
+    """Runs members in the thread that asks."""
+
+    def __init__(self, opener, subject, *, timeout):
+        self._runner = CountedRunner()
+
+    def run(self, members):
+        """Return outcomes."""
+        return [self._runner.run(member) for member in members]
+
+    def begin(self, members):
+        """Return outcomes as a future."""
+        future = Future()
+        future.set_result(self.run(members))
+        return future
+
+    def close(self):
+        """Do nothing."""
+
+
+def memory():
+    """Return the most that this process had [MB]."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def million(folder, members, part_size):
+    """Print what the scheduler has to do for very many members."""
+    worker_side.MemberStation = InProcess
+    with (
+        LocalCluster(
+            processes=False, n_workers=4, threads_per_worker=1, dashboard_address=None
+        ) as local,
+        Client(local, set_as_default=False) as client,
+        StudyDataset.open_or_create(
+            folder / f"x{part_size}", identity(members, part_size=part_size)
+        ) as dataset,
+    ):
+        most = [0]
+        ended = threading.Event()
+
+        def count():
+            while not ended.wait(0.02):
+                most[0] = max(most[0], len(local.scheduler.tasks))
+
+        counter = threading.Thread(target=count)
+        counter.start()
+        before = memory()
+        began = time.perf_counter()
+        run_on_cluster(
+            client,
+            SUBJECT,
+            CountedMembers(members),
+            dataset,
+            str(folder / f"x{part_size}"),
+            files={},
+            opener=OPENER,
+        )
+        seconds = time.perf_counter() - began
+        ended.set()
+        counter.join()
+        parts = len(list((folder / f"x{part_size}" / "parts").iterdir()))
+        print(
+            f"{members} members in parts of {part_size}: {seconds:.1f} s, {parts} parts, "
+            f"{parts / seconds:.0f} tasks a second, at most {most[0]} tasks in the scheduler; "
+            f"{before:.0f} MB before, at most {memory():.0f} MB (client, scheduler and workers)"
+        )
+
+
+def main(names):
+    """Run what is asked for."""
+    with tempfile.TemporaryDirectory() as text:
+        folder = Path(text)
+        if "overhead" in names:
+            overhead(folder)
+        if "million" in names:
+            million(folder, 10_000, 1000)
+            million(folder, 1_000_000, 1001)
+            million(folder, 200_000, 20)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:] or ["overhead", "million"])
