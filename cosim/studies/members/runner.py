@@ -14,7 +14,7 @@ from cosim.core.passing_recorders import TwoRecorders
 from cosim.core.recorders import error_text
 from cosim.core.recording import Recorder
 from cosim.core.signals import Interface
-from cosim.errors import CosimError, Interrupted
+from cosim.errors import Interrupted
 from cosim.report.summary import summarize
 from cosim.report.sweep import results_of
 from cosim.scenario.building.experiment import Experiment
@@ -189,7 +189,7 @@ class SubjectRunner:
             if len(self._builds) == MOST_BUILDS:
                 return None
             self._builds[key] = None  # where it fails
-            with suppress(CosimError):
+            with suppress(Exception):  # each member says itself what is wrong with it
                 self._builds[key] = self._build(swaps)
         return self._builds[key]
 

@@ -104,6 +104,16 @@ def test_what_cannot_be_built_is_a_failure_with_its_reason(lag):
     assert fine.metrics["digest"] == alone(lag, {"u.rate": 2.0})
 
 
+def test_members_run_where_what_they_have_in_common_does_not(lag):
+    """The value that is wrong is one that each of them has another for."""
+    subject = StudySubject(lag, set={"plant.time_constant": -1.0})
+    members = [StudyMember(n, {"plant.time_constant": 0.1 * (1 + n)}) for n in range(2)]
+    for outcome, member in zip(outcomes(subject, *members), members, strict=True):
+        assert outcome.metrics["digest"] == alone(lag, member.set)
+    with open_runner(subject) as runner:
+        assert runner.designs() == ""
+
+
 def test_what_fails_in_the_run_is_a_failure_with_its_reason(lag):
     """The steps before it are counted; metrics of a part of a run are none."""
     subject = StudySubject(lag, metrics={"largest": "max(plant.y)"})
