@@ -321,7 +321,7 @@ def show(
         worst=worst,
         as_json=as_json,
     )
-    show_study(opened, recorded.layout, recorded.command_of(), parts)
+    show_study(opened, recorded.layout, recorded.command_of(opened), parts)
 
 
 @study.command("plot")

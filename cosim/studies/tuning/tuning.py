@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import json
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field, replace
@@ -23,7 +22,7 @@ from cosim.studies.design.checking import is_own_code
 from cosim.studies.design.own_values import own_value
 from cosim.studies.metrics.metrics import parse_metrics
 from cosim.studies.running.local import MembersDone, default_workers
-from cosim.studies.running.plan import RUNNER
+from cosim.studies.running.plan import RUNNER, searched_text
 from cosim.studies.tuning.digests import scenario_digests
 from cosim.studies.tuning.members import TrialMembers, member_of
 from cosim.studies.tuning.result import TuningResult
@@ -190,14 +189,26 @@ def _identity(task: TuningTask, search: TuningSearch, scenario: Scenario) -> Stu
     digests["the search (its keys, bounds, method, starts and seed)"] = digest_of(asked)
     columns = [parameter_column(name, values) for name, values in _values(space).items()]
     columns += [metric_column(name, text) for name, text in task.metrics.items()]
-    text = json.dumps({"scenario": task.scenario, "objective": task.expression}, indent=1)
     return StudyIdentity(
         name=f"tuning of {scenario.name}",
-        text=text,
+        text=_description(task),
         digests=digests,
         columns=tuple(columns),
         members=search.members,
     )
+
+
+def _description(task: TuningTask) -> str:
+    """Return the study of the dataset, as its readers know it: every member is a case."""
+    study = {
+        "name": "tuning",
+        "scenario": task.scenario,
+        "set": dict(task.set),
+        "swap": dict(task.swap),
+        "map": dict(task.map),
+    }
+    tables = {"study": study, "metrics": task.metrics}
+    return searched_text(tables, task.search.members)
 
 
 def _values(space: SearchSpace) -> dict[str, list[Any]]:

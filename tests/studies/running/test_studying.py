@@ -184,7 +184,7 @@ def test_the_logs_of_the_worst_members_are_kept(tmp_path):
 
 def test_a_study_says_how_each_member_is_run_alone(grid):
     """What is recorded of the study is enough for that."""
-    command_of = RecordedStudy.read(grid.text).command_of()
+    command_of = RecordedStudy.read(grid.text).command_of(grid)
     for row in grid.table().to_pylist():
         value = row["observer.filter_rate"]
         assert command_of(row["member"]) == (

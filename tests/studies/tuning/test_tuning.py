@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.optimize import curve_fit
 
+from cosim.cli.app import main
 from cosim.errors import CosimError, UsageError
 from cosim.studies.dataset.study_dataset import StudyDataset
 from cosim.studies.tuning.result import statements
@@ -129,8 +130,10 @@ def test_a_tuning_that_is_run_again_runs_nothing(lag, tmp_path):
     assert StudyDataset.open(tmp_path / "d").read().to_pylist() == lag_rows
 
 
-@pytest.mark.parametrize("method", ["cobyqa", "global"])
+@pytest.mark.parametrize("method", ["cobyqa", "nelder-mead", "global", "optuna"])
 def test_a_tuning_grows_as_if_it_had_had_more_members_from_the_start(lag, tmp_path, method):
+    if method == "optuna":
+        pytest.importorskip("optuna")
     task = lag_task(lag, members=15, method=method)
     grown = replace(task, search=replace(task.search, members=40))
     tune_task(task, out=tmp_path / "grown", workers=1)
@@ -163,6 +166,21 @@ def test_the_dataset_has_columns_of_keys_and_objective(lag, tmp_path):
     result = tune_task(lag_task(lag, members=12), out=tmp_path / "d", workers=1)
     rows = StudyDataset.open(tmp_path / "d").read(["plant.time_constant", "objective"]).to_pylist()
     assert rows == [{**trial.point, "objective": trial.objective} for trial in result.trials]
+
+
+def test_the_dataset_is_shown_as_that_of_a_study(lag, tmp_path, capsys):
+    """Its members are cases: no interval is told of values that a search chose."""
+    tune_task(lag_task(lag, members=12), out=tmp_path / "d", workers=1)
+    with pytest.raises(SystemExit, match=r"^0$"):
+        main(["study", "show", str(tmp_path / "d")])
+    shown = capsys.readouterr().out
+    assert "12 of 12 members done, none failed" in shown
+    assert "95 % intervals: none: members were chosen, not drawn" in shown
+    with pytest.raises(SystemExit, match=r"^0$"):
+        main(["study", "show", str(tmp_path / "d"), "--member", "3"])
+    row = rows_of(tmp_path / "d")[3]
+    command = f"cosim run {lag} --set plant.time_constant={row['plant.time_constant']!r}"
+    assert command in capsys.readouterr().out
 
 
 def test_swapped_models_are_searched_with_optuna(fit):
