@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import os
 import secrets
+import zlib
 from collections.abc import Callable, Mapping
 from queue import Empty, SimpleQueue
 from time import monotonic
@@ -30,6 +31,7 @@ from cosim.studies.cluster.tasks import MemberTask, RemainingTasks
 from cosim.studies.contracts import MemberOutcome, StudyMember, StudySubject
 from cosim.studies.dataset.storage import open_storage
 from cosim.studies.dataset.study_dataset import StudyDataset
+from cosim.studies.workers.messages import encode_member
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -223,7 +225,7 @@ class _ClusterRun:
             future = self._client.submit(
                 run_members,
                 self._name,
-                self._values(task.members),
+                self._lines(task.members),
                 first if is_written else None,
                 key=(self._name, self._submitted),
                 workers=workers,
@@ -233,12 +235,14 @@ class _ClusterRun:
             self._flying[future] = (task, frozenset(workers))
             future.add_done_callback(self._arrived.put)
 
-    def _values(self, members: range) -> list[tuple[Any, ...]]:
+    def _lines(self, members: range) -> bytes:
+        """Return members as the pool writes them, compressed.
+
+        Dask searches what is not bytes for futures, and keeps the last 1000 messages of every
+        connection.
+        """
         planned = self._design.members(members.start, members.stop)
-        return [
-            (member.number, dict(member.set), dict(member.swap), member.recording)
-            for member in planned
-        ]
+        return zlib.compress(b"".join(encode_member(member) for member in planned), 1)
 
     def _wait(self) -> list[Future]:
         """Return the tasks that are done, after a while also none."""

@@ -7,6 +7,7 @@ of a study is a plugin of dask: it ends with the study, or with the worker.
 from __future__ import annotations
 
 import asyncio
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -29,6 +30,7 @@ from cosim.studies.cluster.station import MemberStation
 from cosim.studies.contracts import FAILED, MemberOutcome, StudyMember, StudySubject
 from cosim.studies.dataset.storage import open_storage
 from cosim.studies.dataset.study_dataset import StudyDataset
+from cosim.studies.workers.messages import decode_member
 
 WORKER_KEY: Final = "worker"
 
@@ -70,14 +72,14 @@ async def close_study(name: str, *, dask_worker: Worker) -> None:
         await dask_worker.plugin_remove(name=name)
 
 
-def run_members(name: str, members: Sequence[Any], first: int | None) -> dict[str, Any]:
+def run_members(name: str, lines: bytes, first: int | None) -> dict[str, Any]:
     """Run members of a study; the task.
 
     Parameters
     ----------
     name : str
-    members : sequence of tuple
-        Number, changes, swaps and recording of each.
+    lines : bytes
+        The members, a line each, as a pool writes them to its workers; compressed.
     first : int or None
         They are the part of the dataset that begins here, to be written if this worker can.
 
@@ -93,7 +95,7 @@ def run_members(name: str, members: Sequence[Any], first: int | None) -> dict[st
     if study is None:
         return {WORKER_KEY: worker.address, "is_open": False}
     assert isinstance(study, WorkerStudy)
-    planned = [StudyMember(*values) for values in members]
+    planned = [decode_member(line) for line in zlib.decompress(lines).splitlines()]
     outcomes = study.run(planned)
     answer = {
         WORKER_KEY: worker.address,
@@ -131,9 +133,9 @@ class WorkerStudy(WorkerPlugin):  # type: ignore[misc]
     Parameters
     ----------
     settings : mapping
-        Plain values: ``name``, ``subject``, ``files``, ``first`` (values of the member
-        that is tried, or None), ``timeout``,
-        ``place``, ``sha256``, ``probe`` (name and content of a file in the dataset) and ``opener``.
+        Plain values: ``name``, ``subject``, ``files``, ``first`` (values of the member that is
+        tried, or None), ``timeout``, ``place``, ``sha256``, ``probe`` (name and content of a file
+        in the dataset) and ``opener``.
     """
 
     def __init__(self, settings: Mapping[str, Any]) -> None:
