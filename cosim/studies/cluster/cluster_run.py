@@ -119,7 +119,7 @@ def run_on_cluster(
         (member,) = design.members(first, first + 1)
         settings = {
             "name": name,
-            "subject": _plain(subject.to_dict()),
+            "subject": _plain({**subject.to_dict(), "scenario": _scenario(subject, files)}),
             "files": dict(files),
             "first": first_member(member),
             "timeout": timeout,
@@ -320,6 +320,12 @@ def _error_of(task: MemberTask, error: BaseException) -> CosimError:
         return error
     members = task.members
     return RunError(f"members {members.start}-{members.stop - 1}: {type(error).__name__}: {error}")
+
+
+def _scenario(subject: StudySubject, files: Mapping[str, str]) -> str:
+    """Return the scenario under the name that it has among the files, which may have no links."""
+    real = os.path.realpath(subject.scenario)
+    return real if real in files else subject.scenario
 
 
 def _plain(value: Any) -> Any:
