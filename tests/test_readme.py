@@ -25,6 +25,7 @@ PAGES = {
     "logs": (ROOT / ".readme" / "logs.md").read_text(encoding="utf-8"),
     "plants": (ROOT / ".readme" / "plants.md").read_text(encoding="utf-8"),
     "recordings": (ROOT / ".readme" / "recordings.md").read_text(encoding="utf-8"),
+    "studies": (ROOT / ".readme" / "studies.md").read_text(encoding="utf-8"),
 }
 EXIT_CODES = {
     "--atol": 1,
@@ -77,7 +78,7 @@ def comparable(text):
 def write_scenario(folder):
     """Save the scenarios and the module that the pages show, as they tell their reader to."""
     shown_in = {"pair": "README", "faults": "README", "fall": "README", "drive": "plants"}
-    shown_in |= {"loop": "coupling", "tank": "recordings"}
+    shown_in |= {"loop": "coupling", "tank": "recordings", "tolerances": "studies"}
     for name, page in shown_in.items():
         shown = [block for block in blocks(page, "toml") if f'name = "{name}"' in block]
         (folder / f"{name}.toml").write_text(shown[0], encoding="utf-8")

@@ -66,6 +66,8 @@ def print_study(
     statistics = study_statistics(results.columns, results.layout)
     correlations = rank_correlations(results.columns, results.layout)
     print_line(_overview(results))
+    if results.done:
+        print_line(f"wall time: {np.median(results.wall_times):.3g} s a member, the median")
     _print_statistics(results, statistics)
     _print_shares(shares)
     _print_correlations(results, correlations)
@@ -120,8 +122,6 @@ def _overview(results: StudyResults) -> str:
     if len(missing):
         parts.append(f"{len(missing)} missing ({members_text(missing)})")
     parts.append(f"{results.failed} failed" if results.failed else "none failed")
-    if results.done:
-        parts.append(f"{np.median(results.wall_times):.3g} s a member")
     return f"{results.name}: {results.layout.text}; {', '.join(parts)}"
 
 

@@ -27,11 +27,12 @@ def test_a_study_says_what_is_done_and_what_is_not(capsys):
     """Done, missing, failed; the design; how long a member takes."""
     _, results = tolerances()
     print_study(results, command_of)
-    first = printed(capsys)[0][0]
+    (first,), (second,) = printed(capsys)[:2]
     assert first == (
         "tolerances: random: 210 samples; 200 of 210 members done, 10 missing (200, 201, 202, 203, "
-        "204, and 5 more), 3 failed, 0.25 s a member"
+        "204, and 5 more), 3 failed"
     )
+    assert second == "wall time: 0.25 s a member, the median"
 
 
 def test_a_study_prints_statistics_failures_and_the_worst_members(capsys):
