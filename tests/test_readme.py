@@ -51,14 +51,14 @@ def commands(page):
 
 def run_command(command, capsys):
     """Run a command as a shell would; return its exit code and what it prints."""
-    line, _, redirected = command.partition(" > ")
+    line, redirected = re.fullmatch(r"(.*?)(?: > ([\w./-]+))?", command).groups()
     words = shlex.split(line)
     assert words[0] == "cosim"
     with pytest.raises(SystemExit) as left:
         main(words[1:])
     output = capsys.readouterr()
     if redirected:
-        Path(redirected.strip()).write_text(output.out)
+        Path(redirected).write_text(output.out)
     return left.value.code or 0, output.out + output.err
 
 
@@ -265,3 +265,11 @@ def test_the_set_up_commands_stand_on_lines_of_their_own():
     assert len(lines) == 2
     assert lines[0].endswith(".venv/bin/cosim run academic")
     assert lines[1].endswith(".venv/bin/python -m pytest -n auto")
+
+
+def test_a_study_runs_from_python(tmp_path, monkeypatch, capsys):
+    """Its table has a row for each member."""
+    monkeypatch.chdir(tmp_path)
+    exec(compile(blocks("studies", "python")[0], "studies block", "exec"), {"__name__": "readme"})
+    printed = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in printed[-3:]] == ["0", "1", "2"]
