@@ -163,6 +163,7 @@ class _ClusterRun:
         self._submitted = 0
         self._failed = 0
         self._seen = monotonic()  # when there was a worker
+        self._had_workers = False
         self._next_look = 0.0
 
     def complete(self, progress: Callable[[int, int, int], None]) -> None:
@@ -208,7 +209,10 @@ class _ClusterRun:
         self._next_look = monotonic() + LOOK
         if present:
             self._seen = monotonic()
-        elif self._workforce.has_excluded or monotonic() > self._seen + PATIENCE:
+            self._had_workers = True
+            return
+        is_hopeless = self._workforce.has_excluded and not self._had_workers
+        if is_hopeless or monotonic() > self._seen + PATIENCE:
             raise self._workforce.none_left()
 
     def _submit(self) -> None:

@@ -40,9 +40,11 @@ def describe() -> dict[str, str]:
     return describe_environment()
 
 
-def find_missing(files: Mapping[str, str], *, dask_worker: Worker) -> list[str]:
+async def find_missing(files: Mapping[str, str], *, dask_worker: Worker) -> list[str]:
     """Return the hashes of the files that this worker has to be sent."""
-    return [] if has_all(files) else missing_content(_folder(dask_worker), files)
+    if await asyncio.to_thread(has_all, files):  # a worker that does not answer counts as dead
+        return []
+    return missing_content(_folder(dask_worker), files)
 
 
 def take_file(content: bytes, *, dask_worker: Worker) -> None:
@@ -148,10 +150,13 @@ class WorkerStudy(WorkerPlugin):  # type: ignore[misc]
         self._dataset: StudyDataset | None = None
         self.writes = False
 
-    def setup(self, worker: Worker) -> None:
+    async def setup(self, worker: Worker) -> None:
         """Place the files, and see whether the dataset is in reach."""
-        files = self._settings["files"]
         self._folder = _folder(worker)
+        await asyncio.to_thread(self._prepare)
+
+    def _prepare(self) -> None:
+        files = self._settings["files"]
         if not has_all(files):
             root = place_copies(self._folder, self._settings["name"], files)
             self._root = str(root)

@@ -15,7 +15,7 @@ LIMIT = 60.0  # s
 class ClusterProcesses:
     """A scheduler and the workers that were started; all are ended by :meth:`end`."""
 
-    def __init__(self, folder):
+    def __init__(self, folder, scheduler_changes):
         self.folder = folder
         self.workers = []
         self._file = folder / "scheduler.json"
@@ -29,6 +29,7 @@ class ClusterProcesses:
             "--scheduler-file",
             self._file,
             "--no-jupyter",
+            changes=scheduler_changes,
         )
         self.address = self._address()
 
@@ -84,11 +85,11 @@ class ClusterProcesses:
 
 
 @contextmanager
-def cluster(folder, workers=2):
-    """Yield a scheduler with workers that are there."""
+def cluster(folder, workers=2, **scheduler_changes):
+    """Yield a scheduler with workers that are there; changes are of its environment."""
     from distributed import Client
 
-    processes = ClusterProcesses(folder)
+    processes = ClusterProcesses(folder, scheduler_changes)
     try:
         for _ in range(workers):
             processes.start_worker()

@@ -14,6 +14,7 @@ from cosim.studies.dataset.study_dataset import StudyDataset
 from cosim.studies.workers.pool import WorkerPool
 from tests.studies.cluster.planned import OPENER, SUBJECT, CountedMembers, identity
 from tests.studies.cluster.processes import LIMIT, cluster
+from tests.studies.dataset.test_object_storage import bucket, server  # noqa: F401
 
 pytest.importorskip("distributed")
 
@@ -202,6 +203,48 @@ def test_a_scheduler_that_goes_is_one_error(tmp_path):
                 opener=OPENER,
             )
         killer.join(LIMIT)
+
+
+def test_members_that_dask_gives_up_are_named(tmp_path):
+    """The others are in the dataset: one whose member ended the worker costs those beside it."""
+    design = CountedMembers(200, cost=0.01, **{"ends the worker of dask": 50})
+    folder = tmp_path / _made(tmp_path, "cluster")
+    with (
+        cluster(folder, DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES="0") as processes,
+        StudyDataset.open_or_create(tmp_path / "a", identity(200)) as dataset,
+    ):
+        with pytest.raises(RunError, match=r"dask gave up members \d+-\d+.*every worker that ran"):
+            run_on_cluster(
+                processes.address,
+                SUBJECT,
+                design,
+                dataset,
+                str(tmp_path / "a"),
+                files={},
+                opener=OPENER,
+            )
+        missing = [number for part in dataset.missing() for number in part]
+        assert 50 in missing
+        assert len(missing) < 150
+
+
+@pytest.mark.usefixtures("bucket")
+def test_workers_write_into_a_bucket(tmp_path, monkeypatch):
+    """Most members do not go through this process where storage is shared."""
+    design = CountedMembers(400, cost=0.005)
+    added = []
+    add = StudyDataset.add
+
+    def count(self, member, outcome):
+        added.append(member.number)
+        add(self, member, outcome)
+
+    monkeypatch.setattr(StudyDataset, "add", count)
+    monkeypatch.setattr(StudyDataset, "write_part", None)  # of whole parts that came back
+    with cluster(tmp_path / _made(tmp_path, "cluster")) as processes:
+        found = run(processes.address, design, "s3://studies/cluster")
+    assert len(added) < 200
+    assert_same(found, local(design, tmp_path / "b"))
 
 
 def _queued(dask_scheduler):
