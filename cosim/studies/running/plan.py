@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -21,12 +21,12 @@ from cosim.studies.dataset.columns import (
 )
 from cosim.studies.dataset.identity import StudyIdentity, digest_of
 from cosim.studies.dataset.study import Study
-from cosim.studies.design.checking import check_design
-from cosim.studies.design.planning import plan_design
+from cosim.studies.design.checking import check_design, is_own_code
+from cosim.studies.design.planning import edited_scenario, plan_design
 from cosim.studies.design.study_design import StudyDesign
 from cosim.studies.document.study_file import STUDY, StudyFile, study_of
 from cosim.studies.document.variations import SWAP
-from cosim.studies.members.inspector import CODE, DESIGNS, FILE, REFUSED, sha256_of
+from cosim.studies.members.inspector import CODE, DESIGNS, FILE, REFUSED, open_inspector, sha256_of
 from cosim.studies.metrics.metrics import parse_metrics
 from cosim.studies.workers.pool import WorkerPool
 
@@ -119,8 +119,8 @@ class StudyPlan:
 def plan_study(study: StudyFile) -> StudyPlan:
     """Plan a study.
 
-    Members are built for that, in a process of their own: one of all, and one for each file or log
-    that is varied.
+    Members are built for that: one of all, and one for each file or log that is varied. Where they
+    run the code of others, that is done in another process.
 
     Raises
     ------
@@ -133,15 +133,27 @@ def plan_study(study: StudyFile) -> StudyPlan:
     check_design(design, scenario)
     inspected = [design.member(number) for number in _inspected(design)]
     sources = _swapped_files(inspected)
-    with WorkerPool(INSPECTOR, study.subject, 1) as pool:
-        for outcome in pool.run(inspected):
-            sources |= _sources_of(outcome)
+    for outcome in _inspect(study, scenario, inspected):
+        sources |= _sources_of(outcome)
     designs = sources.pop(DESIGNS, "")
     settings = study.settings
     edited = scenario
     if settings.replay is None and settings.cases is None:
         edited = scenario.edit(swap=settings.swap, map=dict(settings.map), set=settings.set)
     return StudyPlan(study, edited, design, sources, designs)
+
+
+def _inspect(
+    study: StudyFile, scenario: Scenario, members: Sequence[StudyMember]
+) -> Iterator[MemberOutcome]:
+    """Build members, and yield what the inspector says of each."""
+    edited = (edited_scenario(study, scenario, member.swap, member.set) for member in members)
+    if all(is_own_code(one) for one in edited):
+        with open_inspector(study.subject) as inspector:
+            yield from map(inspector.run, members)
+        return
+    with WorkerPool(INSPECTOR, study.subject, 1) as pool:
+        yield from pool.run(members)
 
 
 def _inspected(design: StudyDesign) -> list[int]:
