@@ -97,7 +97,7 @@ class StudySubject:
     allow_code : bool
         Of members that replay logs, as of :func:`cosim.replay`.
     logs : str
-        Folder for the logs of members that are logged, ``<number>.mcap``.
+        Folder for the logs of members that are logged.
     designs : str
         What was designed where the study was planned (gains, discretized matrices) for all members
         alike: JSON. Linear algebra gives other bits on other machines. Empty: it is computed.

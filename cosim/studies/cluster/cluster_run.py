@@ -88,8 +88,8 @@ def run_on_cluster(
     timeout : float or None
         Wall time that a member may take [s], as of :class:`WorkerPool`.
     progress : callable, optional
-        Takes how many members have an outcome, how many are planned, and how many of those that
-        came now failed.
+        Takes how many members have an outcome, how many are planned, and how many of
+        these failed.
     notice : callable, optional
         Takes a sentence for each worker that is not used.
     opener : str
@@ -161,7 +161,7 @@ class _ClusterRun:
         self._arrived: SimpleQueue[Future] = SimpleQueue()
         self._given_up: list[range] = []
         self._submitted = 0
-        self._failed = 0
+        self._failed = dataset.failed
         self._seen = monotonic()  # when there was a worker
         self._had_workers = False
         self._next_look = 0.0

@@ -30,7 +30,7 @@ _ARRAY_TYPES: Final[Mapping[str, ColumnType]] = {
     "int64": "int64",
     "bool": "bool",
 }
-_SWAP: Final = "swap."
+SWAP: Final = "swap."
 _LARGEST_EXACT: Final = 2**53  # every whole number up to it is a double
 _LARGEST_INT64: Final = 2**63
 
@@ -205,8 +205,8 @@ def _getter(column: StudyColumn) -> Callable[[StudyMember], Any]:
         return lambda member: json_text(member.set.get(name))
     if name == RECORDING:
         return lambda member: member.recording
-    if name.startswith(_SWAP):
-        component = name.removeprefix(_SWAP)
+    if name.startswith(SWAP):
+        component = name.removeprefix(SWAP)
         return lambda member: member.set.get(name, member.swap.get(component))
     return lambda member: member.set.get(name)
 

@@ -18,6 +18,7 @@ from cosim.studies.dataset.storage import DatasetJournal, Storage
 
 LOGS: Final = "logs"
 _LOG_NAME: Final = re.compile(r"(\d+)\.mcap")
+_UNFINISHED: Final = re.compile(r"_\d+\.unfinished\.mcap")  # of a study that was killed
 
 
 @final
@@ -185,7 +186,9 @@ class DatasetContents:
 def recorded_files(storage: Storage) -> list[str]:
     """Return the names of all files that hold outcomes or logs, whosever they are."""
     names = [f"{PARTS}/{name}" for name in storage.names(PARTS) if part_members(name)]
-    names += [f"{LOGS}/{name}" for name in storage.names(LOGS) if _LOG_NAME.fullmatch(name)]
+    for name in storage.names(LOGS):
+        if _LOG_NAME.fullmatch(name) or _UNFINISHED.fullmatch(name):
+            names.append(f"{LOGS}/{name}")
     names += [JOURNAL] if JOURNAL in storage.names("") else []
     return names
 

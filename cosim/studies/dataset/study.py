@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Collection, Iterable
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
 from cosim.errors import UsageError
-from cosim.studies.contracts import FAILED
-from cosim.studies.dataset.columns import ColumnRole
+from cosim.studies.contracts import FAILED, StudyMember
+from cosim.studies.dataset.columns import RECORDING, SWAP, ColumnRole
 from cosim.studies.dataset.study_dataset import StudyDataset
 
 if TYPE_CHECKING:
@@ -111,6 +112,37 @@ class Study:
             If a column is unknown, or a file is damaged.
         """
         return self._dataset.read(columns, members)
+
+    def member(self, number: int) -> StudyMember:
+        """Return a member that has an outcome, with the parameters that its row has.
+
+        Raises
+        ------
+        UsageError
+            If there is none of that number.
+        DatasetError
+            If a file is damaged.
+        """
+        columns = [column for column in self._dataset.columns if column.role == "parameter"]
+        names = [column.name for column in columns]
+        rows = self.table(["member", *names], members=[number]).to_pylist()
+        if not rows:
+            raise UsageError(
+                f"there is no outcome of member {number}; there are {len(self)} of "
+                f"{self.planned} members, numbered from 0"
+            )
+        changes: dict[str, Any] = {}
+        swaps: dict[str, str] = {}
+        for column in columns:
+            value = rows[0][column.name]
+            if value is None:
+                continue
+            if column.name.startswith(SWAP):
+                swaps[column.name.removeprefix(SWAP)] = value
+            else:
+                changes[column.name] = json.loads(value) if column.type == "json" else value
+        recording = changes.pop(RECORDING, None)
+        return StudyMember(number, changes, swaps, recording)
 
     def to_pandas(self, columns: Iterable[str] | None = None) -> pandas.DataFrame:
         """Return the table as a frame of pandas, indexed by ``member``.

@@ -21,7 +21,7 @@ from types import TracebackType
 from typing import Any, Self, final
 
 from cosim.errors import DatasetError, command, flag
-from cosim.studies.contracts import MemberOutcome, StudyMember
+from cosim.studies.contracts import FAILED, MemberOutcome, StudyMember
 from cosim.studies.dataset.columns import MEMBER, RowMaker, StudyColumn, pyarrow
 from cosim.studies.dataset.contents import LOGS, DatasetContents, recorded_files
 from cosim.studies.dataset.design_check import PlannedColumns, check_part
@@ -216,6 +216,14 @@ class StudyDataset:
     def __len__(self) -> int:
         """Return how many members have an outcome."""
         return len(self._contents)
+
+    @property
+    def failed(self) -> int:
+        """Return how many members have failed."""
+        count = 0
+        for table in self._contents.tables(["status"]):
+            count += table["status"].to_pylist().count(FAILED)
+        return count
 
     # --- writing ---
 

@@ -25,11 +25,18 @@ def open_logging_runner(subject: StudySubject) -> LoggingRunner:
     return LoggingRunner(subject)
 
 
+def unfinished_name(number: int) -> str:
+    """Return the name of the log of a member that has no outcome yet."""
+    return f"_{number}.unfinished.mcap"
+
+
 @final
 class LoggingRunner:
-    """Runs members of a study and writes their logs to ``<subject.logs>/<number>.mcap``.
+    """Runs members of a study and writes their logs to a folder.
 
     A run that fails leaves its log up to there; so does one that crashes, without its last second.
+    Who takes the outcome gives the log its name: without one it was left by a study that was
+    killed.
 
     Parameters
     ----------
@@ -71,5 +78,5 @@ class LoggingRunner:
             return TwoRecorders(log, measured)
 
         experiment = self._builder.experiment(member, resources)
-        target = Target(self._folder / f"{member.number}.mcap", force=True)
+        target = Target(self._folder / unfinished_name(member.number), force=True)
         record(experiment, target, progress=None, beside=beside)

@@ -32,7 +32,7 @@ class StudyEstimate:
     study_time : float
         Of all members, on these workers [s].
     dataset_bytes : int
-        At most, before compression.
+        About, without the heads of its parts, and before compression.
     log_bytes : int or None
         Of the logs that are kept, each as large as that of member 0; None: how many members fail is
         not known.
@@ -89,7 +89,7 @@ def _timed(plan: StudyPlan) -> list[MemberOutcome]:
 
 
 def _row_bytes(plan: StudyPlan, outcome: MemberOutcome) -> int:
-    """Return how many bytes a row has at most, before compression."""
+    """Return about how many bytes a row has, before compression."""
     metrics: Mapping[str, MetricValue] = outcome.metrics if plan.subject.with_results else {}
     columns = all_columns(plan.identity(metrics).columns)
     texts = [outcome.reason, outcome.worker, outcome.status, outcome.designs]

@@ -11,10 +11,29 @@ from cosim.errors import UsageError, option
 from cosim.studies.contracts import FAILED, MemberOutcome
 from cosim.studies.dataset.study_dataset import StudyDataset
 from cosim.studies.document.keep import KeptLogs
+from cosim.studies.document.study_file import StudyFile
+from cosim.studies.members.logging_runner import unfinished_name
 from cosim.studies.running.plan import StudyPlan
 from cosim.studies.workers.pool import WorkerPool
 
 LOGGING_RUNNER: Final = "cosim.studies.members.logging_runner:open_logging_runner"
+
+
+def check_kept_place(file: StudyFile, place: str | Path) -> None:
+    """Check that logs can be kept where the dataset is.
+
+    Raises
+    ------
+    UsageError
+        If some are to be, and it is no folder of this machine.
+    """
+    text = str(place)
+    is_folder = "://" not in text or text.startswith(("file://", "local://"))
+    if file.kept_logs.which != "none" and not is_folder:
+        raise UsageError(
+            f"{option('keep')}: {text} is no folder, and logs are written to folders; needed a "
+            "folder, or no kept logs"
+        )
 
 
 def keep_logs(
@@ -31,10 +50,6 @@ def keep_logs(
     notice : callable
         Called with what is noteworthy: a member that came to something else this time.
 
-    Raises
-    ------
-    UsageError
-        If the dataset is no folder of this machine.
     """
     kept = plan.study.kept_logs
     if kept.which == "none":
@@ -43,13 +58,7 @@ def keep_logs(
     numbers = [number for number in chosen_members(kept, dataset) if number not in logged]
     if not numbers:
         return
-    place = dataset.log_place(numbers[0])
-    if "://" in place:
-        raise UsageError(
-            f"{option('keep')}: {dataset.label} is no folder, and logs are written to folders; "
-            "needed a folder, or no kept logs"
-        )
-    folder = Path(place).parent
+    folder = Path(dataset.log_place(numbers[0])).parent
     folder.mkdir(exist_ok=True)
     recorded = {row["member"]: row for row in dataset.read(members=numbers).to_pylist()}
     subject = replace(plan.subject, logs=str(folder))
@@ -57,6 +66,9 @@ def keep_logs(
     timeout = plan.study.settings.timeout
     with WorkerPool(LOGGING_RUNNER, subject, min(workers, len(members)), timeout=timeout) as pool:
         for outcome in pool.run(members):
+            unfinished = folder / unfinished_name(outcome.number)
+            if unfinished.exists():
+                unfinished.replace(dataset.log_place(outcome.number))
             text = difference(outcome, recorded[outcome.number], list(plan.study.metrics))
             if text:
                 notice(f"member {outcome.number} ran again for its log: {text}")

@@ -46,7 +46,7 @@ def run_locally(
     if not left:
         return
     given: dict[int, StudyMember] = {}
-    failed = 0
+    failed = dataset.failed
     timeout = plan.study.settings.timeout
     with WorkerPool(RUNNER, plan.subject, min(workers, left), timeout=timeout) as pool:
         for outcome in pool.run(_taken(plan, missing, given)):

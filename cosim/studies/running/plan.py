@@ -25,7 +25,6 @@ from cosim.studies.design.checking import check_design, is_own_code
 from cosim.studies.design.planning import edited_scenario, plan_design
 from cosim.studies.design.study_design import StudyDesign
 from cosim.studies.document.study_file import STUDY, StudyFile, study_of
-from cosim.studies.document.variations import SWAP
 from cosim.studies.members.inspector import CODE, DESIGNS, FILE, REFUSED, open_inspector, sha256_of
 from cosim.studies.metrics.metrics import parse_metrics
 from cosim.studies.workers.pool import WorkerPool
@@ -36,7 +35,6 @@ MOST_INSPECTED: Final = 100  # members, one for each text that is varied: files,
 _TABLES: Final = "tables"
 _LAYOUT: Final = "layout"
 _SOURCE: Final = "source"
-SEARCHED: Final = "searched"
 
 
 @dataclass(frozen=True)
@@ -152,7 +150,7 @@ def _inspect(
         with open_inspector(study.subject) as inspector:
             yield from map(inspector.run, members)
         return
-    with WorkerPool(INSPECTOR, study.subject, 1) as pool:
+    with WorkerPool(INSPECTOR, study.subject, 1, timeout=study.settings.timeout) as pool:
         yield from pool.run(members)
 
 
@@ -221,13 +219,10 @@ class RecordedStudy:
     ----------
     study : StudyFile
     layout : StudyLayout
-    is_searched : bool
-        A search chose the members: they do not follow from the study, but stand in the dataset.
     """
 
     study: StudyFile
     layout: StudyLayout
-    is_searched: bool = False
 
     @classmethod
     def read(cls, text: str) -> RecordedStudy:
@@ -242,28 +237,21 @@ class RecordedStudy:
             described = json.loads(text)
             study, problems = study_of(described[_TABLES], described[_SOURCE])
             layout = StudyLayout.from_dict(described[_LAYOUT])
-            is_searched = described.get(SEARCHED, False)
         except (ValueError, KeyError, TypeError) as error:
             raise UsageError("the study of this dataset cannot be read by this version") from error
         if study is None:
             texts = "; ".join(text for _, text in problems)
             raise UsageError(f"the study of this dataset cannot be read by this version: {texts}")
-        return cls(study, layout, is_searched)
+        return cls(study, layout)
 
     def command_of(self, dataset: Study) -> Callable[[int], str]:
         """Return what gives the command that runs a member of a dataset alone.
 
-        Raises
-        ------
-        CosimError
-            If the scenario, or a table of cases, is no longer there.
+        Its parameters are those that are recorded, whatever the study would plan by now.
         """
         from cosim.studies.design.commands import run_command
 
-        if self.is_searched:
-            return lambda number: run_command(_recorded_member(dataset, number), self.study)
-        design = plan_design(self.study, load(self.study.scenario))
-        return lambda number: run_command(design.member(number), self.study)
+        return lambda number: run_command(dataset.member(number), self.study)
 
 
 def searched_text(tables: Mapping[str, Any], members: int) -> str:
@@ -277,13 +265,5 @@ def searched_text(tables: Mapping[str, Any], members: int) -> str:
         How many there may be.
     """
     layout = StudyLayout("cases", samples=members)
-    described = {_TABLES: tables, _SOURCE: "", _LAYOUT: layout.to_dict(), SEARCHED: True}
+    described = {_TABLES: tables, _SOURCE: "", _LAYOUT: layout.to_dict()}
     return json.dumps(described, ensure_ascii=False)
-
-
-def _recorded_member(dataset: Study, number: int) -> StudyMember:
-    """Return a member as its row in a dataset has it."""
-    [row] = dataset.table([*dataset.parameters], members=[number]).to_pylist()
-    changes = {key: value for key, value in row.items() if not key.startswith(SWAP)}
-    swaps = {key.removeprefix(SWAP): row[key] for key in row if key.startswith(SWAP)}
-    return StudyMember(number, changes, swaps)

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from cosim.arguments import truth_argument, whole_argument
 from cosim.errors import DatasetError, UsageError, option
 from cosim.studies.cluster.cluster_run import run_on_cluster
+from cosim.studies.cluster.connection import connect
 from cosim.studies.contracts import COMPLETE, MetricValue
 from cosim.studies.dataset.study import Study, open_study
 from cosim.studies.dataset.study_dataset import StudyDataset
 from cosim.studies.document.reading import read_study
 from cosim.studies.document.study_file import StudyFile
-from cosim.studies.running.keeping import keep_logs
+from cosim.studies.running.keeping import check_kept_place, keep_logs
 from cosim.studies.running.local import MembersDone, default_workers, run_locally
 from cosim.studies.running.plan import RUNNER, StudyPlan, plan_study
 from cosim.studies.workers.pool import WorkerPool
@@ -99,13 +101,17 @@ results : optional
         results=results,
     )
     place = default_place(file) if out is None else out
+    check_kept_place(file, place)
     plan = plan_study(file)
-    with open_dataset(plan, place, new=new) as dataset:
-        if scheduler is None:
+    with ExitStack() as resources:
+        # before the dataset that is there is removed
+        client = None if scheduler is None else resources.enter_context(connect(scheduler))
+        dataset = resources.enter_context(open_dataset(plan, place, new=new))
+        if client is None:
             run_locally(plan, dataset, workers=count, progress=progress)
         else:
             run_on_cluster(
-                scheduler,
+                client,
                 plan.subject,
                 plan.design,
                 dataset,

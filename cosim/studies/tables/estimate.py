@@ -19,7 +19,7 @@ def print_estimate(name: str, estimate: StudyEstimate, *, as_json: bool = False)
         "first member of a worker": f"{estimate.first_time:.3g} s",
         "every other member": f"{estimate.member_time:.3g} s, as the one that was timed",
         f"all, on {estimate.workers} workers": _duration(estimate.study_time),
-        "dataset": f"at most {_bytes(estimate.dataset_bytes)}, before compression",
+        "dataset": f"about {_bytes(estimate.dataset_bytes)}, before compression",
         "kept logs": logs,
     }
     if estimate.log_bytes == 0:

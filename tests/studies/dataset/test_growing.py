@@ -90,5 +90,5 @@ def test_samples_grow_at_their_end(tmp_path, sampling):
 def test_a_latin_hypercube_of_more_samples_is_another_one(tmp_path):
     """Each of its samples is in another layer."""
     complete(*opened(tmp_path, SAMPLED.format(sampling="latin-hypercube", samples=8)))
-    with pytest.raises(DatasetError, match=r"member 0 was observer.filter_rate = .*; a grid grows"):
+    with pytest.raises(DatasetError, match=r"member 0 was observer.filter_rate = .*; members keep"):
         opened(tmp_path, SAMPLED.format(sampling="latin-hypercube", samples=16))

@@ -232,7 +232,7 @@ def test_members_that_were_renumbered_are_refused_by_the_first(tmp_path):
         add(dataset, [*range(2, 12), 21])
     planned = design(25)
     planned["noise.seed"][21] = 4
-    problem = r"member 21 was noise.seed = 1, is 4; a grid grows by values at the end of its first"
+    problem = r"member 21 was noise.seed = 1, is 4; members keep their numbers where"
     with pytest.raises(DatasetError, match=problem):
         StudyDataset.open_or_create(tmp_path, identity(25), design=planned)
     planned["observer.filter_rate"][7] += 2**-40

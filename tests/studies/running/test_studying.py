@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 
+import numpy as np
 import pytest
 
 import cosim
@@ -208,6 +209,82 @@ def test_changed_files_of_members_are_another_study(tmp_path):
     assert [name for name in before if before[name] != after[name]] == ["table u.csv"]
 
 
+def test_a_refusal_leaves_the_dataset_that_is_there(grid):
+    """A scheduler that is not there is found before --new removes anything."""
+    pytest.importorskip("distributed")
+    before = grid.table()
+    with pytest.raises(UsageError, match="scheduler"):
+        cosim.study(
+            "academic",
+            vary={"observer.filter_rate": [1.0]},
+            metrics=METRICS,
+            out=grid._dataset.label,
+            scheduler="tcp://127.0.0.1:1",
+            new=True,
+        )
+    assert cosim.open_study(grid._dataset.label).table().equals(before)
+
+
+def test_logs_are_kept_in_folders_only(tmp_path):
+    """It is said before anything runs."""
+    with pytest.raises(UsageError, match=r"keep.*memory://x is no folder"):
+        cosim.study("academic", metrics=METRICS, out="memory://x", keep="all")
+
+
+def test_the_command_of_a_member_is_that_of_its_row(tmp_path):
+    """Also where the scenario has changed since, or is gone."""
+    scenario = tmp_path / "x.toml"
+    text = (
+        'scenario = { name = "x", stop = 1.0, step = 0.1 }\n'
+        '[components]\nu = { kind = "sine", amplitude = AMPLITUDE, rate = 1.0 }\n'
+    )
+    scenario.write_text(text.replace("AMPLITUDE", "1.0"))
+    study = cosim.study(
+        scenario,
+        vary={"u.amplitude": {"tolerance": 0.1}},
+        samples=2,
+        metrics={"y": "max(u.y)"},
+        out=tmp_path / "out",
+    )
+    recorded = study.table().to_pylist()[1]["u.amplitude"]
+    for change in (lambda: scenario.write_text(text.replace("AMPLITUDE", "2.0")), scenario.unlink):
+        change()
+        command = RecordedStudy.read(study.text).command_of(study)(1)
+        assert command.endswith(f"--set u.amplitude={recorded!r}")
+
+
+def test_the_log_of_a_study_that_was_killed_is_written_again(tmp_path):
+    """Only a member with an outcome has a log under its number."""
+    place = tmp_path / "kept"
+    given = {"seeds": 2, "metrics": {"y": "last(sensor.y)"}, "set": SHORT, "out": place}
+    cosim.study("academic-noisy", **given)
+    (place / "logs").mkdir()
+    (place / "logs" / "_0.unfinished.mcap").write_bytes(b"half")
+    study = cosim.study("academic-noisy", **given, keep="all")
+    assert set(study.logs) == {0, 1}
+    assert cosim.open_log(study.logs[0]).status == "complete"
+    assert not list((place / "logs").glob("_*"))
+
+
+def test_failures_of_an_earlier_call_are_counted(tmp_path):
+    """A study that goes on knows how many have failed in all."""
+    scenario = tmp_path / "x.toml"
+    scenario.write_text(
+        'scenario = { name = "x", stop = 1.0, step = 0.1 }\n'
+        '[components]\nu = { kind = "expression", y = "1/(t - 0.5)" }\n'
+    )
+    counts = []
+    for stops in ([0.2, 1.0], [0.2, 1.0, 0.3]):
+        cosim.study(
+            scenario,
+            vary={"scenario.stop": stops},
+            metrics={"y": "last(u.y)"},
+            out=tmp_path / "out",
+            progress=lambda *done: counts.append(done),
+        )
+    assert counts[-1] == (3, 3, 1)
+
+
 KILLED = """
 import sys, cosim
 cosim.study("academic-noisy", seeds=30, metrics={"y": "rms(sensor.y)"},
@@ -215,25 +292,35 @@ cosim.study("academic-noisy", seeds=30, metrics={"y": "rms(sensor.y)"},
 """
 
 
-def test_a_killed_study_goes_on_to_the_same_dataset(tmp_path):
-    """kill -9 of the whole study, several times at other instants: row for row the same."""
-    whole = cosim.study(
-        "academic-noisy",
-        seeds=30,
-        metrics={"y": "rms(sensor.y)"},
-        set=SHORT,
-        out=tmp_path / "whole",
-    )
-    place = tmp_path / "killed"
-    for delay in (2.5, 3.0, 3.5):
+def kill_and_resume(place, delays):
+    """Begin the study once for each delay, and kill it after so many seconds [s]."""
+    for delay in delays:
         child = subprocess.Popen([sys.executable, "-c", KILLED, str(place)], start_new_session=True)
         deadline = time.monotonic() + delay
         while child.poll() is None and time.monotonic() < deadline:
-            time.sleep(0.05)
+            time.sleep(0.02)
         if child.poll() is None:
             os.kill(child.pid, signal.SIGKILL)
         child.wait()
-    again = cosim.study(
+
+
+def noisy(place):
+    """Return the study that is killed, run to its end."""
+    return cosim.study(
         "academic-noisy", seeds=30, metrics={"y": "rms(sensor.y)"}, set=SHORT, out=place
     )
-    assert rows(again) == rows(whole)
+
+
+def test_a_killed_study_goes_on_to_the_same_dataset(tmp_path):
+    """kill -9 of the whole study, several times at other instants: row for row the same."""
+    kill_and_resume(tmp_path / "killed", (1.5, 2.0))
+    assert rows(noisy(tmp_path / "killed")) == rows(noisy(tmp_path / "whole"))
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("seed", range(5))
+def test_a_study_killed_at_twenty_instants_goes_on_to_the_same_dataset(tmp_path, seed):
+    """From its start to about its end."""
+    delays = np.random.default_rng(seed).uniform(0.5, 4.0, 20)
+    kill_and_resume(tmp_path / "killed", delays)
+    assert rows(noisy(tmp_path / "killed")) == rows(noisy(tmp_path / "whole"))
