@@ -174,7 +174,8 @@ def run(
     """Run a study, or what is missing of it.
 
     Members run in processes of their own: one that crashes or hangs costs itself. A study that was
-    stopped goes on with the same command; one that has grown runs what is new.
+    stopped goes on with the same command; one that has grown runs what is new. Exits with 1 if a
+    member failed.
     """
     from cosim.studies.document.reading import read_study
     from cosim.studies.running.studying import default_place
@@ -203,7 +204,7 @@ def run(
     place = str(default_place(file)) if out is None else out
     with prints_to_stderr(), show_members(quiet or as_json) as progress:
         try:
-            run_study(
+            done = run_study(
                 file,
                 out=place,
                 workers=workers,
@@ -217,6 +218,8 @@ def run(
             raise
     if not quiet:
         show(place, as_json=as_json)
+    if done.failures:
+        raise typer.Exit(1)
 
 
 def _variations(texts: list[str] | None) -> dict[str, Any]:

@@ -95,6 +95,7 @@ def test_a_dry_run_records_nothing(call, tmp_path):
         (["--metric", "error=rms("], "metrics.error: metric 'rms('"),
         (["--keep", "1,,2"], "needed numbers"),
         (["--keep", "wurst"], "--keep"),
+        (["--keep", "0,4"], "--keep: there is no member 4; there are 4, numbered from 0"),
         (["--workers", "0"], "--workers: found 0"),
         (["--timeout", "-1"], "--timeout"),
         (["--sampling", "sobol"], "nothing is drawn"),
@@ -138,3 +139,14 @@ def test_an_interrupted_study_says_how_to_go_on(tmp_path):
     _, messages = child.communicate(timeout=60)
     assert child.returncode == 130
     assert "of 500 members are recorded in out; the same command goes on" in messages
+
+
+def test_a_study_with_failed_members_exits_with_1(call, tmp_path):
+    """All of it is recorded and shown all the same."""
+    (tmp_path / "x.toml").write_text(
+        'scenario = { name = "x", stop = 1.0, step = 0.1 }\n'
+        '[components]\nu = { kind = "expression", y = "1/(t - 0.5)" }\n'
+    )
+    arguments = ["x.toml", "--vary", "scenario.stop=0.2,1.0", "--metric", "y=last(u.y)"]
+    call("study", *arguments, code=1)
+    assert "2 of 2 members done, 1 failed" in call("study", "show", "logs/x-study")

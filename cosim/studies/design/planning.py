@@ -32,7 +32,7 @@ from cosim.studies.design.study_design import RECORDING, SampleKind, StudyDesign
 from cosim.studies.document.study_file import StudyFile
 from cosim.studies.document.variations import SWAP, GridVariation, SampledVariation
 
-MOST_MEMBERS: Final = 10**9
+MOST_MEMBERS: Final = 2 * 10**7  # whose columns fit into the memory of a small machine
 _BLOCK: Final = 2**16  # samples
 
 

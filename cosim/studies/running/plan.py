@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-from cosim.errors import UsageError
+from cosim.errors import UsageError, option
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.running.execution import load
 from cosim.studies.analysis.independence import StudyLayout
@@ -129,6 +129,7 @@ def plan_study(study: StudyFile) -> StudyPlan:
     scenario = load(study.scenario)
     design = plan_design(study, scenario)
     check_design(design, scenario)
+    _check_kept(study, design)
     inspected = [design.member(number) for number in _inspected(design)]
     sources = _swapped_files(inspected)
     for outcome in _inspect(study, scenario, inspected):
@@ -139,6 +140,22 @@ def plan_study(study: StudyFile) -> StudyPlan:
     if settings.replay is None and settings.cases is None:
         edited = scenario.edit(swap=settings.swap, map=dict(settings.map), set=settings.set)
     return StudyPlan(study, edited, design, sources, designs)
+
+
+def _check_kept(study: StudyFile, design: StudyDesign) -> None:
+    """Check that the members whose logs are kept by number are there.
+
+    Raises
+    ------
+    UsageError
+        If one is not.
+    """
+    for number in study.kept_logs.numbers:
+        if number >= len(design):
+            raise UsageError(
+                f"{option('keep')}: there is no member {number}; there are {len(design)}, "
+                "numbered from 0"
+            )
 
 
 def _inspect(

@@ -307,7 +307,7 @@ def test_a_choice_is_drawn(tmp_path):
         ),
         (
             {"vary": {"u.rate": {"linear": [1.0, 2.0], "points": 100_000}}, "seeds": 20_000},
-            "found 20000 x 100000 = 2000000000 members; needed at most 1000000000",
+            "found 20000 x 100000 = 2000000000 members; needed at most 20000000",
         ),
         (
             {"vary": {"plant.x_a0": {"tolerance": 0.1}}, "samples": 2},
