@@ -46,6 +46,10 @@ OF_ONE_WORKER = frozenset(
         "tests/scenario/swapping/test_swap.py",
         "tests/scenario/swapping/test_swap_matrix.py",
         "tests/scenario/swapping/test_swapping.py",
+        "tests/studies/cluster/test_cluster_run.py",
+        "tests/studies/cluster/test_real_studies.py",
+        "tests/studies/tables/test_real_study.py",
+        "tests/studies/tuning/test_tuning.py",
         "tests/theory/assessment/test_validation.py",
     }
 )
