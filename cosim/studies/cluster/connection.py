@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from distributed import Client
 
 CONNECTING: Final = 5.0  # [s]
-CLOSING: Final = 2.0  # [s]
 
 
 @contextmanager
@@ -73,16 +72,11 @@ def lost(client: Client) -> RunError:
 
 
 def _new_client(library: Any, address: str) -> Client:
-    # In two steps: a client that did not connect has to be closed here. Its finalizer, which runs
-    # where memory is collected, would wait for locks that the next client may hold by then.
-    client: Client = object.__new__(library.Client)
     try:
         with warnings.catch_warnings():  # what differs is checked, and named, for each worker
             warnings.filterwarnings("ignore", message=r"\s*Mismatched versions")
-            library.Client.__init__(client, address, timeout=CONNECTING, set_as_default=False)
+            client: Client = library.Client(address, timeout=CONNECTING, set_as_default=False)
     except (OSError, ValueError) as error:
-        with suppress(Exception):  # one that is half-made may lack what it would close
-            client.close(timeout=CLOSING)
         raise UsageError(
             f"{option('scheduler')}: there is no scheduler of dask at {quoted(address)}; needed "
             "the address that 'dask scheduler' prints, such as tcp://host:8786"
