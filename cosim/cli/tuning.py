@@ -94,7 +94,7 @@ def tune(
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Search the parameters that minimize or maximize a metric.
+    """Search the parameters with the best metric.
 
     A tuning that was stopped goes on where it was when it is started again with the same --out.
     """
