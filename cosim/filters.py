@@ -11,12 +11,12 @@ _LOCK = threading.RLock()
 
 
 @contextmanager
-def ignored_warnings() -> Iterator[None]:
-    """Ignore warnings inside; one thread at a time.
+def ignored_warnings(message: str = "") -> Iterator[None]:
+    """Ignore warnings inside, all or those whose text matches; one thread at a time.
 
     Two of them would put back each other's filters, and leave one of these. Warnings never become
     errors here: those of the other threads would, too.
     """
     with _LOCK, warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+        warnings.filterwarnings("ignore", message)
         yield

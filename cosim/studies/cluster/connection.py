@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
 from cosim.errors import RunError, UsageError, option, quoted
+from cosim.filters import ignored_warnings
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -73,8 +73,8 @@ def lost(client: Client) -> RunError:
 
 def _new_client(library: Any, address: str) -> Client:
     try:
-        with warnings.catch_warnings():  # what differs is checked, and named, for each worker
-            warnings.filterwarnings("ignore", message=r"\s*Mismatched versions")
+        # what differs is checked, and named, for each worker
+        with ignored_warnings(r"\s*Mismatched versions"):
             client: Client = library.Client(address, timeout=CONNECTING, set_as_default=False)
     except (OSError, ValueError) as error:
         raise UsageError(

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 from cosim.errors import FmuError, ScenarioError
@@ -38,9 +39,21 @@ def leave_a_session():
     os._exit(5)
 
 
+def own_descriptors():
+    """Return the descriptors that are open, without the standard streams."""
+    return [number for number in map(int, os.listdir("/dev/fd")) if number > 2]
+
+
+def close_all_files():
+    """Close all files; those of this process may have any number."""
+    for descriptor in own_descriptors():
+        with suppress(OSError):  # that of the listing itself
+            os.close(descriptor)
+
+
 def write_into_all_files():
     """Write where nobody asked for it."""
-    for descriptor in range(3, 64):
+    for descriptor in own_descriptors():
         try:
             os.write(descriptor, b"hello\n")
         except OSError:
@@ -48,10 +61,10 @@ def write_into_all_files():
 
 
 def replace_all_files():
-    """Close all files, and open others under their numbers."""
-    os.closerange(3, 64)
-    for _ in range(16):
-        os.open(os.devnull, os.O_RDWR)
+    """Put others under the numbers of all files."""
+    for descriptor in own_descriptors():
+        null = os.open(os.devnull, os.O_RDWR)
+        os.dup2(null, descriptor)
 
 
 def print_much():
@@ -93,7 +106,7 @@ DEEDS: dict[str, Callable[[], object]] = {
     "leaves a session": leave_a_session,
     "starts a process": start_a_process,
     "prints": print_much,
-    "closes files": lambda: os.closerange(3, 64),
+    "closes files": close_all_files,
     "replaces files": replace_all_files,
     "writes into files": write_into_all_files,
 }
