@@ -310,7 +310,7 @@ def show(
 ) -> None:
     """Show what a study came to, also while it runs."""
     from cosim.studies.dataset.study import open_study
-    from cosim.studies.running.plan import RecordedStudy
+    from cosim.studies.running.recorded_study import RecordedStudy
     from cosim.studies.tables.show import ShownParts, show_study
 
     opened = open_study(place)
@@ -357,7 +357,7 @@ def plot(
     from cosim.studies.analysis.results import results_of_study
     from cosim.studies.dataset.study import open_study
     from cosim.studies.plots.study_plot import plot_study
-    from cosim.studies.running.plan import RecordedStudy
+    from cosim.studies.running.recorded_study import RecordedStudy
 
     opened = open_study(place)
     results = results_of_study(opened, RecordedStudy.read(opened.text).layout)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -20,21 +19,18 @@ from cosim.studies.dataset.columns import (
     result_columns,
 )
 from cosim.studies.dataset.identity import StudyIdentity, digest_of
-from cosim.studies.dataset.study import Study
 from cosim.studies.design.checking import check_design, is_own_code
 from cosim.studies.design.planning import edited_scenario, plan_design
 from cosim.studies.design.study_design import StudyDesign
-from cosim.studies.document.study_file import STUDY, StudyFile, study_of
+from cosim.studies.document.study_file import STUDY, StudyFile
 from cosim.studies.members.inspector import CODE, DESIGNS, FILE, REFUSED, open_inspector, sha256_of
 from cosim.studies.metrics.metrics import parse_metrics
+from cosim.studies.running.recorded_study import RecordedStudy
 from cosim.studies.workers.pool import WorkerPool
 
 INSPECTOR: Final = "cosim.studies.members.inspector:open_inspector"
 RUNNER: Final = "cosim.studies.members.runner:open_runner"
 MOST_INSPECTED: Final = 100  # members, one for each text that is varied: files, logs
-_TABLES: Final = "tables"
-_LAYOUT: Final = "layout"
-_SOURCE: Final = "source"
 
 
 @dataclass(frozen=True)
@@ -84,11 +80,7 @@ class StudyPlan:
         results : mapping of name to value
             Of the result of a run, where those are kept beside the metrics.
         """
-        described = {
-            _TABLES: self.study.to_dict(),
-            _SOURCE: self.study.source,
-            _LAYOUT: StudyLayout.of(self.design).to_dict(),
-        }
+        recorded = RecordedStudy(self.study, StudyLayout.of(self.design))
         digests = {
             "the scenario": digest_of(_base(self.scenario)),
             "the metrics": digest_of([dict(self.study.metrics), self.subject.with_results]),
@@ -98,7 +90,7 @@ class StudyPlan:
             digests[_source_label(name, folder)] = digest
         return StudyIdentity(
             self.study.name,
-            json.dumps(described, ensure_ascii=False),
+            recorded.to_text(),
             digests,
             self._columns(results),
             len(self.design),
@@ -226,61 +218,3 @@ def _source_label(name: str, folder: Path) -> str:
     kinds: Mapping[str, str] = {".fmu": "FMU", ".mcap": "log", ".csv": "table", ".parquet": "table"}
     kind = kinds.get(path.suffix.lower(), "file")
     return f"{kind} {path.relative_to(folder) if path.is_relative_to(folder) else path}"
-
-
-@dataclass(frozen=True)
-class RecordedStudy:
-    """What a dataset says of its study.
-
-    Parameters
-    ----------
-    study : StudyFile
-    layout : StudyLayout
-    """
-
-    study: StudyFile
-    layout: StudyLayout
-
-    @classmethod
-    def read(cls, text: str) -> RecordedStudy:
-        """Read the text of a dataset's study.
-
-        Raises
-        ------
-        UsageError
-            If it is of another version of this package.
-        """
-        try:
-            described = json.loads(text)
-            study, problems = study_of(described[_TABLES], described[_SOURCE])
-            layout = StudyLayout.from_dict(described[_LAYOUT])
-        except (ValueError, KeyError, TypeError) as error:
-            raise UsageError("the study of this dataset cannot be read by this version") from error
-        if study is None:
-            texts = "; ".join(text for _, text in problems)
-            raise UsageError(f"the study of this dataset cannot be read by this version: {texts}")
-        return cls(study, layout)
-
-    def command_of(self, dataset: Study) -> Callable[[int], str]:
-        """Return what gives the command that runs a member of a dataset alone.
-
-        Its parameters are those that are recorded, whatever the study would plan by now.
-        """
-        from cosim.studies.design.commands import run_command
-
-        return lambda number: run_command(dataset.member(number), self.study)
-
-
-def searched_text(tables: Mapping[str, Any], members: int) -> str:
-    """Return what a dataset says of a study whose members a search chooses.
-
-    Parameters
-    ----------
-    tables : mapping
-        Of a study file.
-    members : int
-        How many there may be.
-    """
-    layout = StudyLayout("cases", samples=members)
-    described = {_TABLES: tables, _SOURCE: "", _LAYOUT: layout.to_dict()}
-    return json.dumps(described, ensure_ascii=False)

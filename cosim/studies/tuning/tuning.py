@@ -22,7 +22,8 @@ from cosim.studies.design.checking import is_own_code
 from cosim.studies.design.own_values import own_value
 from cosim.studies.metrics.metrics import parse_metrics
 from cosim.studies.running.local import MembersDone, default_workers
-from cosim.studies.running.plan import RUNNER, searched_text
+from cosim.studies.running.plan import RUNNER
+from cosim.studies.running.recorded_study import searched_text
 from cosim.studies.tuning.digests import scenario_digests
 from cosim.studies.tuning.members import TrialMembers, member_of
 from cosim.studies.tuning.result import TuningResult

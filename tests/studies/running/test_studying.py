@@ -12,7 +12,8 @@ import pytest
 import cosim
 from cosim.errors import DatasetError, UsageError
 from cosim.studies.document.reading import read_study
-from cosim.studies.running.plan import RecordedStudy, plan_study
+from cosim.studies.running.plan import plan_study
+from cosim.studies.running.recorded_study import RecordedStudy
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.test_process import STATELESS
 
