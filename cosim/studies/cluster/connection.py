@@ -1,19 +1,26 @@
-"""The connection to a scheduler of dask."""
+"""The connection to a scheduler of dask.
+
+A client that is left to the collector of garbage is closed by its finalizer: wherever objects
+happen to be made, also where the next client is, which then waits for its own lock for ever. So a
+client is closed here whatever happens to it, also before it is made.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
 from cosim.errors import RunError, UsageError, option, quoted
 from cosim.filters import ignored_warnings
+from cosim.interrupts import uninterrupted
 
 if TYPE_CHECKING:
     from distributed import Client
 
 CONNECTING: Final = 5.0  # [s]
+CLOSING: Final = 2.0  # [s]
 
 
 @contextmanager
@@ -41,8 +48,12 @@ def connect(scheduler: str | Client) -> Iterator[Client]:
             )
         yield scheduler
         return
-    with _new_client(library, scheduler) as client:
+    client: Client = object.__new__(library.Client)  # one that can be closed as it is made
+    try:
+        _open(library, client, scheduler)
         yield client
+    finally:
+        _close(client)
 
 
 def distributed() -> Any:
@@ -71,14 +82,21 @@ def lost(client: Client) -> RunError:
     )
 
 
-def _new_client(library: Any, address: str) -> Client:
+def _open(library: Any, client: Client, address: str) -> None:
     try:
         # what differs is checked, and named, for each worker
         with ignored_warnings(r"\s*Mismatched versions"):
-            client: Client = library.Client(address, timeout=CONNECTING, set_as_default=False)
-    except (OSError, ValueError) as error:
+            library.Client.__init__(client, address, timeout=CONNECTING, set_as_default=False)
+    except (OSError, TypeError, ValueError) as error:  # TypeError: of TLS without certificates
         raise UsageError(
             f"{option('scheduler')}: there is no scheduler of dask at {quoted(address)}; needed "
             "the address that 'dask scheduler' prints, such as tcp://host:8786"
         ) from error
-    return client
+
+
+def _close(client: Client) -> None:
+    """Close a client, also one that is half-made or has lost its scheduler."""
+    with uninterrupted():
+        with suppress(Exception):  # dask's own: what is not there cannot be closed
+            client.close(timeout=CLOSING)
+        client.status = "closed"  # its finalizer has nothing to do
