@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any, Final
 
 from cosim.errors import UsageError
+from cosim.studies.tuning.points import value_name
 from cosim.studies.tuning.space import BoundedKey, SearchSpace
 from cosim.studies.tuning.trials import Trials
 
@@ -87,6 +88,8 @@ def _encoded(space: SearchSpace, point: dict[str, Any]) -> dict[str, Any]:
         value = point[key.key]
         if isinstance(key, BoundedKey):
             values[key.key] = key.coordinate(value)
-        elif value in key.choices:
-            values[key.key] = key.choices.index(value)
+            continue
+        names = [value_name(choice) for choice in key.choices]
+        if value_name(value) in names:
+            values[key.key] = names.index(value_name(value))
     return values

@@ -17,6 +17,7 @@ from cosim.studies.dataset.columns import StudyColumn
 from cosim.studies.dataset.study_dataset import StudyDataset
 from cosim.studies.document.variations import SWAP
 from cosim.studies.running.local import MembersDone
+from cosim.studies.tuning.points import point_name
 from cosim.studies.tuning.trials import SearchEnded
 from cosim.studies.workers.pool import WorkerPool
 
@@ -66,7 +67,7 @@ class TrialMembers:
         RunError
             If workers cannot be started.
         """
-        names = [_name_of(point) for point in points]
+        names = [point_name(point) for point in points]
         new = {}
         for name, point in zip(names, points, strict=True):
             if name not in self._recorded:
@@ -119,7 +120,7 @@ def _recorded(dataset: StudyDataset) -> dict[str, MemberOutcome]:
     found = {}
     for row in dataset.read(names).to_pylist():
         point = {column.name: _value(column, row[column.name]) for column in parameters}
-        found[_name_of(point)] = MemberOutcome(
+        found[point_name(point)] = MemberOutcome(
             row["member"],
             row["status"],
             reason=row["reason"] or "",
@@ -131,11 +132,3 @@ def _recorded(dataset: StudyDataset) -> dict[str, MemberOutcome]:
 
 def _value(column: StudyColumn, value: Any) -> Any:
     return json.loads(value) if column.type == "json" and value is not None else value
-
-
-def _name_of(point: Mapping[str, Any]) -> str:
-    """Return a text that two points share only if all their values have the same bits."""
-    plain = {
-        key: list(value) if isinstance(value, tuple) else value for key, value in point.items()
-    }
-    return repr(sorted(plain.items()))

@@ -16,6 +16,7 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.errors import UsageError, option, quoted
+from cosim.studies.tuning.points import value_name
 
 DIGITS: Final = 12
 
@@ -134,7 +135,7 @@ def check_space(space: SearchSpace) -> None:
         seen.add(key.key)
         if isinstance(key, BoundedKey):
             _check_bounds(key)
-        elif len({repr(choice) for choice in key.choices}) < max(len(key.choices), 1):
+        elif len({value_name(choice) for choice in key.choices}) < max(len(key.choices), 1):
             raise UsageError(
                 f"{option('vary', key.key)}: found {quoted(list(key.choices))}; needed one or more "
                 "values that differ"

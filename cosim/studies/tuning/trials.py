@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any, Final, TypeAlias
 
 from cosim.studies.contracts import COMPLETE, MemberOutcome
+from cosim.studies.tuning.points import point_name
 
 Evaluate: TypeAlias = Callable[[Sequence[Mapping[str, Any]]], Sequence[MemberOutcome]]
 
@@ -91,7 +92,7 @@ class Trials:
 
     def known(self, point: Mapping[str, Any]) -> SearchTrial | None:
         """Return the trial of a point; None: it was not tried."""
-        return self._by_point.get(_name_of(point))
+        return self._by_point.get(point_name(point))
 
     def costs(self, points: Sequence[Mapping[str, Any]]) -> list[float]:
         """Return what is minimized at points; those that are new are run, together.
@@ -104,7 +105,7 @@ class Trials:
         """
         new: dict[str, Mapping[str, Any]] = {}
         for point in points:
-            name = _name_of(point)
+            name = point_name(point)
             if name not in self._by_point:
                 new[name] = point
         if new:
@@ -114,7 +115,7 @@ class Trials:
             self._repeated += len(points)
             if self._repeated > MOST_REPEATED:
                 raise SearchEnded("the search asked for no new point any more")
-        return [self._by_point[_name_of(point)].cost for point in points]
+        return [self._by_point[point_name(point)].cost for point in points]
 
     def _run(self, new: Mapping[str, Mapping[str, Any]]) -> None:
         remaining = max(self.members - len(self._by_point), 0)
@@ -145,8 +146,3 @@ class Trials:
         if isinstance(value, str) or not math.isfinite(value):
             return None, f"the objective is {value}, no finite number"
         return float(value), ""
-
-
-def _name_of(point: Mapping[str, Any]) -> str:
-    """Return a text that two points share only if all their values have the same bits."""
-    return repr(sorted(point.items()))

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from cosim.errors import UsageError
+from cosim.studies.tuning.points import value_name
 from cosim.studies.tuning.result import statements
 from cosim.studies.tuning.searching import METHODS, TuningSearch, check_search, search_best
 from cosim.studies.tuning.space import BoundedKey, ChoiceKey, SearchSpace
@@ -293,3 +294,12 @@ def test_the_unit_of_the_objective_does_not_matter(scale):
     result = search(rms, LINE, is_rms=True, starts=1)
     assert result.best.point["x"] == pytest.approx(0.5, abs=1e-4)
     assert np.isfinite(result.best.cost)
+
+
+def test_the_value_of_the_scenario_is_found_in_a_list_by_what_it_is():
+    """``True`` is not the 1 that equals it."""
+    pytest.importorskip("optuna")
+    space = SearchSpace((ChoiceKey("n", (1, [1.0], True)),))
+    for first in (True, [1]):
+        result = search(lambda point: 1.0, space, method="optuna", members=1, first={"n": first})
+        assert value_name(result.trials[0].point["n"]) == value_name(first)

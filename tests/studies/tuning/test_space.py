@@ -53,6 +53,7 @@ def test_the_widest_bounds_do_not_overflow():
         ((BoundedKey("k", 0.0, 1.0, True),), "a logarithm needed positive bounds; without 'log:'"),
         ((ChoiceKey("k", ()),), "vary['k']: found []; needed one or more values that differ"),
         ((ChoiceKey("k", (1, 1)),), "found [1, 1]; needed one or more values that differ"),
+        ((ChoiceKey("k", (1, 1.0)),), "found [1, 1.0]; needed one or more values that differ"),
     ],
 )
 def test_wrong_keys_are_refused(keys, message):
