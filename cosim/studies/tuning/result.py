@@ -223,10 +223,24 @@ def _of_errors(result: TuningResult) -> list[str]:
         return []
     said = [_whiteness(result.neighbours, result.errors.samples)]
     said += [
+        f"the interval of {key} goes beyond its bounds, where nothing was tried"
+        for key in _beyond_bounds(result.space, result.errors)
+    ]
+    said += [
         f"along {key} the objective rises unevenly within a standard error: its interval is rough"
         for key in result.errors.skewed
     ]
     return said
+
+
+def _beyond_bounds(space: SearchSpace, errors: StandardErrors) -> list[str]:
+    """Return the keys whose interval has values that the search did not have."""
+    found = []
+    for key in space.bounded:
+        low, high = errors.intervals[key.key]
+        if low < key.lower or high > key.upper:
+            found.append(key.key)
+    return found
 
 
 def _whiteness(correlation: float | None, samples: int) -> str:

@@ -29,7 +29,7 @@ from typing import Any, Final
 import numpy as np
 
 from cosim.arrays import Matrix, Vector
-from cosim.studies.tuning.space import SearchSpace
+from cosim.studies.tuning.space import BoundedKey, SearchSpace
 from cosim.studies.tuning.trials import Trials
 
 LEVEL: Final = 0.95
@@ -44,6 +44,7 @@ _LONGEST: Final = 25.0  # rise of S in s^2: five standard errors
 _LEAST_RISE: Final = 0.05  # of the wanted one
 _LEAST_EIGENVALUE: Final = 1e-7  # of the Hessian scaled to a diagonal of ones
 _SKEWED: Final = 0.3
+_INVOLVED: Final = 0.5  # correlation of what is not determined together
 
 
 class NoStandardErrors(Exception):
@@ -310,6 +311,30 @@ def _check_definite(squares: _SumOfSquares, hessian: Matrix) -> None:
     )
 
 
+def _interval(key: BoundedKey, value: float, half: float) -> tuple[float, float] | None:
+    """Return the interval of a value, given half of its width; None: no number is its end."""
+    try:
+        factor = math.exp(half / value) if key.logarithmic else 1.0
+    except OverflowError:
+        factor = math.inf
+    low, high = (value / factor, value * factor)
+    if not key.logarithmic:
+        low, high = (value - half, value + half)
+    is_finite = math.isfinite(low) and math.isfinite(high)
+    return (low, high) if is_finite and (low > 0.0 or not key.logarithmic) else None
+
+
+def _hardly_determined(space: SearchSpace, number: int, correlations: Vector) -> str:
+    """Return what to say of a key without an end of its interval."""
+    keys = space.bounded
+    involved = [keys[k].key for k in np.flatnonzero(np.abs(correlations) > _INVOLVED)]
+    together = " together" if len(involved) > 1 else ""
+    return (
+        f"the interval of {keys[number].key} goes beyond all numbers: the data hardly determine "
+        f"{', '.join(involved)}{together}"
+    )
+
+
 def _result(space: SearchSpace, curvature: _Curvature, samples: int) -> StandardErrors:
     from scipy.stats import t
 
@@ -322,15 +347,14 @@ def _result(space: SearchSpace, curvature: _Curvature, samples: int) -> Standard
     errors = {}
     intervals = {}
     values = space.point(curvature.center)
-    for key, step, deviation in zip(space.bounded, curvature.steps, deviations, strict=True):
+    for number, key in enumerate(space.bounded):
         value = values[key.key]
-        error = float(key.slope(value) * step * deviation)
+        error = float(key.slope(value) * curvature.steps[number] * deviations[number])
+        interval = _interval(key, value, wide * error)
+        if interval is None:
+            raise NoStandardErrors(_hardly_determined(space, number, correlation[number]))
         errors[key.key] = error
-        if key.logarithmic:
-            factor = math.exp(wide * error / value)
-            intervals[key.key] = (value / factor, value * factor)
-        else:
-            intervals[key.key] = (value - wide * error, value + wide * error)
+        intervals[key.key] = interval
     skew = np.abs(curvature.gradient) / np.diag(curvature.hessian)
     skewed = [key.key for key, each in zip(space.bounded, skew, strict=True) if each > _SKEWED]
     return StandardErrors(

@@ -1,6 +1,7 @@
 """Standard errors agree with closed forms and with scipy's curve_fit, and cover what they say."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -116,6 +117,44 @@ def test_values_that_only_their_sum_matters_of_are_not_determined():
     assert "the objective does not rise along a combination of slope, offset" in (
         result.errors_problem
     )
+
+
+def almost_collinear(deviation):
+    """Return the fit of two logarithms of which the data tell the sum well, and each hardly."""
+    keys = [BoundedKey(name, 1e-200, 1e200, logarithmic=True) for name in "ab"]
+    X = np.column_stack([T, T + 3e-3 * T**2])
+    noise = deviation * np.random.default_rng(3).standard_normal(T.size)
+    noise -= X @ np.linalg.lstsq(X, noise)[0]  # the best values are e, to rounding
+
+    def logarithms(t, a, b):
+        return X @ [math.log(a), math.log(b)]
+
+    space = SearchSpace(tuple(keys))
+    first = {"a": math.e, "b": math.e}
+    return X, fitted(logarithms, space, logarithms(T, math.e, math.e) + noise, first=first)
+
+
+def test_logarithms_that_are_hardly_determined_have_no_interval():
+    """Its bounds would overflow; the standard deviation of either logarithm is about 640."""
+    _, result = almost_collinear(3.0)
+    assert result.errors is None
+    assert result.errors_problem == (
+        "the interval of a goes beyond all numbers: the data hardly determine a, b together"
+    )
+
+
+def test_an_interval_beyond_the_bounds_is_said_to_be_there():
+    """Linear in the logarithms, so that linear regression has the same interval."""
+    X, result = almost_collinear(1.0)
+    squares = T.size * result.best.objective**2
+    covariance = squares / (T.size - 2) * np.linalg.inv(X.T @ X)
+    expected = np.sqrt(np.diag(covariance)) * math.e
+    # its curvature is 1e-6 of the other one's: digits that a difference of squares has not
+    assert list(result.errors.errors.values()) == pytest.approx(expected, rel=0.05)
+    assert "the interval of a goes beyond its bounds" not in " ".join(statements(result))
+    space = SearchSpace(tuple(replace(key, upper=1e100) for key in result.space.bounded))
+    said = statements(replace(result, space=space))
+    assert "the interval of b goes beyond its bounds, where nothing was tried" in said
 
 
 def test_a_value_without_effect_is_not_determined():
