@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
@@ -50,8 +50,8 @@ class Fmu:
     interface_type : {"me", "cs"}
     instance : LoadedInstance
     component : Guarded
-    folder : TemporaryFolder or None
-        Where it was unpacked; None: what unpacked it removes that.
+    resources : ExitStack
+        Closed when the instance is freed: it removes the folder, where that is its own.
     solving : mapping
         Of a model exchange FMU: what is known of its solver.
     notes : tuple of str
@@ -67,7 +67,7 @@ class Fmu:
         *,
         instance: LoadedInstance,
         component: Guarded,
-        folder: TemporaryFolder | None,
+        resources: ExitStack,
         solving: Mapping[str, str | float],
         notes: tuple[str, ...] = (),
         unsaved: str = "",
@@ -78,7 +78,7 @@ class Fmu:
         self.interface_type = interface_type
         self._archive = archive
         self._instance = instance
-        self._folder = folder
+        self._resources = resources
         self._solving = solving
         self.unsaved = unsaved
         self._notes = notes
@@ -194,8 +194,7 @@ class Fmu:
             with self.component.outside(None):
                 self._instance.free_instance()
         finally:
-            if self._folder is not None:
-                self._folder.remove()
+            self._resources.close()
 
 
 def load(
@@ -225,17 +224,19 @@ def load(
         If it is no FMU, cannot run here or with these options, or a start value is wrong. Nothing
         is left behind.
     """
-    temporary: TemporaryFolder | None = None
+    resources = ExitStack()
     shared: UnpackedFmu | None = None
     instance: LoadedInstance | None = None
     process = Process()
     process.save()
     try:
         if unpacked is not None and archive is None:
-            archive, shared = unpacked.find(Path(path))
+            archive, shared = unpacked.take(Path(path))
+            resources.callback(shared.give_back)
             folder = shared.path
         else:
             temporary = TemporaryFolder("fmu")
+            resources.callback(temporary.remove)
             folder = temporary.path
             archive = _unpack(path, archive, folder)
         interface_type, description = _with_options(archive, options)
@@ -261,8 +262,7 @@ def load(
     except BaseException:
         if instance is not None:
             instance.free_instance()
-        if temporary is not None:
-            temporary.remove()
+        resources.close()
         process.restore()
         raise
     changes = process.restore()
@@ -271,7 +271,7 @@ def load(
         interface_type,
         instance=instance,
         component=Guarded(component, description.name, archive.sha256),
-        folder=temporary,
+        resources=resources,
         solving=solving,
         notes=(*notes, *_notes_on_loading(description.name, changes)),
         unsaved=unsaved,

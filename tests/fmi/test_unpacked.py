@@ -107,6 +107,33 @@ def test_a_file_that_was_changed_is_another_fmu(counting, tmp_path):
             assert other.description["x"].start == (7.0,)
 
 
+def test_of_many_fmus_the_oldest_are_removed_but_never_an_open_one(counting, tmp_path, temporary):
+    """Those that stay are loaded still; one that was removed is unpacked again."""
+    before = mapped()
+    paths = [able(counting, tmp_path / f"{n}.fmu", A=-1.0, C=0.0, x=float(n)) for n in range(6)]
+    with UnpackedFmus(most=2) as fmus, opened(paths[0], fmus) as held:
+        for path in paths[1:]:
+            assert first_y(path, fmus) == 0.0
+            assert first_y(path, fmus) == 1.0
+            assert len(list(temporary.iterdir())) <= 4  # two, the one that came, the open one
+            assert len(mapped() - before) <= 4
+        assert held.component.initialize(0.0, np.zeros(1)).size
+        assert first_y(paths[0], fmus) == 1.0  # still the binary with the open instance
+        assert first_y(paths[4], fmus) == 2.0
+        assert first_y(paths[1], fmus) == 0.0  # another binary: its count begins anew
+    assert list(temporary.iterdir()) == []
+    assert mapped() <= before
+
+
+def test_unpacked_fmus_have_a_bounded_size(counting, tmp_path, temporary):
+    """The bytes of the files: here no FMU may stay while it is not open."""
+    paths = [able(counting, tmp_path / f"{n}.fmu", A=-1.0, C=0.0, x=float(n)) for n in range(3)]
+    with UnpackedFmus(most_bytes=1) as fmus:
+        for path in paths:
+            first_y(path, fmus)
+            assert len(list(temporary.iterdir())) == 1
+
+
 def test_what_is_no_fmu_leaves_nothing(tmp_path, temporary):
     """As where it is opened alone."""
     (tmp_path / "x.fmu").write_bytes(b"no zip")

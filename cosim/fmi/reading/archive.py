@@ -10,7 +10,6 @@ case does not count. So is a folder that is listed twice.
 
 from __future__ import annotations
 
-import hashlib
 import io
 import os
 import re
@@ -24,6 +23,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from cosim.digests import sha256_of_open
 from cosim.errors import FmuError, listing
 from cosim.files import check_size, regular
 from cosim.fmi.platforms import SYSTEM
@@ -116,7 +116,7 @@ def _open(path: Path) -> Iterator[tuple[zipfile.ZipFile, str]]:
     try:
         with _BoundedFile(path, opener=regular) as file:
             check_size(path, os.fstat(file.fileno()).st_size, LARGEST)
-            sha256 = hashlib.file_digest(file, "sha256").hexdigest()
+            sha256 = sha256_of_open(file)
             with zipfile.ZipFile(file) as archive:
                 try:
                     yield archive, sha256

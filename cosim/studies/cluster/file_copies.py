@@ -15,13 +15,15 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from cosim.digests import sha256_of
+
 STORE: Final = "cosim-files"
 FOLDER: Final = "cosim-studies"
 
 
 def has_all(files: Mapping[str, str]) -> bool:
     """Return whether this machine has all files under the same paths: their storage is shared."""
-    return all(_hash_of(Path(path)) == digest for path, digest in files.items())
+    return all(_hash_of(path) == digest for path, digest in files.items())
 
 
 def missing_content(folder: Path, files: Mapping[str, str]) -> list[str]:
@@ -94,9 +96,8 @@ def with_copies(value: Any, files: Mapping[str, str], root: str) -> Any:
             return value
 
 
-def _hash_of(path: Path) -> str | None:
+def _hash_of(path: str) -> str | None:
     try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
+        return sha256_of(path)
     except OSError:
         return None

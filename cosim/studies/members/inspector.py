@@ -6,11 +6,11 @@ FMUs are loaded for that, and classes of users imported: it belongs into a worke
 from __future__ import annotations
 
 from contextlib import ExitStack
-from hashlib import file_digest
 from pathlib import Path
 from types import TracebackType
 from typing import Final, Self, final
 
+from cosim.digests import sha256_of
 from cosim.errors import UsageError
 from cosim.scenario.building.experiment import Experiment
 from cosim.studies.contracts import COMPLETE, MemberOutcome, StudyMember, StudySubject
@@ -89,9 +89,3 @@ def _sources(experiment: Experiment) -> dict[str, str]:
         if "code" in metadata:
             sources[f"{CODE}{name}"] = digest_of(metadata["code"])
     return sources
-
-
-def sha256_of(path: Path) -> str:
-    """Return the SHA-256 of a file."""
-    with path.open("rb") as file:
-        return file_digest(file, "sha256").hexdigest()

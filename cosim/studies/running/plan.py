@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
+from cosim.digests import sha256_of
 from cosim.errors import UsageError, option
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.running.execution import load
@@ -23,7 +24,7 @@ from cosim.studies.design.checking import check_design, is_own_code
 from cosim.studies.design.planning import edited_scenario, plan_design
 from cosim.studies.design.study_design import StudyDesign
 from cosim.studies.document.study_file import STUDY, StudyFile
-from cosim.studies.members.inspector import CODE, DESIGNS, FILE, REFUSED, open_inspector, sha256_of
+from cosim.studies.members.inspector import CODE, DESIGNS, FILE, REFUSED, open_inspector
 from cosim.studies.metrics.metrics import parse_metrics
 from cosim.studies.running.recorded_study import RecordedStudy
 from cosim.studies.workers.pool import WorkerPool
