@@ -10,6 +10,7 @@ from typer.core import TyperGroup
 
 from cosim import completion
 from cosim.cli.contents import SizeOption, TitleOption, read_size
+from cosim.cli.once import OnceCommand
 from cosim.cli.options import (
     JsonOption,
     MapOption,
@@ -72,13 +73,14 @@ MetricOption = Annotated[
 ]
 
 
-@study.command("run")
+@study.command("run", cls=OnceCommand)
 def run(
     source: Annotated[
         str,
         typer.Argument(
             metavar="STUDY",
-            help="A study file (.toml with [study]), a scenario, or a shipped one by name.",
+            help="A study file (.toml with [study]), a scenario, a shipped one by name, or a log "
+            "(.mcap), which is replayed.",
             autocompletion=completion.complete_scenario,
         ),
     ],
@@ -117,6 +119,14 @@ def run(
         list[str] | None,
         typer.Option(
             metavar="LOG", help="Logs that members replay, such as 'field-*.mcap'. Repeatable."
+        ),
+    ] = None,
+    allow_code: Annotated[
+        bool | None,
+        typer.Option(
+            "--allow-code",
+            help="In replays compute components of kind python, too: import the classes that the "
+            "logs name, and run their code, as 'cosim replay --allow-code' does.",
         ),
     ] = None,
     changes: SetOption = None,
@@ -189,6 +199,7 @@ def run(
             swap=read_unique_pairs(swaps, "swap"),
             map=read_unique_pairs(maps, "map"),
             replay=replay,
+            allow_code=allow_code,
             cases=cases,
             sampling=sampling,
             samples=samples,
@@ -275,7 +286,7 @@ def _stopped(place: str) -> str:
     )
 
 
-@study.command("show")
+@study.command("show", cls=OnceCommand)
 def show(
     place: DatasetArgument,
     member: Annotated[
@@ -327,7 +338,7 @@ def show(
     show_study(opened, recorded.layout, recorded.command_of(opened), parts)
 
 
-@study.command("plot")
+@study.command("plot", cls=OnceCommand)
 def plot(
     place: DatasetArgument,
     out: Annotated[

@@ -101,6 +101,8 @@ def test_a_dry_run_records_nothing(call, tmp_path):
         (["--sampling", "sobol"], "nothing is drawn"),
         (["--seeds", "3"], "nothing in the scenario has a seed"),
         (["--set", "observer.filter_rate=1"], "it is varied"),
+        (["--cases", "a.csv", "--cases", "b.csv"], "--cases: given 2 times, needed once"),
+        (["--out", "a", "-o", "b"], "--out: given 2 times, needed once"),
     ],
 )
 def test_wrong_options_are_named(call, arguments, text):

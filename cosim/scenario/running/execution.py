@@ -68,12 +68,12 @@ def load(name: str | Path) -> Scenario:
     ScenarioError
         With every problem of the file.
     """
-    return _startable(find(name))
+    return load_document(find(name))
 
 
-def _startable(document: Document) -> Scenario:
+def load_document(document: Document) -> Scenario:
     """Read and validate a document; the scenario can be started."""
-    return replace(parse(document), parse=_startable, starter=_start)
+    return replace(parse(document), parse=load_document, starter=_start)
 
 
 def _start(scenario: Scenario, out: str | Path | None, *, force: bool, numbered: bool) -> Session:

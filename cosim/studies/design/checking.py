@@ -70,6 +70,8 @@ def check_design(design: StudyDesign, scenario: Scenario, *, allow_code: bool = 
                 elif is_own_code(edited):
                     _check_built(edited)
             except UsageError as error:
+                if name == RECORDING and str(error).startswith(str(value)):
+                    raise
                 raise UsageError(f"{name} = {quoted(value)}: {error}") from error
 
 

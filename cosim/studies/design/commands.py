@@ -32,6 +32,8 @@ def run_command(member: StudyMember, study: StudyFile) -> str:
         words += ["--map", f"{port}={_port_names(names)}"]
     for key, value in {**settings.set, **member.set}.items():
         words += ["--set", f"{key}={toml_text(value)}"]
+    if settings.allow_code and member.recording is not None:
+        words.append("--allow-code")
     return shlex.join(words)
 
 

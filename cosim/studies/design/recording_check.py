@@ -8,6 +8,8 @@ from cosim.log.foreign.topics import is_foreign
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.running.replay import Replays, replays_of
 from cosim.studies.contracts import StudyMember
+from cosim.studies.design.recorded_base import check_is_of_scenario
+from cosim.studies.document.scenario_of_study import is_log
 from cosim.studies.document.study_file import StudyFile
 
 
@@ -48,16 +50,24 @@ class RecordingCheck:
         Raises
         ------
         UsageError
-            If the log cannot be read, or does not go with what all members have.
+            If the log cannot be read, is of another scenario, or does not go with what all
+            members have.
         """
         path = member.recording
-        if path is None or self._may_run_code(member):
+        if path is None:
             return None
-        if self._replays is None or self._path != path:
-            settings = self._study.settings
-            scenario = self._scenario if is_foreign(Path(path)) else None
-            self._replays = replays_of(path, set=settings.set, map=settings.map, scenario=scenario)
+        is_of_other_tool = is_foreign(Path(path))
+        if self._path != path:
+            if not (is_of_other_tool or is_log(self._study.scenario)):
+                check_is_of_scenario(path, self._scenario)
             self._path = path
+            self._replays = None
+        if self._may_run_code(member):
+            return None
+        if self._replays is None:
+            settings = self._study.settings
+            scenario = self._scenario if is_of_other_tool else None
+            self._replays = replays_of(path, set=settings.set, map=settings.map, scenario=scenario)
         return self._replays
 
     def _may_run_code(self, member: StudyMember) -> bool:

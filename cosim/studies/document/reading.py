@@ -12,6 +12,7 @@ from cosim.scenario.document.lines import key_lines
 from cosim.scenario.document.places import Places
 from cosim.scenario.document.problems import Key, Problem
 from cosim.studies.document.paths import scenario_path, with_absolute_paths
+from cosim.studies.document.scenario_of_study import is_log, load_scenario
 from cosim.studies.document.study_file import (
     METRICS,
     STUDY,
@@ -30,18 +31,28 @@ def read_study(name: str | Path) -> StudyFile:
     name : str or Path
         A .toml file with [study], [vary] and [metrics]; or a scenario, by its path or the name of
         a shipped one, with [study], [study.vary] and [study.metrics] inside, or without: then
-        nothing is varied yet.
+        nothing is varied yet. Or a log, whose replay nothing is varied in yet.
 
     Raises
     ------
     UsageError
         With every problem of the tables, each with its line; if there is no such file.
     """
+    if is_log(str(name)):
+        return _of_log(str(Path(name).absolute()))
     document = find(name)
     tree, _ = document.tree()
     if "components" in tree or isinstance(tree.get("scenario"), Mapping):
         return _of_scenario(document, tree)
     return _of_file(document, tree)
+
+
+def _of_log(path: str) -> StudyFile:
+    """Return the study of the replay of a log."""
+    settings = {"scenario": path, "replay": [path]}
+    study, problems = study_of({STUDY: settings}, path, load_scenario(path).name)
+    assert study is not None, problems
+    return study
 
 
 def _of_file(document: Document, tree: Mapping[str, Any]) -> StudyFile:
@@ -51,9 +62,16 @@ def _of_file(document: Document, tree: Mapping[str, Any]) -> StudyFile:
     if isinstance(settings, Mapping):
         scenario = settings.get("scenario")
         if scenario is None:
-            text = "'scenario' is missing; needed the name of a shipped scenario, or a path"
+            text = (
+                "'scenario' is missing; needed the name of a shipped one, or a path: of a log, too"
+            )
             problems.append(((STUDY,), text))
-        tables[STUDY] = {**settings, "scenario": scenario_path(scenario, document.folder)}
+        own = {"replay": scenario} if isinstance(scenario, str) and is_log(scenario) else {}
+        tables[STUDY] = {
+            **own,
+            **settings,
+            "scenario": scenario_path(scenario, document.folder),
+        }
     elif settings is None:
         raise UsageError(
             f"{document.source}: is neither a study nor a scenario; needed the table [study], or "

@@ -23,7 +23,9 @@ class StudySettings(TomlTable):
         None, description="of the study; default: that of its file or scenario"
     )
     scenario: str | None = Field(
-        None, description="what is run: a shipped scenario by name, or a path beside this file"
+        None,
+        description="what is run: a shipped scenario by name, or a path from this file; of a log: "
+        "the scenario of its run, which is replayed",
     )
     set: dict[str, Any] = Field(
         {}, description='values that all members have: { "observer.filter_rate" = 300.0 }'
@@ -32,6 +34,11 @@ class StudySettings(TomlTable):
     map: dict[str, str | list[str]] = Field({}, description="ports of what is swapped")
     replay: str | tuple[str, ...] | None = Field(
         None, description='logs that each member replays, such as ["field-*.mcap"]'
+    )
+    allow_code: Flag | None = Field(
+        None,
+        description="whether replays compute components of users' classes, too, which runs the "
+        "code of the classes that the logs name",
     )
     cases: str | None = Field(
         None,

@@ -85,6 +85,7 @@ class StudyFile:
             map=settings.map,
             metrics=self.metrics,
             with_results=with_results,
+            allow_code=bool(settings.allow_code),
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -100,6 +101,7 @@ class StudyFile:
         swap: Mapping[str, str | Path] | None = None,
         map: Mapping[str, str | list[str]] | None = None,
         replay: str | Sequence[str] | None = None,
+        allow_code: bool | None = None,
         cases: str | Path | None = None,
         sampling: str | None = None,
         samples: int | None = None,
@@ -119,7 +121,7 @@ class StudyFile:
         metrics : mapping of name to expression, optional
         set, swap, map : mapping, optional
             What all members have, as of :func:`cosim.run`.
-        replay, cases, sampling, samples, seed, seeds, timeout, keep, results : optional
+        replay, allow_code, cases, sampling, samples, seed, seeds, timeout, keep, results : optional
             As the keys of [study]. Paths are taken from the working directory.
 
         Raises
@@ -129,6 +131,7 @@ class StudyFile:
         """
         settings = {
             "replay": replay if replay is None or isinstance(replay, str) else list(replay),
+            "allow_code": allow_code,
             "cases": None if cases is None else str(cases),
             "sampling": sampling,
             "samples": samples,

@@ -14,9 +14,9 @@ from cosim.log.foreign.topics import is_foreign
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.preparing import build_experiment
-from cosim.scenario.running.execution import load
 from cosim.scenario.running.replay import Replays, replays_of
 from cosim.studies.contracts import StudyMember, StudySubject
+from cosim.studies.document.scenario_of_study import load_scenario
 
 OPEN_LOGS: Final = 4  # whose rows may be in memory
 
@@ -41,7 +41,7 @@ class MemberBuilder:
 
     def __init__(self, subject: StudySubject) -> None:
         self._subject = subject
-        self._scenario = load(subject.scenario)
+        self._scenario = load_scenario(subject.scenario)
         self._logs: dict[str, Log] = {}
         self.fmus = UnpackedFmus()
 

@@ -10,7 +10,6 @@ from typing import Any, Final
 from cosim.digests import sha256_of
 from cosim.errors import UsageError, option
 from cosim.scenario.parsing import Scenario
-from cosim.scenario.running.execution import load
 from cosim.studies.analysis.independence import StudyLayout
 from cosim.studies.contracts import MemberOutcome, MetricValue, StudyMember, StudySubject
 from cosim.studies.dataset.columns import (
@@ -23,6 +22,7 @@ from cosim.studies.dataset.identity import StudyIdentity, digest_of
 from cosim.studies.design.checking import check_design, is_own_code
 from cosim.studies.design.planning import edited_scenario, plan_design
 from cosim.studies.design.study_design import StudyDesign
+from cosim.studies.document.scenario_of_study import load_scenario
 from cosim.studies.document.study_file import STUDY, StudyFile
 from cosim.studies.members.inspector import CODE, DESIGNS, FILE, REFUSED, open_inspector
 from cosim.studies.metrics.metrics import parse_metrics
@@ -86,6 +86,10 @@ class StudyPlan:
             "the scenario": digest_of(_base(self.scenario)),
             "the metrics": digest_of([dict(self.study.metrics), self.subject.with_results]),
         }
+        if _is_edited_later(self.study):
+            settings = self.study.settings
+            edits = [dict(settings.set), dict(settings.swap), dict(settings.map)]
+            digests["what all members have"] = digest_of([*edits, settings.allow_code])
         folder = self.scenario.document.folder
         for name, digest in self.sources.items():
             digests[_source_label(name, folder)] = digest
@@ -119,9 +123,9 @@ def plan_study(study: StudyFile) -> StudyPlan:
         If a parameter, a distribution, a metric, or a file is wrong.
     """
     parse_metrics(study.metrics)
-    scenario = load(study.scenario)
+    scenario = load_scenario(study.scenario)
     design = plan_design(study, scenario)
-    check_design(design, scenario)
+    check_design(design, scenario, allow_code=study.subject.allow_code)
     _check_kept(study, design)
     inspected = [design.member(number) for number in _inspected(design)]
     sources = _swapped_files(inspected)
@@ -130,9 +134,14 @@ def plan_study(study: StudyFile) -> StudyPlan:
     designs = sources.pop(DESIGNS, "")
     settings = study.settings
     edited = scenario
-    if settings.replay is None and settings.cases is None:
+    if not _is_edited_later(study):
         edited = scenario.edit(swap=settings.swap, map=dict(settings.map), set=settings.set)
     return StudyPlan(study, edited, design, sources, designs)
+
+
+def _is_edited_later(study: StudyFile) -> bool:
+    """Return whether the edits of all members need not fit the scenario, but a log or a case."""
+    return study.settings.replay is not None or study.settings.cases is not None
 
 
 def _check_kept(study: StudyFile, design: StudyDesign) -> None:

@@ -37,6 +37,7 @@ def study(
     swap: Mapping[str, str | Path] | None = None,
     map: Mapping[str, str | list[str]] | None = None,
     replay: str | Sequence[str] | None = None,
+    allow_code: bool | None = None,
     cases: str | Path | None = None,
     sampling: str | None = None,
     samples: int | None = None,
@@ -56,11 +57,12 @@ def study(
     Parameters
     ----------
     source : str, Path or StudyFile
-        A study file, a scenario, the name of a shipped one, or what ``read_study`` returned.
+        A study file, a scenario, the name of a shipped one, a log to replay, or what
+        ``read_study`` returned.
     out : str or Path, optional
         Folder of its dataset, or a URL of fsspec; left out: ``logs/<name>-study``.
-    vary, metrics, set, swap, map, replay, cases, sampling, samples, seed, seeds, timeout, keep, \
-results : optional
+    vary, metrics, set, swap, map, replay, allow_code, cases, sampling, samples, seed, seeds, \
+timeout, keep, results : optional
         In addition to what the file says; see
         :meth:`cosim.studies.document.study_file.StudyFile.with_options`.
     workers : int, optional
@@ -91,6 +93,7 @@ results : optional
         swap=swap,
         map=map,
         replay=replay,
+        allow_code=allow_code,
         cases=cases,
         sampling=sampling,
         samples=samples,

@@ -9,6 +9,7 @@ from cosim.errors import UsageError
 from cosim.studies.design.checking import check_design, is_own_code
 from cosim.studies.design.planning import plan_design
 from cosim.studies.document.reading import read_study
+from cosim.studies.document.scenario_of_study import load_scenario
 
 EMPTY = read_study("academic-noisy")
 SCENARIO = cosim.load("academic-noisy")
@@ -138,6 +139,7 @@ def logs(tmp_path_factory):
     for name, scenario in (("a-1", SCENARIO), ("a-2", SCENARIO), ("b", "closed-loop")):
         cosim.run(scenario, set=end, out=folder / f"{name}.mcap")
     (folder / "c.mcap").write_bytes(b"no log")
+    (folder / "c.csv").touch()
     return folder
 
 
@@ -161,9 +163,15 @@ def test_what_a_replay_takes_is_right(logs):
         ),
         (
             {"replay": ["a-1.mcap", "b.mcap"], "vary": {"sensor.noise": [0.01]}},
-            r"recording = '.*b.mcap': .*there is no component 'sensor'",
+            r"\A/.*b.mcap: found a log of 'closed-loop', and the study is of "
+            "'academic-noisy'; a replay runs the scenario of its log: needed a log of this "
+            r"scenario, or cosim.study of the log itself",
         ),
-        ({"replay": ["a-1.mcap", "c.mcap"]}, r"recording = '.*c.mcap': .*c.mcap"),
+        (
+            {"replay": "b.mcap", "swap": {"u": "c.csv"}},
+            r"\A/.*b.mcap: found a log of 'closed-loop', and the study is of 'academic-noisy'",
+        ),
+        ({"replay": ["a-1.mcap", "c.mcap"]}, r"\A/.*c.mcap is no MCAP file"),
         ({"replay": "c.mcap", "vary": {"u.rate": [1.0]}}, r"\A/.*c.mcap is no MCAP file"),
     ],
 )
@@ -172,6 +180,29 @@ def test_what_a_replay_does_not_take_is_refused(logs, monkeypatch, options, mess
     monkeypatch.chdir(logs)
     with pytest.raises(UsageError, match=message):
         check(**options)
+
+
+def test_a_scenario_that_has_changed_since_its_log_is_refused(logs, tmp_path):
+    """Its replay would run what it was; the log itself says so, and takes edits of its run."""
+    text = SCENARIO.document.text
+    path = tmp_path / "now.toml"
+    path.write_text(text.replace("filter_rate = 1e3", "filter_rate = 500.0"))
+    assert path.read_text() != text
+    log = str(logs / "a-1.mcap")
+    study = read_study(path).with_options(replay=log)
+    scenario = cosim.load(path)
+    message = (
+        "found a log of another 'academic-noisy' than .*now.toml is now: they differ in "
+        "components.observer.filter_rate; a replay runs the scenario of its log"
+    )
+    with pytest.raises(UsageError, match=message):
+        check_design(plan_design(study, scenario), scenario)
+    path.write_text(f"# the same\n{text}[study]\nsamples = 3\n")
+    scenario = cosim.load(path)
+    check_design(plan_design(EMPTY.with_options(replay=log), scenario), scenario)
+    of_log = read_study(logs / "b.mcap")
+    scenario = load_scenario(of_log.scenario)
+    check_design(plan_design(of_log, scenario), scenario)
 
 
 def test_code_of_users_is_not_run_to_check_a_replay(logs):

@@ -12,6 +12,7 @@ import cosim
 from cosim.errors import UsageError, shell_language
 from cosim.scenario.document.document import find
 from cosim.studies.contracts import StudySubject
+from cosim.studies.design.recordings import find_recordings
 from cosim.studies.document.keep import KeptLogs
 from cosim.studies.document.reading import read_study
 from cosim.studies.document.schema import StudyTables
@@ -306,3 +307,22 @@ def test_the_schema_has_no_other_keys():
     """Not even beside the three tables."""
     with pytest.raises(ValidationError, match="Extra inputs"):
         StudyTables.model_validate({"study": {}, "other": 1})
+
+
+def test_a_log_is_the_study_of_its_replay(tmp_path, monkeypatch):
+    """By its path, or in the place of the scenario; other logs may take its place."""
+    monkeypatch.chdir(tmp_path)
+    cosim.run("academic", set={"scenario.stop": 0.01}, out="a.mcap")
+    path = str(tmp_path / "a.mcap")
+    for name in ("a.mcap", of_text(tmp_path / "x.toml", '[study]\nscenario = "a.mcap"\n')):
+        study = read_study(name)
+        assert study.scenario == path
+        assert tuple(find_recordings(study.settings.replay)) == (path,)
+    assert read_study("a.mcap").name == "academic"
+    replaced = read_study("a.mcap").with_options(replay="field-*.mcap")
+    assert replaced.settings.replay == str(tmp_path / "field-*.mcap")
+
+
+def of_text(path, text):
+    path.write_text(text)
+    return path

@@ -12,10 +12,12 @@ import pytest
 import cosim
 from cosim.errors import DatasetError, UsageError
 from cosim.studies.document.reading import read_study
+from cosim.studies.metrics.metrics import parse_metrics
 from cosim.studies.running.plan import plan_study
 from cosim.studies.running.recorded_study import RecordedStudy
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.test_process import STATELESS
+from tests.scenario.user_modules import RELAY, THERMOSTAT, write
 
 SHORT = {"scenario.stop": 0.5}
 METRICS = {"error": "rms(observer.delta - delta.y)", "last": "last(plant.y)"}
@@ -325,3 +327,42 @@ def test_a_study_killed_at_twenty_instants_goes_on_to_the_same_dataset(tmp_path,
     delays = np.random.default_rng(seed).uniform(0.5, 4.0, 20)
     kill_and_resume(tmp_path / "killed", delays)
     assert rows(noisy(tmp_path / "killed")) == rows(noisy(tmp_path / "whole"))
+
+
+def test_replays_may_compute_the_classes_of_users(tmp_path, monkeypatch):
+    """As those of cosim.replay; without leave they are taken from the log, and cannot be varied."""
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path, relay=RELAY)
+    (tmp_path / "thermostat.toml").write_text(THERMOSTAT)
+    cosim.run("thermostat.toml", out="a.mcap")
+    options = {"vary": {"relay.width": [0.25, 0.5]}, "metrics": {"mean": "mean(room.y)"}}
+    with pytest.raises(UsageError, match="or allow its code to run with allow_code=True"):
+        cosim.study("a.mcap", **options, out="refused")
+    study = cosim.study("a.mcap", **options, out="x", allow_code=True, workers=1)
+    again = cosim.replay("a.mcap", set={"relay.width": 0.25}, allow_code=True)
+    assert (
+        study.table()["mean"].to_pylist()[0] == parse_metrics(options["metrics"]).of(again)["mean"]
+    )
+    command = RecordedStudy.read(study.text).command_of(study)(0)
+    log = tmp_path / "a.mcap"
+    assert command == f"cosim replay {log} --set relay.width=0.25 --allow-code"
+    assert not (tmp_path / "refused").exists()
+
+
+@pytest.mark.parametrize(
+    "changed", [{"set": {"observer.filter_rate": 200.0}}, {"allow_code": True}]
+)
+def test_what_all_replays_have_belongs_to_the_dataset(tmp_path, changed):
+    """Their log does not have it."""
+    log = tmp_path / "a.mcap"
+    cosim.run("academic", set={"scenario.stop": 0.1}, out=log)
+    given = {
+        "replay": str(log),
+        "metrics": {"last": "last(observer.delta)"},
+        "set": {"observer.filter_rate": 100.0},
+        "out": tmp_path / "x",
+        "workers": 1,
+    }
+    cosim.study("academic", **given)
+    with pytest.raises(DatasetError, match="what all members have changed"):
+        cosim.study("academic", **{**given, **changed})

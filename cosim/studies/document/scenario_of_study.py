@@ -1,0 +1,45 @@
+"""The scenario of a study: a file, a shipped one, or that of a log that is replayed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from cosim.errors import UsageError
+from cosim.files import file_type
+from cosim.log.foreign.topics import is_foreign
+from cosim.log.reading.reader import open_log
+from cosim.scenario.parsing import Scenario
+from cosim.scenario.recordings.recorded_scenario import recorded_document
+from cosim.scenario.running.execution import load, load_document
+
+
+def is_log(scenario: str) -> bool:
+    """Return whether the scenario of a study is the one that a log carries."""
+    return file_type(scenario) == "log"
+
+
+def load_scenario(scenario: str) -> Scenario:
+    """Load the scenario of a study.
+
+    Parameters
+    ----------
+    scenario : str
+        Path, name of a shipped scenario, or path of a log: then it is that of its run.
+
+    Raises
+    ------
+    UsageError
+        If it is a recording of another tool, which carries none.
+    ScenarioError
+        If there is none, or with every problem of it.
+    LogError
+        If the log cannot be read.
+    """
+    if not is_log(scenario):
+        return load(scenario)
+    if is_foreign(Path(scenario)):
+        raise UsageError(
+            f"{scenario} is of another tool and carries no scenario; needed a study or a scenario, "
+            "and this as a log that it replays"
+        )
+    return load_document(recorded_document(open_log(scenario)))
