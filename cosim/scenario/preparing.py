@@ -6,7 +6,9 @@ from contextlib import ExitStack
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from cosim.log.contents.metadata import decode_design
 from cosim.scenario.building.build import Builder
+from cosim.scenario.building.common_designs import CommonDesigns
 from cosim.scenario.building.coupling_check import with_loop_gains
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.parsing import Scenario
@@ -22,6 +24,7 @@ def build_experiment(
     block: int | None,
     *,
     unpacked: UnpackedFmus | None = None,
+    common: CommonDesigns | None = None,
 ) -> Experiment:
     """Build a scenario; one with swaps is compared with what it was, for its log and warnings.
 
@@ -34,20 +37,29 @@ def build_experiment(
         Fixed number of communication steps in a block.
     unpacked : UnpackedFmus, optional
         Where FMUs are unpacked and loaded for all builds of a process.
+    common : CommonDesigns, optional
+        Designs to take instead of computing them.
 
     Raises
     ------
     ScenarioError
         With every problem of the file; or if the coupling of a loop is refused.
     """
-    return _with_settings(_built(scenario, resources, block, unpacked))
+    return _with_settings(_built(scenario, resources, block, unpacked, common), common)
 
 
 def _built(
-    scenario: Scenario, resources: ExitStack, block: int | None, unpacked: UnpackedFmus | None
+    scenario: Scenario,
+    resources: ExitStack,
+    block: int | None,
+    unpacked: UnpackedFmus | None,
+    common: CommonDesigns | None,
 ) -> Experiment:
+    def prepared(experiment: Experiment) -> Experiment:
+        return experiment if common is None else common.prepared(experiment)
+
     def build() -> Experiment:
-        return Builder(scenario, resources, block=block, unpacked=unpacked).experiment()
+        return prepared(Builder(scenario, resources, block=block, unpacked=unpacked).experiment())
 
     def rebuild() -> Experiment:
         resources.close()
@@ -58,18 +70,25 @@ def _built(
     from cosim.scenario.swapping.swap_comparison import build_swapped  # rarely needed
 
     experiment, reports = build_swapped(scenario, resources, block, unpacked)
-    compared = with_reports(experiment, reports)
+    compared = with_reports(prepared(experiment), reports)
     return with_loop_gains(compared, lambda: with_reports(rebuild(), reports))
 
 
-def _with_settings(experiment: Experiment) -> Experiment:
+def _with_settings(experiment: Experiment, common: CommonDesigns | None) -> Experiment:
     """Prepare the components that take the places of others in the run."""
     if not experiment.settings:
         return experiment
     from cosim.scenario.actions.settings import prepare_settings  # rarely needed
 
+    graph = experiment.graph
     step_ns = experiment.clock.step_ns
-    designs = prepare_settings(experiment.graph, step_ns, experiment.settings, {})
+    designs = prepare_settings(graph, step_ns, experiment.settings, {})
+    if common is not None:
+        computed = {name: decode_design(text) for name, text in designs.items()}
+        taken = common.taken(computed)
+        if taken:
+            recorded = {**computed, **taken}
+            designs = prepare_settings(graph, step_ns, experiment.settings, recorded)
     return replace(experiment, setting_designs=designs)
 
 

@@ -32,12 +32,16 @@ class StudyMember:
         As of ``cosim run --swap``.
     recording : str or None
         The log that is replayed with these edits; None: the scenario is run.
+    designs : str
+        What was designed for it alone where it ran before, as of MemberOutcome; empty: that is
+        computed.
     """
 
     number: int
     set: Mapping[str, Any] = field(default_factory=dict)
     swap: Mapping[str, str] = field(default_factory=dict)
     recording: str | None = None
+    designs: str = ""
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""

@@ -20,15 +20,15 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.blocks.declared import with_units
 from cosim.core.connections import Connection
-from cosim.core.contracts import Component, Design
+from cosim.core.contracts import Component
 from cosim.core.port import Port
 from cosim.core.signals import Interface
 from cosim.errors import CosimError
 from cosim.scenario.building.build import Builder
+from cosim.scenario.building.common_designs import CommonDesigns, designs_of_settings
 from cosim.scenario.building.coupling_check import with_loop_gains
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.building.graph_checks import jump_problems
@@ -54,14 +54,11 @@ class KeptBuild:
     unpacked : UnpackedFmus
     replaced : mapping of component name to Interface
         Of the components that its swaps replaced.
-    recorded : mapping of component name to Design
-        Its designs as another machine has computed them, which are taken then; empty: those of
-        this one are. Runs take each array of them that their own tables do not change.
 
     Attributes
     ----------
-    designs : mapping of component name to Design
-        Its designs.
+    computed : mapping of component name to Design
+        Its designs, computed on this machine; those of what actions set among them.
 
     Raises
     ------
@@ -74,7 +71,6 @@ class KeptBuild:
         scenario: Scenario,
         unpacked: UnpackedFmus,
         replaced: Mapping[str, Interface],
-        recorded: Mapping[str, Design],
     ) -> None:
         self._scenario = scenario
         self._unpacked = unpacked
@@ -83,11 +79,9 @@ class KeptBuild:
             experiment = builder.experiment()
             graph = experiment.graph
             self._plan = graph.prepare(experiment.clock.step_ns)
-            self._computed = self._plan.designs  # on this machine
-            if recorded:
-                self._plan = graph.prepare(experiment.clock.step_ns, recorded)
             self._experiment = experiment
-        self.designs = self._plan.designs
+            self.computed = {**self._plan.designs, **designs_of_settings(experiment)}
+        self._common = CommonDesigns(self.computed, self.computed)
         actions = [timed.action for timed in experiment.actions]
         for reaction in experiment.reactions:
             actions += reaction.actions
@@ -102,6 +96,13 @@ class KeptBuild:
         users = {name for name, spec in scenario.specs.items() if spec.code is not None}
         self._fresh = opened | users
         self._affected: dict[frozenset[str], frozenset[str]] = {}
+
+    def take(self, common: CommonDesigns) -> None:
+        """Take the designs that its runs have in common with others."""
+        self._common = common
+        step_ns = self._experiment.clock.step_ns
+        designs = common.prepare(self._experiment.graph, step_ns, self._plan.designs)
+        self._plan = replace(self._plan, designs=designs)
 
     def experiment(self, scenario: Scenario, resources: ExitStack) -> Experiment | None:
         """Return the experiment of a scenario with other tables, its graph prepared.
@@ -195,11 +196,7 @@ class KeptBuild:
         self._exchanged = set(names)
         step_ns = experiment.clock.step_ns
         designs = graph.exchange(components, step_ns) if components else {}
-        others = designs.items() if self._computed is not self.designs else ()
-        for name, design in others:
-            taken = _taken(design, self._computed.get(name, {}), self.designs.get(name, {}))
-            if any(taken[key] is not array for key, array in design.items()):
-                designs[name] = graph.prepare_one(name, step_ns, taken)  # its key is there
+        designs = self._common.prepare(graph, step_ns, designs)
         for name, note in self._notes.items():
             graph.members[name].note = note
         graph.watched = frozenset()
@@ -241,24 +238,6 @@ class KeptBuild:
         if spec.renamings(component.interface, given) != before:
             return None
         return Renamed(component, ports)
-
-
-def _taken(design: Design, computed: Design, common: Design) -> Design:
-    """Return a design with those arrays that are common to all runs.
-
-    Which these are shows where both were computed, on this machine: there they have the same bits.
-    """
-    taken = {}
-    for key, array in design.items():
-        is_common = key in computed and key in common and same_bits(array, computed[key])
-        is_other = is_common and not same_bits(common[key], array)
-        taken[key] = common[key] if is_other else array
-    return taken
-
-
-def same_bits(one: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
-    """Return whether two arrays are the same in shape and bits."""
-    return one is other or (one.shape == other.shape and one.tobytes() == other.tobytes())
 
 
 def _has_model_problems(

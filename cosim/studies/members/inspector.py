@@ -15,8 +15,8 @@ from cosim.errors import UsageError
 from cosim.scenario.building.experiment import Experiment
 from cosim.studies.contracts import COMPLETE, MemberOutcome, StudyMember, StudySubject
 from cosim.studies.dataset.identity import digest_of
+from cosim.studies.members.designs import encode_designs
 from cosim.studies.members.member_builder import MemberBuilder
-from cosim.studies.members.runner import open_runner
 from cosim.studies.metrics.metrics import parse_metrics
 
 DESIGNS: Final = "designs"  # of what all members have in common, as of StudySubject
@@ -40,7 +40,6 @@ class MemberInspector:
     """
 
     def __init__(self, subject: StudySubject) -> None:
-        self._subject = subject
         self._metrics = parse_metrics(subject.metrics)
         self._builder = MemberBuilder(subject)
 
@@ -77,8 +76,7 @@ class MemberInspector:
             path = Path(member.recording).resolve()
             read[f"{FILE}{path}"] = sha256_of(path)
         else:
-            with open_runner(self._subject) as runner:
-                read[DESIGNS] = runner.designs()
+            read[DESIGNS] = encode_designs(self._builder.common.given)
         return MemberOutcome(member.number, COMPLETE, metrics=dict(read))
 
 

@@ -7,7 +7,7 @@ from types import TracebackType
 from typing import Protocol, final
 
 from cosim.arrays import Matrix
-from cosim.core.contracts import Block
+from cosim.core.contracts import Block, Design
 from cosim.core.passing_recorders import PassingRecorder
 from cosim.core.recorders import EndOfRun, end_of_run
 from cosim.core.recording import Plan, Recorder
@@ -34,6 +34,8 @@ class MemberRecorder(PassingRecorder):
     end : EndOfRun
     plan : Plan or None
         None: it did not begin.
+    setting_designs : mapping of str to Design
+        Of what actions set in it, by time and component.
     """
 
     def __init__(self, sink: MetricSink) -> None:
@@ -42,6 +44,7 @@ class MemberRecorder(PassingRecorder):
         self.steps = 0
         self.end = EndOfRun()
         self.plan: Plan | None = None
+        self.setting_designs: Mapping[str, Design] = {}
 
     def __exit__(
         self,

@@ -3,22 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
+from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, final
 
+from cosim.core.signals import Interface
 from cosim.fmi.unpacked import UnpackedFmus
 from cosim.log import Log
 from cosim.log.editing.joining import open_joined
 from cosim.log.foreign.topics import is_foreign
+from cosim.scenario.building.common_designs import CommonDesigns
 from cosim.scenario.building.experiment import Experiment
+from cosim.scenario.building.kept_build import KeptBuild
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.preparing import build_experiment
 from cosim.scenario.running.replay import Replays, replays_of
 from cosim.studies.contracts import StudyMember, StudySubject
 from cosim.studies.document.scenario_of_study import load_scenario
+from cosim.studies.members.designs import decode_designs
 
 OPEN_LOGS: Final = 4  # whose rows may be in memory
+MOST_BUILDS: Final = 16  # that are kept, of members with swaps of their own
 
 
 @final
@@ -37,12 +44,16 @@ class MemberBuilder:
     ------
     ScenarioError
         If there is no such scenario, or it has problems of its own.
+    UsageError
+        If the designs of the subject cannot be understood.
     """
 
     def __init__(self, subject: StudySubject) -> None:
         self._subject = subject
+        self._given = decode_designs(subject.designs)
         self._scenario = load_scenario(subject.scenario)
         self._logs: dict[str, Log] = {}
+        self._builds: dict[tuple[tuple[str, str], ...], KeptBuild | None] = {}
         self.fmus = UnpackedFmus()
 
     def close(self) -> None:
@@ -75,7 +86,51 @@ class MemberBuilder:
             replays = self._replays(member.recording, swaps)
             return replays.experiment({**self._subject.set, **member.set}, resources)
         scenario = self.scenario(swaps, member.set)
-        return build_experiment(scenario, resources, None, unpacked=self.fmus)
+        common = replace(self.common, own=decode_designs(member.designs))
+        return build_experiment(scenario, resources, None, unpacked=self.fmus, common=common)
+
+    @property
+    def common(self) -> CommonDesigns:
+        """The designs that members have in common with the scenario; none where it has none."""
+        return self._base[1]
+
+    def kept(self, swaps: Mapping[str, str]) -> KeptBuild | None:
+        """Return what members with some swaps have in common; None: that is no run by itself."""
+        if swaps == self._subject.swap:
+            return self._base[0]
+        key = tuple(sorted(swaps.items()))
+        if key in self._builds:
+            self._builds[key] = self._builds.pop(key)  # the last that was used
+            return self._builds[key]
+        while len(self._builds) >= MOST_BUILDS:
+            del self._builds[next(iter(self._builds))]
+        kept = self._built(swaps)
+        if kept is not None:
+            kept.take(self.common)
+        self._builds[key] = kept
+        return kept
+
+    @cached_property
+    def _base(self) -> tuple[KeptBuild | None, CommonDesigns]:
+        """What members without swaps of their own have in common, and its designs."""
+        kept = self._built(self._subject.swap)
+        computed = {} if kept is None else kept.computed
+        common = CommonDesigns(computed, self._given or computed)
+        if kept is not None:
+            kept.take(common)
+        return kept, common
+
+    def _built(self, swaps: Mapping[str, str]) -> KeptBuild | None:
+        """Build the scenario with some swaps; None: it cannot be."""
+        with suppress(Exception):  # each member says itself what is wrong with it
+            scenario = self.scenario(swaps)
+            replaced: Mapping[str, Interface] = {}
+            if scenario.file.swap:
+                from cosim.scenario.swapping.swap_comparison import replaced_interfaces
+
+                replaced = replaced_interfaces(scenario, self.fmus)
+            return KeptBuild(scenario, self.fmus, replaced)
+        return None
 
     def _replays(self, path: str, swaps: Mapping[str, str]) -> Replays:
         """Return a recording that can be replayed."""

@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import replace
 from time import perf_counter
 from types import TracebackType
 from typing import Final, Self, final
 
-from cosim.core.contracts import Design
 from cosim.core.passing_recorders import TwoRecorders
 from cosim.core.recorders import error_text
 from cosim.core.recording import Recorder
-from cosim.core.signals import Interface
 from cosim.errors import Interrupted
 from cosim.report.summary import summarize
 from cosim.report.sweep import results_of
 from cosim.scenario.building.experiment import Experiment
-from cosim.scenario.building.kept_build import KeptBuild
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.recordings.recording import Target, record, run_rows
 from cosim.studies.contracts import (
@@ -30,7 +27,7 @@ from cosim.studies.contracts import (
     StudyMember,
     StudySubject,
 )
-from cosim.studies.members.designs import decode_designs, encode_designs, own_designs
+from cosim.studies.members.designs import encode_designs, own_designs, setting_designs
 from cosim.studies.members.measuring import (
     MemberRecorder,
     MetricSink,
@@ -39,7 +36,6 @@ from cosim.studies.members.member_builder import MemberBuilder
 from cosim.studies.metrics.metrics import parse_metrics
 from cosim.studies.metrics.recorder import MetricRecorder
 
-MOST_BUILDS: Final = 16  # that are kept: members with other swaps are built as a whole
 BLOCK_BYTES: Final = 2**21  # of the rows of a block: most of them stay in the cache
 
 
@@ -65,9 +61,9 @@ def open_runner(
     """
     metrics = parse_metrics(subject.metrics)
     if sink_of is not None:
-        return SubjectRunner(subject, sink_of, decode_designs(subject.designs))
+        return SubjectRunner(subject, sink_of)
     recorder = MetricRecorder(metrics)  # of one run after the other
-    return SubjectRunner(subject, lambda: recorder, decode_designs(subject.designs))
+    return SubjectRunner(subject, lambda: recorder)
 
 
 @final
@@ -79,21 +75,12 @@ class SubjectRunner:
     subject : StudySubject
     sink_of : callable
         Returns what keeps the metrics of a run.
-    recorded : mapping of component name to Design
-        Of what all members have in common, from another machine; empty: it is computed.
     """
 
-    def __init__(
-        self,
-        subject: StudySubject,
-        sink_of: Callable[[], MetricSink],
-        recorded: Mapping[str, Design],
-    ) -> None:
-        self._recorded = recorded
+    def __init__(self, subject: StudySubject, sink_of: Callable[[], MetricSink]) -> None:
         self._subject = subject
         self._sink_of = sink_of
         self._builder = MemberBuilder(subject)
-        self._builds: dict[tuple[tuple[str, str], ...], KeptBuild | None] = {}
 
     def __enter__(self) -> Self:
         return self
@@ -108,8 +95,7 @@ class SubjectRunner:
 
     def designs(self) -> str:
         """Return the designs of what all members have in common, as text; empty: there are none."""
-        kept = self._kept(self._subject.swap)
-        return "" if kept is None else encode_designs(kept.designs)
+        return encode_designs(self._builder.common.given)
 
     def run(self, member: StudyMember) -> MemberOutcome:
         """Run a member.
@@ -145,19 +131,21 @@ class SubjectRunner:
         """Return what was designed for a member alone; of a replay its log knows that."""
         if measured.plan is None or member.recording is not None:
             return ""
-        kept = self._kept(self._builder.swaps(member))
-        common = {} if kept is None else kept.designs
-        return encode_designs(own_designs(measured.plan.designs, common))
+        designs = {**measured.plan.designs, **measured.setting_designs}
+        return encode_designs(own_designs(designs, self._builder.common.given))
 
     def _run(self, member: StudyMember, measured: MemberRecorder) -> Mapping[str, MetricValue]:
         """Run a member; return its metrics, and its results where they are asked for."""
-        if member.recording is None and not self._subject.with_results:
+        is_as_before = bool(member.designs)  # which a whole build takes
+        if not (member.recording or self._subject.with_results or is_as_before):
             swaps = self._builder.swaps(member)
             scenario = self._builder.scenario(swaps, member.set)
             if self._run_kept(scenario, swaps, measured):
                 return measured.sink.values()
         with ExitStack() as resources:
-            return self._measure(self._builder.experiment(member, resources), measured)
+            experiment = self._builder.experiment(member, resources)
+            measured.setting_designs = setting_designs(experiment)
+            return self._measure(experiment, measured)
 
     def _measure(
         self, experiment: Experiment, measured: MemberRecorder
@@ -172,7 +160,7 @@ class SubjectRunner:
         self, scenario: Scenario, swaps: Mapping[str, str], measured: MemberRecorder
     ) -> bool:
         """Run a member in a graph that is kept; return False where it does not fit there."""
-        kept = self._kept(swaps)
+        kept = self._builder.kept(swaps)
         if kept is None:
             return False
         with ExitStack() as resources:
@@ -181,28 +169,6 @@ class SubjectRunner:
                 return False
             run_rows(measured, _in_short_blocks(experiment))
             return True
-
-    def _kept(self, swaps: Mapping[str, str]) -> KeptBuild | None:
-        """Return what members with some swaps have in common; None: that is no run by itself."""
-        key = tuple(sorted(swaps.items()))
-        if key not in self._builds:
-            if len(self._builds) == MOST_BUILDS:
-                return None
-            self._builds[key] = None  # where it fails
-            with suppress(Exception):  # each member says itself what is wrong with it
-                self._builds[key] = self._build(swaps)
-        return self._builds[key]
-
-    def _build(self, swaps: Mapping[str, str]) -> KeptBuild:
-        """Build what members with some swaps have in common."""
-        scenario = self._builder.scenario(swaps)
-        replaced: Mapping[str, Interface] = {}
-        if scenario.file.swap:
-            from cosim.scenario.swapping.swap_comparison import replaced_interfaces
-
-            replaced = replaced_interfaces(scenario, self._builder.fmus)
-        recorded = self._recorded if swaps == self._subject.swap else {}
-        return KeptBuild(scenario, self._builder.fmus, replaced, recorded)
 
 
 def _in_short_blocks(experiment: Experiment) -> Experiment:

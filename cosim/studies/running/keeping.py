@@ -62,7 +62,10 @@ def keep_logs(
     folder.mkdir(exist_ok=True)
     recorded = {row["member"]: row for row in dataset.read(members=numbers).to_pylist()}
     subject = replace(plan.subject, logs=str(folder))
-    members = [plan.design.member(number) for number in numbers]
+    members = []
+    for number in numbers:
+        designs = recorded[number]["designs"] or ""
+        members.append(replace(plan.design.member(number), designs=designs))
     timeout = plan.study.settings.timeout
     with WorkerPool(LOGGING_RUNNER, subject, min(workers, len(members)), timeout=timeout) as pool:
         for outcome in pool.run(members):

@@ -1,0 +1,57 @@
+"""A member that runs again for its log has the designs that are recorded with it."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from cosim.log import Log
+from cosim.studies.document.reading import read_study
+from cosim.studies.members.designs import decode_designs, encode_designs
+from cosim.studies.members.runner import open_runner
+from cosim.studies.running.keeping import keep_logs
+from cosim.studies.running.plan import plan_study
+from cosim.studies.running.studying import open_dataset
+
+STUDY = """
+[scenario]
+name = "filtered"
+stop = 0.5
+step = 0.01
+[components]
+u = { kind = "sine", amplitude = 1.0, rate = 3.0 }
+filter = { kind = "controller", A = [[-0.9]], B = [[0.5]], C = [[3.0]], x0 = [1.0] }
+[connections]
+"filter.u" = "u.y"
+[study]
+keep = "all"
+[study.vary]
+"filter.A[0][0]" = [-0.9, -2.0]
+[study.metrics]
+last = "last(filter.y)"
+"""
+
+
+def test_logs_have_the_designs_that_are_recorded(tmp_path):
+    """A member of another machine comes to the same here: nothing is to be said of it."""
+    path = tmp_path / "filtered.toml"
+    path.write_text(STUDY)
+    plan = plan_study(read_study(path))
+    with open_runner(plan.subject) as runner:
+        designs = decode_designs(runner.run(plan.design.member(1)).designs)
+        designs["filter"]["Ad"] = np.nextafter(designs["filter"]["Ad"], 9.0)
+        members = [plan.design.member(0), plan.design.member(1)]
+        elsewhere = encode_designs(designs)
+        outcomes = [
+            runner.run(members[0]),
+            runner.run(replace(members[1], designs=elsewhere)),
+        ]
+    notices = []
+    with open_dataset(plan, tmp_path / "out", new=False) as dataset:
+        for member, outcome in zip(members, outcomes, strict=True):
+            dataset.add(member, outcome)
+        keep_logs(plan, dataset, workers=1, notice=notices.append)
+    assert notices == []
+    log = Log(tmp_path / "out" / "logs" / "1.mcap")
+    for key, array in designs["filter"].items():
+        assert log.designs["filter"][key].tobytes() == array.tobytes()
+    assert outcomes[1].metrics["last"] == log["filter.y"][-1]
