@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from cosim.scenario.running.execution import load, run
     from cosim.scenario.running.replay import replay
     from cosim.studies.dataset.study import open_study
+    from cosim.studies.metrics.recorded import metrics
     from cosim.studies.running.studying import study
 
 _HOMES = {
@@ -39,6 +40,7 @@ _HOMES = {
     "identify": "cosim.scenario.identifying",
     "linearize": "cosim.fmi.linearizing.linearize",
     "load": "cosim.scenario.running.execution",
+    "metrics": "cosim.studies.metrics.recorded",
     "model_table": "cosim.scenario.context.models",
     "open_log": "cosim.log.reading.reader",
     "open_study": "cosim.studies.dataset.study",
@@ -60,6 +62,7 @@ __all__ = [
     "identify",
     "linearize",
     "load",
+    "metrics",
     "model_table",
     "open_log",
     "open_study",

@@ -16,6 +16,7 @@ from typing import Annotated
 import typer
 
 from cosim.cli.collecting import start_collecting
+from cosim.cli.once import OnceCommand
 from cosim.errors import CosimError, shell_language
 from cosim.lazy import LazyMapping
 from cosim.report.printable import printable
@@ -31,6 +32,7 @@ COMMANDS = LazyMapping[Callable[..., None] | typer.Typer](
         "diff": "comparing.diff",
         "hash": "hashing.hash_",
         "study": "studying.study",
+        "metrics": "measuring.metrics",
         "compare": "comparing.compare",
         "tune": "tuning.tune",
         "identify": "identifying.identify",
@@ -89,7 +91,7 @@ def _command_line(names: Iterable[str]) -> typer.Typer:
         if isinstance(command, typer.Typer):
             app.add_typer(command, name=name)
         else:
-            app.command(name=name)(command)
+            app.command(name=name, cls=OnceCommand)(command)
     return app
 
 

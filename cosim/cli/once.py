@@ -20,11 +20,14 @@ class OnceCommand(TyperCommand):
         UsageError
             If an option that has one value is given several times.
         """
+        if ctx.resilient_parsing:  # for completion
+            return super().parse_args(ctx, args)
         _, _, given = self.make_parser(ctx).parse_args(args=list(args))
         for parameter in given:
+            if not isinstance(parameter, TyperOption) or parameter.multiple or parameter.is_flag:
+                continue
             count = given.count(parameter)
-            if isinstance(parameter, TyperOption) and not (parameter.multiple or parameter.is_flag):
+            if count > 1:
                 name = max(parameter.opts, key=len)
-                if count > 1:
-                    raise UsageError(f"{name}: given {count} times, needed once")
+                raise UsageError(f"{name}: given {count} times, needed once")
         return super().parse_args(ctx, args)

@@ -1,0 +1,77 @@
+"""The command metrics: what a study keeps of a run, of a run that is recorded."""
+
+from __future__ import annotations
+
+import re
+from typing import Annotated, Final
+
+import typer
+
+from cosim.cli.options import JsonOption, LogArgument, print_notice
+from cosim.errors import UsageError
+
+# NAME=EXPRESSION; an expression may have == and >= in it
+_NAMED: Final = re.compile(r"\s*([^()<>=!'\",]*[^()<>=!'\",\s])\s*=(?!=)(.*)", re.DOTALL)
+
+
+def metrics(
+    log: LogArgument,
+    expressions: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[NAME=]EXPRESSION",
+            help="Such as 'rms(observer.delta - delta.y, t > 5)', as in [metrics] of a study.",
+        ),
+    ] = None,
+    study: Annotated[
+        str | None,
+        typer.Option("--of", metavar="DIR", help="Those of a study, by its dataset."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Compute metrics of a log, with all their digits.
+
+    They are those that a study has of this run, bit for bit.
+    """
+    from cosim.log.editing.joining import open_joined
+    from cosim.report.tables.console import print_json, print_section
+    from cosim.studies.metrics.metrics import parse_metrics
+    from cosim.studies.metrics.recorded import missing_rows
+
+    texts = {} if study is None else _metrics_of(study)
+    for text in expressions or []:
+        named = _NAMED.fullmatch(text)
+        name, expression = (text, text) if named is None else named.groups()
+        if name in texts:
+            raise UsageError(f"metric '{name}': given twice, needed once")
+        texts[name] = expression.strip()
+    if not texts:
+        raise UsageError(
+            "found no metric; needed an expression, such as 'rms(plant.y)', or --of, the dataset "
+            "of a study that has some"
+        )
+    parsed = parse_metrics(texts)
+    opened = open_joined(log)
+    values = parsed.of(opened)
+    lacking = missing_rows(parsed, opened)
+    if lacking:
+        print_notice(f"{lacking}; metrics of the whole run, as a study has them, may be others")
+    if as_json:
+        print_json(values)
+        return
+    shown = {name: "no value" if value is None else repr(value) for name, value in values.items()}
+    print_section("", shown)
+
+
+def _metrics_of(place: str) -> dict[str, str]:
+    """Return the metrics of a study by its dataset."""
+    from cosim.studies.dataset.study import open_study
+    from cosim.studies.running.recorded_study import RecordedStudy
+
+    texts = dict(RecordedStudy.read(open_study(place).text).study.metrics)
+    if not texts:
+        raise UsageError(
+            f"--of {place}: this study has no metrics; its columns are what the result of a run "
+            "says, which 'cosim info LOG' shows"
+        )
+    return texts
