@@ -144,7 +144,13 @@ def test_what_a_run_returns_is_its_own(tmp_path, capsys, removed):
         if not removed:
             cosim.run("academic", out=path, set={"scenario.stop": 0.01})
 
-    log = cosim.run("academic", out=path, set={"scenario.stop": 0.02}, progress=displace)
+    log = cosim.run(
+        "academic",
+        out=path,
+        set={"scenario.stop": 0.02},
+        flush=3600.0,  # s: nobody looks at the path meanwhile
+        progress=displace,
+    )
     assert not log.is_at_its_path
     assert log.time("plant")[-1] == 0.02
     assert log.content_hash() == log.recorded_hash
