@@ -27,7 +27,7 @@ from distributed import Client, LocalCluster
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from cosim.studies.cluster import worker_side
+from cosim.studies.cluster import study_plugin
 from cosim.studies.cluster.cluster_run import run_on_cluster
 from cosim.studies.dataset.study_dataset import StudyDataset
 from tests.studies.cluster.planned import (
@@ -96,17 +96,13 @@ class InProcess:
     def __init__(self, opener, subject, *, timeout):
         self._runner = CountedRunner()
 
-    def run(self, members):
-        """Return outcomes."""
-        return [self._runner.run(member) for member in members]
-
-    def begin(self, members):
+    def submit(self, members):
         """Return outcomes as a future."""
         future = Future()
-        future.set_result(self.run(members))
+        future.set_result([self._runner.run(member) for member in members])
         return future
 
-    def close(self):
+    def shutdown(self):
         """Do nothing."""
 
 
@@ -117,7 +113,7 @@ def memory():
 
 def million(folder, members, part_size):
     """Print what the scheduler has to do for very many members."""
-    worker_side.MemberStation = InProcess
+    study_plugin.MemberExecutor = InProcess
     with (
         LocalCluster(
             processes=False, n_workers=4, threads_per_worker=1, dashboard_address=None

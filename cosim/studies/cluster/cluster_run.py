@@ -2,13 +2,14 @@
 
 ::
 
-    check the workers that are there, give them the files, open the study on them
     until every member has its outcome:
-        keep two tasks a thread on their way
+        now and then: begin to admit workers that came; take back the tasks of those that went
+        submit tasks to the workers that are admitted, until each thread has two
         take what came into the dataset
-        now and then: check workers that came; take back the tasks of those that went
 
-The scheduler knows the tasks on their way only, however many members there are. A task whose worker
+A worker is checked, gets the files and opens the study while the others run members.
+
+The scheduler knows the submitted tasks only, however many members there are. A task whose worker
 died is given to another by dask. Dask gives up a task with which several workers died
 (``distributed.scheduler.allowed-failures``): the others go on, and the error at the end names it.
 """
@@ -25,7 +26,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol, final
 
 from cosim.errors import CosimError, RunError, listing
 from cosim.interrupts import uninterrupted
-from cosim.studies.cluster.connection import connect, distributed, lost
+from cosim.studies.cluster.connection import check_scheduler, connect, distributed, lost
 from cosim.studies.cluster.opening import OPENER
 from cosim.studies.cluster.tasks import MemberTask, RemainingTasks
 from cosim.studies.contracts import MemberOutcome, StudyMember, StudySubject
@@ -36,11 +37,10 @@ from cosim.studies.workers.messages import encode_member
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-    from cosim.studies.cluster.workforce import Workforce
+    from cosim.studies.cluster.cluster_workers import ClusterWorkers
 
-AHEAD: Final = 2  # tasks a thread: the one that runs, and the next
+TASKS_PER_THREAD: Final = 2  # the one that runs, and the next
 LOOK: Final = 1.0  # [s] between looks at the workers
-PATIENCE: Final = 60.0  # [s] without any worker
 FETCHING: Final = 60.0  # [s] for a result; its worker may have died with it
 RETRIES: Final = 1  # where a task raises: a full disk of one worker may be
 
@@ -108,8 +108,9 @@ def run_on_cluster(
     if len(dataset) == len(design):
         return
     with connect(scheduler) as client:
-        from cosim.studies.cluster.workforce import Workforce, first_member
+        from cosim.studies.cluster.admission import first_member
 
+        check_scheduler(client)
         if "://" not in place:
             place = os.path.abspath(place)
         storage = open_storage(place)
@@ -128,8 +129,7 @@ def run_on_cluster(
             "probe": probe,
             "opener": opener,
         }
-        workforce = Workforce(client, settings, notice or _ignore)
-        run = _ClusterRun(client, workforce, dataset, design, name=name)
+        run = _ClusterRun(client, settings, dataset, design, notice=notice or _ignore)
         storage.write(*probe)
         try:
             run.complete(progress or _ignore)
@@ -140,35 +140,37 @@ def run_on_cluster(
 
 @final
 class _ClusterRun:
-    """The tasks of a study on their way."""
+    """The tasks of a study that are submitted."""
 
     def __init__(
         self,
         client: Client,
-        workforce: Workforce,
+        settings: Mapping[str, Any],
         dataset: StudyDataset,
         design: PlannedMembers,
         *,
-        name: str,
+        notice: Callable[[str], None],
     ) -> None:
+        from cosim.studies.cluster.cluster_workers import ClusterWorkers
+
         self._client = client
-        self._workforce = workforce
         self._dataset = dataset
         self._design = design
-        self._name = name
+        self._name: str = settings["name"]
         self._tasks = RemainingTasks(dataset.missing(len(design)), dataset.empty_parts())
-        self._flying: dict[Future, tuple[MemberTask, frozenset[str]]] = {}
-        self._arrived: SimpleQueue[Future] = SimpleQueue()
+        self._submitted: dict[Future, tuple[MemberTask, frozenset[str]]] = {}
+        self._done: SimpleQueue[Future | None] = SimpleQueue()  # None: a worker was admitted
+        self._workers: ClusterWorkers = ClusterWorkers(
+            client, settings, notice=notice, admitted=lambda: self._done.put(None)
+        )
         self._given_up: list[range] = []
-        self._submitted = 0
+        self._count = 0  # of tasks, which are named by it
         self._failed = dataset.failed
-        self._seen = monotonic()  # when there was a worker
-        self._had_workers = False
         self._next_look = 0.0
 
     def complete(self, progress: Callable[[int, int, int], None]) -> None:
         """Run until every member has its outcome."""
-        while self._tasks or self._flying:
+        while self._tasks or self._submitted:
             self._look()
             self._submit()
             for future in self._wait():
@@ -182,13 +184,13 @@ class _ClusterRun:
             )
 
     def close(self) -> None:
-        """Cancel what is on its way, and end the study on the workers."""
+        """Cancel what is submitted, and end the study on the workers."""
         with uninterrupted():
             try:
-                if self._flying:
-                    self._client.cancel(list(self._flying), force=True)
-                self._flying.clear()
-                self._workforce.close()
+                if self._submitted:
+                    self._client.cancel(list(self._submitted), force=True)
+                self._submitted.clear()
+                self._workers.close()
             except _LOST:
                 return
 
@@ -197,47 +199,40 @@ class _ClusterRun:
         if monotonic() < self._next_look:
             return
         try:
-            self._workforce.refresh()
+            self._workers.refresh()
         except _LOST as error:
             raise lost(self._client) from error
-        present = self._workforce.threads.keys()
-        for future, (task, workers) in list(self._flying.items()):
+        present = self._workers.threads.keys()
+        for future, (task, workers) in list(self._submitted.items()):
             if not workers & present:  # nobody is left to whom dask may give it
-                del self._flying[future]
+                del self._submitted[future]
                 self._client.cancel([future], force=True)
                 self._tasks.give_back(task)
         self._next_look = monotonic() + LOOK
-        if present:
-            self._seen = monotonic()
-            self._had_workers = True
-            return
-        is_hopeless = self._workforce.has_excluded and not self._had_workers
-        if is_hopeless or monotonic() > self._seen + PATIENCE:
-            raise self._workforce.none_left()
 
     def _submit(self) -> None:
-        """Keep tasks on their way."""
-        from cosim.studies.cluster.worker_side import run_members
+        """Submit tasks to the workers that are admitted."""
+        from cosim.studies.cluster.worker_functions import run_members
 
-        threads = sum(self._workforce.threads.values())
-        workers = sorted(self._workforce.threads)
-        while self._tasks and len(self._flying) < AHEAD * threads:
+        threads = sum(self._workers.threads.values())
+        workers = sorted(self._workers.threads)
+        while self._tasks and len(self._submitted) < TASKS_PER_THREAD * threads:
             task = self._tasks.take(threads)
-            self._submitted += 1
+            self._count += 1
             first = task.members.start
-            is_written = task.is_part and self._workforce.writes
+            is_written = task.is_part and self._workers.writes
             future = self._client.submit(
                 run_members,
                 self._name,
                 self._lines(task.members),
                 first if is_written else None,
-                key=(self._name, self._submitted),
+                key=(self._name, self._count),
                 workers=workers,
                 retries=RETRIES,
                 pure=False,
             )
-            self._flying[future] = (task, frozenset(workers))
-            future.add_done_callback(self._arrived.put)
+            self._submitted[future] = (task, frozenset(workers))
+            future.add_done_callback(self._done.put)
 
     def _lines(self, members: range) -> bytes:
         """Return members as the pool writes them, compressed.
@@ -251,23 +246,25 @@ class _ClusterRun:
     def _wait(self) -> list[Future]:
         """Return the tasks that are done, after a while also none."""
         try:
-            arrived = [self._arrived.get(timeout=LOOK)]
+            done = [self._done.get(timeout=LOOK)]
         except Empty:
             return []
-        while not self._arrived.empty():
-            arrived.append(self._arrived.get())
-        return [future for future in arrived if future in self._flying]
+        while not self._done.empty():
+            done.append(self._done.get())
+        if None in done:
+            self._next_look = 0.0
+        return [future for future in done if future in self._submitted]
 
     def _take(self, future: Future) -> None:
         """Take what a task came to into the dataset."""
-        task, _ = self._flying[future]
+        task, _ = self._submitted[future]
         answer = self._answer(future, task)
         with uninterrupted():
-            del self._flying[future]
+            del self._submitted[future]
             if answer is None:
                 return
             if not answer["is_open"]:
-                self._workforce.forget(answer["worker"])
+                self._workers.forget(answer["worker"])
                 self._next_look = 0.0
                 self._tasks.give_back(task)
                 return

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 from cosim.errors import RunError, UsageError, option, quoted
 from cosim.filters import ignored_warnings
 from cosim.interrupts import uninterrupted
+from cosim.studies.cluster.environment import describe_environment, lacks
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -73,13 +74,42 @@ def distributed() -> Any:
         ) from error
 
 
+def check_scheduler(client: Client) -> None:
+    """Check that a scheduler can read the tasks of this process.
+
+    Raises
+    ------
+    UsageError
+        If it has no cosim, or another one.
+    """
+    from cosim.studies.cluster.worker_functions import describe_scheduler
+
+    own = describe_environment()
+    try:
+        found = client.run_on_scheduler(describe_scheduler)
+    except OSError as error:
+        raise lost(client) from error
+    except Exception as error:  # whatever its Python raises, such as an ImportError
+        problem = f"{type(error).__name__}: {error}"
+    else:
+        problem = lacks(own, {**own, **{name: found[name] for name in ("python", "cosim")}})
+    if problem:
+        raise UsageError(
+            f"the scheduler at {_address(client)} cannot read the tasks of a study: {problem}; "
+            f"start it with Python {own['python']} and cosim {own['cosim']}"
+        )
+
+
 def lost(client: Client) -> RunError:
     """Return the error of a scheduler that has gone."""
-    address = client.scheduler.address if client.scheduler is not None else "the scheduler"
     return RunError(
-        f"the connection to {address} was lost; what came until then is in the dataset, and the "
-        "same study goes on from there"
+        f"the connection to {_address(client)} was lost; what came until then is in the dataset, "
+        "and the same study goes on from there"
     )
+
+
+def _address(client: Client) -> str:
+    return client.scheduler.address if client.scheduler is not None else "the scheduler"
 
 
 def _open(library: Any, client: Client, address: str) -> None:

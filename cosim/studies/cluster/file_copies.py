@@ -23,11 +23,11 @@ FOLDER: Final = "cosim-studies"
 
 def has_all(files: Mapping[str, str]) -> bool:
     """Return whether this machine has all files under the same paths: their storage is shared."""
-    return all(_hash_of(path) == digest for path, digest in files.items())
+    return all(_has(path, digest) for path, digest in files.items())
 
 
 def missing_content(folder: Path, files: Mapping[str, str]) -> list[str]:
-    """Return the hashes of the files whose content a worker does not have.
+    """Return the hashes of the files whose content a worker does not have, under any path.
 
     Parameters
     ----------
@@ -35,8 +35,9 @@ def missing_content(folder: Path, files: Mapping[str, str]) -> list[str]:
         The worker's own.
     files : mapping of absolute path to SHA-256
     """
-    wanted = sorted(set(files.values()))
-    return [digest for digest in wanted if not (folder / STORE / digest).exists()]
+    wanted = {digest for digest in files.values() if not (folder / STORE / digest).exists()}
+    wanted -= {digest for path, digest in files.items() if digest in wanted and _has(path, digest)}
+    return sorted(wanted)
 
 
 def store_content(folder: Path, content: bytes) -> None:
@@ -58,14 +59,15 @@ def place_copies(folder: Path, study: str, files: Mapping[str, str]) -> Path:
     study : str
         Name of the study's folder.
     files : mapping of absolute path to SHA-256
-        Their content is there.
+        Their content is there, as :func:`missing_content` says.
     """
     root = folder / FOLDER / study
     for path, digest in files.items():
         copy = Path(moved(path, str(root)))
         copy.parent.mkdir(parents=True, exist_ok=True)
         copy.unlink(missing_ok=True)
-        shutil.copyfile(folder / STORE / digest, copy)
+        stored = folder / STORE / digest
+        shutil.copyfile(stored if stored.exists() else _source(files, digest), copy)
     return root
 
 
@@ -96,8 +98,14 @@ def with_copies(value: Any, files: Mapping[str, str], root: str) -> Any:
             return value
 
 
-def _hash_of(path: str) -> str | None:
+def _source(files: Mapping[str, str], digest: str) -> str:
+    """Return the path of a file with some content."""
+    return next(path for path, other in files.items() if other == digest and _has(path, digest))
+
+
+def _has(path: str, digest: str) -> bool:
+    """Return whether a file has some content."""
     try:
-        return sha256_of(path)
+        return sha256_of(path) == digest
     except OSError:
-        return None
+        return False

@@ -283,7 +283,7 @@ class WorkerPool:
             return []
         remaining.give_back(members[1:])
         if worker.answered and not hangs:
-            remaining.suspect(members[0])
+            remaining.retry(members[0])
             return []
         number = members[0].number
         outcome = MemberOutcome(

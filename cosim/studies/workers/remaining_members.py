@@ -14,20 +14,20 @@ from cosim.studies.contracts import StudyMember
 class RemainingMembers:
     """Members that are taken one by one from where they come, and those that came back.
 
-    A suspect is one that ran when its worker was lost, after others: what those left may be the
-    cause, so it is run again as the first of a new worker.
+    One that ran when its worker was lost, after others, is retried as the first of a new worker:
+    what the others left may be the cause.
     """
 
     def __init__(self, members: Iterable[StudyMember]) -> None:
         self._members: Iterator[StudyMember] = iter(members)
         self._is_exhausted = False
         self._returned: deque[StudyMember] = deque()
-        self._suspects: deque[StudyMember] = deque()
+        self._retried: deque[StudyMember] = deque()
 
     @property
     def is_empty(self) -> bool:
         """Whether it is known that there are none."""
-        return self._is_exhausted and not self._returned and not self._suspects
+        return self._is_exhausted and not self._returned and not self._retried
 
     def take(self, most: int) -> list[StudyMember]:
         """Return the next members, for a worker that runs others too."""
@@ -40,12 +40,12 @@ class RemainingMembers:
 
     def take_first(self) -> list[StudyMember]:
         """Return the member that a new worker begins with; empty: there is none."""
-        return [self._suspects.popleft()] if self._suspects else self.take(1)
+        return [self._retried.popleft()] if self._retried else self.take(1)
 
     def give_back(self, members: Iterable[StudyMember]) -> None:
         """Take back members that a worker had in its pipe; they are the next."""
         self._returned.extendleft(reversed(list(members)))
 
-    def suspect(self, member: StudyMember) -> None:
+    def retry(self, member: StudyMember) -> None:
         """Take back a member that may have been lost by what others left."""
-        self._suspects.append(member)
+        self._retried.append(member)

@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from cosim.errors import RunError, UsageError
+from cosim.errors import RunError
 from cosim.studies.cluster.cluster_run import run_on_cluster
 from cosim.studies.cluster.connection import connect
 from cosim.studies.dataset.study_dataset import StudyDataset
@@ -125,28 +125,6 @@ def test_a_worker_that_comes_later_is_used(tmp_path):
         found = run(processes.address, design, tmp_path / "a")
         begun.join(LIMIT)
     assert found.num_rows == 400
-
-
-def test_a_worker_with_another_library_is_named_and_not_used(tmp_path):
-    """The others do its work."""
-    folder = tmp_path / _made(tmp_path, "cluster")
-    other = tmp_path / _made(tmp_path, "other") / _made(tmp_path / "other", "numpy-0.1.dist-info")
-    (other / "METADATA").write_text("Metadata-Version: 2.1\nName: numpy\nVersion: 0.1\n")
-    notices = []
-    with cluster(folder, workers=0) as processes:
-        root = os.path.join(os.path.dirname(__file__), *[".."] * 3)
-        path = os.pathsep.join([str(other.parent), os.path.abspath(root)])
-        processes.start_worker(PYTHONPATH=path)
-        _wait_for_workers(processes.address, 1)
-        with pytest.raises(UsageError, match=r"no worker can run the study: tcp://.*: it has num"):
-            run(processes.address, CountedMembers(40), tmp_path / "a")
-        processes.start_worker()
-        _wait_for_workers(processes.address, 2)
-        found = run(processes.address, CountedMembers(40), tmp_path / "a", notice=notices.append)
-    assert found.num_rows == 40
-    (notice,) = notices
-    assert notice.startswith("worker tcp://127.0.0.1:")
-    assert "is not used: it has numpy 0.1, needed " in notice
 
 
 def test_ctrl_c_leaves_what_came_and_nothing_on_its_way(two_workers, tmp_path):
@@ -270,8 +248,3 @@ def _wait_for_marks(folder, count):
     until = time.monotonic() + LIMIT
     while len(list(folder.glob("*-*"))) < count and time.monotonic() < until:
         time.sleep(0.01)
-
-
-def _wait_for_workers(address, count):
-    with connect(address) as client:
-        client.wait_for_workers(count, timeout=LIMIT)

@@ -35,11 +35,23 @@ def test_files_are_there_only_with_the_same_content(tmp_path):
 def test_each_content_is_sent_once(tmp_path):
     """Also where two files have it, and for every study after the first."""
     worker = tmp_path / "worker"
-    files = dict([write(tmp_path / "a.fmu", b"same"), write(tmp_path / "b.fmu", b"same")])
-    (digest,) = missing_content(worker, files)
+    digest = hashlib.sha256(b"same").hexdigest()
+    files = dict.fromkeys((str(tmp_path / "a.fmu"), str(tmp_path / "b.fmu")), digest)
+    assert missing_content(worker, files) == [digest]
     store_content(worker, b"same")
-    assert digest == hashlib.sha256(b"same").hexdigest()
     assert missing_content(worker, files) == []
+
+
+def test_content_that_is_there_is_not_sent(tmp_path):
+    """A worker copies what it has under another path of the study, or under the same."""
+    worker = tmp_path / "worker"
+    files = dict([write(tmp_path / "a.fmu", b"same")])
+    (digest,) = files.values()
+    files[str(tmp_path / "b.fmu")] = digest
+    assert missing_content(worker, files) == []
+    root = place_copies(worker, "study", files)
+    for path in files:
+        assert Path(moved(path, str(root))).read_bytes() == b"same"
 
 
 def test_relative_references_hold_among_copies(tmp_path):

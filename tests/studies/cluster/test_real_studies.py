@@ -10,6 +10,7 @@ import sys
 import pytest
 
 from cosim.errors import UsageError
+from cosim.studies.cluster import cluster_workers
 from cosim.studies.cluster.cluster_run import run_on_cluster
 from cosim.studies.contracts import FAILED, StudyMember, StudySubject
 from cosim.studies.dataset.columns import metric_column, parameter_column
@@ -133,6 +134,7 @@ def test_modules_of_users_go_with_the_scenario(workers, tmp_path, monkeypatch):
 
 def test_a_worker_without_the_class_of_a_user_is_named(workers, tmp_path, monkeypatch):
     """It is found before the first member; here, where the study is planned, it is there."""
+    monkeypatch.setattr(cluster_workers, "PATIENCE", 0.0)
     design, subject = of_thermostat(tmp_path / "study")
     monkeypatch.chdir(tmp_path / "study")
     files = {

@@ -1,4 +1,4 @@
-"""A guarded child process that runs members, whichever thread asks for it.
+"""An executor of members in a guarded child process, for whichever thread asks.
 
 On Linux a child process ends with the thread that started it, and the threads of dask's workers
 come and go. So the pool is used in a thread of its own.
@@ -17,11 +17,11 @@ from cosim.studies.contracts import MemberOutcome, StudyMember, StudySubject
 from cosim.studies.workers.pool import WorkerPool
 
 Outcomes: TypeAlias = list[MemberOutcome]
-StationCall: TypeAlias = tuple[Sequence[StudyMember], "Future[Outcomes]"]
+MemberCall: TypeAlias = tuple[Sequence[StudyMember], "Future[Outcomes]"]
 
 
 @final
-class MemberStation:
+class MemberExecutor:
     """Runs members of one study in a guarded child that stays open between calls.
 
     Parameters
@@ -34,63 +34,57 @@ class MemberStation:
 
     def __init__(self, opener: str, subject: StudySubject, *, timeout: float | None) -> None:
         self._pool = WorkerPool(opener, subject, 1, timeout=timeout)
-        self._calls: SimpleQueue[StationCall | None] = SimpleQueue()
-        self._is_closed = Event()
-        self._thread = Thread(target=self._serve, name="cosim-station", daemon=True)
+        self._calls: SimpleQueue[MemberCall | None] = SimpleQueue()
+        self._is_shut_down = Event()
+        self._thread = Thread(target=self._serve, name="cosim-members", daemon=True)
         self._thread.start()
 
-    def begin(self, members: Sequence[StudyMember]) -> Future[Outcomes]:
-        """Have members run; the future raises what the pool does."""
+    def submit(self, members: Sequence[StudyMember]) -> Future[Outcomes]:
+        """Schedule members; the future has their outcomes.
+
+        It raises UsageError if the child refuses the study, RunError if the child is lost whenever
+        it opens it, or the executor is shut down meanwhile.
+        """
         future: Future[Outcomes] = Future()
-        if self._is_closed.is_set():
-            future.set_exception(_closed())
+        if self._is_shut_down.is_set():
+            future.set_exception(_shut_down())
         else:
             self._calls.put((members, future))
         return future
 
-    def run(self, members: Sequence[StudyMember]) -> Outcomes:
-        """Return the outcomes of members.
-
-        Raises
-        ------
-        UsageError
-            If the child refuses the study.
-        RunError
-            If it is lost whenever it opens it, or the station is closed meanwhile.
-        """
-        return self.begin(members).result()
-
-    def close(self) -> None:
+    def shutdown(self) -> None:
         """Have the child end after the member that it runs; returns at once."""
-        self._is_closed.set()
+        self._is_shut_down.set()
         self._calls.put(None)
 
     def _serve(self) -> None:
-        reason: BaseException = _closed()
+        reason: BaseException = _shut_down()
         try:
             with self._pool as pool:
                 while (call := self._calls.get()) is not None:
                     members, future = call
+                    if not future.set_running_or_notify_cancel():
+                        continue
                     try:
                         future.set_result(self._outcomes(pool, members))
                     except Exception as error:
                         future.set_exception(error)
         except OSError as error:  # no room for the folder of a pool
             reason = error
-        self._is_closed.set()
+        self._is_shut_down.set()
         while not self._calls.empty():
             late = self._calls.get()
-            if late is not None:
+            if late is not None and late[1].set_running_or_notify_cancel():
                 late[1].set_exception(reason)
 
     def _outcomes(self, pool: WorkerPool, members: Sequence[StudyMember]) -> Outcomes:
         outcomes = []
         for outcome in pool.run(members):
             outcomes.append(outcome)
-            if self._is_closed.is_set() and len(outcomes) < len(members):
-                raise _closed()
+            if self._is_shut_down.is_set() and len(outcomes) < len(members):
+                raise _shut_down()
         return outcomes
 
 
-def _closed() -> CosimError:
+def _shut_down() -> CosimError:
     return RunError("the study was ended while its members ran")
