@@ -6,9 +6,8 @@ from contextlib import ExitStack
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from cosim.log.contents.metadata import decode_design
 from cosim.scenario.building.build import Builder
-from cosim.scenario.building.common_designs import CommonDesigns
+from cosim.scenario.building.common_designs import CommonDesigns, with_settings
 from cosim.scenario.building.coupling_check import with_loop_gains
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.parsing import Scenario
@@ -45,7 +44,8 @@ def build_experiment(
     ScenarioError
         With every problem of the file; or if the coupling of a loop is refused.
     """
-    return _with_settings(_built(scenario, resources, block, unpacked, common), common)
+    experiment = with_settings(_built(scenario, resources, block, unpacked, common))
+    return experiment if common is None else common.with_settings(experiment)
 
 
 def _built(
@@ -72,24 +72,6 @@ def _built(
     experiment, reports = build_swapped(scenario, resources, block, unpacked)
     compared = with_reports(prepared(experiment), reports)
     return with_loop_gains(compared, lambda: with_reports(rebuild(), reports))
-
-
-def _with_settings(experiment: Experiment, common: CommonDesigns | None) -> Experiment:
-    """Prepare the components that take the places of others in the run."""
-    if not experiment.settings:
-        return experiment
-    from cosim.scenario.actions.settings import prepare_settings  # rarely needed
-
-    graph = experiment.graph
-    step_ns = experiment.clock.step_ns
-    designs = prepare_settings(graph, step_ns, experiment.settings, {})
-    if common is not None:
-        computed = {name: decode_design(text) for name, text in designs.items()}
-        taken = common.taken(computed)
-        if taken:
-            recorded = {**computed, **taken}
-            designs = prepare_settings(graph, step_ns, experiment.settings, recorded)
-    return replace(experiment, setting_designs=designs)
 
 
 def with_reports(experiment: Experiment, reports: SwapReports) -> Experiment:

@@ -6,7 +6,7 @@ worker, and on another machine.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from types import TracebackType
 from typing import Any, Final, Literal, Protocol, Self, TypeAlias
@@ -105,6 +105,8 @@ class StudySubject:
     designs : str
         What was designed where the study was planned (gains, discretized matrices) for all members
         alike: JSON. Linear algebra gives other bits on other machines. Empty: it is computed.
+    replay_designs : sequence of (recording, JSON)
+        The same for members that replay one log: what that does not have.
     """
 
     scenario: str
@@ -116,6 +118,7 @@ class StudySubject:
     allow_code: bool = False
     logs: str = ""
     designs: str = ""
+    replay_designs: Sequence[Sequence[str]] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""

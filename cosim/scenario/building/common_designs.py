@@ -7,7 +7,7 @@ on one machine: there they have the same bits.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
@@ -80,14 +80,33 @@ class CommonDesigns:
         return prepared
 
     def prepared(self, experiment: Experiment) -> Experiment:
-        """Return an experiment whose graph is prepared; one that cannot be is left to its run."""
+        """Return an experiment whose graph is prepared; one that cannot be is left to its run.
+
+        What a replay takes from its log stays.
+        """
         graph = experiment.graph
         step_ns = experiment.clock.step_ns
+        recorded = experiment.designs or {}
         with suppress(CosimError):
-            plan = experiment.plan or graph.prepare(step_ns)
-            designs = self.prepare(graph, step_ns, plan.designs)
+            plan = experiment.plan or graph.prepare(step_ns, recorded)
+            computed = without(plan.designs, recorded)
+            designs = {**plan.designs, **self.prepare(graph, step_ns, computed)}
             return replace(experiment, plan=replace(plan, designs=designs))
         return experiment
+
+    def with_settings(self, experiment: Experiment) -> Experiment:
+        """Return an experiment with these designs of what actions set, too."""
+        computed = setting_designs(experiment)
+        taken = self.taken(computed)
+        if not taken:
+            return experiment
+        from cosim.scenario.actions.settings import prepare_settings  # rarely needed
+
+        step_ns = experiment.clock.step_ns
+        known = {name: decode_design(text) for name, text in experiment.setting_designs.items()}
+        recorded = {**known, **taken}
+        texts = prepare_settings(experiment.graph, step_ns, experiment.settings, recorded)
+        return replace(experiment, setting_designs=texts)
 
     def _array(self, name: str, key: str, array: NDArray[np.float64]) -> NDArray[np.float64]:
         own = self.own.get(name, {}).get(key)
@@ -100,18 +119,33 @@ class CommonDesigns:
         return array if same_bits(given, array) else given
 
 
-def designs_of_settings(experiment: Experiment) -> dict[str, Design]:
-    """Return the designs of the components that take the places of others in a run.
+def without(designs: Mapping[str, Design], others: Collection[str]) -> dict[str, Design]:
+    """Return the designs of all components but some, in their order."""
+    return {name: design for name, design in designs.items() if name not in others}
 
-    Each is named by the time and the component, as in the record of a log.
+
+def setting_designs(experiment: Experiment) -> dict[str, Design]:
+    """Return the designs of what actions set in a run, by time and component.
+
+    Those that a replay takes from its log are none of them.
     """
+    recorded = experiment.designs or {}
+    designs: dict[str, Design] = {}
+    for name, text in experiment.setting_designs.items():
+        if name.partition(" ")[2] not in recorded:
+            designs[name] = decode_design(text)
+    return designs
+
+
+def with_settings(experiment: Experiment) -> Experiment:
+    """Prepare the components that take the places of others in the run."""
     if not experiment.settings:
-        return {}
+        return experiment
     from cosim.scenario.actions.settings import prepare_settings  # rarely needed
 
     step_ns = experiment.clock.step_ns
-    texts = prepare_settings(experiment.graph, step_ns, experiment.settings, {})
-    return {name: decode_design(text) for name, text in texts.items()}
+    designs = prepare_settings(experiment.graph, step_ns, experiment.settings, {})
+    return replace(experiment, setting_designs=designs)
 
 
 def same_bits(one: NDArray[np.float64], other: NDArray[np.float64]) -> bool:

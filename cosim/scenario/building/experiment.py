@@ -72,7 +72,7 @@ class Experiment:
     gains : tuple of LoopGain
         Of its loops; of a replay as they were recorded.
     designs : mapping of component name to Design, or None
-        Of a replay: the recorded designs that it takes.
+        Of a replay: the recorded designs that it takes; where it has a plan, that has them.
     messages : mapping of component name to list of Message
         What was drained from ``fmus`` already.
     origin : ReplayOrigin or None

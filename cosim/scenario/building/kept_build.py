@@ -28,7 +28,7 @@ from cosim.core.port import Port
 from cosim.core.signals import Interface
 from cosim.errors import CosimError
 from cosim.scenario.building.build import Builder
-from cosim.scenario.building.common_designs import CommonDesigns, designs_of_settings
+from cosim.scenario.building.common_designs import CommonDesigns, setting_designs, with_settings
 from cosim.scenario.building.coupling_check import with_loop_gains
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.building.graph_checks import jump_problems
@@ -80,7 +80,7 @@ class KeptBuild:
             graph = experiment.graph
             self._plan = graph.prepare(experiment.clock.step_ns)
             self._experiment = experiment
-            self.computed = {**self._plan.designs, **designs_of_settings(experiment)}
+            self.computed = {**self._plan.designs, **setting_designs(with_settings(experiment))}
         self._common = CommonDesigns(self.computed, self.computed)
         actions = [timed.action for timed in experiment.actions]
         for reaction in experiment.reactions:

@@ -215,7 +215,7 @@ def _run(experiment: Experiment, recorder: Recorder) -> None:
     graph = experiment.graph
     clock = experiment.clock
     plan = experiment.plan
-    designs = experiment.designs
+    designs = experiment.designs if plan is None else None
     until = experiment.until
     acts = bool(experiment.actions or experiment.reactions)
     if not (experiment.events or acts):

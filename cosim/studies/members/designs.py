@@ -13,7 +13,6 @@ from cosim.core.contracts import Design
 from cosim.errors import UsageError, quoted
 from cosim.log.contents.metadata import decode_design, encode_design, json_table
 from cosim.scenario.building.common_designs import same_bits
-from cosim.scenario.building.experiment import Experiment
 
 
 def encode_designs(designs: Mapping[str, Design]) -> str:
@@ -39,11 +38,6 @@ def decode_designs(text: str) -> dict[str, Design]:
             f"designs: found {quoted(text)}; needed what a runner of the study's members returned "
             "as its designs"
         ) from error
-
-
-def setting_designs(experiment: Experiment) -> dict[str, Design]:
-    """Return the designs of what actions set in a run, by time and component."""
-    return {name: decode_design(text) for name, text in experiment.setting_designs.items()}
 
 
 def own_designs(designs: Mapping[str, Design], common: Mapping[str, Design]) -> dict[str, Design]:

@@ -5,13 +5,13 @@ FMUs are loaded for that, and classes of users imported: it belongs into a worke
 
 from __future__ import annotations
 
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Final, Self, final
 
 from cosim.digests import sha256_of
-from cosim.errors import UsageError
+from cosim.errors import CosimError, UsageError
 from cosim.scenario.building.experiment import Experiment
 from cosim.studies.contracts import COMPLETE, MemberOutcome, StudyMember, StudySubject
 from cosim.studies.dataset.identity import digest_of
@@ -75,9 +75,16 @@ class MemberInspector:
         if member.recording is not None:
             path = Path(member.recording).resolve()
             read[f"{FILE}{path}"] = sha256_of(path)
-        else:
-            read[DESIGNS] = encode_designs(self._builder.common.given)
+        read[DESIGNS] = self._designs(member)
         return MemberOutcome(member.number, COMPLETE, metrics=dict(read))
+
+    def _designs(self, member: StudyMember) -> str:
+        """Return the designs that members have in common: all of them, or those of one log."""
+        if member.recording is None:
+            return encode_designs(self._builder.common.given)
+        with suppress(CosimError):  # what all have in common is wrong there: each has other values
+            return encode_designs(self._builder.replay_designs(member.recording))
+        return ""
 
 
 def _sources(experiment: Experiment) -> dict[str, str]:

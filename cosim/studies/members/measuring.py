@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from types import TracebackType
 from typing import Protocol, final
 
@@ -36,6 +36,8 @@ class MemberRecorder(PassingRecorder):
         None: it did not begin.
     setting_designs : mapping of str to Design
         Of what actions set in it, by time and component.
+    recorded : collection of str
+        Of a replay: the components whose designs are from its log.
     """
 
     def __init__(self, sink: MetricSink) -> None:
@@ -45,6 +47,7 @@ class MemberRecorder(PassingRecorder):
         self.end = EndOfRun()
         self.plan: Plan | None = None
         self.setting_designs: Mapping[str, Design] = {}
+        self.recorded: Collection[str] = ()
 
     def __exit__(
         self,

@@ -9,12 +9,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, final
 
+from cosim.core.contracts import Design
 from cosim.core.signals import Interface
 from cosim.fmi.unpacked import UnpackedFmus
 from cosim.log import Log
 from cosim.log.editing.joining import open_joined
 from cosim.log.foreign.topics import is_foreign
-from cosim.scenario.building.common_designs import CommonDesigns
+from cosim.scenario.building.common_designs import CommonDesigns, setting_designs, without
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.building.kept_build import KeptBuild
 from cosim.scenario.parsing import Scenario
@@ -51,6 +52,8 @@ class MemberBuilder:
     def __init__(self, subject: StudySubject) -> None:
         self._subject = subject
         self._given = decode_designs(subject.designs)
+        self._of_replays = {path: decode_designs(text) for path, text in subject.replay_designs}
+        self._replay_common: dict[str, CommonDesigns] = {}
         self._scenario = load_scenario(subject.scenario)
         self._logs: dict[str, Log] = {}
         self._builds: dict[tuple[tuple[str, str], ...], KeptBuild | None] = {}
@@ -82,12 +85,44 @@ class MemberBuilder:
             If it cannot be built.
         """
         swaps = self.swaps(member)
+        common = replace(self.common_of(member), own=decode_designs(member.designs))
         if member.recording is not None:
             replays = self._replays(member.recording, swaps)
-            return replays.experiment({**self._subject.set, **member.set}, resources)
+            replay = replays.experiment({**self._subject.set, **member.set}, resources)
+            return common.with_settings(common.prepared(replay))
         scenario = self.scenario(swaps, member.set)
-        common = replace(self.common, own=decode_designs(member.designs))
         return build_experiment(scenario, resources, None, unpacked=self.fmus, common=common)
+
+    def replay_designs(self, path: str) -> dict[str, Design]:
+        """Return what replays of a recording have in common and not from there, computed here.
+
+        Raises
+        ------
+        CosimError
+            If such a replay cannot be built, or prepared.
+        """
+        with ExitStack() as resources:
+            replays = self._replays(path, self._subject.swap)
+            experiment = replays.experiment(self._subject.set, resources)
+            recorded = experiment.designs or {}
+            plan = experiment.plan
+            if plan is None:
+                plan = experiment.graph.prepare(experiment.clock.step_ns, recorded)
+            return {**without(plan.designs, recorded), **setting_designs(experiment)}
+
+    def common_of(self, member: StudyMember) -> CommonDesigns:
+        """Return the designs that a member has in common with others, as far as that is known."""
+        path = member.recording
+        if path is None:
+            return self.common
+        if path not in self._replay_common:
+            given = self._of_replays.get(path, {})
+            computed = {}
+            if given:
+                with suppress(Exception):  # each member says itself what is wrong with it
+                    computed = self.replay_designs(path)
+            self._replay_common[path] = CommonDesigns(computed, given)
+        return self._replay_common[path]
 
     @property
     def common(self) -> CommonDesigns:

@@ -15,6 +15,7 @@ from cosim.core.recording import Recorder
 from cosim.errors import Interrupted
 from cosim.report.summary import summarize
 from cosim.report.sweep import results_of
+from cosim.scenario.building.common_designs import setting_designs, without
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.recordings.recording import Target, record, run_rows
@@ -27,7 +28,7 @@ from cosim.studies.contracts import (
     StudyMember,
     StudySubject,
 )
-from cosim.studies.members.designs import encode_designs, own_designs, setting_designs
+from cosim.studies.members.designs import encode_designs, own_designs
 from cosim.studies.members.measuring import (
     MemberRecorder,
     MetricSink,
@@ -128,11 +129,12 @@ class SubjectRunner:
         )
 
     def _own_designs(self, member: StudyMember, measured: MemberRecorder) -> str:
-        """Return what was designed for a member alone; of a replay its log knows that."""
-        if measured.plan is None or member.recording is not None:
+        """Return what was designed for a member alone."""
+        if measured.plan is None:
             return ""
-        designs = {**measured.plan.designs, **measured.setting_designs}
-        return encode_designs(own_designs(designs, self._builder.common.given))
+        computed = without(measured.plan.designs, measured.recorded)
+        designs = {**computed, **measured.setting_designs}
+        return encode_designs(own_designs(designs, self._builder.common_of(member).given))
 
     def _run(self, member: StudyMember, measured: MemberRecorder) -> Mapping[str, MetricValue]:
         """Run a member; return its metrics, and its results where they are asked for."""
@@ -145,6 +147,7 @@ class SubjectRunner:
         with ExitStack() as resources:
             experiment = self._builder.experiment(member, resources)
             measured.setting_designs = setting_designs(experiment)
+            measured.recorded = experiment.designs or {}
             return self._measure(experiment, measured)
 
     def _measure(

@@ -47,6 +47,7 @@ class StudyPlan:
     sources : mapping of str to str
         SHA-256 of every file that members read, behind ``file``, and of the classes of users.
     designs : str
+    replay_designs : tuple of (str, str)
         As of StudySubject.
     """
 
@@ -55,11 +56,13 @@ class StudyPlan:
     design: StudyDesign
     sources: Mapping[str, str]
     designs: str
+    replay_designs: tuple[tuple[str, str], ...] = ()
 
     @property
     def subject(self) -> StudySubject:
         """What all members have in common."""
-        return replace(self.study.subject, designs=self.designs)
+        subject = self.study.subject
+        return replace(subject, designs=self.designs, replay_designs=self.replay_designs)
 
     @property
     def files(self) -> dict[str, str]:
@@ -129,14 +132,20 @@ def plan_study(study: StudyFile) -> StudyPlan:
     _check_kept(study, design)
     inspected = [design.member(number) for number in _inspected(design)]
     sources = _swapped_files(inspected)
+    designs: dict[str | None, str] = {}
+    recordings = {member.number: member.recording for member in inspected}
     for outcome in _inspect(study, scenario, inspected):
         sources |= _sources_of(outcome)
-    designs = sources.pop(DESIGNS, "")
+        text = sources.pop(DESIGNS, "")
+        if text:
+            designs[recordings[outcome.number]] = text
+    of_scenario = designs.pop(None, "")
+    of_replays = tuple((path, text) for path, text in designs.items() if path)
     settings = study.settings
     edited = scenario
     if not _is_edited_later(study):
         edited = scenario.edit(swap=settings.swap, map=dict(settings.map), set=settings.set)
-    return StudyPlan(study, edited, design, sources, designs)
+    return StudyPlan(study, edited, design, sources, of_scenario, of_replays)
 
 
 def _is_edited_later(study: StudyFile) -> bool:

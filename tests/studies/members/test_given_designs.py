@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import pytest
 
+import cosim
 from cosim.log import Log
 from cosim.log.contents.metadata import decode_design
 from cosim.scenario.actions.settings import SETTINGS, prepare_settings
@@ -20,6 +21,7 @@ from cosim.scenario.running.execution import load
 from cosim.studies.contracts import StudyMember, StudySubject
 from cosim.studies.members import member_builder
 from cosim.studies.members.designs import decode_designs, encode_designs
+from cosim.studies.members.inspector import DESIGNS, open_inspector
 from cosim.studies.members.logging_runner import open_logging_runner, unfinished_name
 from cosim.studies.members.runner import open_runner
 from tests.studies.members.sinks import Digest
@@ -272,3 +274,39 @@ def test_outcomes_do_not_depend_on_how_many_builds_are_kept(write, monkeypatch):
             found.add(json.dumps(texts))
             assert most < 4 or len(builds) == 5  # one without swaps, four with
     assert len(found) == 1
+
+
+def test_given_designs_are_taken_by_replays(write, tmp_path):
+    """What the log has stays; of what all members change its design is given, beside the log."""
+    path = write(FILTERED + SET)
+    log = str(tmp_path / "run.mcap")
+    cosim.run(path, out=log)
+    subject = StudySubject(path, metrics=METRICS, set={"filter.B": [[0.25]]})
+    plain = StudyMember(0, recording=log)
+    own = StudyMember(1, {"filter.x0": [2.0]}, recording=log)
+    with open_runner(subject) as runner:  # nothing is given
+        computed = [runner.run(member) for member in (plain, own)]
+    with open_inspector(subject) as inspector:
+        given = inspector.run(plain).metrics[DESIGNS]
+    assert computed[0].designs == given
+    assert list(decode_designs(given)) == ["filter"]
+    same = replace(subject, replay_designs=[[log, given]])
+    other = replace(subject, replay_designs=[[log, scaled(given)]])
+    for used in (same, other):
+        with open_runner(used) as runner:
+            found = [runner.run(member) for member in (plain, own)]
+        assert found[0].designs == ""
+        assert list(decode_designs(found[1].designs)["filter"]) == ["X0"]
+        is_same = [o.metrics == c.metrics for o, c in zip(found, computed, strict=True)]
+        assert is_same == [used is same] * 2
+        with open_runner(replace(used, with_results=True)) as runner:
+            assert METRICS.keys() <= runner.run(own).metrics.keys()
+        for member, outcome in zip((plain, own), found, strict=True):
+            metrics, kept = logged(used, replace(member, designs=outcome.designs), tmp_path)
+            assert metrics == outcome.metrics
+            needed = decode_designs(used.replay_designs[0][1])["filter"]
+            needed |= decode_designs(outcome.designs).get("filter", {})
+            assert_same_designs({"filter": kept.designs["filter"]}, {"filter": needed})
+            assert_same_designs(
+                {"plant": kept.designs["plant"]}, {"plant": Log(log).designs["plant"]}
+            )

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+import cosim
 from cosim.log import Log
 from cosim.studies.document.reading import read_study
 from cosim.studies.members.designs import decode_designs, encode_designs
@@ -55,3 +56,29 @@ def test_logs_have_the_designs_that_are_recorded(tmp_path):
     for key, array in designs["filter"].items():
         assert log.designs["filter"][key].tobytes() == array.tobytes()
     assert outcomes[1].metrics["last"] == log["filter.y"][-1]
+
+
+def test_designs_of_replays_are_planned(tmp_path):
+    """Of each log, what all members change; what they share is not stored with each."""
+    path = tmp_path / "filtered.toml"
+    path.write_text(STUDY.split("[study]")[0])
+    logs = []
+    for number in range(2):
+        logs.append(str(tmp_path / f"{number}.mcap"))
+        cosim.run(path, out=logs[-1], set={"u.rate": 3.0 + number})
+    options = {
+        "replay": logs,
+        "set": {"filter.B": [[0.25]]},
+        "vary": {"filter.x0[0]": [1.0, 2.0]},
+        "metrics": {"last": "last(filter.y)"},
+    }
+    plan = plan_study(read_study(path).with_options(**options))
+    assert [place for place, _ in plan.subject.replay_designs] == logs
+    for _, text in plan.subject.replay_designs:
+        designs = decode_designs(text)
+        assert list(designs) == ["filter"]
+        assert designs["filter"]["B"].tolist() == [[0.25]]
+    study = cosim.study(path, **options, out=tmp_path / "out", workers=1)
+    for text in study.table(["designs"])["designs"].to_pylist():
+        own = decode_designs(text or "")
+        assert [list(design) for design in own.values()] in ([], [["X0"]])
