@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from time import perf_counter
 from types import FrameType
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING, Protocol, TextIO
 
 from cosim.interrupts import INTERRUPTED, REASONS
 
@@ -76,11 +76,20 @@ def show_count(hidden: bool, what: str) -> Iterator[Callable[[int], None] | None
         yield update
 
 
+class ShownMembers(Protocol):
+    """Shows how many members of a study are done, or how many of something else of it."""
+
+    def __call__(self, done: int, total: int, failed: int, *, what: str = "members") -> None:
+        """Show how many are done, of how many, and how many of them failed."""
+        ...
+
+
 @contextmanager
-def show_members(hidden: bool) -> Iterator[Callable[[int, int, int], None] | None]:
+def show_members(hidden: bool) -> Iterator[ShownMembers | None]:
     """Show on stderr how many members of a study are done, their rate, and the time left.
 
-    What is yielded is called with how many are done, of how many, and how many of them failed.
+    What is yielded is called with how many are done, of how many, and how many of them failed;
+    then perhaps of something else, which begins a count of its own.
     Nothing is shown where stderr is no terminal.
     """
     if hidden or not sys.stderr.isatty():
@@ -97,16 +106,20 @@ def show_members(hidden: bool) -> Iterator[Callable[[int, int, int], None] | Non
     )
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("", total=None, members="", rate="")
-        began = perf_counter()
-        first: int | None = None
+        shown = ""
+        began = 0.0
+        first = 0
 
-        def update(done: int, total: int, failed: int) -> None:
-            nonlocal first
-            if first is None:
+        def update(done: int, total: int, failed: int, *, what: str = "members") -> None:
+            nonlocal shown, began, first
+            if shown != what:
+                bar.reset(task)
+                shown = what
+                began = perf_counter()
                 first = done  # those of an earlier call of the study took no time in this one
             elapsed = max(perf_counter() - began, 1e-9)
             failures = f", {failed} failed" if failed else ""
-            members = f"{done} of {total} members{failures}"
+            members = f"{done} of {total} {what}{failures}"
             rate = f"{(done - first) / elapsed:.3g} a second"
             bar.update(
                 task, completed=done - first, total=total - first, members=members, rate=rate

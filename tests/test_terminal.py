@@ -151,5 +151,7 @@ def test_the_members_of_a_study_are_shown_on_a_terminal_alone(
         if watch is not None:
             watch(400, 1000, 0)
             watch(410, 1000, 3)
+            watch(2, 5, 0, what="logs")
     assert ("410 of 1000 members, 3 failed" in stream.getvalue()) == is_shown
+    assert ("2 of 5 logs " in stream.getvalue()) == is_shown
     assert is_shown or not stream.getvalue()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -222,6 +223,7 @@ def run(
                 scheduler=scheduler,
                 new=new,
                 progress=progress,
+                keep_progress=None if progress is None else partial(progress, what="logs"),
                 notice=None if quiet else print_notice,
             )
         except KeyboardInterrupt:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Collection, Iterable, Iterator
-from typing import Any, Final, final
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from typing import Any, final
 
 import numpy as np
 
@@ -12,13 +11,10 @@ from cosim.errors import DatasetError, flag, nearest
 from cosim.studies.dataset.columns import LOG, MEMBER, pyarrow
 from cosim.studies.dataset.identity import DatasetDescription
 from cosim.studies.dataset.layout import PARTS, PartLayout, part_members
+from cosim.studies.dataset.log_files import log_names, log_places
 from cosim.studies.dataset.open_rows import JOURNAL, OpenRows
 from cosim.studies.dataset.part_files import PartFiles
 from cosim.studies.dataset.storage import DatasetJournal, Storage
-
-LOGS: Final = "logs"
-_LOG_NAME: Final = re.compile(r"(\d+)\.mcap")
-_UNFINISHED: Final = re.compile(r"_\d+\.unfinished\.mcap")  # of a study that was killed
 
 
 @final
@@ -140,21 +136,13 @@ class DatasetContents:
             if members is not None:
                 table = table.filter(arrow.array(np.isin(table[MEMBER].to_numpy(), members)))
             columns = [
-                arrow.array([logs.get(number) for number in table[MEMBER].to_pylist()], "string")
-                if name == LOG
-                else table[name]
-                for name in names
+                _log_column(table[MEMBER], logs) if name == LOG else table[name] for name in names
             ]
             yield arrow.Table.from_arrays(columns, schema=schema)
 
     def logs(self) -> dict[int, str]:
         """Return the paths of the logs that are kept, by member."""
-        found = {}
-        for name in self._storage.names(LOGS):
-            matched = _LOG_NAME.fullmatch(name)
-            if matched is not None:
-                found[int(matched[1])] = self._storage.label(f"{LOGS}/{name}")
-        return found
+        return log_places(self._storage)
 
     def _part_table(self, part: range, names: list[str]) -> Any:
         if part.start in self.parts:
@@ -183,12 +171,20 @@ class DatasetContents:
                 yield range(number, number + 1)
 
 
+def _log_column(members: Any, logs: Mapping[int, str]) -> Any:
+    """Return the place of the log of each member, null where there is none."""
+    from pyarrow import compute
+
+    arrow = pyarrow()
+    places = arrow.array(list(logs.values()), arrow.string())
+    rows = compute.index_in(members, value_set=arrow.array(list(logs), arrow.int64()))
+    return places.take(rows)
+
+
 def recorded_files(storage: Storage) -> list[str]:
     """Return the names of all files that hold outcomes or logs, whosever they are."""
     names = [f"{PARTS}/{name}" for name in storage.names(PARTS) if part_members(name)]
-    for name in storage.names(LOGS):
-        if _LOG_NAME.fullmatch(name) or _UNFINISHED.fullmatch(name):
-            names.append(f"{LOGS}/{name}")
+    names += log_names(storage)
     names += [JOURNAL] if JOURNAL in storage.names("") else []
     return names
 

@@ -60,6 +60,19 @@ class LocalStorage:
         except OSError as error:
             raise _write_error(path, error) from error
 
+    def put(self, name: str, file: Path) -> None:
+        """Rename a file on this disk."""
+        path = self._folder / name
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            os.replace(file, path)
+        except OSError as error:
+            raise _write_error(path, error) from error
+
+    def folder(self, name: str) -> Path:
+        """Return the path of a folder."""
+        return self._folder / name
+
     def names(self, folder: str) -> list[str]:
         """Return the names of the files in a folder, in order."""
         try:

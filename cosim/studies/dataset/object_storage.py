@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from importlib import import_module
+from pathlib import Path
 from typing import Any, Final, final
 
 from cosim.errors import DatasetError, DatasetWriteError
@@ -63,15 +64,20 @@ class ObjectStorage:
     def write(self, name: str, content: bytes) -> None:
         """Put an object whole."""
         try:
-            path = self._path(name)
-            if "memory" in self._files.protocol:
-                self._files.makedirs(path.rpartition("/")[0], exist_ok=True)
-            self._files.pipe_file(path, content)
+            self._files.pipe_file(self._writable(name), content)
         except Exception as error:  # each kind of storage has errors of its own
-            raise DatasetWriteError(
-                f"{self.label(name)}: {_text(error)}; the outcomes written so far are there: run "
-                "the study again when that is mended, and it goes on"
-            ) from error
+            raise self._write_error(name, error) from error
+
+    def put(self, name: str, file: Path) -> None:
+        """Put an object whole, however many requests that takes; the file is removed."""
+        try:
+            self._files.put_file(str(file), self._writable(name))
+        except Exception as error:  # each kind of storage has errors of its own
+            raise self._write_error(name, error) from error
+        file.unlink()
+
+    def folder(self, name: str) -> None:
+        """Return None: there are no folders of this machine."""
 
     def names(self, folder: str) -> list[str]:
         """Return the names of the objects in a folder, in order."""
@@ -106,6 +112,19 @@ class ObjectStorage:
 
     def _path(self, name: str) -> str:
         return f"{self._root}/{name}"
+
+    def _writable(self, name: str) -> str:
+        """Return the path of an object that is going to be put."""
+        path = self._path(name)
+        if "memory" in self._files.protocol:
+            self._files.makedirs(path.rpartition("/")[0], exist_ok=True)
+        return path
+
+    def _write_error(self, name: str, error: Exception) -> DatasetWriteError:
+        return DatasetWriteError(
+            f"{self.label(name)}: {_text(error)}; the outcomes written so far are there: run the "
+            "study again when that is mended, and it goes on"
+        )
 
     def _error(self, name: str, error: Exception) -> DatasetError:
         return DatasetError(f"{self.label(name)}: {_text(error)}")

@@ -57,6 +57,26 @@ class Storage(Protocol):
         """
         ...
 
+    def put(self, name: str, file: Path) -> None:
+        """Move a file of this machine to a name: nobody ever finds a part of it.
+
+        Parameters
+        ----------
+        name : str
+        file : Path
+            Of a dataset in a folder: on the disk of that.
+
+        Raises
+        ------
+        DatasetWriteError
+            If it cannot be written; what was there is there.
+        """
+        ...
+
+    def folder(self, name: str) -> Path | None:
+        """Return the path of a folder, which may not be there; None: it is none of this machine."""
+        ...
+
     def names(self, folder: str) -> list[str]:
         """Return the names of the files in a folder; none where there is no such folder."""
         ...

@@ -75,11 +75,12 @@ class Study:
     @property
     def failures(self) -> dict[int, str]:
         """Return the reason of each member that failed, by number."""
+        from pyarrow import compute
+
         failed = {}
         for table in self._dataset.tables(["member", "status", "reason"]):
-            for row in table.to_pylist():
-                if row["status"] == FAILED:
-                    failed[row["member"]] = row["reason"] or ""
+            for row in table.filter(compute.equal(table["status"], FAILED)).to_pylist():
+                failed[row["member"]] = row["reason"] or ""
         return failed
 
     @property

@@ -7,6 +7,7 @@
     _journal.jsonl    outcomes of members whose part is not complete yet
     _lock             held by who writes (in folders)
     logs/7.mcap       logs of members that are kept; made after the study, so no part names them
+    _logs.jsonl       how these came to be
 
 An outcome is in the journal first. When the last member of a part has come, the part is written,
 and its lines in the journal no longer count. So there is always one place from which the outcome
@@ -20,10 +21,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, final
 
+import numpy as np
+
 from cosim.errors import DatasetError, command, flag
 from cosim.studies.contracts import FAILED, MemberOutcome, StudyMember
 from cosim.studies.dataset.columns import MEMBER, RowMaker, StudyColumn, pyarrow
-from cosim.studies.dataset.contents import LOGS, DatasetContents, recorded_files
+from cosim.studies.dataset.contents import DatasetContents, recorded_files
 from cosim.studies.dataset.design_check import PlannedColumns, check_part
 from cosim.studies.dataset.identity import (
     DESCRIPTION,
@@ -32,6 +35,7 @@ from cosim.studies.dataset.identity import (
     differences,
 )
 from cosim.studies.dataset.layout import PARTS, PartLayout
+from cosim.studies.dataset.log_files import LOGS, LogFiles
 from cosim.studies.dataset.open_rows import JOURNAL
 from cosim.studies.dataset.storage import Storage, open_storage
 
@@ -220,9 +224,11 @@ class StudyDataset:
     @property
     def failed(self) -> int:
         """Return how many members have failed."""
+        from pyarrow import compute
+
         count = 0
         for table in self._contents.tables(["status"]):
-            count += table["status"].to_pylist().count(FAILED)
+            count += compute.sum(compute.equal(table["status"], FAILED)).as_py() or 0
         return count
 
     # --- writing ---
@@ -337,7 +343,9 @@ class StudyDataset:
         """
         return self._contents.read(columns, members)
 
-    def tables(self, columns: Iterable[str] | None = None) -> Iterator[Any]:
+    def tables(
+        self, columns: Iterable[str] | None = None, members: Collection[int] | None = None
+    ) -> Iterator[Any]:
         """Yield what :meth:`read` returns part by part, in memory for one of them.
 
         Raises
@@ -345,11 +353,12 @@ class StudyDataset:
         DatasetError
             If a column is unknown, or a part is damaged.
         """
-        yield from self._contents.tables(self._contents.names(columns))
+        chosen = None if members is None else np.asarray(members, np.int64)
+        yield from self._contents.tables(self._contents.names(columns), chosen)
 
-    def log_place(self, number: int) -> str:
-        """Return where the log of a member belongs; nothing is made."""
-        return self._storage.label(f"{LOGS}/{number}.mcap")
+    def log_files(self) -> LogFiles:
+        """Return the logs that are kept, for who writes them."""
+        return LogFiles(self._storage)
 
     def logs(self) -> dict[int, str]:
         """Return the places of the logs that are kept, by member."""

@@ -14,6 +14,7 @@ from cosim.core.recording import Recorder
 from cosim.errors import Interrupted
 from cosim.scenario.recordings.recording import Target, record
 from cosim.studies.contracts import COMPLETE, FAILED, MemberOutcome, StudyMember, StudySubject
+from cosim.studies.dataset.log_files import unfinished_name
 from cosim.studies.members.measuring import MemberRecorder
 from cosim.studies.members.member_builder import MemberBuilder
 from cosim.studies.metrics.metrics import parse_metrics
@@ -23,11 +24,6 @@ from cosim.studies.metrics.recorder import MetricRecorder
 def open_logging_runner(subject: StudySubject) -> LoggingRunner:
     """Return what runs members with a log; parameters and errors as of ``open_runner``."""
     return LoggingRunner(subject)
-
-
-def unfinished_name(number: int) -> str:
-    """Return the name of the log of a member that has no outcome yet."""
-    return f"_{number}.unfinished.mcap"
 
 
 @final

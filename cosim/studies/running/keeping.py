@@ -1,45 +1,50 @@
-"""Keep logs of chosen members: they run again, with a log, when the study is done."""
+"""Keep logs of chosen members: they run again, with a log, when the study is done.
+
+::
+
+    choose members by what is recorded of all
+    run those again whose log is missing, or has other signals than logs are to have now
+    remove the logs of others, if they can be made again
+
+A log that differs from the run that is recorded is the only one of its kind, as is what a crash
+left of one: such logs stay, whichever members are chosen.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from contextlib import ExitStack, closing
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, final
 
-from cosim.errors import UsageError, option
-from cosim.studies.contracts import FAILED, MemberOutcome
+from cosim.errors import listing
+from cosim.studies.contracts import FAILED, MemberOutcome, StudyMember
+from cosim.studies.dataset.identity import digest_of
+from cosim.studies.dataset.log_files import LogFiles, LogRecord, unfinished_name
 from cosim.studies.dataset.study_dataset import StudyDataset
-from cosim.studies.document.keep import KeptLogs
-from cosim.studies.document.study_file import StudyFile
-from cosim.studies.members.logging_runner import unfinished_name
-from cosim.studies.running.plan import StudyPlan
+from cosim.studies.members.left_log import is_ended, readable_log
+from cosim.studies.running.comparing import difference
+from cosim.studies.running.kept_members import chosen_members
+from cosim.studies.running.local import MembersDone
+from cosim.studies.running.plan import RECORD, StudyPlan
 from cosim.studies.workers.pool import WorkerPool
+from cosim.temporary import TemporaryFolder
 
 LOGGING_RUNNER: Final = "cosim.studies.members.logging_runner:open_logging_runner"
 
 
-def check_kept_place(file: StudyFile, place: str | Path) -> None:
-    """Check that logs can be kept where the dataset is.
-
-    Raises
-    ------
-    UsageError
-        If some are to be, and it is no folder of this machine.
-    """
-    text = str(place)
-    is_folder = "://" not in text or text.startswith(("file://", "local://"))
-    if file.kept_logs.which != "none" and not is_folder:
-        raise UsageError(
-            f"{option('keep')}: {text} is no folder, and logs are written to folders; needed a "
-            "folder, or no kept logs"
-        )
-
-
 def keep_logs(
-    plan: StudyPlan, dataset: StudyDataset, *, workers: int, notice: Callable[[str], None]
+    plan: StudyPlan,
+    dataset: StudyDataset,
+    *,
+    workers: int,
+    notice: Callable[[str], None],
+    progress: MembersDone | None = None,
 ) -> None:
-    """Log the members that a study keeps, if they have no log yet.
+    """Make the logs that a study keeps and that are not there; remove those it no longer keeps.
+
+    Where a study says nothing of logs, those that are there stay.
 
     Parameters
     ----------
@@ -48,71 +53,179 @@ def keep_logs(
         Where all members are done.
     workers : int
     notice : callable
-        Called with what is noteworthy: a member that came to something else this time.
-
-    """
-    kept = plan.study.kept_logs
-    if kept.which == "none":
-        return
-    logged = dataset.logs()
-    numbers = [number for number in chosen_members(kept, dataset) if number not in logged]
-    if not numbers:
-        return
-    folder = Path(dataset.log_place(numbers[0])).parent
-    folder.mkdir(exist_ok=True)
-    recorded = {row["member"]: row for row in dataset.read(members=numbers).to_pylist()}
-    subject = replace(plan.subject, logs=str(folder))
-    members = []
-    for number in numbers:
-        designs = recorded[number]["designs"] or ""
-        members.append(replace(plan.design.member(number), designs=designs))
-    timeout = plan.study.settings.timeout
-    with WorkerPool(LOGGING_RUNNER, subject, min(workers, len(members)), timeout=timeout) as pool:
-        for outcome in pool.run(members):
-            unfinished = folder / unfinished_name(outcome.number)
-            if unfinished.exists():
-                unfinished.replace(dataset.log_place(outcome.number))
-            text = difference(outcome, recorded[outcome.number], list(plan.study.metrics))
-            if text:
-                notice(f"member {outcome.number} ran again for its log: {text}")
-
-
-def chosen_members(kept: KeptLogs, dataset: StudyDataset) -> list[int]:
-    """Return the members whose logs a study keeps, as far as they are done.
+        Called with what is noteworthy: a member that came to something else this time, members
+        without a log, logs that are removed.
+    progress : callable, optional
+        Called with how many logs are there, of how many, and how many cannot be made.
 
     Raises
     ------
-    DatasetError
-        If a file is damaged.
+    DatasetWriteError
+        If a log cannot be written.
     """
-    columns = ["member", "status", *([kept.metric] if kept.metric else [])]
-    rows = dataset.read(columns).to_pylist()
-    match kept.which:
-        case "all":
-            return [row["member"] for row in rows]
-        case "failed":
-            return [row["member"] for row in rows if row["status"] == FAILED]
-        case "numbers":
-            wanted = set(kept.numbers)
-            return [row["member"] for row in rows if row["member"] in wanted]
-        case "worst" | "best":
-            valued = [row for row in rows if row[kept.metric] is not None]
-            sign = -1 if kept.which == "worst" else 1
-            valued.sort(key=lambda row: (sign * row[kept.metric], row["member"]))
-            return [row["member"] for row in valued[: kept.count]]
-    return []
+    if plan.study.kept_logs.which == "none":
+        return
+    with closing(dataset.log_files()) as logs:
+        logs.clear_unfinished()
+        chosen = chosen_members(plan.study.kept_logs, dataset).tolist()
+        keeper = LogKeeper(plan, logs, notice)
+        missing = keeper.missing(chosen)
+        if missing:
+            done = len(chosen) - len(missing)
+            for count, _ in enumerate(_made(plan, dataset, keeper, missing, workers), done + 1):
+                if progress is not None:
+                    progress(count, len(chosen), keeper.problems)
+            logs.clear_unfinished()
+        _remove_others(logs, set(chosen), notice)
+        _name_missing(logs, chosen, notice)
 
 
-def difference(outcome: MemberOutcome, recorded: dict[str, Any], metrics: Sequence[str]) -> str:
-    """Return how a member came to something else than what is recorded; empty: it did not."""
-    if outcome.status != recorded["status"]:
-        before = recorded["reason"] or recorded["status"]
-        return f"it came to {outcome.reason or outcome.status!r}, and to {before!r} before"
-    for name in metrics:
-        if outcome.metrics.get(name) != recorded[name] and outcome.status != FAILED:
-            now = outcome.metrics.get(name)
-            return (
-                f"{name} = {now!r}, and {recorded[name]!r} before; what it runs gives other "
-                "results each time"
-            )
-    return ""
+@final
+class LogKeeper:
+    """Gives logs their names, and records how they came to be.
+
+    Parameters
+    ----------
+    plan : StudyPlan
+    logs : LogFiles
+    notice : callable
+
+    Attributes
+    ----------
+    problems : int
+        How many logs could not be made.
+    """
+
+    def __init__(self, plan: StudyPlan, logs: LogFiles, notice: Callable[[str], None]) -> None:
+        self._logs = logs
+        self._notice = notice
+        self._metrics: Sequence[str] = list(plan.study.metrics)
+        self._recording = _recording_of(plan)
+        self.problems = 0
+
+    def missing(self, chosen: Iterable[int]) -> list[int]:
+        """Return those of the chosen members whose logs are to be made."""
+        present = self._logs.present()
+        return [number for number in chosen if not self._is_settled(number, present)]
+
+    def _is_settled(self, number: int, present: Collection[int]) -> bool:
+        record = self._logs.records.get(number)
+        if record is None:
+            return False
+        if record.problem:
+            return True
+        if number not in present:
+            return False
+        return record.recording == self._recording or not record.is_same
+
+    def take(self, outcome: MemberOutcome, recorded: dict[str, Any], folder: Path) -> None:
+        """Take what a run with a log left in a folder.
+
+        Parameters
+        ----------
+        outcome : MemberOutcome
+        recorded : dict
+            The row of the member.
+        folder : Path
+        """
+        number = outcome.number
+        log, problem = _log_of(outcome, folder)
+        is_whole = log is not None and is_ended(log)
+        if log is not None:
+            self._logs.put(number, log)
+        self.problems += bool(problem)
+        text = difference(outcome, recorded, self._metrics)
+        if text:
+            self._notice(f"member {number} ran again for its log: {text}")
+        if outcome.status == recorded["status"]:  # else the same command tries it again
+            is_same = is_whole and not text
+            self._logs.note(LogRecord(number, self._recording, is_same, problem))
+
+
+def _made(
+    plan: StudyPlan,
+    dataset: StudyDataset,
+    keeper: LogKeeper,
+    numbers: Sequence[int],
+    workers: int,
+) -> Iterator[int]:
+    """Run members with logs on this machine; yield their numbers when they are done."""
+    rows: dict[int, dict[str, Any]] = {}
+    with ExitStack() as resources:
+        folder = dataset.log_files().folder()
+        if folder is None:
+            folder = resources.enter_context(TemporaryFolder("logs"))
+        subject = replace(plan.subject, logs=str(folder))
+        timeout = plan.study.settings.timeout
+        count = min(workers, len(numbers))
+        pool = resources.enter_context(WorkerPool(LOGGING_RUNNER, subject, count, timeout=timeout))
+        for outcome in pool.run(_again(plan, dataset, numbers, rows)):
+            keeper.take(outcome, rows.pop(outcome.number), folder)
+            yield outcome.number
+
+
+def _again(
+    plan: StudyPlan,
+    dataset: StudyDataset,
+    numbers: Sequence[int],
+    rows: dict[int, dict[str, Any]],
+) -> Iterator[StudyMember]:
+    """Yield members as they are taken, and keep the rows of those whose outcome has not come."""
+    for table in dataset.tables(members=numbers):
+        for row in table.to_pylist():
+            rows[row["member"]] = row
+            yield replace(plan.design.member(row["member"]), designs=row["designs"] or "")
+
+
+def _log_of(outcome: MemberOutcome, folder: Path) -> tuple[Path | None, str]:
+    """Return the log that a run left, or None and why there is none."""
+    path = folder / unfinished_name(outcome.number)
+    if not path.exists():
+        return None, f"{outcome.reason}, before its first row"
+    if outcome.status != FAILED:
+        return path, ""
+    readable = readable_log(path)
+    if readable is None:
+        return None, f"{outcome.reason}, and no row that it left can be read"
+    return readable, ""
+
+
+def _recording_of(plan: StudyPlan) -> str:
+    """Return the SHA-256 of what logs have of a run: which signals, how often."""
+    edits = {key: value for key, value in plan.subject.set.items() if key.startswith(f"{RECORD}.")}
+    return digest_of([plan.scenario.tree.get(RECORD, {}), edits])
+
+
+def _remove_others(logs: LogFiles, chosen: Collection[int], notice: Callable[[str], None]) -> None:
+    """Remove the logs of members that are not chosen, and that can be made again."""
+    others = sorted(logs.present().difference(chosen))
+    removed = [n for n in others if n in logs.records and logs.records[n].is_same]
+    if removed:
+        logs.remove(removed)
+        notice(
+            f"removed the logs of {_members(removed)}, which keep does not name any more; where it "
+            "names them again, they are made again, bit for bit"
+        )
+    left = sorted(set(others).difference(removed))
+    if left:
+        notice(
+            f"keep does not name {_members(left)}, whose logs stay: nothing makes them again as "
+            "they are"
+        )
+
+
+def _name_missing(logs: LogFiles, chosen: Iterable[int], notice: Callable[[str], None]) -> None:
+    """Say which of the chosen members have no log, and why."""
+    reasons = []
+    for number in chosen:
+        record = logs.records.get(number)
+        if record is not None and record.problem:
+            reasons.append(f"{number} ({record.problem})")
+    if reasons:
+        are = "member that is" if len(reasons) == 1 else "members that are"
+        notice(f"no log of {len(reasons)} failed {are} kept: {listing(reasons, 3)}")
+
+
+def _members(numbers: Sequence[int]) -> str:
+    word = "member" if len(numbers) == 1 else f"{len(numbers)} members:"
+    return f"{word} {listing([str(number) for number in numbers])}"

@@ -31,6 +31,7 @@ from cosim.studies.workers.pool import WorkerPool
 
 INSPECTOR: Final = "cosim.studies.members.inspector:open_inspector"
 RUNNER: Final = "cosim.studies.members.runner:open_runner"
+RECORD: Final = "record"  # the table of a scenario, and the first word of its keys
 MOST_INSPECTED: Final = 100  # members, one for each text that is varied: files, logs
 
 
@@ -86,12 +87,12 @@ class StudyPlan:
         """
         recorded = RecordedStudy(self.study, StudyLayout.of(self.design))
         digests = {
-            "the scenario": digest_of(_base(self.scenario)),
+            "the scenario": digest_of(_base(self.scenario, with_record=self.subject.with_results)),
             "the metrics": digest_of([dict(self.study.metrics), self.subject.with_results]),
         }
         if _is_edited_later(self.study):
             settings = self.study.settings
-            edits = [dict(settings.set), dict(settings.swap), dict(settings.map)]
+            edits = [_own_edits(self.subject), dict(settings.swap), dict(settings.map)]
             digests["what all members have"] = digest_of([*edits, settings.allow_code])
         folder = self.scenario.document.folder
         for name, digest in self.sources.items():
@@ -224,9 +225,17 @@ def _sources_of(outcome: MemberOutcome) -> dict[str, str]:
     return {name: str(digest) for name, digest in outcome.metrics.items()}
 
 
-def _base(scenario: Scenario) -> dict[str, Any]:
-    """Return the tables of a scenario that its runs rest on."""
-    return {name: table for name, table in scenario.tree.items() if name != STUDY}
+def _base(scenario: Scenario, *, with_record: bool) -> dict[str, Any]:
+    """Return the tables of a scenario that outcomes rest on: results do on what is recorded."""
+    others = {STUDY} if with_record else {STUDY, RECORD}
+    return {name: table for name, table in scenario.tree.items() if name not in others}
+
+
+def _own_edits(subject: StudySubject) -> dict[str, Any]:
+    """Return the edits of all members that outcomes rest on."""
+    if subject.with_results:
+        return dict(subject.set)
+    return {key: value for key, value in subject.set.items() if not key.startswith(f"{RECORD}.")}
 
 
 def _source_label(name: str, folder: Path) -> str:

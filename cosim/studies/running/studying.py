@@ -16,7 +16,8 @@ from cosim.studies.dataset.study import Study, open_study
 from cosim.studies.dataset.study_dataset import StudyDataset
 from cosim.studies.document.reading import read_study
 from cosim.studies.document.study_file import StudyFile
-from cosim.studies.running.keeping import check_kept_place, keep_logs
+from cosim.studies.running.keeping import keep_logs
+from cosim.studies.running.kept_members import check_kept_metric
 from cosim.studies.running.local import MembersDone, default_workers, run_locally
 from cosim.studies.running.plan import RUNNER, StudyPlan, plan_study
 from cosim.studies.workers.pool import WorkerPool
@@ -50,6 +51,7 @@ def study(
     scheduler: str | Client | None = None,
     new: bool = False,
     progress: MembersDone | None = None,
+    keep_progress: MembersDone | None = None,
     notice: Callable[[str], None] | None = None,
 ) -> Study:
     """Run a study, or what is missing of it; return what its members came to.
@@ -74,6 +76,8 @@ timeout, keep, results : optional
         Remove the dataset that is there, and begin anew.
     progress : callable, optional
         Called with how many members are done, of how many, and how many of these failed.
+    keep_progress : callable, optional
+        Called with how many logs are kept, of how many, and how many cannot be.
     notice : callable, optional
         Called with what is noteworthy about the run.
 
@@ -104,7 +108,6 @@ timeout, keep, results : optional
         results=results,
     )
     place = default_place(file) if out is None else out
-    check_kept_place(file, place)
     plan = plan_study(file)
     with ExitStack() as resources:
         # before the dataset that is there is removed
@@ -124,7 +127,7 @@ timeout, keep, results : optional
                 progress=progress,
                 notice=notice,
             )
-        keep_logs(plan, dataset, workers=count, notice=notice or _ignore)
+        keep_logs(plan, dataset, workers=count, notice=notice or _ignore, progress=keep_progress)
     return open_study(place)
 
 
@@ -156,11 +159,16 @@ def open_dataset(plan: StudyPlan, place: str | Path, *, new: bool) -> StudyDatas
     ------
     DatasetError
         If there is another study's.
+    UsageError
+        If logs are kept by a metric that is no number.
     """
     results: Mapping[str, MetricValue] = {}
     if plan.subject.with_results and (new or not _is_there(place)):
         results = _example_results(plan)
     identity = plan.identity(results)
+    is_known = bool(results) or not plan.subject.with_results
+    columns = identity.columns if is_known else StudyDataset.open(place).columns
+    check_kept_metric(plan.study.kept_logs, columns)
     return StudyDataset.open_or_create(place, identity, design=plan.design, new=new)
 
 

@@ -186,7 +186,6 @@ def test_chosen_columns_and_members_are_read(tmp_path):
     kept = [str(tmp_path / "logs" / "3.mcap"), None, str(tmp_path / "logs" / "21.mcap")]
     assert table["log"].to_pylist() == kept
     assert table["noise.seed"].to_pylist() == [3, 1, 1]
-    assert dataset.log_place(21) == kept[-1]
     with pytest.raises(DatasetError, match=r"no column 'noise.sed'; did you mean 'noise.seed'"):
         dataset.read(["noise.sed"])
 

@@ -15,8 +15,6 @@ from cosim.studies.document.reading import read_study
 from cosim.studies.metrics.metrics import parse_metrics
 from cosim.studies.running.plan import plan_study
 from cosim.studies.running.recorded_study import RecordedStudy
-from tests.fmi.compiled import compile_fmu
-from tests.fmi.test_process import STATELESS
 from tests.scenario.user_modules import RELAY, THERMOSTAT, write
 
 SHORT = {"scenario.stop": 0.5}
@@ -140,33 +138,6 @@ def test_wrong_input_is_refused_before_anything_runs(tmp_path, given, text):
     assert not place.exists()
 
 
-def test_failed_members_are_named_and_their_logs_kept(tmp_path):
-    """A plant that fails in a step: the log has its run up to there."""
-    for name in ("GOOD", "FAILS_STEP", "CRASH"):
-        define = "LIES" if name == "GOOD" else name
-        compile_fmu(tmp_path / f"{name}.fmu", STATELESS, "rogue2.c", defines=(f"ROGUE={define}",))
-    scenario = tmp_path / "x.toml"
-    scenario.write_text(
-        'scenario = { name = "x", stop = 0.1, step = 0.01 }\n'
-        '[components]\nplant = { kind = "fmu", path = "GOOD.fmu" }\n'
-    )
-    names = ["GOOD", "FAILS_STEP", "GOOD", "CRASH"]
-    study = cosim.study(
-        scenario,
-        vary={"plant.path": [str(tmp_path / f"{name}.fmu") for name in names]},
-        metrics={"y": "last(plant.y)"},
-        keep="failed",
-        out=tmp_path / "out",
-        workers=2,
-        timeout=20.0,
-    )
-    assert set(study.failures) == {1, 3}
-    assert "fmi2DoStep returned 3 (error)" in study.failures[1]
-    assert study.failures[3] == "crashes: SIGSEGV"
-    assert 1 in study.logs
-    assert cosim.open_log(study.logs[1]).status == "failed"
-
-
 def test_the_logs_of_the_worst_members_are_kept(tmp_path):
     """They are the runs of these members: their metrics are those of the rows."""
     place = tmp_path / "kept"
@@ -226,12 +197,6 @@ def test_a_refusal_leaves_the_dataset_that_is_there(grid):
             new=True,
         )
     assert cosim.open_study(grid._dataset.label).table().equals(before)
-
-
-def test_logs_are_kept_in_folders_only(tmp_path):
-    """It is said before anything runs."""
-    with pytest.raises(UsageError, match=r"keep.*memory://x is no folder"):
-        cosim.study("academic", metrics=METRICS, out="memory://x", keep="all")
 
 
 def test_the_command_of_a_member_is_that_of_its_row(tmp_path):
