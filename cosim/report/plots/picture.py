@@ -7,12 +7,14 @@ from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from typing import Any, Final
+from warnings import catch_warnings, filterwarnings
 
 import numpy as np
 
 from cosim.arrays import Vector
 from cosim.errors import UsageError
 from cosim.files import check_writable
+from cosim.report.plots.fitting import fit_labels, fit_legend, fit_title
 
 CENTIMETER: Final = 1.0 / 2.54  # inches
 SMALLEST: Final = 3.0  # cm
@@ -127,6 +129,7 @@ class Picture:
     ) -> None:
         self._options = options
         self._shares_time = shares_time
+        self._rows = rows
         self._columns = columns
         self._figure = _new_figure()
         if options.size is None:
@@ -139,11 +142,10 @@ class Picture:
         grid = self._figure.subplots(rows, columns, sharex=shares_time, squeeze=False)
         self.panels: list[Any] = list(np.ravel(grid))
 
-    def legend(self, lines: list[Any], *, below: bool = False) -> None:
+    def legend(self, lines: list[Any], *, below: bool = False, title: str = "") -> None:
         """Show a legend of all panels above them; below them where the picture has a title."""
-        columns = min(6, len(lines))
         place = "outside lower center" if below else "outside upper center"
-        self._figure.legend(handles=lines, loc=place, ncols=columns, frameon=False)
+        fit_legend(self._figure, lines, place=place, title=title)
 
     def save(self, out: Path, *, title: str = "") -> None:
         """Write the picture to a file; ``title`` is its standard one.
@@ -151,13 +153,13 @@ class Picture:
         Raises
         ------
         UsageError
-            If the file cannot be written.
+            If the file cannot be written, or there is no room for what is beside the panels.
         """
         from matplotlib import rc_context
 
         shown_title = title if self._options.title is None else self._options.title
         if shown_title:
-            self._figure.suptitle(shown_title)
+            fit_title(self._figure, shown_title)
         for panel in self.panels:
             panel.grid(alpha=0.3)
         if self._shares_time:
@@ -166,10 +168,18 @@ class Picture:
             self.panels[0].set_xlim(self._options.start, self._options.stop)
         picture = BytesIO()  # a file that is there stays whole if this is interrupted
         try:
-            with rc_context(_TEXT_AS_TEXT):
+            with rc_context(_TEXT_AS_TEXT), catch_warnings():
+                filterwarnings("error", "constrained_layout not applied")
+                fit_labels(self._figure, rows=self._rows, columns=self._columns)
                 self._figure.savefig(picture, format=_format(out), dpi=_DOTS_PER_INCH)
             out.parent.mkdir(parents=True, exist_ok=True)
             out.write_bytes(picture.getvalue())
+        except UserWarning as error:
+            width, height = self._figure.get_size_inches() / CENTIMETER
+            raise UsageError(
+                f"size: found {width:g} x {height:g} cm; needed more for the names at the axes of "
+                "this picture"
+            ) from error
         except ValueError as error:
             raise UsageError(f"{out}: {error}") from error
         except OSError as error:

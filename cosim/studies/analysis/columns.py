@@ -152,6 +152,11 @@ class MemberColumns:
         )
 
 
+def count_text(count: int, noun: str = "member") -> str:
+    """Return how many there are: ``1 member``, ``2 members``."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
 def exact_scale(values: Vector) -> float:
     """Return a power of two; over it the squares and sums of values are numbers.
 

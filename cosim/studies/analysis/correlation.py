@@ -15,7 +15,7 @@ from cosim.studies.analysis.columns import MemberColumns, numbers_of
 from cosim.studies.analysis.confidence import CONFIDENCE, NO_INTERVAL, ConfidenceInterval
 from cosim.studies.analysis.independence import StudyLayout, drawn_members, independence_of
 
-_LEAST: Final = 10  # members, of an interval
+LEAST_MEMBERS: Final = 10  # of fewer, chance alone makes strong correlations
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +118,7 @@ def _interval(value: float, count: int) -> ConfidenceInterval:
     D. G. Bonett and T. A. Wright, "Sample size requirements for estimating Pearson, Kendall and
     Spearman correlations", Psychometrika 65, 2000.
     """
-    if count < _LEAST or abs(value) >= 1.0:
+    if count < LEAST_MEMBERS or abs(value) >= 1.0:
         return NO_INTERVAL
     deviation = math.sqrt((1.0 + 0.5 * value**2) / (count - 3.0))
     half_width = float(ndtri(0.5 + 0.5 * CONFIDENCE)) * deviation

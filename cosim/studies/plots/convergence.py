@@ -10,6 +10,7 @@ import numpy as np
 
 from cosim.report.plots.curves import COLORS, WIDTH
 from cosim.report.plots.picture import PictureOptions
+from cosim.studies.analysis.confidence import CONFIDENCE
 from cosim.studies.analysis.convergence import RunningMean, running_mean
 from cosim.studies.analysis.independence import independence_of
 from cosim.studies.analysis.results import StudyResults
@@ -17,6 +18,8 @@ from cosim.studies.plots.panels import FAINT, MetricPanels
 from cosim.studies.plots.scales import check_drawable
 
 _MOST_ROWS: Final = 2000  # of a curve
+_MARKED: Final = 10  # rows, of which a line alone would show little, or nothing
+_PERCENT: Final = f"{100.0 * CONFIDENCE:g} %"
 _FIRST: Final = 5  # units: the interval of fewer would hide the rest
 
 
@@ -49,19 +52,30 @@ def _draw(panel: Any, means: RunningMean) -> list[Any]:
     upper = means.means + means.half_widths
     color = COLORS[0]
     band = panel.fill_between(
-        means.counts, lower, upper, color=color, alpha=FAINT, linewidth=0.0, label="95 % interval"
+        means.counts,
+        lower,
+        upper,
+        color=color,
+        alpha=FAINT,
+        linewidth=0.0,
+        label=f"{_PERCENT} interval",
     )
-    (line,) = panel.plot(means.counts, means.means, color=color, linewidth=WIDTH, label="mean")
-    panel.axhline(means.means[-1], color="0.6", linewidth=1.0)
+    style = {"marker": "."} if len(means.counts) <= _MARKED else {}
+    (line,) = panel.plot(
+        means.counts, means.means, color=color, linewidth=WIDTH, label="mean of the first", **style
+    )
+    last = panel.axhline(means.means[-1], color="0.6", linewidth=1.0, label="mean of all")
     if means.counts[-1] > 100 * means.counts[0]:
         panel.set_xscale("log")
+    else:
+        panel.xaxis.get_major_locator().set_params(integer=True, min_n_ticks=1)
     settled = slice(min(_FIRST, len(lower) // 2), None)
     shown = np.concatenate([lower[settled], upper[settled], means.means[settled]])
     shown = shown[np.isfinite(shown)]
     if len(shown) and np.ptp(shown) > 0.0:
         margin = 0.05 * float(np.ptp(shown))
         panel.set_ylim(float(shown.min()) - margin, float(shown.max()) + margin)
-    return [line, band]
+    return [line, band, last]
 
 
 def _thinned(means: RunningMean) -> RunningMean:

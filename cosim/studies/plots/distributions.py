@@ -37,14 +37,17 @@ def plot_histograms(
         shown, beyond = _without_outliers(column.values)
         if is_logarithmic(shown):
             panel.set_xscale("log")
-        panel.hist(shown, bins=_bins(shown), color=COLORS[5], edgecolor="white", linewidth=0.3)
+        edges = _bins(shown)
+        panel.hist(shown, bins=edges, color=COLORS[5], edgecolor="white", linewidth=0.3)
         panel.set_xlabel(label)
         panel.set_ylabel("members")
         panel.yaxis.get_major_locator().set_params(integer=True)
         if beyond:
             panel.set_title(f"{panel.get_title()}, {beyond} beyond the axis", color="0.3")
             panel.title.set_fontsize("small")
+        limits = panel.get_xlim()
         handles = _draw_figures(panel, column.values)
+        panel.set_xlim(limits)  # a mean beyond the axis, as of values far off, moves it
     picture.legend(handles)
     picture.save(out, "histograms")
 
@@ -90,7 +93,7 @@ def plot_distributions(
             handles = [*handles, band]
         panel.set_ylim(-0.02, 1.02)
         panel.set_xlabel(label)
-        panel.set_ylabel("share below")
+        panel.set_ylabel("share of members up to it")
     picture.legend(handles)
     picture.save(out, "distributions")
 

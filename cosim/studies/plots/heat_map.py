@@ -24,7 +24,9 @@ from cosim.studies.plots.scales import (
 
 _MOST_CELLS: Final = 60  # along an axis; more values are put together
 _EVEN_CELLS: Final = 25  # that they are put together in; fewer of few members
-_MOST_MARKS: Final = 2000
+_EMPTY: Final = "0.88"  # no color of the map: no member of a cell has a value
+_MARK: Final = 5.0  # [points]
+_AXIS: Final = 150.0  # [points], about: marks of many cells are smaller
 
 
 def plot_heat_maps(
@@ -36,6 +38,7 @@ def plot_heat_maps(
 ) -> None:
     """Draw the mean of each metric over two keys, and mark where members failed."""
     from matplotlib.colors import LogNorm
+    from matplotlib.patches import Patch
 
     results, note = placed(results, keys)
     picture = MetricPanels(results, metrics, options)
@@ -45,22 +48,31 @@ def plot_heat_maps(
     handles: list[Any] = []
     for panel, column in zip(picture.panels, picture.columns, strict=True):
         check_drawable(column.name, column.values)
-        label = picture.label(panel, column)
         rows = results.columns.rows_of(column.numbers)
-        means = cell_means(column.values, [scale.positions[rows] for scale in scales], edges)
-        shown = means[np.isfinite(means)]
-        norm = LogNorm() if is_logarithmic(shown) else None
+        means, counts = cell_means(column.values, _at(scales, rows), edges)
+        words = "mean of {}" if counts.max(initial=0) > 1 else "{}"
+        label = picture.label(panel, column, words)
+        is_known = np.isfinite(means)
+        norm = LogNorm() if is_logarithmic(means[is_known]) else None
         mesh = panel.pcolormesh(edges[0], edges[1], means.T, cmap="viridis", norm=norm, zorder=1.0)
         panel.figure.colorbar(mesh, ax=panel, label=label)
-        handles = _draw_failed(panel, scales, failed)
+        if not is_known.all():
+            panel.set_facecolor(_EMPTY)
+            handles.append(Patch(color=_EMPTY, label="no value"))
+        if len(failed):
+            handles += _draw_failed(panel, _at(scales, failed), edges)
         for scale, direction, axis, key in zip(
             scales, "xy", (panel.xaxis, panel.yaxis), keys, strict=True
         ):
             scale.apply(panel, direction)
             scale.label(axis, results.with_unit(key))
-    if handles:
-        picture.legend(handles)
-    picture.save(out, f"mean over {keys[0]} and {keys[1]}{note}")
+    picture.legend(handles)
+    picture.save(out, f"over {keys[0]} and {keys[1]}{note}")
+
+
+def _at(scales: Sequence[Scale], rows: NumberColumn) -> list[Vector]:
+    """Return where members stand on both axes."""
+    return [scale.positions[rows] for scale in scales]
 
 
 def _edges(scale: Scale) -> Vector:
@@ -71,30 +83,45 @@ def _edges(scale: Scale) -> Vector:
     return even_edges(scale.positions, count, logarithmic=scale.logarithmic)
 
 
-def cell_means(values: Vector, places: Sequence[Vector], edges: Sequence[Vector]) -> Vector:
-    """Return the mean of the members in each cell, shape (columns, rows); NaN: there are none."""
+def cell_means(
+    values: Vector, places: Sequence[Vector], edges: Sequence[Vector]
+) -> tuple[Vector, NumberColumn]:
+    """Return the mean of the members in each cell, and how many these are.
+
+    Both have the shape (columns, rows); the mean of none is NaN.
+    """
     shape = [len(one) - 1 for one in edges]
-    cells = np.zeros(len(values), np.int64)
-    for position, edge, count in zip(places, edges, shape, strict=True):
-        index = np.clip(np.searchsorted(edge, position, side="right") - 1, 0, count - 1)
-        cells = cells * count + index
+    cells = _cells(places, edges)
     total = int(np.prod(shape))
     sums = np.bincount(cells, weights=values, minlength=total)
     counts = np.bincount(cells, minlength=total)
     with np.errstate(invalid="ignore"):
-        return (sums / counts).reshape(shape)
+        return (sums / counts).reshape(shape), counts.reshape(shape)
 
 
-def _draw_failed(panel: Any, scales: Sequence[Scale], rows: NumberColumn) -> list[Any]:
-    if not len(rows):
-        return []
-    chosen = rows[:_MOST_MARKS]
+def _cells(places: Sequence[Vector], edges: Sequence[Vector]) -> NumberColumn:
+    """Return the cell of each member, numbered column by column."""
+    cells = np.zeros(len(places[0]), np.int64)
+    for position, edge in zip(places, edges, strict=True):
+        count = len(edge) - 1
+        index = np.clip(np.searchsorted(edge, position, side="right") - 1, 0, count - 1)
+        cells = cells * count + index
+    return cells
+
+
+def _draw_failed(panel: Any, places: Sequence[Vector], edges: Sequence[Vector]) -> list[Any]:
+    """Mark each cell in which members failed, once."""
+    _, index = np.unique(_cells(places, edges), return_inverse=True)
+    counts = np.bincount(index)
+    x, y = (np.bincount(index, weights=place) / counts for place in places)
+    most = max(len(edge) - 1 for edge in edges)
     marks: list[Any] = panel.plot(
-        scales[0].positions[chosen],
-        scales[1].positions[chosen],
+        x,
+        y,
         "x",
         color=FAILED_COLOR,
-        markersize=5.0,
-        label="failed",
+        markersize=min(_MARK, _AXIS / most),
+        clip_on=False,
+        label="members that failed",
     )
     return marks

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from cosim.arrays import Vector
+from cosim.arrays import Mask, Vector
 from cosim.report.plots.curves import COLORS, WIDTH, shown_text
 from cosim.report.plots.picture import PictureOptions
 from cosim.studies.analysis.columns import NumberColumn
@@ -16,12 +16,17 @@ from cosim.studies.analysis.results import StudyResults
 from cosim.studies.plots.panels import FAILED_COLOR, FAINT, MetricPanels, placed
 from cosim.studies.plots.scales import Scale, check_drawable, is_logarithmic
 
+_COLORS: Final = tuple(color for color in COLORS if color != FAILED_COLOR)
 _MOST_POINTS: Final = 3000  # single members that are drawn
-_MOST_LINES: Final = len(COLORS)
+_MOST_LINES: Final = len(_COLORS)
 _BAR: Final = 12.0  # width [points]
+_MOST_MARKED: Final = 25  # places of a line that have a mark each
 _MOST_PLACES: Final = 100  # values of a key that each have a place; more are put together
-_BINS: Final = 25  # that they are put together in
-_IN_BIN: Final = 40  # members; fewer than these have fewer bins
+_MOST_BINS: Final = 40  # that they are put together in
+_IN_BIN: Final = 20  # members; fewer than these have fewer bins
+_ABOVE: Final = 1.025  # of the height of a panel: above its frame, where no values are
+_BAND: Final = "5 % to 95 % of the members"
+_FAILED: Final = "members that failed"
 
 
 def plot_over_key(
@@ -44,109 +49,147 @@ def plot_over_key(
     picture = MetricPanels(results, metrics, options)
     columns = results.columns
     scale = Scale.of(columns.parameters[keys[0]])
-    lines = Scale.of(columns.parameters[keys[1]]) if len(keys) > 1 else None
-    has_many = len(np.unique(scale.positions)) > _MOST_PLACES
-    is_line = not scale.names and (results.layout.kind == "grid" or has_many)
+    lines = _lines(results, keys)
+    is_binned = len(np.unique(scale.positions)) > _MOST_PLACES
+    is_line = not scale.names and results.layout.kind == "grid"
     handles: list[Any] = []
     for panel, column in zip(picture.panels, picture.columns, strict=True):
         check_drawable(column.name, column.values)
         label = picture.label(panel, column)
         rows = columns.rows_of(column.numbers)
-        handles = []
-        for name, color, chosen in _lines(lines, rows, keys):
+        for name, color, is_of_line in lines:
+            chosen = is_of_line[rows]
             x = scale.positions[rows[chosen]]
             values = column.values[chosen]
-            handles += _draw(panel, x, values, is_line=is_line, color=color, name=name)
+            if not len(values):
+                continue
+            if is_binned:
+                handles += _draw_bins(panel, x, values, color=color, name=name)
+            else:
+                handles += _draw_places(panel, x, values, is_line=is_line, color=color, name=name)
         handles += _draw_failed(panel, scale, columns.rows_of(column.failed))
         scale.apply(panel, "x")
         if is_logarithmic(column.values):
             panel.set_yscale("log")
         scale.label(panel.xaxis, results.with_unit(keys[0]))
         panel.set_ylabel(label)
-    picture.legend(handles)
+    title = shown_text(results.with_unit(keys[1])) if len(lines) > 1 else ""
+    # what all lines have comes behind their names
+    handles.sort(key=lambda handle: handle.get_label() in (_BAND, _FAILED))
+    picture.legend(handles, title=title)
     picture.save(out, f"over {keys[0]}{note}")
 
 
-def _lines(
-    lines: Scale | None, rows: NumberColumn, keys: Sequence[str]
-) -> list[tuple[str, str, NumberColumn]]:
-    """Return the name, the color and the members of each line."""
-    everything = [("", COLORS[0], np.arange(len(rows)))]
-    if lines is None:
+def _lines(results: StudyResults, keys: Sequence[str]) -> list[tuple[str, str, Mask]]:
+    """Return the name, the color and the members of each line, the same in all panels."""
+    everything = [("", _COLORS[0], np.ones(results.done, np.bool_))]
+    if len(keys) < 2:
         return everything
-    different = np.unique(lines.positions[rows])
-    if len(different) > _MOST_LINES:
+    scale = Scale.of(results.columns.parameters[keys[1]])
+    different = np.unique(scale.positions)
+    if not 1 < len(different) <= _MOST_LINES:
         return everything
     found = []
-    for color, place in zip(COLORS, different, strict=False):
-        text = lines.names[int(place)] if lines.names else f"{place:g}"
-        chosen = np.flatnonzero(lines.positions[rows] == place)
-        found.append((f"{keys[1]} = {text}", color, chosen))
+    for color, place in zip(_COLORS, different, strict=False):
+        text = scale.names[int(place)] if scale.names else f"{place:g}"
+        found.append((text, color, scale.positions == place))
     return found
 
 
-def _draw(
+def _draw_places(
     panel: Any, x: Vector, values: Vector, *, is_line: bool, color: str, name: str
 ) -> list[Any]:
-    """Draw the members of a line, their median and the band that 90 % of them are in."""
-    places, index = _places(x)
-    order = np.argsort(index, kind="stable")
-    groups = np.split(values[order], np.cumsum(np.bincount(index))[:-1])
+    """Draw the members at each value of a key, their median, and the band of 90 % of them."""
+    places, index = np.unique(x, return_inverse=True)
+    groups = _groups(values, index)
     medians = [float(np.median(group)) for group in groups]
-    single = max(map(len, groups)) == 1
-    if len(values) <= _MOST_POINTS and not single:
-        panel.plot(x, values, ".", color=color, markersize=3.0, alpha=0.4, markeredgewidth=0.0)
-    style = {"color": color, "linewidth": WIDTH}
-    if single or len(places) <= _BINS:
+    is_single = max(map(len, groups)) == 1
+    style: dict[str, Any] = {"color": color, "linewidth": WIDTH}
+    if len(places) <= _MOST_MARKED or not is_line:
         style |= {"marker": ".", "markersize": 5.0}
-    if not is_line and (single or len(places) <= _BINS):
+    if not is_line:
         style["linestyle"] = "none"
-    label = shown_text(name) or ("members" if single else "median")
+    label = shown_text(name) or ("members" if is_single else "median")
     handles = list(panel.plot(places, medians, label=label, **style))
-    if not single:
-        band = _draw_band(panel, places, groups, color, is_line=is_line)
-        if not name:
-            band.set_label("5 % to 95 % of the members")
-            handles.append(band)
-    return handles
-
-
-def _draw_band(
-    panel: Any, places: Vector, groups: Sequence[Vector], color: str, *, is_line: bool
-) -> Any:
-    """Draw what 90 % of the members of each place are in; bars where nothing is between places."""
+    if is_single:
+        return handles
+    if len(values) <= _MOST_POINTS:
+        _draw_members(panel, x, values, color)
     lower = [float(np.quantile(group, 0.05)) for group in groups]
     upper = [float(np.quantile(group, 0.95)) for group in groups]
+    faint = {"color": color, "alpha": FAINT, "label": _BAND}
     if is_line:
-        return panel.fill_between(places, lower, upper, color=color, alpha=FAINT, linewidth=0.0)
-    return panel.vlines(places, lower, upper, color=color, alpha=FAINT, linewidth=_BAR)
+        band = panel.fill_between(places, lower, upper, linewidth=0.0, **faint)
+    else:  # bars: nothing is between the places
+        band = panel.vlines(places, lower, upper, linewidth=_BAR, **faint)
+    return [*handles, band]
 
 
-def _places(x: Vector) -> tuple[Vector, NumberColumn]:
-    """Return where the members of a line are put together, and the place of each."""
-    different, index = np.unique(x, return_inverse=True)
-    if len(different) <= _MOST_PLACES:
-        return different, index.astype(np.int64)
-    count = min(max(len(x) // _IN_BIN, 4), _BINS)
-    edges = np.quantile(x, np.linspace(0.0, 1.0, count + 1))
-    bins = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, count - 1)
-    kept, index = np.unique(bins, return_inverse=True)
-    centers = np.array([float(np.median(x[bins == one])) for one in kept])
-    return centers, index.astype(np.int64)
+def _draw_bins(panel: Any, x: Vector, values: Vector, *, color: str, name: str) -> list[Any]:
+    """Draw the median of the members in each bin of a key, and members, or 90 % of them.
+
+    A band of wide bins would show what the key changes within them, and not what other keys do.
+    """
+    edges = _bin_edges(x)
+    index = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
+    kept, index = np.unique(index, return_inverse=True)
+    groups = _groups(values, index)
+    medians = np.full(len(edges) - 1, np.nan)
+    medians[kept] = [float(np.median(group)) for group in groups]
+    label = shown_text(name) or "median of each bin"
+    handles = [
+        panel.stairs(medians, edges, baseline=None, color=color, linewidth=WIDTH, label=label)
+    ]
+    if len(values) <= _MOST_POINTS:
+        _draw_members(panel, x, values, color)
+        return handles
+    lower = np.full(len(medians), np.nan)
+    upper = np.full(len(medians), np.nan)
+    lower[kept] = [float(np.quantile(group, 0.05)) for group in groups]
+    upper[kept] = [float(np.quantile(group, 0.95)) for group in groups]
+    band = panel.fill_between(
+        np.repeat(edges, 2)[1:-1],
+        np.repeat(lower, 2),
+        np.repeat(upper, 2),
+        color=color,
+        alpha=FAINT,
+        linewidth=0.0,
+        label=_BAND,
+    )
+    return [*handles, band]
+
+
+def _draw_members(panel: Any, x: Vector, values: Vector, color: str) -> None:
+    panel.plot(x, values, ".", color=color, markersize=4.0, alpha=0.5, markeredgewidth=0.0)
+
+
+def _groups(values: Vector, index: NumberColumn) -> list[Vector]:
+    """Return the values of each place."""
+    order = np.argsort(index, kind="stable")
+    return np.split(values[order], np.cumsum(np.bincount(index))[:-1])
+
+
+def _bin_edges(x: Vector) -> Vector:
+    """Return the edges of bins with as many members in each."""
+    count = min(max(len(x) // _IN_BIN, 1), _MOST_BINS)
+    edges: Vector = np.unique(np.quantile(x, np.linspace(0.0, 1.0, count + 1)))
+    return edges if len(edges) > 1 else np.concatenate([edges, edges])
 
 
 def _draw_failed(panel: Any, scale: Scale, rows: NumberColumn) -> list[Any]:
-    """Mark at the lower edge of a panel where members failed."""
+    """Mark above the frame of a panel where members failed: they have no value."""
     if not len(rows):
         return []
     places = np.unique(scale.positions[rows])[:_MOST_POINTS]
     marks: list[Any] = panel.plot(
         places,
-        np.full(len(places), 0.02),
+        np.full(len(places), _ABOVE),
         "x",
         color=FAILED_COLOR,
         markersize=5.0,
         transform=panel.get_xaxis_transform(),
-        label="failed",
+        clip_on=False,
+        label=_FAILED,
     )
+    panel.set_title(panel.get_title(), fontsize="small", color="0.3", pad=11.0)
     return marks

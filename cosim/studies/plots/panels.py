@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from textwrap import fill
 from typing import Any, Final
 
 import numpy as np
@@ -13,9 +12,9 @@ import numpy as np
 from cosim.errors import UsageError
 from cosim.report.plots.curves import shown_text
 from cosim.report.plots.picture import LARGEST, Picture, PictureOptions
-from cosim.studies.analysis.columns import MetricColumn
+from cosim.studies.analysis.columns import MetricColumn, count_text
 from cosim.studies.analysis.results import StudyResults
-from cosim.studies.plots.scales import LABEL, Scale
+from cosim.studies.plots.scales import Scale
 
 MOST_PANELS: Final = 12
 FAILED_COLOR: Final = "#D55E00"
@@ -59,18 +58,19 @@ class MetricPanels:
             empty.set_visible(False)
 
     def label(self, panel: Any, column: MetricColumn, words: str = "{}") -> str:
-        """Return words with the name of a metric and its unit, which fit an axis.
+        """Return words with the name of a metric and its unit.
 
         What the panel is of, and what is not shown in it, is written above it.
         """
         panel.set_title(without_text(column), fontsize="small", color="0.3")
         panel.set_axisbelow(True)  # its grid
-        text = words.format(shown_text(self._results.with_unit(column.name)))
-        return fill(text, LABEL)
+        return words.format(shown_text(self._results.with_unit(column.name)))
 
-    def legend(self, lines: list[Any]) -> None:
-        """Show a legend of all panels below them."""
-        self._picture.legend(lines, below=True)
+    def legend(self, lines: Iterable[Any], *, title: str = "") -> None:
+        """Show a legend of all panels below them; what several have is named once."""
+        different = {line.get_label(): line for line in lines}
+        if different:
+            self._picture.legend(list(different.values()), below=True, title=title)
 
     def save(self, out: Path, what: str) -> None:
         """Write the picture to a file; its title is that of the study and ``what``."""
@@ -86,7 +86,7 @@ def placed(results: StudyResults, keys: Sequence[str]) -> tuple[StudyResults, st
         kept &= has_place
         if not has_place.all():
             count = int((~has_place).sum())
-            notes += f"; {count} member{'' if count == 1 else 's'} without a finite {key}"
+            notes += f"; {count_text(count)} without a finite {key}"
     if not notes:
         return results, ""
     return replace(results, columns=results.columns.only(kept)), notes
@@ -124,7 +124,7 @@ def shown_metrics(results: StudyResults, metrics: Sequence[str]) -> list[str]:
 
 def without_text(column: MetricColumn) -> str:
     """Return what figures of a metric are of, and which members are not in them."""
-    parts = [f"{len(column.values)} members"]
+    parts = [count_text(len(column.values))]
     for words, numbers in (
         ("failed", column.failed),
         ("without value", column.without_value),

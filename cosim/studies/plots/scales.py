@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import PurePath
-from textwrap import fill
 from typing import Any, Final
 
 import numpy as np
@@ -16,9 +15,13 @@ from cosim.report.plots.curves import LARGEST_DRAWN, shown_text
 from cosim.studies.analysis.columns import VariedValues, numbers_of
 
 _SPREAD: Final = 30.0  # of nine of ten values, from which on an axis is logarithmic
+_DECADE: Final = 5.0  # of nine of ten values of a key, from which on its axis may be logarithmic
+_CENTERED: Final = 0.5  # how much nearer to the middle their median has to be on that axis
 _SAME: Final = 1e-6  # of steps that are one, in relation to it
-LABEL: Final = 36  # characters of a line beside an axis
 _LONGEST: Final = 18  # characters of a name at an axis
+_POWERS: Final = (-4, 5)  # of ten, beyond which an axis names it once
+_TICKS: Final = 4  # intervals of a horizontal axis, at most
+_CROWDED: Final = 30  # characters of the names side by side at an axis, which do not overlap
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,8 @@ class Scale:
         """Return the scale of the values of a parameter."""
         numbers = numbers_of(values)
         if numbers is not None:
-            return cls(numbers, logarithmic=is_logarithmic(numbers))
+            logarithmic = is_logarithmic(numbers) or is_even_in_logarithms(numbers)
+            return cls(numbers, logarithmic=logarithmic)
         texts = [str(value) for value in values.tolist()]
         names = list(dict.fromkeys(texts))
         places = {name: float(place) for place, name in enumerate(names)}
@@ -55,24 +59,43 @@ class Scale:
         """Whether a value has a place: it is there, and finite."""
         return np.isfinite(self.positions)
 
-    def label(self, axis: Any, name: str, *, width: int = LABEL) -> None:
+    def label(self, axis: Any, name: str) -> None:
         """Write the name of the values, and those of positions, at an axis of a panel."""
-        axis.set_label_text(fill(shown_text(name), width))
-        if self.names:
-            axis.set_ticks(range(len(self.names)), labels=[shown_text(n) for n in self.names])
-            axis.axes.set(**{f"{axis.axis_name}lim": (-0.5, len(self.names) - 0.5)})
+        axis.set_label_text(shown_text(name))
+        if not self.names:
+            return
+        shown = [shown_text(one) for one in self.names]
+        is_crowded = axis.axis_name == "x" and sum(map(len, shown)) > _CROWDED
+        turned = {"rotation": 20.0, "horizontalalignment": "right"} if is_crowded else {}
+        axis.set_ticks(range(len(shown)), labels=shown, **turned)
+        axis.axes.set(**{f"{axis.axis_name}lim": (-0.5, len(shown) - 0.5)})
 
     def apply(self, panel: Any, direction: str) -> None:
         """Make the ``x`` or ``y`` axis of a panel logarithmic, if this is."""
         if self.logarithmic:
             getattr(panel, f"set_{direction}scale")("log")
+        elif not self.names and direction == "y":
+            panel.ticklabel_format(axis=direction, scilimits=_POWERS)
+        elif not self.names:  # a power of ten would stand on the name of the axis
+            panel.xaxis.get_major_locator().set_params(nbins=_TICKS)
 
 
 def short_names(names: Sequence[str]) -> list[str]:
-    """Return names that fit an axis: of paths the last part, where these differ."""
+    """Return names that fit an axis, and differ: of paths the last part if these do."""
     last = [PurePath(name).name or name for name in names]
     shown = last if len(set(last)) == len(names) else list(names)
-    return [name if len(name) <= _LONGEST else f"...{name[3 - _LONGEST :]}" for name in shown]
+    for head in (0, _LONGEST // 2):
+        cut = [_cut(name, head) for name in shown]
+        if len(set(cut)) == len(names):
+            return cut
+    return shown
+
+
+def _cut(name: str, head: int) -> str:
+    """Return a name, of a long one so many first characters, and last ones."""
+    if len(name) <= _LONGEST:
+        return name
+    return f"{name[:head]}...{name[head + 3 - _LONGEST :]}"
 
 
 def is_logarithmic(values: Vector) -> bool:
@@ -93,6 +116,22 @@ def is_logarithmic(values: Vector) -> bool:
         return bool(np.ptp(steps) > _SAME * steps.max())
     low, high = np.quantile(finite, [0.05, 0.95])
     return bool(high > _SPREAD * low)
+
+
+def is_even_in_logarithms(values: Vector) -> bool:
+    """Return whether values that someone chose were chosen by factors, such as 10, 30 and 100.
+
+    Their median is then in the middle of a logarithmic axis, and not in that of a linear one.
+    """
+    different = np.unique(values[np.isfinite(values)])
+    if len(different) < 3 or different[0] <= 0.0:
+        return False
+    low, middle, high = np.quantile(different, [0.05, 0.5, 0.95])
+    if high < _DECADE * low:
+        return False
+    linear = (middle - low) / (high - low) - 0.5
+    logarithmic = np.log(middle / low) / np.log(high / low) - 0.5
+    return bool(abs(logarithmic) < _CENTERED * abs(linear))
 
 
 def check_drawable(name: str, values: Vector) -> None:

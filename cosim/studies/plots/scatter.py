@@ -5,23 +5,27 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from textwrap import fill
 from typing import Any, Final
 
 import numpy as np
 
 from cosim.arrays import Vector
+from cosim.errors import UsageError
 from cosim.report.plots.curves import COLORS, shown_text
 from cosim.report.plots.picture import PictureOptions
-from cosim.studies.analysis.correlation import spearman
+from cosim.studies.analysis.columns import NumberColumn, count_text
+from cosim.studies.analysis.correlation import LEAST_MEMBERS, spearman
 from cosim.studies.analysis.results import StudyResults
 from cosim.studies.plots.panels import FAILED_COLOR, shown_metrics, sized_picture
 from cosim.studies.plots.scales import Scale, check_drawable, even_edges, is_logarithmic
 
 _MOST: Final = 7  # rows and columns
-_PANEL: Final = 5.0  # cm
+_PANEL: Final = 3.8  # cm
+_MARGIN: Final = 2.0  # cm, for names and numbers
+_TEXT: Final = 9.0  # [points]; a picture of all rows is made smaller to fit a page
+_TICKS: Final = 3  # intervals of a linear axis, at most
 _MOST_POINTS: Final = 4000  # that are drawn one by one
-_LABEL: Final = 22  # characters of a line at an axis
+_MOST_MARKS: Final = 300  # of failed members; more would hide the others
 _CELLS: Final = 50
 _BINS: Final = 24
 
@@ -45,37 +49,67 @@ def plot_scatter(
     """Draw every parameter and metric over every other one, with rank correlations.
 
     Members that failed have no metric: they are marked in the panels of parameters.
+
+    Raises
+    ------
+    UsageError
+        If there is one parameter or metric.
     """
     names = shown_metrics(results, metrics)
     quantities = [_parameter(results, key) for key in keys]
     quantities += [_metric(results, name) for name in names]
     shown = _chosen(quantities)
     count = len(shown)
-    picture = sized_picture(count, count, options, size=(_PANEL * count, _PANEL * count))
-    panels = np.reshape(np.array(picture.panels, object), (count, count))
-    failed = results.columns.failed
-    handles: list[Any] = []
+    if count < 2:
+        raise UsageError(
+            f"a picture of kind 'scatter': found {count_text(count, 'parameter or metric')}, "
+            "needed 2"
+        )
+    length = _PANEL * count + _MARGIN
+    picture = sized_picture(count, count, options, size=(length, length))
+    handles = _draw_panels(results, picture.panels, shown)
+    if handles:
+        picture.legend(handles[:1], below=True)
+    notes = [count_text(results.done)]
+    if results.failed:
+        notes.append(f"{results.failed} failed")
+    if count < len(quantities):
+        notes.append(f"{count} of {len(quantities)} parameters and metrics")
+    if results.done > _MOST_POINTS:
+        notes.append("the darker, the more members")
+    if results.done < LEAST_MEMBERS:
+        notes.append("too few for rank correlations")
+    else:
+        notes.append("rank correlations above the diagonal")
+    picture.save(out, title=shown_text(f"{results.name}: {', '.join(notes)}"))
+
+
+def _draw_panels(
+    results: StudyResults, panels: Sequence[Any], shown: Sequence[_Quantity]
+) -> list[Any]:
+    """Draw points below the diagonal, histograms on it, and rank correlations above it.
+
+    Return the marks of failed members.
+    """
+    count = len(shown)
+    matrix = np.reshape(np.array(panels, object), (count, count))
+    failed = np.flatnonzero(results.columns.failed)
+    marks: list[Any] = []
     for row, y in enumerate(shown):
         for column, x in enumerate(shown):
-            panel = panels[row, column]
-            _share_axes(panels, row, column)
+            panel = matrix[row, column]
+            _share_axes(matrix, row, column)
             if column > row:
                 _write_correlation(panel, x, y)
                 continue
             if column == row:
                 _draw_histogram(panel, x)
             else:
-                handles += _draw_points(panel, x, y)
-                if not (x.is_metric or y.is_metric) and failed.any():
-                    handles += _draw_failed(panel, x, y, failed)
+                _draw_points(panel, x, y)
+                if not (x.is_metric or y.is_metric) and len(failed):
+                    marks += _draw_failed(panel, x, y, failed)
             _label(panel, results, x, y, last=row == count - 1, first=column == 0)
-    unique = {handle.get_label(): handle for handle in handles}
-    if unique:
-        picture.legend(list(unique.values()), below=True)
-    title = f"{results.name}: {results.done} members, {results.failed} failed; rank correlations"
-    if count < len(quantities):
-        title += f"; {count} of {len(quantities)} parameters and metrics"
-    picture.save(out, title=shown_text(title))
+    return marks
 
 
 def _share_axes(panels: Any, row: int, column: int) -> None:
@@ -110,31 +144,36 @@ def _chosen(quantities: Sequence[_Quantity]) -> list[_Quantity]:
     return [*kept, *metrics[: _MOST - len(kept)]]
 
 
-def _draw_points(panel: Any, x: _Quantity, y: _Quantity) -> list[Any]:
+def _draw_points(panel: Any, x: _Quantity, y: _Quantity) -> None:
     first, other = _both(x, y)
     if not len(first):
-        return []
+        return
     if len(first) > _MOST_POINTS:
         edges = [
             even_edges(first, _CELLS, logarithmic=x.scale.logarithmic),
             even_edges(other, _CELLS, logarithmic=y.scale.logarithmic),
         ]
-        panel.hist2d(first, other, bins=edges, cmap="Blues", cmin=1, norm="log")
+        # as dots: as paths the cells of all panels would take 12 MB
+        panel.hist2d(first, other, bins=edges, cmap="Blues", cmin=1, norm="log", rasterized=True)
     else:
         size = 2.0 if len(first) > 500 else 4.0
         panel.plot(first, other, ".", color=COLORS[0], markersize=size, alpha=0.6)
-    return []
 
 
-def _draw_failed(panel: Any, x: _Quantity, y: _Quantity, failed: Any) -> list[Any]:
-    rows = np.flatnonzero(failed)[:_MOST_POINTS]
+def _draw_failed(panel: Any, x: _Quantity, y: _Quantity, failed: NumberColumn) -> list[Any]:
+    """Mark members that failed, of many some that are spread over the study."""
+    label = "members that failed"
+    rows = failed
+    if len(failed) > _MOST_MARKS:
+        rows = failed[np.linspace(0, len(failed) - 1, _MOST_MARKS).astype(np.int64)]
+        label = f"{_MOST_MARKS} of the {len(failed)} members that failed"
     marks: list[Any] = panel.plot(
         x.scale.positions[rows],
         y.scale.positions[rows],
         "x",
         color=FAILED_COLOR,
         markersize=4.0,
-        label="failed",
+        label=label,
     )
     return marks
 
@@ -145,6 +184,8 @@ def _draw_histogram(panel: Any, x: _Quantity) -> None:
         return
     different = len(np.unique(values))
     bins = even_edges(values, min(_BINS, max(different, 5)), logarithmic=x.scale.logarithmic)
+    if x.scale.names:
+        bins = np.arange(len(x.scale.names) + 1.0) - 0.5
     panel.hist(values, bins=bins, color=COLORS[5], edgecolor="white", linewidth=0.3)
 
 
@@ -154,11 +195,12 @@ def _write_correlation(panel: Any, x: _Quantity, y: _Quantity) -> None:
     if x.scale.names or y.scale.names:
         return
     first, other = _both(x, y)
-    value = spearman(first, other)
+    value = spearman(first, other) if len(first) >= LEAST_MEMBERS else None
     if value is None:
         return
-    size = 8.0 + 8.0 * abs(value)
-    panel.text(0.5, 0.5, f"{value:+.2f}", ha="center", va="center", fontsize=size, color="0.3")
+    size = _TEXT + 7.0 * abs(value)
+    text = f"{value:+.2f}".replace("-0.00", "+0.00")
+    panel.text(0.5, 0.5, text, ha="center", va="center", fontsize=size, color="0.3")
 
 
 def _both(x: _Quantity, y: _Quantity) -> tuple[Vector, Vector]:
@@ -171,23 +213,34 @@ def _label(
     panel: Any, results: StudyResults, x: _Quantity, y: _Quantity, *, last: bool, first: bool
 ) -> None:
     """Write names at the outer axes only: there is no room at the others."""
-    panel.tick_params(labelsize="small")
+    panel.tick_params(labelsize=_TEXT)
     x.scale.apply(panel, "x")
     if x is not y:
         y.scale.apply(panel, "y")
+    _thin_ticks(panel.xaxis, x)
+    _thin_ticks(panel.yaxis, y)
     if last:
-        x.scale.label(panel.xaxis, results.with_unit(x.name), width=_LABEL)
-        panel.xaxis.label.set_size("small")
+        x.scale.label(panel.xaxis, results.with_unit(x.name))
+        panel.xaxis.label.set_size(_TEXT)
         panel.tick_params(axis="x", labelrotation=45)
     else:
         panel.tick_params(axis="x", which="both", labelbottom=False)
-    if x is y:
-        panel.tick_params(axis="y", which="both", labelleft=False)
+    if x is y:  # counts of members: their scale is another in each panel
+        panel.tick_params(axis="y", which="both", left=False, labelleft=False)
         if first:
-            text = fill(shown_text(results.with_unit(y.name)), _LABEL)
-            panel.set_ylabel(text, fontsize="small")
+            panel.set_ylabel(shown_text(results.with_unit(y.name)), fontsize=_TEXT)
     elif first:
-        y.scale.label(panel.yaxis, results.with_unit(y.name), width=_LABEL)
-        panel.yaxis.label.set_size("small")
+        y.scale.label(panel.yaxis, results.with_unit(y.name))
+        panel.yaxis.label.set_size(_TEXT)
     else:
         panel.tick_params(axis="y", which="both", labelleft=False)
+
+
+def _thin_ticks(axis: Any, of: _Quantity) -> None:
+    """Leave as many numbers at an axis as there is room for."""
+    from matplotlib.ticker import NullFormatter
+
+    if of.scale.logarithmic:
+        axis.set_minor_formatter(NullFormatter())
+    elif not of.scale.names:
+        axis.get_major_locator().set_params(nbins=_TICKS)

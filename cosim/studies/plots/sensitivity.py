@@ -11,8 +11,10 @@ import numpy as np
 from cosim.arrays import Vector
 from cosim.errors import UsageError
 from cosim.report.plots.curves import COLORS, shown_text
+from cosim.report.plots.fitting import broken
 from cosim.report.plots.picture import PictureOptions
-from cosim.studies.analysis.confidence import ConfidenceInterval
+from cosim.studies.analysis.columns import count_text
+from cosim.studies.analysis.confidence import CONFIDENCE, ConfidenceInterval
 from cosim.studies.analysis.results import StudyResults
 from cosim.studies.analysis.sensitivity import SobolIndices, check_has_indices, sobol_indices
 from cosim.studies.plots.panels import MOST_PANELS, shown_metrics, sized_picture
@@ -20,6 +22,7 @@ from cosim.studies.plots.panels import MOST_PANELS, shown_metrics, sized_picture
 _BAR: Final = 0.4  # of the room of a parameter
 _MOST_BARS: Final = 20  # parameters of a panel
 _WIDTH: Final = 14.0  # cm of a panel
+_NAME: Final = 28  # characters of a line of a name
 
 
 def plot_sobol(
@@ -52,17 +55,17 @@ def plot_sobol(
     picture = sized_picture(down, across, options, size=size)
     handles: list[Any] = []
     for panel, indices in zip(picture.panels, shown, strict=False):
-        handles = _draw(panel, indices, results)
+        handles = _draw(panel, indices)
     for empty in picture.panels[len(shown) :]:
         empty.set_visible(False)
     picture.legend(handles, below=True)
-    title = f"{results.name}: Sobol indices"
+    title = f"{results.name}: Sobol indices with {100.0 * CONFIDENCE:g} % intervals"
     if len(shown) < len(found):
         title += f" of the first {len(shown)} of {len(found)} metrics"
     picture.save(out, title=shown_text(title))
 
 
-def _draw(panel: Any, indices: SobolIndices, results: StudyResults) -> list[Any]:
+def _draw(panel: Any, indices: SobolIndices) -> list[Any]:
     order = np.argsort(-indices.total_order)[:_MOST_BARS]
     places = np.arange(len(order), dtype=np.float64)
     handles = []
@@ -82,13 +85,13 @@ def _draw(panel: Any, indices: SobolIndices, results: StudyResults) -> list[Any]
             capsize=2.5,
         )
         handles.append(bars)
-    names = [shown_text(indices.parameters[k]) for k in order]
+    names = [broken(shown_text(indices.parameters[k]), _NAME) for k in order]
     panel.set_axisbelow(True)
     panel.set_yticks(places, labels=names)
     panel.invert_yaxis()
     panel.axvline(0.0, color="0.5", linewidth=1.0)
-    panel.set_xlabel(f"share of the variance of {shown_text(results.with_unit(indices.metric))}")
-    text = f"{indices.base_points} base points"
+    panel.set_xlabel(f"share of the variance of {shown_text(indices.metric)}")
+    text = count_text(indices.base_points, "base point")
     if len(indices.omitted):
         text += f", {len(indices.omitted)} left out"
     if len(order) < len(indices.parameters):

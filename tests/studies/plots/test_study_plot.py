@@ -13,7 +13,6 @@ from cosim.studies.analysis.independence import StudyLayout
 from cosim.studies.analysis.results import results_of_study
 from cosim.studies.plots import KINDS, plot_study
 from cosim.studies.plots.heat_map import cell_means
-from cosim.studies.plots.panels import MetricPanels
 from cosim.studies.plots.scales import Scale, cell_edges, even_edges, is_logarithmic, short_names
 from tests.studies.tables.made import MadeStudy, tolerances
 from tests.studies.tables.test_tables import saltelli_study
@@ -60,7 +59,7 @@ def test_every_picture_names_metrics_units_and_what_it_does_not_show(kind, tmp_p
     assert "verdict" not in shown
     if kind in ("line", "map", "scatter"):
         assert "observer.filter_rate [rad/s]" in shown
-        assert "failed" in texts(tmp_path / "a.svg")
+        assert "members that failed" in texts(tmp_path / "a.svg")
 
 
 @pytest.mark.parametrize("kind", DRAWN)
@@ -78,8 +77,8 @@ def test_a_picture_follows_from_the_design(tmp_path):
     assert "tolerances: over observer.filter_rate" in texts(tmp_path / "line.svg")
     plot_study(grid_study(plants=["x/a.fmu", "x/b.fmu"]), tmp_path / "map.svg")
     shown = texts(tmp_path / "map.svg")
-    assert "tolerances: mean over observer.filter_rate and swap.plant" in shown
-    assert {"a.fmu", "b.fmu", "rms [m]", "failed"} <= set(shown)
+    assert "tolerances: over observer.filter_rate and" in " ".join(shown)
+    assert {"a.fmu", "b.fmu", "rms [m]", "no value", "members that failed"} <= set(shown)
     plot_study(saltelli_study(), tmp_path / "sobol.svg")
     shown = texts(tmp_path / "sobol.svg")
     assert {"p", "q", "first order", "total order", "share of the variance of y"} <= set(shown)
@@ -89,11 +88,12 @@ def test_a_picture_follows_from_the_design(tmp_path):
 
 
 def test_each_value_of_a_second_key_has_a_line(tmp_path):
-    """Named in the legend."""
+    """Named in the legend, under the key, and what the bands are."""
     study = grid_study(seeds=3, plants=["x/a.fmu", "x/b.fmu"])
     keys = ("observer.filter_rate", "swap.plant")
     plot_study(study, tmp_path / "a.svg", kind="line", keys=keys)
-    assert {"swap.plant = a.fmu", "swap.plant = b.fmu"} <= set(texts(tmp_path / "a.svg"))
+    shown = texts(tmp_path / "a.svg")
+    assert {"swap.plant", "a.fmu", "b.fmu", "5 % to 95 % of the members"} <= set(shown)
 
 
 def test_metrics_and_title_can_be_chosen(tmp_path):
@@ -179,6 +179,9 @@ def test_names_stand_where_values_are_none():
     assert scale.positions.tolist() == [0.0, 1.0, 0.0]
     assert scale.names == ("a.fmu", "b.fmu")
     assert short_names(["x/a.fmu", "y/a.fmu"]) == ["x/a.fmu", "y/a.fmu"]
+    assert short_names(["left_pump_of_version_7.fmu"]) == ["...f_version_7.fmu"]
+    heads = short_names(["left_pump_of_version_7.fmu", "right_pump_of_version_7.fmu"])
+    assert heads == ["left_pump..._7.fmu", "right_pum..._7.fmu"]
     assert Scale.of(np.array([True, False], object)).names == ("True", "False")
 
 
@@ -189,11 +192,12 @@ def test_cells_hold_their_centers():
     assert edges == pytest.approx([0.1, 10.0, 1000.0])
     assert even_edges(np.array([1.0, 16.0]), 2, logarithmic=True) == pytest.approx([1.0, 4.0, 16.0])
     places = [np.array([0.0, 0.4, 1.9, 2.0]), np.array([0.0, 0.0, 1.0, 1.0])]
-    means = cell_means(
+    means, counts = cell_means(
         np.array([1.0, 3.0, 5.0, 8.0]),
         places,
         [np.array([0.0, 1.0, 2.0]), np.array([-1.0, 0.5, 2])],
     )
+    assert counts.tolist() == [[2, 0], [0, 2]]
     assert means[0, 0] == 2.0
     assert means[1, 1] == 6.5
     assert np.isnan(means[0, 1])
@@ -213,21 +217,179 @@ def test_the_scatter_matrix_writes_rank_correlations_beside_its_panels(tmp_path)
     assert f"{expected:+.2f}" in texts(tmp_path / "a.svg")
 
 
-def test_nothing_is_drawn_between_names(tmp_path):
+@pytest.fixture
+def figures(monkeypatch):
+    """Return the figures that are written, as matplotlib has them."""
+    from matplotlib.figure import Figure
+
+    written = []
+    write = Figure.savefig
+
+    def keep(figure, *args, **others):
+        write(figure, *args, **others)
+        written.append(figure)
+
+    monkeypatch.setattr(Figure, "savefig", keep)
+    return written
+
+
+def test_nothing_is_drawn_between_names(figures, tmp_path):
     """Each plant has a bar and a point: a line between two plants would say something."""
     study = grid_study(seeds=3, plants=["x/a.fmu", "x/b.fmu"])
-    panels = []
-
-    class Panels(MetricPanels):
-        def save(self, out, what):
-            panels.extend(self.panels)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("cosim.studies.plots.over_key.MetricPanels", Panels)
-        plot_study(study, tmp_path / "a.svg", kind="line", keys=["swap.plant"])
-    (panel,) = panels
+    plot_study(study, tmp_path / "a.svg", kind="line", keys=["swap.plant"])
+    (panel,) = figures[0].axes
     assert all(line.get_linestyle() == "None" for line in panel.lines)
     assert panel.get_xlim() == (-0.5, 1.5)
+
+
+LONG = "subsystem_of_the_{}_actuator.hydraulic_cylinder.initial_pressure_of_the_chamber"
+
+
+def long_names(kind):
+    """Return a study whose name, keys, plants and metrics are as long as those of projects are."""
+    rng = np.random.default_rng(3)
+    left, right = LONG.format("left"), LONG.format("right")
+    plants = np.array([f"plants/{side}_pump_of_version_2026.fmu" for side in ("a", "b", "c")])
+    metric = "root_mean_square_of_the_difference_between_estimated_and_true_disturbance"
+    points = rng.uniform(1e5, 2e5, (2, 60))
+    columns = {
+        left: points[0],
+        right: points[1].round(-5),
+        "swap.plant": list(plants[rng.integers(0, 3, 60)]),
+        metric: points[0] / points[1],
+        "status": ["complete"] * 58 + ["failed"] * 2,
+    }
+    units = {left: "Pa", right: "Pa", metric: "kg.m2.s-3.A-1"}
+    study = MadeStudy(columns, (left, right, "swap.plant"), (metric,), units=units)
+    study.name = "a study with a name as those of engineers in large projects are, version 7"
+    keys = {"line": (left, right), "map": ("swap.plant", left)}.get(kind, ())
+    return results_of_study(study, StudyLayout("random", samples=60)), keys
+
+
+@pytest.mark.parametrize(
+    ("kind", "size"), [*((kind, None) for kind in DRAWN), ("line", (9.0, 11.0))]
+)
+def test_no_text_is_cut_off(kind, size, figures, tmp_path):
+    """Titles, legends and the names of axes are broken into lines that fit."""
+    results, keys = long_names(kind)
+    options = PictureOptions(size=size)
+    plot_study(results, tmp_path / "a.png", kind=kind, keys=keys, options=options)
+    (figure,) = figures
+    figure.set_dpi(150)  # as it is written
+    figure.draw_without_rendering()
+    shown = [figure._suptitle]
+    for legend in figure.legends:
+        shown += [*legend.get_texts(), legend.get_title()]
+    for panel in figure.axes:
+        shown += [panel.xaxis.label, panel.yaxis.label, panel.title]
+    inside = figure.bbox.padded(2.0)
+    for text in shown:
+        extent = text.get_window_extent()
+        is_inside = inside.contains(extent.x0, extent.y0) and inside.contains(extent.x1, extent.y1)
+        assert is_inside or not text.get_text(), text.get_text()
+
+
+def test_a_picture_without_room_for_its_names_is_an_error(tmp_path):
+    """Not one whose panels have no size."""
+    results, keys = long_names("scatter")
+    options = PictureOptions(size=(6.0, 6.0))
+    with pytest.raises(UsageError, match=r"size: found 6 x 6 cm; needed more for the names at the"):
+        plot_study(results, tmp_path / "a.png", kind="scatter", keys=keys, options=options)
+    assert not (tmp_path / "a.png").exists()
+
+
+def test_failed_members_are_marked_where_no_values_are(figures, tmp_path):
+    """Above the frame of a line; in a color that no line has."""
+    study = grid_study(seeds=3, plants=["x/a.fmu", "x/b.fmu"])
+    plot_study(study, tmp_path / "a.svg", kind="line")
+    (panel,) = figures[0].axes
+    (marks,) = [line for line in panel.lines if line.get_label() == "members that failed"]
+    (place,) = marks.get_xdata()
+    assert place == pytest.approx(1e4)
+    assert panel.transAxes.inverted().transform(marks.get_window_extent())[0, 1] > 0.99
+    assert not marks.get_clip_on()
+    others = [line.get_color() for line in panel.lines if line is not marks]
+    assert marks.get_color() not in others
+
+
+def test_a_line_has_one_color_in_all_panels(figures, tmp_path):
+    """Also where a metric has no value on the first line; and the legend names all lines."""
+    columns = {
+        "p": [1.0, 2.0, 1.0, 2.0],
+        "q": [5.0, 5.0, 6.0, 6.0],
+        "rms": [1.0, 2.0, 3.0, 4.0],
+        "last": pyarrow.array([None, None, 3.0, 4.0], "double"),
+    }
+    study = MadeStudy(columns, ("p", "q"), ("rms", "last"), units={"q": "kg"})
+    plot_study(
+        results_of_study(study, StudyLayout("grid", grid=4)), tmp_path / "a.svg", kind="line"
+    )
+    first, second = figures[0].axes
+    colors = {line.get_label(): line.get_color() for line in first.lines}
+    assert {line.get_label(): line.get_color() for line in second.lines} == {"6": colors["6"]}
+    assert {"5", "6", "q [kg]"} <= set(texts(tmp_path / "a.svg"))
+
+
+def test_the_median_of_a_drawn_key_is_that_of_each_bin(figures, tmp_path):
+    """Steps from the smallest to the largest value, and no band that the key itself makes."""
+    key = np.random.default_rng(0).uniform(0.0, 1.0, 400)
+    study = MadeStudy({"p": key, "rms": key}, ("p",), ("rms",))
+    results = results_of_study(study, StudyLayout("random", samples=400))
+    plot_study(results, tmp_path / "a.svg", kind="line")
+    (panel,) = figures[0].axes
+    (steps,) = panel.patches
+    values, edges, _ = steps.get_data()
+    assert edges[[0, -1]].tolist() == [key.min(), key.max()]
+    groups = np.split(np.sort(key), 20)
+    assert values == pytest.approx([np.median(group) for group in groups])
+    assert not panel.collections
+
+
+def test_few_members_have_no_rank_correlation_in_a_scatter_matrix(tmp_path):
+    """Two are always in order."""
+    columns = {"p": np.array([1.0, 2.0]), "q": np.array([3.0, 4.0]), "rms": np.array([5.0, 6.0])}
+    study = MadeStudy(columns, ("p", "q"), ("rms",))
+    results = results_of_study(study, StudyLayout("random", samples=2))
+    plot_study(results, tmp_path / "a.svg", kind="scatter")
+    shown = " ".join(texts(tmp_path / "a.svg"))
+    assert "too few for rank correlations" in shown
+    assert "+1.00" not in shown
+
+
+def test_one_member_is_one(tmp_path):
+    """And its mean is drawn."""
+    study = MadeStudy({"rms": np.array([0.3])}, (), ("rms",))
+    results = results_of_study(study, StudyLayout("random", samples=1))
+    plot_study(results, tmp_path / "a.svg", kind="convergence")
+    assert "1 member" in texts(tmp_path / "a.svg")
+    with pytest.raises(UsageError, match=r"'scatter': found 1 parameter or metric, needed 2"):
+        plot_study(results, tmp_path / "a.svg", kind="scatter")
+
+
+def test_a_key_that_was_chosen_by_factors_has_a_logarithmic_axis():
+    """10, 30, 100; a metric with such values does not."""
+    assert Scale.of(np.array([10.0, 30.0, 100.0, 300.0])).logarithmic
+    assert Scale.of(np.exp(np.random.default_rng(0).uniform(0.0, 2.3, 200))).logarithmic
+    assert not Scale.of(np.random.default_rng(0).uniform(1.0, 10.0, 200)).logarithmic
+    assert not Scale.of(np.arange(1.0, 11.0)).logarithmic
+    assert not Scale.of(np.array([1.0, 2.0, 3.0])).logarithmic
+
+
+def test_a_mean_far_off_does_not_move_the_axis_of_a_histogram(figures, tmp_path):
+    """As one of values far off, which are counted instead."""
+    values = np.concatenate([np.random.default_rng(0).normal(size=500), [1e9]])
+    study = MadeStudy({"rms": values}, (), ("rms",))
+    plot_study(results_of_study(study, StudyLayout("random", samples=501)), tmp_path / "a.svg")
+    assert figures[0].axes[0].get_xlim()[1] < 10.0
+
+
+def test_a_scatter_matrix_of_very_many_members_takes_little_room(tmp_path):
+    """Its cells are dots, not paths, and some of the failed members are marked."""
+    _, results = tolerances(100_000)
+    results.columns.failed[::2] = True
+    plot_study(results, tmp_path / "a.svg", kind="scatter")
+    assert (tmp_path / "a.svg").stat().st_size < 1e6
+    assert "300 of the 50002 members that failed" in " ".join(texts(tmp_path / "a.svg"))
 
 
 @pytest.mark.parametrize("kind", DRAWN)
@@ -245,5 +407,6 @@ def test_parameters_without_a_number_have_no_place(kind, tmp_path):
     for keys in ((), ("gains", "bound")):
         plot_study(results, tmp_path / "a.svg", kind=kind, keys=keys)
         if kind == "line" and not keys:
+            shown = " ".join(texts(tmp_path / "a.svg"))
             note = "; 1 member without a finite rate; 1 member without a finite bound"
-            assert f"tolerances: over rate{note}" in texts(tmp_path / "a.svg")
+            assert f"tolerances: over rate{note}" in shown
