@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from cosim.studies.dataset.study import open_study
     from cosim.studies.metrics.recorded import metrics
     from cosim.studies.running.studying import study
+    from cosim.studies.tuning.tuning import tune
 
 _HOMES = {
     "certificate": "cosim.report.certificate",
@@ -49,6 +50,7 @@ _HOMES = {
     "replay": "cosim.scenario.running.replay",
     "run": "cosim.scenario.running.execution",
     "study": "cosim.studies.running.studying",
+    "tune": "cosim.studies.tuning.tuning",
 }
 
 __all__ = [
@@ -71,6 +73,7 @@ __all__ = [
     "replay_sweep",
     "run",
     "study",
+    "tune",
 ]
 
 _named = lazy_names(__name__, _HOMES)

@@ -273,3 +273,10 @@ def test_a_study_runs_from_python(tmp_path, monkeypatch, capsys):
     exec(compile(blocks("studies", "python")[0], "studies block", "exec"), {"__name__": "readme"})
     printed = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in printed[-3:]] == ["0", "1", "2"]
+
+
+def test_a_tuning_prints_what_is_shown(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (block,) = [block for block in blocks("studies", "python") if "cosim.tune" in block]
+    exec(compile(block, "tuning block", "exec"), {"__name__": "readme"})
+    assert capsys.readouterr().out == blocks("studies", "text")[0]

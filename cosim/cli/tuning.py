@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated, Any
 
 import typer
 
+from cosim import completion
 from cosim.cli.options import (
     JsonOption,
     MapOption,
     QuietOption,
-    ScenarioArgument,
     SetOption,
+    StopOption,
     SwapOption,
     prints_to_stderr,
     read_edits,
@@ -21,9 +22,6 @@ from cosim.cli.options import (
 from cosim.errors import UsageError, option, quoted
 from cosim.report.printable import printable
 from cosim.terminal import show_members
-
-if TYPE_CHECKING:
-    from cosim.studies.tuning.space import BoundedKey, ChoiceKey
 
 
 class SearchMethod(StrEnum):
@@ -36,7 +34,15 @@ class SearchMethod(StrEnum):
 
 
 def tune(
-    scenario: ScenarioArgument,
+    scenario: Annotated[
+        str,
+        typer.Argument(
+            metavar="SCENARIO",
+            help="A shipped scenario by name, a path to a .toml file, or a log (.mcap), which is "
+            "replayed.",
+            autocompletion=completion.complete_scenario,
+        ),
+    ],
     minimize: Annotated[
         str | None,
         typer.Option(metavar="METRIC", help="What to minimize: 'rms(observer.delta - delta.y)'."),
@@ -88,9 +94,22 @@ def tune(
     timeout: Annotated[
         float | None, typer.Option(metavar="SECONDS", help="Wall time that a run may take.")
     ] = None,
-    set_: SetOption = None,
-    swap: SwapOption = None,
-    map_: MapOption = None,
+    replay: Annotated[
+        list[str] | None,
+        typer.Option(metavar="LOG", help="Log that every trial replays."),
+    ] = None,
+    allow_code: Annotated[
+        bool,
+        typer.Option(
+            "--allow-code",
+            help="In replays run the code of the classes that the log names, as 'cosim replay "
+            "--allow-code' does.",
+        ),
+    ] = False,
+    changes: SetOption = None,
+    swaps: SwapOption = None,
+    maps: MapOption = None,
+    stop: StopOption = None,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -101,71 +120,53 @@ def tune(
     import json
 
     from cosim.studies.tables.tuning import tuning_lines
-    from cosim.studies.tuning.searching import TuningSearch
-    from cosim.studies.tuning.space import SearchSpace
-    from cosim.studies.tuning.tuning import TuningTask, tune_task
+    from cosim.studies.tuning.tuning import tune as run_tuning
 
-    search = TuningSearch(
-        space=SearchSpace(tuple(_read_keys(vary or []))),
-        objective="",
-        maximize=maximize is not None,
-        method=method.value,
-        members=members,
-        starts=starts,
-        seed=seed,
-        with_errors=standard_errors,
-        samples=samples,
-    )
-    task = TuningTask(
-        scenario=scenario,
-        expression=_expression(minimize, maximize),
-        search=search,
-        set=read_edits(set_),
-        swap=read_unique_pairs(swap or [], "swap"),
-        map=read_unique_pairs(map_ or [], "map"),
-    )
     with prints_to_stderr(), show_members(quiet or as_json) as progress:
-        result = tune_task(
-            task, out=out, new=new, workers=workers, timeout=timeout, progress=progress
+        result = run_tuning(
+            scenario,
+            minimize=minimize,
+            maximize=maximize,
+            vary=_variations(vary or []),
+            members=members,
+            method=method.value,
+            starts=starts,
+            seed=seed,
+            standard_errors=standard_errors,
+            samples=samples,
+            replay=replay,
+            allow_code=allow_code,
+            out=out,
+            new=new,
+            workers=workers,
+            timeout=timeout,
+            set=read_edits(changes, {"scenario.stop": stop}),
+            swap=read_unique_pairs(swaps, "swap"),
+            map=read_unique_pairs(maps, "map"),
+            progress=progress,
         )
     if as_json:
         typer.echo(json.dumps(result.to_dict(), indent=2))
     elif not quiet:
-        for line in tuning_lines(task, result):
+        for line in tuning_lines(result):
             typer.echo(printable(line))
     if result.best is None:
         raise typer.Exit(1)
 
 
-def _expression(minimize: str | None, maximize: str | None) -> str:
-    """Return the metric.
-
-    Raises
-    ------
-    UsageError
-        If there is none, or two.
-    """
-    if (minimize is None) == (maximize is None):
-        found = "neither" if minimize is None else "both"
-        raise UsageError(f"found {found} of --minimize and --maximize, needed one of them")
-    return minimize if minimize is not None else str(maximize)
-
-
-def _read_keys(texts: list[str]) -> list[BoundedKey | ChoiceKey]:
+def _variations(texts: list[str]) -> dict[str, Any]:
     """Read KEY=LOWER:UPPER, KEY=log:LOWER:UPPER, KEY=V1,V2,... of --vary."""
-    return [_read_key(key, text) for key, text in read_unique_pairs(texts, "vary").items()]
+    return {key: _variation(key, text) for key, text in read_unique_pairs(texts, "vary").items()}
 
 
-def _read_key(key: str, text: str) -> BoundedKey | ChoiceKey:
-    from cosim.studies.document.variations import SWAP
+def _variation(key: str, text: str) -> Any:
     from cosim.studies.document.vary_option import read_vary_option
-    from cosim.studies.tuning.space import BoundedKey, ChoiceKey
 
     parts = [part.strip() for part in text.split(":")]
     form = parts.pop(0) if parts[0] in ("log", "linear") else "linear"
     try:
         lower, upper = (float(part) for part in parts)
-        return BoundedKey(key, lower, upper, form == "log")
+        return {form: [lower, upper]}
     except ValueError:
         pass
     try:
@@ -177,5 +178,4 @@ def _read_key(key: str, text: str) -> BoundedKey | ChoiceKey:
             f"{option('vary', key)}: found {quoted(text)}; needed LOWER:UPPER, log:LOWER:UPPER or "
             "values with a comma between them"
         )
-    name = key if "." in key else f"{SWAP}{key}"
-    return ChoiceKey(name, tuple(values))
+    return values

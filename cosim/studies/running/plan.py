@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -129,14 +129,41 @@ def plan_study(study: StudyFile) -> StudyPlan:
     parse_metrics(study.metrics)
     scenario = load_scenario(study.scenario)
     design = plan_design(study, scenario)
-    check_design(design, scenario, allow_code=study.subject.allow_code)
     _check_kept(study, design)
+    return plan_members(study, scenario, design)
+
+
+def plan_members(
+    study: StudyFile,
+    scenario: Scenario,
+    design: StudyDesign,
+    *,
+    refused: Callable[[StudyMember, str], str] | None = None,
+) -> StudyPlan:
+    """Plan a study whose design and metrics are there.
+
+    Parameters
+    ----------
+    study : StudyFile
+    scenario : Scenario
+        As its file says.
+    design : StudyDesign
+    refused : callable, optional
+        Returns what to say of a member that cannot be built, given the reason; left out: its number
+        and that.
+
+    Raises
+    ------
+    CosimError
+        If a parameter, a metric, or a file is wrong.
+    """
+    check_design(design, scenario, allow_code=study.subject.allow_code)
     inspected = [design.member(number) for number in _inspected(design)]
     sources = _swapped_files(inspected)
     designs: dict[str | None, str] = {}
     recordings = {member.number: member.recording for member in inspected}
     for outcome in _inspect(study, scenario, inspected):
-        sources |= _sources_of(outcome)
+        sources |= _sources_of(design.member(outcome.number), outcome, refused or _refused)
         text = sources.pop(DESIGNS, "")
         if text:
             designs[recordings[outcome.number]] = text
@@ -212,7 +239,13 @@ def _swapped_files(members: Iterable[StudyMember]) -> dict[str, str]:
     return files
 
 
-def _sources_of(outcome: MemberOutcome) -> dict[str, str]:
+def _refused(member: StudyMember, reason: str) -> str:
+    return f"member {member.number}: {reason}"
+
+
+def _sources_of(
+    member: StudyMember, outcome: MemberOutcome, refused: Callable[[StudyMember, str], str]
+) -> dict[str, str]:
     """Return what a member is made of; what is lost with its process fails in its run, too.
 
     Raises
@@ -221,7 +254,7 @@ def _sources_of(outcome: MemberOutcome) -> dict[str, str]:
         If the member is refused.
     """
     if REFUSED in outcome.metrics:
-        raise UsageError(f"member {outcome.number}: {outcome.metrics[REFUSED]}")
+        raise UsageError(refused(member, str(outcome.metrics[REFUSED])))
     return {name: str(digest) for name, digest in outcome.metrics.items()}
 
 

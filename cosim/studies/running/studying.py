@@ -163,7 +163,7 @@ def open_dataset(plan: StudyPlan, place: str | Path, *, new: bool) -> StudyDatas
         If logs are kept by a metric that is no number.
     """
     results: Mapping[str, MetricValue] = {}
-    if plan.subject.with_results and (new or not _is_there(place)):
+    if plan.subject.with_results and (new or not is_there(place)):
         results = _example_results(plan)
     identity = plan.identity(results)
     is_known = bool(results) or not plan.subject.with_results
@@ -172,7 +172,8 @@ def open_dataset(plan: StudyPlan, place: str | Path, *, new: bool) -> StudyDatas
     return StudyDataset.open_or_create(place, identity, design=plan.design, new=new)
 
 
-def _is_there(place: str | Path) -> bool:
+def is_there(place: str | Path) -> bool:
+    """Return whether there is a dataset that can be read."""
     try:
         StudyDataset.open(place).close()
     except DatasetError:

@@ -7,21 +7,25 @@ middle of a batch numbers its members as an undisturbed one.
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
-from typing import Any, Final, cast, final
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, Protocol, TypeAlias, final
 
 from cosim.errors import UsageError, option
 from cosim.studies.contracts import COMPLETE, MemberOutcome, StudyMember
-from cosim.studies.dataset.columns import StudyColumn
-from cosim.studies.dataset.study_dataset import StudyDataset
-from cosim.studies.document.variations import SWAP
 from cosim.studies.running.local import MembersDone
 from cosim.studies.tuning.points import point_name
+from cosim.studies.tuning.recorded import TuningDataset
 from cosim.studies.tuning.trials import SearchEnded
-from cosim.studies.workers.pool import WorkerPool
 
-_OUTCOME: Final = ("member", "status", "reason", "steps")
+MemberOf: TypeAlias = Callable[[int, Mapping[str, Any]], StudyMember]
+
+
+class RunMembers(Protocol):
+    """Runs members, as a worker pool does."""
+
+    def run(self, members: Sequence[StudyMember]) -> Iterator[MemberOutcome]:
+        """Yield outcomes, as they come."""
+        ...
 
 
 @final
@@ -30,9 +34,10 @@ class TrialMembers:
 
     Parameters
     ----------
-    pool : WorkerPool
-    dataset : StudyDataset or None
-        None: nothing is kept.
+    runner : RunMembers
+    member_of : callable
+        Returns the member of a number that tries a point.
+    dataset : TuningDataset
     members : int
         How many there may be.
     progress : callable or None
@@ -41,17 +46,19 @@ class TrialMembers:
 
     def __init__(
         self,
-        pool: WorkerPool,
-        dataset: StudyDataset | None,
+        runner: RunMembers,
+        member_of: MemberOf,
+        dataset: TuningDataset,
         members: int,
         progress: MembersDone | None = None,
     ) -> None:
-        self._pool = pool
+        self._runner = runner
+        self._member_of = member_of
         self._dataset = dataset
         self._members = members
         self._progress = progress
         self._done: dict[int, bool] = {}  # whether it failed, by member
-        self._recorded = {} if dataset is None else _recorded(dataset)
+        self._recorded = dataset.outcomes()
         self._numbers = {outcome.number for outcome in self._recorded.values()}
         self._next = 0
 
@@ -67,68 +74,56 @@ class TrialMembers:
         RunError
             If workers cannot be started.
         """
-        names = [point_name(point) for point in points]
-        new = {}
-        for name, point in zip(names, points, strict=True):
-            if name not in self._recorded:
-                number = self._take_number()
-                new[number] = (name, member_of(number, point))
-        for outcome in self._pool.run([member for _, member in new.values()]):
-            name, member = new[outcome.number]
-            if self._dataset is not None:
-                self._dataset.add(member, outcome)
-            self._recorded[name] = outcome
-            self._note(outcome)
-        outcomes = [self._recorded[name] for name in names]
+        if not self._recorded:
+            self._run(points[:1])  # alone, as nothing is kept where it fails
+        self._run(points)
+        outcomes = [self._recorded[point_name(point)] for point in points]
         for outcome in outcomes:
             self._note(outcome)
         return outcomes
 
+    def _run(self, points: Sequence[Mapping[str, Any]]) -> None:
+        """Run the points that are not recorded."""
+        new = {}
+        for point in points:
+            name = point_name(point)
+            if name not in self._recorded:
+                number = self._take_number()
+                new[number] = (name, self._member_of(number, point))
+        if not new:
+            return
+        for outcome in self._runner.run([member for _, member in new.values()]):
+            name, member = new[outcome.number]
+            _check_first(outcome)
+            self._dataset.add(member, outcome)
+            self._recorded[name] = outcome
+            self._note(outcome)
+
     def _take_number(self) -> int:
         while self._next in self._numbers:
             self._next += 1
-        if self._dataset is not None and self._next >= self._dataset.layout.total:
+        if self._next >= self._dataset.places:
             raise SearchEnded("all members of the dataset were used")
         self._numbers.add(self._next)
         return self._next
 
     def _note(self, outcome: MemberOutcome) -> None:
-        if outcome.number == 0 and outcome.status != COMPLETE:
-            raise UsageError(
-                f"the first member fails, nothing was tuned: {outcome.reason}\nneeded a metric of "
-                f"the run, and first values with which it runs, such as by {option('set')}"
-            )
+        _check_first(outcome)
         self._done[outcome.number] = outcome.status != COMPLETE
         if self._progress is not None:
             self._progress(len(self._done), self._members, sum(self._done.values()))
 
 
-def member_of(number: int, point: Mapping[str, Any]) -> StudyMember:
-    """Return the member that tries a point."""
-    changes = {key: value for key, value in point.items() if not key.startswith(SWAP)}
-    swaps = {
-        key.removeprefix(SWAP): str(value) for key, value in point.items() if key.startswith(SWAP)
-    }
-    return StudyMember(number, changes, swaps)
+def _check_first(outcome: MemberOutcome) -> None:
+    """Check that the first member of all is complete.
 
-
-def _recorded(dataset: StudyDataset) -> dict[str, MemberOutcome]:
-    """Return what a dataset has, by the names of points."""
-    parameters = [column for column in dataset.columns if column.role == "parameter"]
-    metrics = [column.name for column in dataset.columns if column.role == "metric"]
-    names = [*_OUTCOME, *(column.name for column in parameters), *metrics]
-    found = {}
-    for row in dataset.read(names).to_pylist():
-        point = {column.name: _value(column, row[column.name]) for column in parameters}
-        found[point_name(point)] = MemberOutcome(
-            row["member"],
-            row["status"],
-            reason=row["reason"] or "",
-            steps=cast("int", row["steps"]),
-            metrics={name: row[name] for name in metrics},
+    Raises
+    ------
+    UsageError
+        If it has failed: the others would, too.
+    """
+    if outcome.number == 0 and outcome.status != COMPLETE:
+        raise UsageError(
+            f"the first member fails, nothing was tuned: {outcome.reason}\nneeded a metric of "
+            f"the run, and first values with which it runs, such as by {option('set')}"
         )
-    return found
-
-
-def _value(column: StudyColumn, value: Any) -> Any:
-    return json.loads(value) if column.type == "json" and value is not None else value

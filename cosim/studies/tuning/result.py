@@ -23,7 +23,7 @@ WHITE: Final = 2.58  # over sqrt(N): neighbours of white samples, in 99 of 100 c
 FLAT: Final = 1e-9  # relative; rounding alone differs by less
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class TuningResult:
     """What a tuning found.
 
@@ -53,6 +53,10 @@ class TuningResult:
     neighbours : float or None
         How neighbouring samples of the residual correlate at the best values; None: that is not
         known.
+    expression : str
+        The metric.
+    command : str
+        The line for a shell that runs the best member alone, bit for bit; empty: it is not known.
     """
 
     space: SearchSpace
@@ -69,6 +73,33 @@ class TuningResult:
     errors: StandardErrors | None
     errors_problem: str
     neighbours: float | None = None
+    expression: str = ""
+    command: str = ""
+
+    def __repr__(self) -> str:
+        best = self.best
+        found = "none" if best is None else f"{best.objective:.6g} at {values_text(best.point)}"
+        return f"<TuningResult {self.expression or self.objective}: {found}>"
+
+    @property
+    def estimate(self) -> dict[str, Any]:
+        """The best values by key; empty where no member has an objective."""
+        return {} if self.best is None else dict(self.best.point)
+
+    @property
+    def standard_errors(self) -> dict[str, float] | None:
+        """The standard errors of the best values by key; None: there are none."""
+        return None if self.errors is None else dict(self.errors.errors)
+
+    @property
+    def history(self) -> list[dict[str, Any]]:
+        """All members in the order in which they were asked for: number, values, objective."""
+        return [_trial_dict(trial) for trial in self.trials]
+
+    @property
+    def statements(self) -> list[str]:
+        """What is to be said of the result, a sentence each."""
+        return statements(self)
 
     @property
     def failed(self) -> tuple[SearchTrial, ...]:
@@ -106,9 +137,10 @@ class TuningResult:
             "converged": self.best_end is not None,
             "stop_reason": self.stop_reason,
             "at_bounds": self.at_bounds,
-            "statements": statements(self),
+            "statements": self.statements,
             "standard_errors": None if self.errors is None else self.errors.to_dict(),
             "neighbours": self.neighbours,
+            "command": self.command,
         }
 
     def ended_here(self, end: SearchEnd) -> bool:

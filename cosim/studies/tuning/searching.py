@@ -66,6 +66,24 @@ class TuningSearch:
     with_errors: bool = False
     samples: int | None = None
 
+    def inside(self) -> dict[str, Any]:
+        """Return the first values that are between their bounds, or in their list."""
+        found: dict[str, Any] = {}
+        first = self.first or {}
+        for key in self.space.keys:
+            if key.key not in first:
+                continue
+            value = first[key.key]
+            if not isinstance(key, BoundedKey):
+                found[key.key] = value
+            elif _is_number(value) and key.lower <= value <= key.upper:
+                found[key.key] = float(value)
+        return found
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
 
 def check_search(search: TuningSearch) -> None:
     """Check a search before anything runs.
@@ -174,7 +192,7 @@ def _run(search: TuningSearch, trials: Trials, ends: list[SearchEnd]) -> str:
     """Run a search to its own end, and return why it ended."""
     space = search.space
     if search.method == "optuna":
-        search_with_optuna(space, trials, _inside(search), search.seed)
+        search_with_optuna(space, trials, search.inside(), search.seed)
     squared = search.is_rms and not search.maximize
     method = search.method if search.method == "nelder-mead" else "cobyqa"
     local = LocalSearch(space, trials, method, squared, ends)
@@ -186,25 +204,10 @@ def _run(search: TuningSearch, trials: Trials, ends: list[SearchEnd]) -> str:
     return "the searches from all starts ended"
 
 
-def _inside(search: TuningSearch) -> dict[str, Any]:
-    """Return the first values that are between their bounds, or in their list."""
-    inside: dict[str, Any] = {}
-    first = search.first or {}
-    for key in search.space.keys:
-        if key.key not in first:
-            continue
-        value = first[key.key]
-        if not isinstance(key, BoundedKey):
-            inside[key.key] = value
-        elif isinstance(value, (int, float)) and key.lower <= value <= key.upper:
-            inside[key.key] = float(value)
-    return inside
-
-
 def _first(search: TuningSearch) -> Vector:
     """Return the coordinates of the first start; the middle where no value is known."""
     start = search.space.center()
-    inside = _inside(search)
+    inside = search.inside()
     for number, key in enumerate(search.space.bounded):
         if key.key in inside:
             start[number] = key.coordinate(inside[key.key])

@@ -2,85 +2,132 @@
 
 from __future__ import annotations
 
-import ast
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, cast
 
+from cosim.arguments import path_argument, truth_argument, whole_argument
 from cosim.errors import UsageError, option, quoted
-from cosim.scenario.parsing import Scenario
-from cosim.scenario.preparing import build_experiment
-from cosim.scenario.recordings.records import recorded_channels
-from cosim.scenario.running.execution import load
-from cosim.studies.contracts import StudySubject
-from cosim.studies.dataset.columns import metric_column, parameter_column
-from cosim.studies.dataset.identity import StudyIdentity, digest_of
-from cosim.studies.dataset.study_dataset import StudyDataset
-from cosim.studies.design.checking import is_own_code
-from cosim.studies.design.own_values import own_value
-from cosim.studies.metrics.metrics import parse_metrics
-from cosim.studies.running.local import MembersDone, default_workers
+from cosim.studies.running.local import MembersDone
 from cosim.studies.running.plan import RUNNER
-from cosim.studies.running.recorded_study import searched_text
-from cosim.studies.tuning.digests import scenario_digests
-from cosim.studies.tuning.members import TrialMembers, member_of
+from cosim.studies.running.studying import worker_count
+from cosim.studies.tuning.keys import read_space
+from cosim.studies.tuning.members import TrialMembers
+from cosim.studies.tuning.planning import TuningPlan, plan_tuning
+from cosim.studies.tuning.recorded import TuningDataset
 from cosim.studies.tuning.result import TuningResult
-from cosim.studies.tuning.searching import TuningSearch, check_search, search_best
-from cosim.studies.tuning.space import BoundedKey, SearchSpace
-from cosim.studies.tuning.trials import SAMPLES
+from cosim.studies.tuning.searching import TuningMethod, TuningSearch, search_best
+from cosim.studies.tuning.task import OBJECTIVE, TuningTask
 from cosim.studies.tuning.whiteness import residual_correlation
 from cosim.studies.workers.pool import WorkerPool
 
-OBJECTIVE: Final = "objective"  # the name of its column
+if TYPE_CHECKING:
+    from distributed import Client
 
 
-@dataclass(frozen=True, slots=True)
-class TuningTask:
-    """What is to be tuned.
+def tune(
+    scenario: str | Path,
+    *,
+    minimize: str | None = None,
+    maximize: str | None = None,
+    vary: Mapping[str, Any] | None = None,
+    members: int = 200,
+    method: str = "cobyqa",
+    starts: int = 4,
+    seed: int = 1,
+    standard_errors: bool = False,
+    samples: int | None = None,
+    replay: str | Sequence[str] | None = None,
+    allow_code: bool = False,
+    out: str | Path | None = None,
+    new: bool = False,
+    workers: int | None = None,
+    scheduler: str | Client | None = None,
+    timeout: float | None = None,
+    set: Mapping[str, Any] | None = None,
+    swap: Mapping[str, str | Path] | None = None,
+    map: Mapping[str, str | list[str]] | None = None,
+    progress: MembersDone | None = None,
+    notice: Callable[[str], None] | None = None,
+) -> TuningResult:
+    """Search the values of some keys with the best metric.
 
     Parameters
     ----------
-    scenario : str
-        Path, or name of a shipped scenario.
-    expression : str
-        The metric.
-    search : TuningSearch
-        Its objective, first values and whether it is an rms are found here.
+    scenario : str or Path
+        A scenario, the name of a shipped one, or a log, which every trial replays.
+    minimize, maximize : str, optional
+        The metric, such as ``"rms(observer.delta - delta.y)"``: one of these.
+    vary : mapping of dotted key to table or list
+        Bounds, ``{"log": [10.0, 1e4]}`` or ``{"linear": [0.0, 1.0]}``; with optuna also lists of
+        values, and of paths for the key of a component, which is swapped.
+    members : int
+        Runs at most.
+    method : {"cobyqa", "nelder-mead", "global", "optuna"}
+        The first two search locally from several starts, ``global`` by differential evolution,
+        ``optuna`` by models of what was good.
+    starts : int
+        Of a local search.
+    seed : int
+        Of starts and random points.
+    standard_errors : bool
+        Find those of values fitted by the rms of a residual, too.
+    samples : int, optional
+        Independent samples of the residual; left out: all that the rms has.
+    replay : str, optional
+        A log that every trial replays.
+    allow_code : bool
+        As of :func:`cosim.replay`.
+    out : str or Path, optional
+        Folder of the dataset of all runs, or a URL of fsspec; what it has is not run again. Left
+        out: nothing is kept.
+    new : bool
+        Begin the dataset that is there anew.
+    workers : int, optional
+        Processes at a time; left out: one a processor.
+    scheduler : str or distributed.Client, optional
+        Of a cluster of dask.distributed, such as ``"tcp://host:8786"``, for methods that try many
+        members at a time. The first member runs on this machine.
+    timeout : float, optional
+        Wall time that a run may take [s].
     set, swap, map
-        The edits that all members have, as of :func:`cosim.run`.
+        What all members have, as of :func:`cosim.run`.
+    progress : callable, optional
+        Called with how many members are done, of how many, and how many of these failed.
+    notice : callable, optional
+        Called with what is noteworthy about the run.
+
+    Raises
+    ------
+    CosimError
+        UsageError before a trial runs, and if the first one fails; DatasetError if ``out`` holds
+        another dataset. What fails in a later trial is in the result.
     """
-
-    scenario: str
-    expression: str
-    search: TuningSearch
-    set: Mapping[str, Any] = field(default_factory=dict)
-    swap: Mapping[str, str] = field(default_factory=dict)
-    map: Mapping[str, Any] = field(default_factory=dict)
-
-    @property
-    def metrics(self) -> dict[str, str]:
-        """The metrics of a member: the objective; of an rms the number of samples, too."""
-        if not is_rms(self.expression):
-            return {OBJECTIVE: self.expression}
-        counted = self.expression.strip().removeprefix("rms")
-        return {OBJECTIVE: self.expression, SAMPLES: f"count{counted}"}
-
-    @property
-    def subject(self) -> StudySubject:
-        """What all members have in common."""
-        return StudySubject(self.scenario, self.set, self.swap, self.map, self.metrics)
-
-
-def is_rms(expression: str) -> bool:
-    """Return whether a metric is the rms of one expression, with nothing around it."""
-    try:
-        node = ast.parse(expression.strip(), mode="eval").body
-    except (SyntaxError, ValueError, RecursionError, MemoryError):
-        return False
-    is_call = isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
-    return is_call and node.func.id == "rms"  # type: ignore[attr-defined]
+    search = TuningSearch(
+        space=read_space(vary),
+        objective=OBJECTIVE,
+        maximize=maximize is not None,
+        method=cast("TuningMethod", method),  # checked with the search
+        members=_whole("members", members),
+        starts=_whole("starts", starts),
+        seed=_whole("seed", seed),
+        with_errors=truth_argument("standard_errors", standard_errors),
+        samples=whole_argument("samples", samples),
+    )
+    task = TuningTask(
+        scenario=str(path_argument("scenario", scenario)),
+        expression=_expression(minimize, maximize),
+        search=search,
+        set=set or {},
+        swap=swap or {},
+        map=map or {},
+        replay=replay,
+        allow_code=truth_argument("allow_code", allow_code),
+        timeout=timeout,
+    )
+    return tune_task(task, out=out, new=new, workers=workers, progress=progress)
 
 
 def tune_task(
@@ -89,132 +136,59 @@ def tune_task(
     out: str | Path | None = None,
     new: bool = False,
     workers: int | None = None,
-    timeout: float | None = None,
     progress: MembersDone | None = None,
 ) -> TuningResult:
-    """Tune a scenario.
-
-    Parameters
-    ----------
-    task : TuningTask
-    out : str or Path, optional
-        Folder or URL of the dataset of all members; what it has is not run again. Without it
-        nothing is kept.
-    new : bool
-        Remove the dataset that is there first.
-    workers : int, optional
-        At a time; without it as many as there are processors.
-    timeout : float, optional
-        Wall time that a member may take [s], as of :class:`WorkerPool`.
-    progress : callable, optional
-        Called with how many members are done, of how many, and how many of these failed.
-
-    Raises
-    ------
-    UsageError
-        If the scenario, a key, the metric or a number is wrong, or the first member fails.
-    DatasetError
-        If the dataset is that of another study, or damaged.
-    RunError
-        If workers cannot be started.
-    """
-    scenario = load(task.scenario).edit(swap=task.swap, map=task.map, set=task.set)
-    search = _completed(task, scenario)
-    check_search(search)
-    _check_metrics(task, scenario)
-    count = default_workers() if workers is None else workers
+    """Tune a scenario; parameters and errors as of :func:`tune`."""
+    new = truth_argument("new", new)
+    count = worker_count(workers)
+    plan = plan_tuning(task)
     with ExitStack() as resources:
-        dataset = None
-        if out is not None:
-            identity = _identity(task, search, scenario)
-            dataset = resources.enter_context(StudyDataset.open_or_create(out, identity, new=new))
-        pool = WorkerPool(RUNNER, task.subject, count, timeout=timeout)
+        pool = WorkerPool(RUNNER, plan.study.subject, count, timeout=task.timeout)
+        dataset = resources.enter_context(TuningDataset(out, plan.identity(), new=new))
         resources.enter_context(pool)
-        result = search_best(TrialMembers(pool, dataset, search.members, progress), search)
-    if result.errors is None or result.best is None:
+        trials = TrialMembers(pool, plan.member, dataset, plan.search.members, progress)
+        result = search_best(trials, plan.search)
+    return _completed(plan, result)
+
+
+def _completed(plan: TuningPlan, result: TuningResult) -> TuningResult:
+    """Return a result with what follows from the best values."""
+    result = replace(result, expression=plan.task.expression)
+    if result.best is None:
         return result
-    neighbours = residual_correlation(task.subject, OBJECTIVE, result.best.point)
+    point = result.best.point
+    result = replace(result, command=plan.command(point))
+    if result.errors is None:
+        return result
+    member = plan.member(0, point)
+    neighbours = residual_correlation(plan.study.subject, OBJECTIVE, member)
     return replace(result, neighbours=neighbours)
 
 
-def _completed(task: TuningTask, scenario: Scenario) -> TuningSearch:
-    """Return the search with the values that the scenario has."""
-    first = {}
-    for key in task.search.space.keys:
-        value = own_value(scenario, key.key)
-        if value is not None and not isinstance(value, bool):
-            first[key.key] = value
-    return replace(task.search, objective=OBJECTIVE, first=first, is_rms=is_rms(task.expression))
-
-
-def _check_metrics(task: TuningTask, scenario: Scenario) -> None:
-    """Check the metric, and the keys, as far as it can be known without the code of others.
+def _expression(minimize: str | None, maximize: str | None) -> str:
+    """Return the metric.
 
     Raises
     ------
     UsageError
-        If the metric has an error or no signal of the run, or there is no such key.
+        If there is none, or two, or it is no text.
     """
-    metrics = parse_metrics(task.metrics)
-    for key in task.search.space.keys:
-        values = (key.lower, key.upper) if isinstance(key, BoundedKey) else key.choices
-        for value in values:
-            member = member_of(0, {key.key: value})
-            try:
-                edited = scenario.edit(set=member.set, swap=member.swap)
-            except UsageError as error:
-                raise UsageError(f"{key.key} = {quoted(value)}: {error}") from error
-    if is_own_code(edited):
-        with ExitStack() as resources:
-            experiment = build_experiment(edited, resources, None)
-            try:
-                metrics.check(recorded_channels(experiment))
-            except UsageError as error:
-                name = "maximize" if task.search.maximize else "minimize"
-                raise UsageError(f"{option(name)}: {error}") from error
+    if (minimize is None) == (maximize is None):
+        found = "neither" if minimize is None else "both"
+        names = f"{option('minimize')} and {option('maximize')}"
+        raise UsageError(f"found {found} of {names}, needed one of them")
+    name = "minimize" if maximize is None else "maximize"
+    expression = minimize if maximize is None else maximize
+    if not isinstance(expression, str):
+        raise UsageError(
+            f"{option(name)}: found {quoted(expression)}; needed a metric, such as "
+            "'rms(observer.delta - delta.y)'"
+        )
+    return expression
 
 
-def _identity(task: TuningTask, search: TuningSearch, scenario: Scenario) -> StudyIdentity:
-    """Return whose dataset it is: that of the same search, however many members it may have."""
-    space = search.space
-    choices = [choice for key in space.choices for choice in key.choices]
-    asked = [
-        [asdict(key) for key in space.keys],
-        search.method,
-        search.maximize,
-        search.starts,
-        search.seed,
-    ]
-    digests = scenario_digests(scenario, choices)
-    digests["the objective"] = digest_of(task.expression)
-    digests["the search (its keys, bounds, method, starts and seed)"] = digest_of(asked)
-    columns = [parameter_column(name, values) for name, values in _values(space).items()]
-    columns += [metric_column(name, text) for name, text in task.metrics.items()]
-    return StudyIdentity(
-        name=f"tuning of {scenario.name}",
-        text=_description(task),
-        digests=digests,
-        columns=tuple(columns),
-        members=search.members,
-    )
-
-
-def _description(task: TuningTask) -> str:
-    """Return the study of the dataset, as its readers know it: every member is a case."""
-    study = {
-        "name": "tuning",
-        "scenario": task.scenario,
-        "set": dict(task.set),
-        "swap": dict(task.swap),
-        "map": dict(task.map),
-    }
-    tables = {"study": study, "metrics": task.metrics}
-    return searched_text(tables, task.search.members)
-
-
-def _values(space: SearchSpace) -> dict[str, list[Any]]:
-    """Return values of every key that tell the type of its column."""
-    return {
-        key.key: [float(key.lower)] if isinstance(key, BoundedKey) else list(key.choices)
-        for key in space.keys
-    }
+def _whole(name: str, value: object) -> int:
+    number = whole_argument(name, value)
+    if number is None:
+        raise UsageError(f"{option(name)}: found None; needed a whole number")
+    return number

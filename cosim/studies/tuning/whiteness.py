@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, Final, final
+from typing import Final, final
 
 import numpy as np
 
@@ -17,11 +17,10 @@ from cosim.core.recorders import Nothing
 from cosim.core.recording import Plan
 from cosim.native.numerics.expression import ConditionProgram, Program
 from cosim.native.numerics.programs import RowProgram
-from cosim.studies.contracts import MemberRunner, MetricValue, StudySubject
+from cosim.studies.contracts import MemberRunner, MetricValue, StudyMember, StudySubject
 from cosim.studies.members.runner import open_runner
 from cosim.studies.metrics.binding import find_element
 from cosim.studies.metrics.language import Reduction, parse_metric_text
-from cosim.studies.tuning.members import member_of
 from cosim.studies.workers.pool import WorkerPool
 
 LAG_1: Final = "lag 1"
@@ -29,9 +28,9 @@ _OPENER: Final = f"{__name__}:open_residual_runner"
 
 
 def residual_correlation(
-    subject: StudySubject, objective: str, point: Mapping[str, Any]
+    subject: StudySubject, objective: str, member: StudyMember
 ) -> float | None:
-    """Return how neighbours of the residual correlate at a point.
+    """Return how neighbours of the residual of a member correlate.
 
     None: it is not known, as the run failed, or its rows are chosen by a condition with a duration.
 
@@ -40,13 +39,13 @@ def residual_correlation(
     subject : StudySubject
     objective : str
         The name of its metric that is the rms of the residual.
-    point : mapping of key to value
+    member : StudyMember
     """
     reduction = parse_metric_text(objective, subject.metrics[objective]).reductions[0]
     if reduction.where is not None and reduction.where.duration_ns:
         return None
     with WorkerPool(_OPENER, subject, 1) as pool:
-        for outcome in pool.run([member_of(0, point)]):
+        for outcome in pool.run([member]):
             value = outcome.metrics.get(LAG_1)
             return value if isinstance(value, float) else None
     return None

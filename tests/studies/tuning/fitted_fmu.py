@@ -6,7 +6,7 @@ import numpy as np
 
 from cosim.studies.tuning.searching import TuningSearch
 from cosim.studies.tuning.space import BoundedKey, SearchSpace
-from cosim.studies.tuning.tuning import TuningTask
+from cosim.studies.tuning.task import TuningTask
 from tests.fmi.small import able, compiled
 
 A = -1.6

@@ -6,12 +6,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cosim.studies.contracts import COMPLETE, MemberOutcome
+from cosim.studies.contracts import COMPLETE, MemberOutcome, StudyMember
 from cosim.studies.dataset.columns import metric_column, parameter_column
 from cosim.studies.dataset.identity import StudyIdentity
 from cosim.studies.dataset.study_dataset import StudyDataset
 from cosim.studies.tuning.members import TrialMembers
 from cosim.studies.tuning.points import value_name
+from cosim.studies.tuning.recorded import TuningDataset
 from cosim.temporary import TemporaryFolder
 
 NUMBERS = st.one_of(st.integers(-(2**70), 2**70), st.integers(-3, 3), st.floats())
@@ -44,18 +45,24 @@ class CountingPool:
             yield MemberOutcome(member.number, COMPLETE, metrics=metrics)
 
 
+def member_of(number, point):
+    """Return the member that tries a point of no swaps."""
+    return StudyMember(number, dict(point))
+
+
 def tried(place, columns, batches, most=math.inf):
     """Try batches of points with a dataset; return what was run, and its rows at the end."""
     pool = CountingPool(most)
     identity = StudyIdentity("x", "", {}, (*columns, metric_column("objective")), 100)
-    with StudyDataset.open_or_create(place, identity) as dataset:
-        members = TrialMembers(pool, dataset, 100)
+    with TuningDataset(place, identity) as dataset:
+        members = TrialMembers(pool, member_of, dataset, 100)
         try:
             for batch in batches:
                 members(batch)
         except KeyboardInterrupt:
             pass
-    return pool.ran, repr(StudyDataset.open(place).read().to_pylist())
+    rows = StudyDataset.open(place).read().to_pylist() if place.exists() else []
+    return pool.ran, repr(rows)
 
 
 @settings(max_examples=25)

@@ -10,13 +10,15 @@ import numpy as np
 import pytest
 from scipy.optimize import curve_fit
 
+import cosim
 from cosim.cli.app import main
 from cosim.errors import CosimError, UsageError
 from cosim.studies.dataset.study_dataset import StudyDataset
 from cosim.studies.tuning.result import statements
 from cosim.studies.tuning.searching import TuningSearch
 from cosim.studies.tuning.space import BoundedKey, ChoiceKey, SearchSpace
-from cosim.studies.tuning.tuning import TuningTask, is_rms, tune_task
+from cosim.studies.tuning.task import TuningTask, is_rms
+from cosim.studies.tuning.tuning import tune_task
 from tests.studies.tuning.fitted_fmu import (
     EXPRESSION,
     SPACE,
@@ -214,9 +216,9 @@ def test_another_search_does_not_go_on_in_a_dataset(lag, tmp_path):
 @pytest.mark.parametrize(
     ("expression", "key", "message"),
     [
-        ("last(plant.z)", "plant.time_constant", "minimize: metrics.objective: the run has no"),
-        ("last(plant.y)", "plant.tim", "plant.tim = 0.1: set['plant.tim']: components.plant.tim"),
-        ("last(plant.y", "plant.time_constant", "metrics.objective"),
+        ("last(plant.z)", "plant.time_constant", "minimize: the run has no"),
+        ("last(plant.y)", "plant.tim", "plant.tim = 5.05: set['plant.tim']: components.plant"),
+        ("last(plant.y", "plant.time_constant", "minimize: metric 'last(plant.y'"),
     ],
 )
 def test_what_is_wrong_is_said_before_anything_runs(lag, expression, key, message):
@@ -226,13 +228,78 @@ def test_what_is_wrong_is_said_before_anything_runs(lag, expression, key, messag
     assert message in str(caught.value)
 
 
-def test_a_first_member_that_fails_ends_the_tuning(fit):
+def test_a_variable_that_an_fmu_has_not_is_refused(fit, tmp_path):
     search = TuningSearch(SearchSpace((BoundedKey("plant.start.Q", 0.1, 10.0),)), "")
+    with pytest.raises(UsageError, match="small: no variable 'Q'; there is: u, v, x, y, z, A, B"):
+        tune_task(TuningTask(str(fit), EXPRESSION, search), workers=1, out=tmp_path / "d")
+    assert not (tmp_path / "d").exists()
+
+
+def test_a_first_member_that_fails_ends_the_tuning_and_leaves_no_dataset(lag, tmp_path):
+    """Nor does it remove the one that is there."""
+    divided = {"scenario.stop": 1.0}  # by zero, at 0.5 s
+    grows = '[components]\ngrows = { kind = "expression", y = "1 / (0.5 - t)" }'
+    lag.write_text(lag.read_text().replace("[components]", grows).replace("2.0, s", "0.1, s"))
+    for place in (tmp_path / "fresh", tmp_path / "old"):
+        if place.name == "old":
+            tune_task(lag_task(lag, members=3), out=place, workers=1)
+            before = rows_of(place)
+        task = replace(lag_task(lag, members=3), set=divided)
+        with pytest.raises(UsageError) as caught:
+            tune_task(task, out=place, workers=1, new=True)
+        assert "the first member fails, nothing was tuned: " in str(caught.value)
+        assert "first values with which it runs, such as by set" in str(caught.value)
+    assert not (tmp_path / "fresh").exists()
+    assert rows_of(tmp_path / "old") == before
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"workers": 0}, "workers: found 0, needed 1 or more"),
+        ({"workers": 1.5}, "workers: found 1.5; needed a whole number"),
+        ({"new": "yes"}, "new: found 'yes'; needed True or False"),
+        ({"timeout": -1.0}, "timeout: "),
+        ({"members": 2.5}, "members: found 2.5; needed a whole number"),
+        ({"minimize": 3}, "minimize: found 3; needed a metric, such as"),
+        ({"vary": {"plant.time_constant": {"log": [1.0]}}}, "needed bounds, such as {'linear'"),
+        ({"vary": ["plant.time_constant"]}, "vary: found ['plant.time_constant']; needed a mapp"),
+        ({"replay": ["a.mcap"]}, "replay: no file matches "),
+    ],
+)
+def test_wrong_options_leave_the_dataset_that_is_there(lag, tmp_path, options, message):
+    place = tmp_path / "d"
+    place.mkdir()
+    (place / "study.json").write_text("{}")
+    given = {
+        "minimize": "last(plant.y)",
+        "vary": {"plant.time_constant": {"log": [0.1, 10.0]}},
+        "new": True,
+        **options,
+    }
     with pytest.raises(UsageError) as caught:
-        tune_task(TuningTask(str(fit), EXPRESSION, search), workers=1)
-    assert "the first member fails, nothing was tuned: " in str(caught.value)
-    assert "no variable 'Q'" in str(caught.value)
-    assert "first values with which it runs, such as by set" in str(caught.value)
+        cosim.tune(lag, out=place, **given)
+    assert message in str(caught.value)
+    assert [path.name for path in place.iterdir()] == ["study.json"]
+
+
+def test_what_is_tuned_in_python_is_what_the_command_tunes(lag, tmp_path):
+    """1 - exp(-2 / T) = 0.5 has T = 2 / log 2; its first run is that of the scenario."""
+    result = cosim.tune(
+        lag,
+        minimize="abs(last(plant.y) - 0.5)",
+        vary={"plant.time_constant": {"log": [0.1, 10.0]}},
+        members=60,
+        starts=1,
+        workers=1,
+    )
+    assert result.estimate["plant.time_constant"] == pytest.approx(2.0 / np.log(2.0), rel=1e-4)
+    assert result.standard_errors is None
+    assert result.history[0]["values"] == {"plant.time_constant": 0.7}
+    assert result.history[0]["objective"] == pytest.approx(0.5 - np.exp(-2.0 / 0.7), abs=1e-5)
+    assert len(result.history) <= 60
+    assert repr(result).startswith("<TuningResult abs(last(plant.y) - 0.5): ")
+    assert result.statements[0].startswith("COBYQA converged")
 
 
 def test_a_white_residual_is_looked_at(fit):

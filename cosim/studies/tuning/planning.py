@@ -1,0 +1,191 @@
+"""Plan a tuning: everything that can be wrong with it is found before a trial runs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+from cosim.errors import UsageError, listing, option, quoted
+from cosim.log.foreign.topics import is_foreign
+from cosim.studies.contracts import StudyMember
+from cosim.studies.dataset.columns import metric_column, parameter_column
+from cosim.studies.dataset.identity import StudyIdentity, digest_of
+from cosim.studies.design.columns import DesignColumn, MemberLayout, SampleColumn, packed
+from cosim.studies.design.commands import run_command
+from cosim.studies.design.own_values import own_value
+from cosim.studies.design.planning import edited_scenario
+from cosim.studies.design.recordings import find_recordings
+from cosim.studies.design.study_design import RECORDING, StudyDesign
+from cosim.studies.document.scenario_of_study import load_scenario
+from cosim.studies.document.study_file import StudyFile
+from cosim.studies.document.variations import SWAP
+from cosim.studies.metrics.metrics import parse_metrics
+from cosim.studies.running.plan import StudyPlan, plan_members
+from cosim.studies.running.recorded_study import searched_text
+from cosim.studies.tuning.searching import TuningSearch, check_search
+from cosim.studies.tuning.space import BoundedKey, ChoiceKey, SearchSpace
+from cosim.studies.tuning.task import OBJECTIVE, TuningTask, is_rms
+
+_SEARCH: Final = "the search (its keys, bounds, method, starts and seed)"
+_METRICS: Final = "the metrics"
+
+
+@dataclass(frozen=True)
+class TuningPlan:
+    """A tuning that can run.
+
+    Parameters
+    ----------
+    task : TuningTask
+    study : StudyPlan
+        Its members are values of all keys that were checked, not those that will be tried.
+    search : TuningSearch
+        With what was not known before: objective, first values.
+    recording : str or None
+        The log that every trial replays.
+    """
+
+    task: TuningTask
+    study: StudyPlan
+    search: TuningSearch
+    recording: str | None
+
+    def member(self, number: int, point: Mapping[str, Any]) -> StudyMember:
+        """Return the member that tries a point."""
+        changes = {key: value for key, value in point.items() if not key.startswith(SWAP)}
+        swaps = {
+            key.removeprefix(SWAP): str(value)
+            for key, value in point.items()
+            if key.startswith(SWAP)
+        }
+        return StudyMember(number, changes, swaps, self.recording)
+
+    def command(self, point: Mapping[str, Any]) -> str:
+        """Return the line for a shell that runs a point alone, bit for bit."""
+        return run_command(self.member(0, point), self.study.study)
+
+    def identity(self) -> StudyIdentity:
+        """Return whose dataset it is: that of the same search, however many members it may have."""
+        search = self.search
+        space = search.space
+        asked = [
+            [asdict(key) for key in space.keys],
+            search.method,
+            search.maximize,
+            search.starts,
+            search.seed,
+        ]
+        planned = self.study.identity({})
+        digests = {name: digest for name, digest in planned.digests.items() if name != _METRICS}
+        digests["the objective"] = digest_of(self.task.expression)
+        digests[_SEARCH] = digest_of(asked)
+        columns = [] if self.recording is None else [parameter_column(RECORDING, [self.recording])]
+        columns += [parameter_column(key.key, _typical(key)) for key in space.keys]
+        columns += [metric_column(name, text) for name, text in self.task.metrics.items()]
+        return StudyIdentity(
+            name=f"tuning of {self.study.scenario.name}",
+            text=searched_text(self.study.study.to_dict(), search.members),
+            digests=digests,
+            columns=tuple(columns),
+            members=search.members,
+        )
+
+
+def plan_tuning(task: TuningTask) -> TuningPlan:
+    """Plan a tuning; the first trial is built, as is one with each file that may be swapped.
+
+    Raises
+    ------
+    CosimError
+        If the scenario, a key, the metric, a log or a number is wrong.
+    """
+    check_search(replace(task.search, is_rms=is_rms(task.expression)))
+    name = option("maximize" if task.search.maximize else "minimize")
+    try:
+        parse_metrics(task.metrics)
+    except UsageError as error:
+        raise UsageError(_of_objective(str(error), name)) from error
+    study = task.study()
+    recording = _recording(study)
+    search = replace(
+        task.search,
+        objective=OBJECTIVE,
+        first=_own_values(task.search.space, study, recording),
+        is_rms=is_rms(task.expression),
+    )
+    design = _checked_points(study, search, recording)
+
+    def refused(member: StudyMember, reason: str) -> str:
+        swaps = [f"{SWAP}{key} = {quoted(path)}: " for key, path in member.swap.items()]
+        return f"{''.join(swaps)}{_of_objective(reason, name)}"
+
+    planned = plan_members(study, load_scenario(study.scenario), design, refused=refused)
+    return TuningPlan(task, planned, search, recording)
+
+
+def _of_objective(text: str, name: str) -> str:
+    """Return what is wrong with the metrics by the option that they follow from, each once."""
+    lines = []
+    for line in text.splitlines():
+        begin, _, rest = line.partition(": ")
+        lines.append(f"{name}: {rest}" if begin.startswith("metrics.") else line)
+    return "\n".join(dict.fromkeys(lines))
+
+
+def _recording(study: StudyFile) -> str | None:
+    """Return the log that every trial replays; None: the scenario is run.
+
+    Raises
+    ------
+    UsageError
+        If there are several.
+    """
+    found = find_recordings(study.settings.replay)
+    if len(found) > 1:
+        raise UsageError(
+            f"{option('replay')}: found {len(found)} logs ({listing(found, 3)}), and every trial "
+            "replays the same one: needed one log"
+        )
+    return found[0] if found else None
+
+
+def _own_values(space: SearchSpace, study: StudyFile, recording: str | None) -> dict[str, Any]:
+    """Return the values that the scenario has, or the run that was recorded, where it has one."""
+    if recording is None or is_foreign(Path(recording)):
+        own = edited_scenario(study, load_scenario(study.scenario), {})
+    else:
+        own = load_scenario(recording)
+    set_ = study.settings.set
+    values = {key.key: set_.get(key.key, own_value(own, key.key)) for key in space.keys}
+    return {key: value for key, value in values.items() if value is not None}
+
+
+def _checked_points(study: StudyFile, search: TuningSearch, recording: str | None) -> StudyDesign:
+    """Return a design that has the first point, and the bounds or values of every key."""
+    bounded = search.space.bounded
+    lists = [_first_of(key, search) for key in search.space.keys]
+    count = max(map(len, lists))
+    columns: dict[str, DesignColumn] = {}
+    if recording is not None:
+        columns[RECORDING] = SampleColumn([recording] * count)
+    for key, values in zip(search.space.keys, lists, strict=True):
+        repeated = [values[number % len(values)] for number in range(count)]
+        # all values of a list are checked, of an array only the extremes
+        columns[key.key] = SampleColumn(packed(repeated) if key in bounded else repeated)
+    layout = MemberLayout(samples=count, seeds=1, grid=1, noises=0)
+    return StudyDesign(study, "cases", layout, columns)
+
+
+def _first_of(key: BoundedKey | ChoiceKey, search: TuningSearch) -> list[Any]:
+    """Return the values of a key that are checked; the first one is tried first, if any is."""
+    if isinstance(key, ChoiceKey):
+        return list(key.choices)
+    first = search.inside().get(key.key, key.value(0.5))
+    return [first, key.lower, key.upper]
+
+
+def _typical(key: BoundedKey | ChoiceKey) -> list[Any]:
+    """Return values of a key that tell the type of its column."""
+    return [key.lower] if isinstance(key, BoundedKey) else list(key.choices)

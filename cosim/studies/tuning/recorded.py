@@ -1,0 +1,101 @@
+"""The dataset of a tuning: made when its first member has run, so that a wrong one leaves none."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, Self, cast, final
+
+from cosim.studies.contracts import MemberOutcome, StudyMember
+from cosim.studies.dataset.columns import RECORDING, StudyColumn, pyarrow
+from cosim.studies.dataset.identity import StudyIdentity
+from cosim.studies.dataset.study_dataset import StudyDataset
+from cosim.studies.running.studying import is_there
+from cosim.studies.tuning.points import point_name
+
+_OUTCOME: Final = ("member", "status", "reason", "steps")
+
+
+@final
+class TuningDataset:
+    """The outcomes of a tuning; a context manager that closes it.
+
+    Parameters
+    ----------
+    place : str, Path or None
+        Its folder, or a URL; None: nothing is kept.
+    identity : StudyIdentity
+    new : bool
+        What is there is removed, when the first member is added.
+
+    Raises
+    ------
+    DatasetError
+        If another study's is there, it is damaged, or another process writes there.
+    """
+
+    def __init__(
+        self, place: str | Path | None, identity: StudyIdentity, *, new: bool = False
+    ) -> None:
+        self._place = place
+        self._identity = identity
+        self._new = new
+        self._dataset: StudyDataset | None = None
+        if place is None:
+            return
+        pyarrow()
+        if not new and is_there(place):
+            self._dataset = StudyDataset.open_or_create(place, identity)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        error_type: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._dataset is not None:
+            self._dataset.close()
+
+    @property
+    def places(self) -> int:
+        """How many members it has place for."""
+        if self._place is None:
+            return sys.maxsize
+        return self._identity.members if self._dataset is None else self._dataset.layout.total
+
+    def add(self, member: StudyMember, outcome: MemberOutcome) -> None:
+        """Record an outcome."""
+        if self._place is None:
+            return
+        if self._dataset is None:
+            self._dataset = StudyDataset.open_or_create(self._place, self._identity, new=self._new)
+        self._dataset.add(member, outcome)
+
+    def outcomes(self) -> dict[str, MemberOutcome]:
+        """Return what is recorded, by the names of points."""
+        if self._dataset is None:
+            return {}
+        columns = self._dataset.columns
+        keys = [each for each in columns if each.role == "parameter" and each.name != RECORDING]
+        metrics = [column.name for column in columns if column.role == "metric"]
+        names = [*_OUTCOME, *(column.name for column in keys), *metrics]
+        found = {}
+        for row in self._dataset.read(names).to_pylist():
+            point = {column.name: _value(column, row[column.name]) for column in keys}
+            found[point_name(point)] = MemberOutcome(
+                row["member"],
+                row["status"],
+                reason=row["reason"] or "",
+                steps=cast("int", row["steps"]),
+                metrics={name: row[name] for name in metrics},
+            )
+        return found
+
+
+def _value(column: StudyColumn, value: Any) -> Any:
+    return json.loads(value) if column.type == "json" and value is not None else value
