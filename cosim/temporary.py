@@ -7,6 +7,7 @@ that can be locked belongs to no process any more: the next one that needs a fol
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import sys
 import tempfile
@@ -65,6 +66,12 @@ class TemporaryFolder:
         if self._lock is not None:
             os.close(self._lock)
             self._lock = None
+
+
+def without_folders(text: str, purpose: str) -> str:
+    """Return a text in which paths into temporary folders begin there: their names are random."""
+    parent = re.escape(tempfile.gettempdir())
+    return re.sub(rf"{parent}[/\\]{re.escape(PREFIX + purpose)}-\w+[/\\]", "", text)
 
 
 def remove_abandoned(parent: Path) -> None:

@@ -9,7 +9,7 @@ import tempfile
 import pytest
 
 from cosim import temporary
-from cosim.temporary import TemporaryFolder, remove_abandoned
+from cosim.temporary import TemporaryFolder, remove_abandoned, without_folders
 
 HOLD = """
 import sys
@@ -79,3 +79,13 @@ def test_nothing_else_is_removed(parent, monkeypatch):
     (parent / "cosim.fmu-3").mkdir()
     remove_abandoned(parent)
     assert (parent / "cosim.fmu-3").exists()
+
+
+def test_texts_do_not_tell_where_temporary_folders_are(parent):
+    """Their names are random; other paths stay."""
+    with TemporaryFolder("fmu") as folder:
+        text = f"{parent}/a.fmu: {folder}/binaries/x.so: too short; {folder.name}/"
+        assert without_folders(text, "fmu") == (
+            f"{parent}/a.fmu: binaries/x.so: too short; {folder.name}/"
+        )
+        assert without_folders(text, "workers") == text

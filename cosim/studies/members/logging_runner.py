@@ -9,13 +9,12 @@ from types import TracebackType
 from typing import Self, final
 
 from cosim.core.passing_recorders import TwoRecorders
-from cosim.core.recorders import error_text
 from cosim.core.recording import Recorder
 from cosim.errors import Interrupted
 from cosim.scenario.recordings.recording import Target, record
 from cosim.studies.contracts import COMPLETE, FAILED, MemberOutcome, StudyMember, StudySubject
 from cosim.studies.dataset.log_files import unfinished_name
-from cosim.studies.members.measuring import MemberRecorder
+from cosim.studies.members.measuring import MemberRecorder, reason_of
 from cosim.studies.members.member_builder import MemberBuilder
 from cosim.studies.metrics.metrics import parse_metrics
 from cosim.studies.metrics.recorder import MetricRecorder
@@ -65,7 +64,7 @@ class LoggingRunner:
         except Interrupted:
             raise
         except Exception as error:  # of a user's code, too: it costs this member, and no other
-            return replace(outcome, status=FAILED, reason=error_text(error), steps=measured.steps)
+            return replace(outcome, status=FAILED, reason=reason_of(error), steps=measured.steps)
         metrics = self._recorder.values()
         return replace(outcome, reason=measured.end.reason, steps=measured.steps, metrics=metrics)
 

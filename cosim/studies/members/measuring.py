@@ -9,9 +9,10 @@ from typing import Protocol, final
 from cosim.arrays import Matrix
 from cosim.core.contracts import Block, Design
 from cosim.core.passing_recorders import PassingRecorder
-from cosim.core.recorders import EndOfRun, end_of_run
+from cosim.core.recorders import EndOfRun, end_of_run, error_text
 from cosim.core.recording import Plan, Recorder
 from cosim.studies.contracts import MetricValue
+from cosim.temporary import without_folders
 
 
 class MetricSink(Recorder, Protocol):
@@ -67,3 +68,8 @@ class MemberRecorder(PassingRecorder):
         """Pass on."""
         self.steps = block.index + block.steps
         self._recorder.write(block, signals)
+
+
+def reason_of(error: BaseException) -> str:
+    """Return why a member failed, with the same text wherever its FMUs were unpacked."""
+    return without_folders(error_text(error), "fmu")

@@ -10,7 +10,6 @@ from types import TracebackType
 from typing import Final, Self, final
 
 from cosim.core.passing_recorders import TwoRecorders
-from cosim.core.recorders import error_text
 from cosim.core.recording import Recorder
 from cosim.errors import Interrupted
 from cosim.report.summary import summarize
@@ -29,10 +28,7 @@ from cosim.studies.contracts import (
     StudySubject,
 )
 from cosim.studies.members.designs import encode_designs, own_designs
-from cosim.studies.members.measuring import (
-    MemberRecorder,
-    MetricSink,
-)
+from cosim.studies.members.measuring import MemberRecorder, MetricSink, reason_of
 from cosim.studies.members.member_builder import MemberBuilder
 from cosim.studies.metrics.metrics import parse_metrics
 from cosim.studies.metrics.recorder import MetricRecorder
@@ -116,7 +112,7 @@ class SubjectRunner:
         except Interrupted:
             raise
         except Exception as error:  # of a user's code, too: it costs this member, and no other
-            reason = error_text(error)
+            reason = reason_of(error)
             status = FAILED
         return MemberOutcome(
             member.number,

@@ -8,10 +8,14 @@ import pytest
 import cosim
 from cosim.core.contracts import Block
 from cosim.errors import CosimError, Interrupted, ScenarioError, UsageError
+from cosim.fmi.platforms import SUFFIX, folders
 from cosim.report.summary import summarize
 from cosim.report.sweep import results_of
 from cosim.studies.contracts import StudyMember, StudySubject
+from cosim.studies.members.logging_runner import open_logging_runner
 from cosim.studies.members.runner import open_runner
+from tests.fmi.compiled import write_archive
+from tests.fmi.small import xml
 from tests.studies.members.sinks import Digest
 
 LAG = """
@@ -193,3 +197,22 @@ def test_an_interruption_is_no_outcome(lag):
         pytest.raises(Interrupted),
     ):
         runner.run(StudyMember(0))
+
+
+def test_reasons_do_not_tell_where_an_fmu_was_unpacked(tmp_path):
+    """A temporary folder has another name each time; rows of a dataset must not."""
+    platform = folders("2.0")[0]
+    content = {"modelDescription.xml": xml(D=0.0), f"binaries/{platform}/model{SUFFIX}": b"?"}
+    fmu = write_archive(tmp_path / "broken.fmu", content)
+    scenario = tmp_path / "broken.toml"
+    scenario.write_text(
+        'scenario = { name = "broken", stop = 1.0, step = 0.1 }\n[components]\n'
+        f'plant = {{ kind = "fmu", path = "{fmu}" }}\nu = {{ kind = "constant", value = 1.0 }}\n'
+        '[connections]\n"plant.u" = "u.y"\n'
+    )
+    reasons = set()
+    for opener in (open_runner, open_runner, open_logging_runner):
+        with opener(StudySubject(str(scenario), logs=str(tmp_path))) as runner:
+            reasons.add(runner.run(StudyMember(0)).reason)
+    [reason] = reasons
+    assert f"cannot be used: binaries/{platform}/model{SUFFIX}: " in reason
