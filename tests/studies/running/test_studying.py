@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
@@ -260,16 +259,22 @@ cosim.study("academic-noisy", seeds=30, metrics={"y": "rms(sensor.y)"},
 """
 
 
-def kill_and_resume(place, delays):
-    """Begin the study once for each delay, and kill it after so many seconds [s]."""
-    for delay in delays:
+def kill_and_resume(place, counts):
+    """Kill the study when so many members are recorded, once for each count; return what was."""
+    journal = place / "_journal.jsonl"
+    left = []
+    for count in counts:
         child = subprocess.Popen([sys.executable, "-c", KILLED, str(place)], start_new_session=True)
-        deadline = time.monotonic() + delay
-        while child.poll() is None and time.monotonic() < deadline:
-            time.sleep(0.02)
-        if child.poll() is None:
-            os.kill(child.pid, signal.SIGKILL)
-        child.wait()
+        while child.poll() is None:
+            if journal.exists() and journal.read_bytes().count(b"\n") >= count:
+                os.kill(child.pid, signal.SIGKILL)
+            try:
+                child.wait(0.005)
+            except subprocess.TimeoutExpired:
+                continue
+        assert child.returncode == -signal.SIGKILL
+        left.append(len(cosim.open_study(place)))
+    return left
 
 
 def noisy(place):
@@ -281,16 +286,19 @@ def noisy(place):
 
 def test_a_killed_study_goes_on_to_the_same_dataset(tmp_path):
     """kill -9 of the whole study, several times at other instants: row for row the same."""
-    kill_and_resume(tmp_path / "killed", (1.5, 2.0))
+    left = kill_and_resume(tmp_path / "killed", (1, 15))
+    assert 0 < left[0] < left[1] < 30
     assert rows(noisy(tmp_path / "killed")) == rows(noisy(tmp_path / "whole"))
 
 
 @pytest.mark.campaign
 @pytest.mark.parametrize("seed", range(5))
 def test_a_study_killed_at_twenty_instants_goes_on_to_the_same_dataset(tmp_path, seed):
-    """From its start to about its end."""
-    delays = np.random.default_rng(seed).uniform(0.5, 4.0, 20)
-    kill_and_resume(tmp_path / "killed", delays)
+    """After the first of its thirty members, after the 25th, and between them."""
+    counts = np.sort(np.random.default_rng(seed).choice(np.arange(1, 26), 20, replace=False))
+    left = kill_and_resume(tmp_path / "killed", counts.tolist())
+    assert 0 < left[0] < left[-1] < 30
+    assert len(set(left)) > 10
     assert rows(noisy(tmp_path / "killed")) == rows(noisy(tmp_path / "whole"))
 
 
