@@ -19,15 +19,17 @@ from __future__ import annotations
 import os
 import secrets
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from queue import Empty, SimpleQueue
 from time import monotonic
-from typing import TYPE_CHECKING, Any, Final, Protocol, final
+from typing import TYPE_CHECKING, Any, Final, final
 
 from cosim.errors import CosimError, RunError, listing
 from cosim.interrupts import uninterrupted
 from cosim.studies.cluster.connection import check_scheduler, connect, distributed, lost
 from cosim.studies.cluster.opening import OPENER
+from cosim.studies.cluster.planned_members import OutcomesByNumber, PlannedMembers
 from cosim.studies.cluster.tasks import MemberTask, RemainingTasks
 from cosim.studies.contracts import MemberOutcome, StudyMember, StudySubject
 from cosim.studies.dataset.storage import open_storage
@@ -43,16 +45,6 @@ TASKS_PER_THREAD: Final = 2  # the one that runs, and the next
 LOOK: Final = 1.0  # [s] between looks at the workers
 FETCHING: Final = 60.0  # [s] for a result; its worker may have died with it
 RETRIES: Final = 1  # where a task raises: a full disk of one worker may be
-
-
-class PlannedMembers(Protocol):
-    """The members of a study by number, such as its design."""
-
-    def __len__(self) -> int: ...
-
-    def members(self, begin: int = 0, end: int | None = None) -> list[StudyMember]:
-        """Return the members from one number to another (not included)."""
-        ...
 
 
 def run_on_cluster(
@@ -107,47 +99,82 @@ def run_on_cluster(
     """
     if len(dataset) == len(design):
         return
-    with connect(scheduler) as client:
-        from cosim.studies.cluster.admission import first_member
+    first = dataset.missing(len(design))[0].start
+    (member,) = design.members(first, first + 1)
+    with (
+        connect(scheduler) as client,
+        open_cluster_run(
+            client,
+            subject,
+            member,
+            dataset,
+            place,
+            files=files,
+            timeout=timeout,
+            notice=notice,
+            opener=opener,
+        ) as run,
+    ):
+        run.complete(design, progress or _ignore)
 
-        check_scheduler(client)
-        if "://" not in place:
-            place = os.path.abspath(place)
-        storage = open_storage(place)
-        name = f"cosim-study-{secrets.token_hex(6)}"
-        probe = (f"_{name}", secrets.token_bytes(16))
-        first = dataset.missing(len(design))[0].start
-        (member,) = design.members(first, first + 1)
-        settings = {
-            "name": name,
-            "subject": _plain({**subject.to_dict(), "scenario": _scenario(subject, files)}),
-            "files": dict(files),
-            "first": first_member(member),
-            "timeout": timeout,
-            "place": place,
-            "sha256": dataset.sha256,
-            "probe": probe,
-            "opener": opener,
-        }
-        run = _ClusterRun(client, settings, dataset, design, notice=notice or _ignore)
-        storage.write(*probe)
-        try:
-            run.complete(progress or _ignore)
-        finally:
-            run.close()
-            storage.remove([probe[0]], [])
+
+@contextmanager
+def open_cluster_run(
+    client: Client,
+    subject: StudySubject,
+    first: StudyMember,
+    dataset: OutcomesByNumber,
+    place: str,
+    *,
+    files: Mapping[str, str],
+    timeout: float | None = None,
+    notice: Callable[[str], None] | None = None,
+    opener: str = OPENER,
+) -> Iterator[ClusterRun]:
+    """Open a study on a cluster; parameters and errors as of :func:`run_on_cluster`.
+
+    Parameters
+    ----------
+    first : StudyMember
+        That is built on each worker before it is used.
+    """
+    from cosim.studies.cluster.admission import first_member
+
+    check_scheduler(client)
+    if "://" not in place:
+        place = os.path.abspath(place)
+    storage = open_storage(place)
+    name = f"cosim-study-{secrets.token_hex(6)}"
+    probe = (f"_{name}", secrets.token_bytes(16))
+    settings = {
+        "name": name,
+        "subject": _plain({**subject.to_dict(), "scenario": _scenario(subject, files)}),
+        "files": dict(files),
+        "first": first_member(first),
+        "timeout": timeout,
+        "place": place,
+        "sha256": dataset.sha256,
+        "probe": probe,
+        "opener": opener,
+    }
+    run = ClusterRun(client, settings, dataset, notice=notice or _ignore)
+    storage.write(*probe)
+    try:
+        yield run
+    finally:
+        run.close()
+        storage.remove([probe[0]], [])
 
 
 @final
-class _ClusterRun:
-    """The tasks of a study that are submitted."""
+class ClusterRun:
+    """The tasks of a study that are submitted; made by :func:`open_cluster_run`."""
 
     def __init__(
         self,
         client: Client,
         settings: Mapping[str, Any],
-        dataset: StudyDataset,
-        design: PlannedMembers,
+        dataset: OutcomesByNumber,
         *,
         notice: Callable[[str], None],
     ) -> None:
@@ -155,9 +182,9 @@ class _ClusterRun:
 
         self._client = client
         self._dataset = dataset
-        self._design = design
+        self._design: PlannedMembers | None = None
         self._name: str = settings["name"]
-        self._tasks = RemainingTasks(dataset.missing(len(design)), dataset.empty_parts())
+        self._tasks = RemainingTasks((), ())
         self._submitted: dict[Future, tuple[MemberTask, frozenset[str]]] = {}
         self._done: SimpleQueue[Future | None] = SimpleQueue()  # None: a worker was admitted
         self._workers: ClusterWorkers = ClusterWorkers(
@@ -168,14 +195,17 @@ class _ClusterRun:
         self._failed = dataset.failed
         self._next_look = 0.0
 
-    def complete(self, progress: Callable[[int, int, int], None]) -> None:
-        """Run until every member has its outcome."""
+    def complete(self, design: PlannedMembers, progress: Callable[[int, int, int], None]) -> None:
+        """Run until every member of a design has its outcome; it may have grown since."""
+        self._design = design
+        parts = [part for part in self._dataset.empty_parts() if part.stop <= len(design)]
+        self._tasks = RemainingTasks(self._dataset.missing(len(design)), parts)
         while self._tasks or self._submitted:
             self._look()
             self._submit()
             for future in self._wait():
                 self._take(future)
-            progress(len(self._dataset), len(self._design), self._failed)
+            progress(len(self._dataset), len(design), self._failed)
         if self._given_up:
             names = [f"{part.start}-{part.stop - 1}" for part in self._given_up]
             raise RunError(
@@ -234,13 +264,17 @@ class _ClusterRun:
             self._submitted[future] = (task, frozenset(workers))
             future.add_done_callback(self._done.put)
 
+    def _planned(self, members: range) -> list[StudyMember]:
+        assert self._design is not None, "members are submitted within complete()"
+        return self._design.members(members.start, members.stop)
+
     def _lines(self, members: range) -> bytes:
         """Return members as the pool writes them, compressed.
 
         Dask searches what is not bytes for futures, and keeps the last 1000 messages of every
         connection.
         """
-        planned = self._design.members(members.start, members.stop)
+        planned = self._planned(members)
         return zlib.compress(b"".join(encode_member(member) for member in planned), 1)
 
     def _wait(self) -> list[Future]:
@@ -303,7 +337,7 @@ class _ClusterRun:
             self._dataset.note_part(members.start)
             return
         came = {values[0]: MemberOutcome(*values) for values in outcomes}
-        planned = self._design.members(members.start, members.stop)
+        planned = self._planned(members)
         pairs = [(member, came[member.number]) for member in planned]
         if task.is_part:
             self._dataset.write_part(members.start, pairs)
