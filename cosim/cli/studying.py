@@ -340,6 +340,49 @@ def show(
     show_study(opened, recorded.layout, recorded.command_of(opened), parts)
 
 
+@study.command("verify", cls=OnceCommand)
+def verify(
+    place: DatasetArgument,
+    members: Annotated[
+        list[int] | None,
+        typer.Option("--member", metavar="NUMBER", help="Run this one again. Repeatable."),
+    ] = None,
+    sample: Annotated[
+        int | None,
+        typer.Option(
+            help="Run so many again, spread over all. [default: 10, where no member is given]"
+        ),
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(help="Processes at a time. [default: one a processor]")
+    ] = None,
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Run members again, each alone, and compare bit for bit.
+
+    Each runs from the parameters in its row, as 'cosim run' or 'cosim replay' runs it. A dataset
+    whose scenario, FMUs, tables or metrics have changed, by their SHA-256, is refused. Exits with 1
+    if a metric, the status or the steps of a member differ.
+    """
+    from cosim.studies.running.studying import worker_count
+    from cosim.studies.running.verifying import verify_study
+    from cosim.studies.tables.verification import print_verification
+
+    with prints_to_stderr(), show_members(quiet or as_json) as progress:
+        found = verify_study(
+            place,
+            members=members or (),
+            sample=sample,
+            workers=worker_count(workers),
+            progress=progress,
+        )
+    if not quiet:
+        print_verification(found, as_json=as_json)
+    if found.differences:
+        raise typer.Exit(1)
+
+
 @study.command("plot", cls=OnceCommand)
 def plot(
     place: DatasetArgument,

@@ -356,6 +356,12 @@ class StudyDataset:
         chosen = None if members is None else np.asarray(members, np.int64)
         yield from self._contents.tables(self._contents.names(columns), chosen)
 
+    def row_of(self, member: StudyMember, outcome: MemberOutcome) -> dict[str, Any]:
+        """Return the row of an outcome as it would be read when it was added; nothing is."""
+        table = self._contents.files.table([self._maker.row(member, outcome)])
+        (row,) = table.to_pylist()
+        return dict(row)
+
     def log_files(self) -> LogFiles:
         """Return the logs that are kept, for who writes them."""
         return LogFiles(self._storage)

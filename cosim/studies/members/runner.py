@@ -151,7 +151,7 @@ class SubjectRunner:
     ) -> Mapping[str, MetricValue]:
         """Run an experiment; return its metrics, and its results where they are asked for."""
         if self._subject.with_results:
-            return {**_results(experiment, measured), **measured.sink.values()}
+            return {**run_with_results(experiment, measured), **measured.sink.values()}
         run_rows(measured, experiment)
         return measured.sink.values()
 
@@ -178,7 +178,7 @@ def _in_short_blocks(experiment: Experiment) -> Experiment:
     return replace(experiment, clock=replace(experiment.clock, block=steps))
 
 
-def _results(experiment: Experiment, measured: MemberRecorder) -> Mapping[str, MetricValue]:
+def run_with_results(experiment: Experiment, measured: MemberRecorder) -> Mapping[str, MetricValue]:
     """Run an experiment, which is kept in memory, too; return what its result says."""
 
     def beside(memory: Recorder) -> Recorder:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 from cosim.errors import UsageError
+from cosim.log.contents.environment import environment
 from cosim.studies.analysis.independence import StudyLayout
 from cosim.studies.dataset.study import Study
 from cosim.studies.design.commands import run_command
@@ -16,6 +17,7 @@ from cosim.studies.document.study_file import StudyFile, study_of
 _TABLES: Final = "tables"
 _LAYOUT: Final = "layout"
 _SOURCE: Final = "source"
+_ENVIRONMENT: Final = "environment"
 
 
 @dataclass(frozen=True)
@@ -26,14 +28,18 @@ class RecordedStudy:
     ----------
     study : StudyFile
     layout : StudyLayout
+    environment : mapping of str to str
+        Versions and processor where it was planned last.
     """
 
     study: StudyFile
     layout: StudyLayout
+    environment: Mapping[str, str] = field(default_factory=environment)
 
     def to_text(self) -> str:
         """Return the text that a dataset keeps."""
-        return _text(self.study.to_dict(), self.study.source, self.layout)
+        tables = self.study.to_dict()
+        return _text(tables, self.study.source, self.layout, self.environment)
 
     @classmethod
     def read(cls, text: str) -> RecordedStudy:
@@ -48,12 +54,13 @@ class RecordedStudy:
             described = json.loads(text)
             study, problems = study_of(described[_TABLES], described[_SOURCE])
             layout = StudyLayout.from_dict(described[_LAYOUT])
+            recorded = described[_ENVIRONMENT]
         except (ValueError, KeyError, TypeError) as error:
             raise UsageError("the study of this dataset cannot be read by this version") from error
         if study is None:
             texts = "; ".join(text for _, text in problems)
             raise UsageError(f"the study of this dataset cannot be read by this version: {texts}")
-        return cls(study, layout)
+        return cls(study, layout, recorded)
 
     def command_of(self, dataset: Study) -> Callable[[int], str]:
         """Return what gives the command that runs a member of a dataset alone.
@@ -74,9 +81,16 @@ def searched_text(tables: Mapping[str, Any], members: int) -> str:
         How many there may be.
     """
     layout = StudyLayout("cases", samples=members)
-    return _text(tables, "", layout)
+    return _text(tables, "", layout, environment())
 
 
-def _text(tables: Mapping[str, Any], source: str, layout: StudyLayout) -> str:
-    described = {_TABLES: tables, _SOURCE: source, _LAYOUT: layout.to_dict()}
+def _text(
+    tables: Mapping[str, Any], source: str, layout: StudyLayout, versions: Mapping[str, str]
+) -> str:
+    described = {
+        _TABLES: tables,
+        _SOURCE: source,
+        _LAYOUT: layout.to_dict(),
+        _ENVIRONMENT: dict(versions),
+    }
     return json.dumps(described, ensure_ascii=False)

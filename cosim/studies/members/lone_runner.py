@@ -1,0 +1,97 @@
+"""Run members as ``cosim run`` and ``cosim replay`` do: nothing is shared with another member.
+
+The scenario is read anew for each, built as a whole, and its designs are computed: what a study
+keeps for speed, and what it has sent along, has no part in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import ExitStack, closing
+from dataclasses import replace
+from types import TracebackType
+from typing import Self, final
+
+from cosim.core.recorders import error_text
+from cosim.errors import Interrupted
+from cosim.scenario.building.experiment import Experiment
+from cosim.scenario.preparing import build_experiment
+from cosim.scenario.recordings.recording import run_into
+from cosim.studies.contracts import (
+    COMPLETE,
+    FAILED,
+    MemberOutcome,
+    MetricValue,
+    StudyMember,
+    StudySubject,
+)
+from cosim.studies.document.scenario_of_study import load_scenario
+from cosim.studies.members.measuring import MemberRecorder
+from cosim.studies.members.member_builder import MemberBuilder
+from cosim.studies.members.runner import run_with_results
+from cosim.studies.metrics.metrics import parse_metrics
+from cosim.studies.metrics.recorder import MetricRecorder
+
+
+def open_lone_runner(subject: StudySubject) -> LoneRunner:
+    """Return what runs members alone; parameters and errors as of ``open_runner``."""
+    return LoneRunner(subject)
+
+
+@final
+class LoneRunner:
+    """Runs members of a study, each built afresh.
+
+    Parameters
+    ----------
+    subject : StudySubject
+        Its designs are not taken.
+    """
+
+    def __init__(self, subject: StudySubject) -> None:
+        self._subject = replace(subject, designs="", replay_designs=())
+        self._metrics = parse_metrics(subject.metrics)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        error_type: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Do nothing: each member frees what it holds."""
+
+    def run(self, member: StudyMember) -> MemberOutcome:
+        """Run a member; what fails is an outcome."""
+        measured = MemberRecorder(MetricRecorder(self._metrics))
+        outcome = MemberOutcome(member.number, COMPLETE)
+        try:
+            with ExitStack() as resources:
+                values = self._measure(self._experiment(member, resources), measured)
+        except Interrupted:
+            raise
+        except Exception as error:  # of a user's code, too, as in the study
+            values = dict.fromkeys(self._subject.metrics)
+            outcome = replace(outcome, status=FAILED, reason=error_text(error))
+            return replace(outcome, steps=measured.steps, metrics=values)
+        return replace(outcome, reason=measured.end.reason, steps=measured.steps, metrics=values)
+
+    def _experiment(self, member: StudyMember, resources: ExitStack) -> Experiment:
+        subject = self._subject
+        if member.recording is not None:
+            builder = resources.enter_context(closing(MemberBuilder(subject)))
+            return builder.experiment(replace(member, designs=""), resources)
+        swaps = {**subject.swap, **member.swap}
+        values = {**subject.set, **member.set}
+        scenario = load_scenario(subject.scenario).edit(swap=swaps, map=subject.map, set=values)
+        return build_experiment(scenario, resources, None)
+
+    def _measure(
+        self, experiment: Experiment, measured: MemberRecorder
+    ) -> Mapping[str, MetricValue]:
+        if self._subject.with_results:
+            return {**run_with_results(experiment, measured), **measured.sink.values()}
+        run_into(measured, experiment, progress=None, profile=None)
+        return measured.sink.values()

@@ -1,0 +1,244 @@
+"""Run members of a dataset again, each on its own, and compare bit for bit what they come to.
+
+::
+
+    refuse a dataset whose scenario, FMUs, tables or metrics have changed
+    take the parameters of members from their rows
+    run each in a process of its own, built afresh, with nothing that the study computed before
+    compare status, steps, metrics and results with the row
+"""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.errors import DatasetError, UsageError, command, option
+from cosim.log.contents.environment import environment
+from cosim.studies.contracts import StudyMember
+from cosim.studies.dataset.identity import differences
+from cosim.studies.dataset.study import Study
+from cosim.studies.dataset.study_dataset import StudyDataset
+from cosim.studies.running.comparing import same_reason, same_value
+from cosim.studies.running.local import MembersDone
+from cosim.studies.running.plan import plan_study
+from cosim.studies.running.recorded_study import RecordedStudy
+from cosim.studies.workers.pool import WorkerPool
+
+LONE_RUNNER: Final = "cosim.studies.members.lone_runner:open_lone_runner"
+SAMPLE: Final = 10  # members, spread over all
+_COMPARED: Final = ("status", "reason", "steps", "other_results")  # beside metrics
+_METRICS: Final = "the metrics"
+
+
+@dataclass(frozen=True, slots=True)
+class VerifiedDifference:
+    """What is otherwise now than it is recorded.
+
+    Parameters
+    ----------
+    member : int
+    name : str
+        Of a metric, a result, ``status``, ``reason`` or ``steps``.
+    recorded, now : float, int, str or None
+    """
+
+    member: int
+    name: str
+    recorded: Any
+    now: Any
+
+
+@dataclass(frozen=True)
+class StudyVerification:
+    """What came of running members again.
+
+    Parameters
+    ----------
+    name : str
+        Of the study.
+    members : tuple of int
+        That ran again.
+    done : int
+        Members that have an outcome.
+    values : tuple of str
+        The names of what was compared.
+    differences : tuple of VerifiedDifference
+    elsewhere : tuple of str
+        The machines on which these members ran, other than this one.
+    environment : mapping of str to (str, str)
+        What is recorded of versions and processor, and what there is now, where these differ.
+    """
+
+    name: str
+    members: tuple[int, ...]
+    done: int
+    values: tuple[str, ...]
+    differences: tuple[VerifiedDifference, ...]
+    elsewhere: tuple[str, ...]
+    environment: Mapping[str, tuple[str, str]]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return asdict(self)
+
+
+def verify_study(
+    place: str | Path,
+    *,
+    members: Collection[int] = (),
+    sample: int | None = None,
+    workers: int = 1,
+    progress: MembersDone | None = None,
+) -> StudyVerification:
+    """Run members of a dataset again, and compare.
+
+    Parameters
+    ----------
+    place : str or Path
+        A folder, or a URL of fsspec.
+    members : collection of int
+        These; and, if ``sample`` is given or there are none of these, others spread over all.
+    sample : int, optional
+        How many of those.
+    workers : int
+        Processes at a time.
+    progress : callable, optional
+        Called with how many have run, of how many, and how many of these differ.
+
+    Raises
+    ------
+    UsageError
+        If there is no such member, none at all, or the dataset is of a tuning.
+    DatasetError
+        If what members are made of has changed, or the dataset is damaged.
+    """
+    dataset = StudyDataset.open(place)
+    recorded = RecordedStudy.read(dataset.identity.text)
+    numbers = _chosen(dataset, members, sample)
+    _check_unchanged(dataset, recorded)
+    rows: dict[int, dict[str, Any]] = {}
+    for row in dataset.read(members=numbers).to_pylist():
+        rows[row["member"]] = row
+    study = Study(dataset)
+    again = {number: study.member(number) for number in numbers}
+    names = [column.name for column in dataset.columns if column.role == "metric"]
+    found: list[VerifiedDifference] = []
+    for count, outcome in enumerate(_outcomes(recorded, list(again.values()), workers), 1):
+        now = dataset.row_of(again[outcome.number], outcome)
+        found += _differences(rows[outcome.number], now, [*names, *_COMPARED])
+        if progress is not None:
+            progress(count, len(numbers), len({item.member for item in found}))
+    return StudyVerification(
+        study.name,
+        tuple(numbers),
+        len(dataset),
+        ("status", "steps", *names),
+        tuple(sorted(found, key=lambda item: item.member)),
+        _other_machines(rows.values()),
+        _other_environment(recorded.environment),
+    )
+
+
+def _chosen(dataset: StudyDataset, members: Collection[int], sample: int | None) -> list[int]:
+    """Return the members that run again, in order.
+
+    Raises
+    ------
+    UsageError
+        If one is not there.
+    """
+    there = _recorded_members(dataset)
+    if not len(there):
+        raise UsageError(f"{dataset.label}: no member has run yet; run the study first")
+    for number in members:
+        if number not in there:
+            raise UsageError(
+                f"{option('member')}: there is no outcome of member {number}; there are "
+                f"{len(there)} of {dataset.layout.total} members, numbered from 0"
+            )
+    chosen = set(members)
+    count = sample
+    if count is None and not chosen:
+        count = SAMPLE
+    if count is not None:
+        if count < 1:
+            raise UsageError(f"{option('sample')}: found {count}, needed 1 or more")
+        places = np.linspace(0, len(there) - 1, min(count, len(there)))
+        chosen.update(there[np.round(places).astype(np.int64)].tolist())
+    return sorted(chosen)
+
+
+def _recorded_members(dataset: StudyDataset) -> NDArray[np.int64]:
+    numbers = [table["member"].to_numpy() for table in dataset.tables(["member"])]
+    return np.concatenate([np.empty(0, np.int64), *numbers])
+
+
+def _check_unchanged(dataset: StudyDataset, recorded: RecordedStudy) -> None:
+    """Check that members are made of what they were made of.
+
+    Raises
+    ------
+    DatasetError
+        If something has changed; names all of it.
+    """
+    if _METRICS not in dataset.identity.digests:
+        raise UsageError(
+            f"{dataset.label} is the dataset of a tuning, whose members are chosen while it runs; "
+            f"{command('study show DIR --member NUMBER')} prints what runs one of them"
+        )
+    planned = plan_study(recorded.study).identity({})
+    found = differences(dataset.identity, planned)
+    if found:
+        raise DatasetError(
+            f"{dataset.label}: {'; '.join(found)} (by their SHA-256), so that its members cannot "
+            "be run again; needed what they were run with"
+        )
+
+
+def _outcomes(recorded: RecordedStudy, members: Sequence[StudyMember], workers: int) -> Any:
+    """Yield the outcomes of members, each of a process of its own."""
+    study = recorded.study
+    timeout = study.settings.timeout
+    count = min(workers, len(members))
+    with WorkerPool(
+        LONE_RUNNER, study.subject, count, timeout=timeout, members_per_worker=1
+    ) as pool:
+        yield from pool.run(members)
+
+
+def _differences(
+    recorded: Mapping[str, Any], now: Mapping[str, Any], names: Sequence[str]
+) -> list[VerifiedDifference]:
+    number = recorded["member"]
+    found = []
+    for name in names:
+        before = recorded[name]
+        if same_value(before, now[name]):
+            continue
+        if name == "reason" and same_reason(before or "", now[name] or ""):
+            continue
+        found.append(VerifiedDifference(number, name, before, now[name]))
+    return found
+
+
+def _other_machines(rows: Collection[Mapping[str, Any]]) -> tuple[str, ...]:
+    """Return the names of the machines on which members ran, without this one."""
+    names = {(row["worker"] or "").rpartition(":")[0] for row in rows}
+    return tuple(sorted(names - {"", platform.node()}))
+
+
+def _other_environment(recorded: Mapping[str, str]) -> dict[str, tuple[str, str]]:
+    """Return what is otherwise here than where the study was planned last."""
+    now = environment()
+    found = {}
+    for name, value in recorded.items():
+        if now.get(name, "") != value:
+            found[name] = (value, now.get(name, ""))
+    return found

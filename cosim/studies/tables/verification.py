@@ -1,0 +1,53 @@
+"""What came of running members of a study again, as ``cosim study verify`` prints it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from cosim.errors import listing
+from cosim.report.tables.console import print_json, print_line
+from cosim.studies.running.verifying import StudyVerification
+
+
+def print_verification(found: StudyVerification, *, as_json: bool = False) -> None:
+    """Print what was compared, every difference, and what was not shown."""
+    if as_json:
+        print_json(found.to_dict())
+        return
+    numbers = listing([str(number) for number in found.members], 10)
+    print_line(
+        f"{found.name}: {len(found.members)} of {_members(found.done)} ran again, each alone in a "
+        f"process of its own and built afresh: {numbers}"
+    )
+    for item in found.differences:
+        print_line(f"member {item.member}: {item.name} was {item.recorded!r}, is {item.now!r}")
+    differing = {item.member for item in found.differences}
+    if differing:
+        are = "is" if len(differing) == 1 else "are"
+        total = _members(len(found.members))
+        print_line(f"{len(differing)} of {total} {are} otherwise than recorded")
+    else:
+        print_line(f"as recorded, bit for bit: {listing(found.values, 10)}")
+    print_line(f"not shown: {'; '.join(_not_shown(found))}")
+
+
+def _not_shown(found: StudyVerification) -> Sequence[str]:
+    """Return what this does not tell."""
+    texts = []
+    others = found.done - len(found.members)
+    if others:
+        texts.append(f"{_members(others)} did not run again")
+    if found.elsewhere:
+        texts.append(
+            f"these ran on {listing(found.elsewhere, 3)}, and again on another machine, whose "
+            "libraries may round otherwise"
+        )
+    else:
+        texts.append("whether another machine comes to the same")
+    for name, (before, now) in found.environment.items():
+        texts.append(f"{name} was {before}, is {now}")
+    return texts
+
+
+def _members(count: int) -> str:
+    return f"{count} member{'' if count == 1 else 's'}"
