@@ -209,7 +209,8 @@ def _steps(squares: _SumOfSquares, center: Vector, wanted: float) -> Vector:
                 f"{squares.name(number)} is within a standard error of its bound"
             )
         raise NoStandardErrors(
-            f"{squares.name(number)} hardly changes the objective: the data do not determine it"
+            f"{squares.name(number)} hardly changes the objective between its bounds: the data do "
+            "not determine it there"
         )
     return steps
 

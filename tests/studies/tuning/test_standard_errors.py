@@ -163,8 +163,18 @@ def test_a_value_without_effect_is_not_determined():
 
     measured = first(T, 1.0, 2.0) + 0.1 * np.random.default_rng(3).standard_normal(T.size)
     result = fitted(first, LINE, measured)
-    assert "offset hardly changes the objective: the data do not determine it" in (
-        result.errors_problem
+    assert result.errors_problem == (
+        "offset hardly changes the objective between its bounds: the data do not determine it there"
+    )
+
+
+def test_bounds_much_closer_than_the_standard_error_are_not_held_against_the_data():
+    """The slope of the line has one of 0.07/sqrt(201/12) = 0.017."""
+    space = SearchSpace((BoundedKey("slope", 3.0, 3.002), LINE.bounded[1]))
+    measured = line(T, 3.001, -2.0)
+    measured += 0.1 * np.cos(40.0 * np.pi * T)  # even about the middle: no slope
+    assert fitted(line, space, measured).errors_problem == (
+        "slope hardly changes the objective between its bounds: the data do not determine it there"
     )
 
 
@@ -223,9 +233,9 @@ def coverage(seeds):
 
 
 def test_intervals_have_the_truth_about_as_often_as_they_say():
-    """Of 100 seeds 95: fewer than 87 or all of 100 have a probability of 1 % together."""
+    """Of 100 seeds 95: fewer than 88 have a probability of 0.15 %, all of 100 one of 0.6 %."""
     hits = coverage(100)
-    assert ((hits >= 87) & (hits <= 100)).all()
+    assert ((hits >= 88) & (hits < 100)).all()
 
 
 @pytest.mark.campaign
