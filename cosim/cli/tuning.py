@@ -15,6 +15,7 @@ from cosim.cli.options import (
     SetOption,
     StopOption,
     SwapOption,
+    print_notice,
     prints_to_stderr,
     read_edits,
     read_unique_pairs,
@@ -91,6 +92,14 @@ def tune(
     workers: Annotated[
         int | None, typer.Option(metavar="N", help="Processes; one a processor by default.")
     ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Run trials on a cluster of dask.distributed, such as tcp://host:8786: of the "
+            "methods global and optuna, which try many at a time.",
+        ),
+    ] = None,
     timeout: Annotated[
         float | None, typer.Option(metavar="SECONDS", help="Wall time that a run may take.")
     ] = None,
@@ -139,11 +148,13 @@ def tune(
             out=out,
             new=new,
             workers=workers,
+            scheduler=scheduler,
             timeout=timeout,
             set=read_edits(changes, {"scenario.stop": stop}),
             swap=read_unique_pairs(swaps, "swap"),
             map=read_unique_pairs(maps, "map"),
             progress=progress,
+            notice=None if quiet else print_notice,
         )
     if as_json:
         typer.echo(json.dumps(result.to_dict(), indent=2))

@@ -53,6 +53,15 @@ def test_maximizing_ends_at_a_bound(lag, capsys):
     assert "plant.time_constant is at its lower bound: values beyond it may be better" in out
 
 
+def test_the_stop_is_that_of_all_members(lag, capsys):
+    """1 - exp(-1 / T) = 0.5 has T = 1 / log 2."""
+    options = [OBJECTIVE, VARY, "--stop=1", "--starts=1", "--workers=1"]
+    code, out, _ = call(capsys, lag, *options)
+    assert code == 0
+    assert "  plant.time_constant = 1.44" in out
+    assert f"again: cosim run {lag} --set scenario.stop=1.0 --set plant.time_constant=" in out
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -71,6 +80,17 @@ def test_maximizing_ends_at_a_bound(lag, capsys):
             [OBJECTIVE, "--vary=plant.time_constant=1,2"],
             "found a list of values; the method 'cobyqa' needs bounds, 'optuna' takes lists too",
         ),
+        (
+            [OBJECTIVE, VARY, "--stop=1", "--set=scenario.stop=2"],
+            "found both --stop and --set scenario.stop; needed one of them",
+        ),
+        (
+            [OBJECTIVE, VARY, "--scheduler=tcp://127.0.0.1:1"],
+            "--scheduler: the method 'cobyqa' tries one member after the other, so that a cluster "
+            "would not be faster; needed --method global or optuna, or no scheduler",
+        ),
+        ([OBJECTIVE, VARY, "--workers=0"], "--workers: found 0, needed 1 or more"),
+        ([OBJECTIVE, VARY, "--replay=none.mcap"], "--replay: no file matches "),
         ([OBJECTIVE, VARY, "--members=0"], "--members: found 0, needed 1 or more"),
         (
             [OBJECTIVE, VARY, "--standard-errors"],

@@ -7,7 +7,7 @@ middle of a batch numbers its members as an undisturbed one.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, Protocol, TypeAlias, final
 
 from cosim.errors import UsageError, option
@@ -19,13 +19,34 @@ from cosim.studies.tuning.trials import SearchEnded
 
 MemberOf: TypeAlias = Callable[[int, Mapping[str, Any]], StudyMember]
 
+TakeOutcome: TypeAlias = Callable[[StudyMember, MemberOutcome], None]
 
-class RunMembers(Protocol):
-    """Runs members, as a worker pool does."""
 
-    def run(self, members: Sequence[StudyMember]) -> Iterator[MemberOutcome]:
+class RunTrials(Protocol):
+    """Runs members: those of a batch at a time, as far as that goes."""
+
+    def __call__(self, members: Sequence[StudyMember], take: TakeOutcome) -> None:
+        """Run members, and have each outcome taken as it comes."""
+        ...
+
+
+class MemberPool(Protocol):
+    """What a worker pool does."""
+
+    def run(self, members: Iterable[StudyMember]) -> Iterator[MemberOutcome]:
         """Yield outcomes, as they come."""
         ...
+
+
+def in_pool(pool: MemberPool) -> RunTrials:
+    """Return what runs trials in a pool."""
+
+    def run(members: Sequence[StudyMember], take: TakeOutcome) -> None:
+        by_number = {member.number: member for member in members}
+        for outcome in pool.run(members):
+            take(by_number[outcome.number], outcome)
+
+    return run
 
 
 @final
@@ -34,7 +55,9 @@ class TrialMembers:
 
     Parameters
     ----------
-    runner : RunMembers
+    run : RunTrials
+    run_first : RunTrials
+        Runs the first member of all.
     member_of : callable
         Returns the member of a number that tries a point.
     dataset : TuningDataset
@@ -46,13 +69,16 @@ class TrialMembers:
 
     def __init__(
         self,
-        runner: RunMembers,
+        run: RunTrials,
+        run_first: RunTrials,
         member_of: MemberOf,
         dataset: TuningDataset,
+        *,
         members: int,
         progress: MembersDone | None = None,
     ) -> None:
-        self._runner = runner
+        self._run = run
+        self._run_first = run_first
         self._member_of = member_of
         self._dataset = dataset
         self._members = members
@@ -75,14 +101,14 @@ class TrialMembers:
             If workers cannot be started.
         """
         if not self._recorded:
-            self._run(points[:1])  # alone, as nothing is kept where it fails
-        self._run(points)
+            self._try(points[:1], self._run_first)  # alone: nothing is kept where it fails
+        self._try(points, self._run)
         outcomes = [self._recorded[point_name(point)] for point in points]
         for outcome in outcomes:
             self._note(outcome)
         return outcomes
 
-    def _run(self, points: Sequence[Mapping[str, Any]]) -> None:
+    def _try(self, points: Sequence[Mapping[str, Any]], run: RunTrials) -> None:
         """Run the points that are not recorded."""
         new = {}
         for point in points:
@@ -92,12 +118,14 @@ class TrialMembers:
                 new[number] = (name, self._member_of(number, point))
         if not new:
             return
-        for outcome in self._runner.run([member for _, member in new.values()]):
-            name, member = new[outcome.number]
+
+        def take(member: StudyMember, outcome: MemberOutcome) -> None:
             _check_first(outcome)
             self._dataset.add(member, outcome)
-            self._recorded[name] = outcome
+            self._recorded[new[member.number][0]] = outcome
             self._note(outcome)
+
+        run([member for _, member in new.values()], take)
 
     def _take_number(self) -> int:
         while self._next in self._numbers:

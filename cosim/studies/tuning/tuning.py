@@ -13,8 +13,9 @@ from cosim.errors import UsageError, option, quoted
 from cosim.studies.running.local import MembersDone
 from cosim.studies.running.plan import RUNNER
 from cosim.studies.running.studying import worker_count
+from cosim.studies.tuning.cluster_trials import check_batches, cluster_trials
 from cosim.studies.tuning.keys import read_space
-from cosim.studies.tuning.members import TrialMembers
+from cosim.studies.tuning.members import RunTrials, TrialMembers, in_pool
 from cosim.studies.tuning.planning import TuningPlan, plan_tuning
 from cosim.studies.tuning.recorded import TuningDataset
 from cosim.studies.tuning.result import TuningResult
@@ -127,7 +128,15 @@ def tune(
         allow_code=truth_argument("allow_code", allow_code),
         timeout=timeout,
     )
-    return tune_task(task, out=out, new=new, workers=workers, progress=progress)
+    return tune_task(
+        task,
+        out=out,
+        new=new,
+        workers=workers,
+        scheduler=scheduler,
+        progress=progress,
+        notice=notice,
+    )
 
 
 def tune_task(
@@ -136,17 +145,31 @@ def tune_task(
     out: str | Path | None = None,
     new: bool = False,
     workers: int | None = None,
+    scheduler: str | Client | None = None,
     progress: MembersDone | None = None,
+    notice: Callable[[str], None] | None = None,
 ) -> TuningResult:
     """Tune a scenario; parameters and errors as of :func:`tune`."""
     new = truth_argument("new", new)
     count = worker_count(workers)
+    if scheduler is not None:
+        check_batches(task.search.method)
     plan = plan_tuning(task)
     with ExitStack() as resources:
         pool = WorkerPool(RUNNER, plan.study.subject, count, timeout=task.timeout)
+        run: RunTrials = in_pool(pool)
+        if scheduler is not None:  # before the dataset that is there is removed
+            run = resources.enter_context(cluster_trials(scheduler, plan, notice))
         dataset = resources.enter_context(TuningDataset(out, plan.identity(), new=new))
         resources.enter_context(pool)
-        trials = TrialMembers(pool, plan.member, dataset, plan.search.members, progress)
+        trials = TrialMembers(
+            run,
+            in_pool(pool),
+            plan.member,
+            dataset,
+            members=plan.search.members,
+            progress=progress,
+        )
         result = search_best(trials, plan.search)
     return _completed(plan, result)
 

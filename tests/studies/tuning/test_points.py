@@ -10,7 +10,7 @@ from cosim.studies.contracts import COMPLETE, MemberOutcome, StudyMember
 from cosim.studies.dataset.columns import metric_column, parameter_column
 from cosim.studies.dataset.identity import StudyIdentity
 from cosim.studies.dataset.study_dataset import StudyDataset
-from cosim.studies.tuning.members import TrialMembers
+from cosim.studies.tuning.members import TrialMembers, in_pool
 from cosim.studies.tuning.points import value_name
 from cosim.studies.tuning.recorded import TuningDataset
 from cosim.temporary import TemporaryFolder
@@ -55,7 +55,8 @@ def tried(place, columns, batches, most=math.inf):
     pool = CountingPool(most)
     identity = StudyIdentity("x", "", {}, (*columns, metric_column("objective")), 100)
     with TuningDataset(place, identity) as dataset:
-        members = TrialMembers(pool, member_of, dataset, 100)
+        run = in_pool(pool)
+        members = TrialMembers(run, run, member_of, dataset, members=100)
         try:
             for batch in batches:
                 members(batch)
