@@ -14,8 +14,15 @@ from cosim.core.recorders import error_text
 from cosim.errors import Interrupted
 from cosim.scenario.preparing import build_experiment
 from cosim.scenario.running.execution import load
-from cosim.studies.contracts import COMPLETE, FAILED, MemberOutcome, StudyMember, StudySubject
-from cosim.studies.members.runner import SubjectRunner, open_runner
+from cosim.studies.contracts import (
+    COMPLETE,
+    FAILED,
+    MemberOutcome,
+    MemberRunner,
+    StudyMember,
+    StudySubject,
+)
+from cosim.studies.members.runner import open_runner
 
 OPENER: Final = "cosim.studies.cluster.opening:open_trying_runner"
 TRIAL: Final = -1  # number of the member that is built only
@@ -28,10 +35,10 @@ class TryingRunner:
     Parameters
     ----------
     subject : StudySubject
-    runner : SubjectRunner
+    runner : MemberRunner
     """
 
-    def __init__(self, subject: StudySubject, runner: SubjectRunner) -> None:
+    def __init__(self, subject: StudySubject, runner: MemberRunner) -> None:
         self._subject = subject
         self._runner = runner
 

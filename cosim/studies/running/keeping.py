@@ -16,20 +16,26 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final, final
+from typing import TYPE_CHECKING, Any, Final, final
 
 from cosim.errors import listing
+from cosim.studies.cluster.storing import any_reaches, kept_place
 from cosim.studies.contracts import FAILED, MemberOutcome, StudyMember
+from cosim.studies.dataset.columns import LOG
 from cosim.studies.dataset.identity import digest_of
 from cosim.studies.dataset.log_files import LogFiles, LogRecord, unfinished_name
 from cosim.studies.dataset.study_dataset import StudyDataset
 from cosim.studies.members.left_log import is_ended, readable_log
 from cosim.studies.running.comparing import difference
+from cosim.studies.running.keeping_on_cluster import log_on_cluster
 from cosim.studies.running.kept_members import chosen_members
 from cosim.studies.running.local import MembersDone
 from cosim.studies.running.plan import RECORD, StudyPlan
 from cosim.studies.workers.pool import WorkerPool
 from cosim.temporary import TemporaryFolder
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 LOGGING_RUNNER: Final = "cosim.studies.members.logging_runner:open_logging_runner"
 
@@ -41,6 +47,7 @@ def keep_logs(
     workers: int,
     notice: Callable[[str], None],
     progress: MembersDone | None = None,
+    client: Client | None = None,
 ) -> None:
     """Make the logs that a study keeps and that are not there; remove those it no longer keeps.
 
@@ -57,11 +64,14 @@ def keep_logs(
         without a log, logs that are removed.
     progress : callable, optional
         Called with how many logs are there, of how many, and how many cannot be made.
+    client : Client, optional
+        Of a cluster, whose workers make the logs if one of them reaches the dataset; else this
+        machine does: logs never go through the scheduler.
 
     Raises
     ------
-    DatasetWriteError
-        If a log cannot be written.
+    CosimError
+        If a log cannot be written, or workers are lost.
     """
     if plan.study.kept_logs.which == "none":
         return
@@ -71,10 +81,19 @@ def keep_logs(
         keeper = LogKeeper(plan, logs, notice)
         missing = keeper.missing(chosen)
         if missing:
-            done = len(chosen) - len(missing)
-            for count, _ in enumerate(_made(plan, dataset, keeper, missing, workers), done + 1):
+            before = len(chosen) - len(missing)
+
+            def note(done: int, total: int, failed: int) -> None:
                 if progress is not None:
-                    progress(count, len(chosen), keeper.problems)
+                    progress(before + done, before + total, keeper.problems)
+
+            if client is not None and _can_log_on(client, dataset, notice):
+                take = keeper.take
+                log_on_cluster(
+                    client, plan, dataset, missing, take=take, notice=notice, progress=note
+                )
+            else:
+                _log_here(plan, dataset, keeper, missing, workers=workers, progress=note)
             logs.clear_unfinished()
         _remove_others(logs, set(chosen), notice)
         _name_missing(logs, chosen, notice)
@@ -92,6 +111,8 @@ class LogKeeper:
 
     Attributes
     ----------
+    folder : Path or None
+        Of this machine, in which logs are begun; None: they are elsewhere.
     problems : int
         How many logs could not be made.
     """
@@ -101,6 +122,7 @@ class LogKeeper:
         self._notice = notice
         self._metrics: Sequence[str] = list(plan.study.metrics)
         self._recording = _recording_of(plan)
+        self.folder = logs.folder()
         self.problems = 0
 
     def missing(self, chosen: Iterable[int]) -> list[int]:
@@ -118,21 +140,17 @@ class LogKeeper:
             return False
         return record.recording == self._recording or not record.is_same
 
-    def take(self, outcome: MemberOutcome, recorded: dict[str, Any], folder: Path) -> None:
-        """Take what a run with a log left in a folder.
+    def take(self, outcome: MemberOutcome, recorded: dict[str, Any]) -> None:
+        """Take the outcome of a run with a log, and give the log that it left its name.
 
         Parameters
         ----------
         outcome : MemberOutcome
         recorded : dict
             The row of the member.
-        folder : Path
         """
         number = outcome.number
-        log, problem = _log_of(outcome, folder)
-        is_whole = log is not None and is_ended(log)
-        if log is not None:
-            self._logs.put(number, log)
+        is_whole, problem = self._take_log(outcome)
         self.problems += bool(problem)
         text = difference(outcome, recorded, self._metrics)
         if text:
@@ -141,27 +159,54 @@ class LogKeeper:
             is_same = is_whole and not text
             self._logs.note(LogRecord(number, self._recording, is_same, problem))
 
+    def _take_log(self, outcome: MemberOutcome) -> tuple[bool, str]:
+        """Return whether a log has the end of its run, and why there is none."""
+        if LOG in outcome.metrics:  # the worker has put what there was
+            is_there = bool(outcome.metrics[LOG])
+            return is_there, "" if is_there else _without_row(outcome)
+        if self.folder is None:
+            return False, f"{outcome.reason}, and what it left of a log is lost with its process"
+        log, problem = _log_of(outcome, self.folder)
+        if log is None:
+            return False, problem
+        is_whole = is_ended(log)
+        self._logs.put(outcome.number, log)
+        return is_whole, ""
 
-def _made(
+
+def _can_log_on(client: Client, dataset: StudyDataset, notice: Callable[[str], None]) -> bool:
+    """Return whether the workers of a cluster can put logs where the dataset is."""
+    if any_reaches(client, kept_place(dataset.label, dataset.sha256)):
+        return True
+    notice(
+        f"logs are made on this machine, as no worker of the cluster reaches {dataset.label}; on "
+        "storage that they reach, such as s3://, they make them"
+    )
+    return False
+
+
+def _log_here(
     plan: StudyPlan,
     dataset: StudyDataset,
     keeper: LogKeeper,
     numbers: Sequence[int],
+    *,
     workers: int,
-) -> Iterator[int]:
-    """Run members with logs on this machine; yield their numbers when they are done."""
+    progress: MembersDone,
+) -> None:
+    """Run members with logs on this machine."""
     rows: dict[int, dict[str, Any]] = {}
     with ExitStack() as resources:
-        folder = dataset.log_files().folder()
-        if folder is None:
-            folder = resources.enter_context(TemporaryFolder("logs"))
-        subject = replace(plan.subject, logs=str(folder))
+        if keeper.folder is None:
+            keeper.folder = resources.enter_context(TemporaryFolder("logs"))
+        subject = replace(plan.subject, logs=str(keeper.folder))
         timeout = plan.study.settings.timeout
         count = min(workers, len(numbers))
         pool = resources.enter_context(WorkerPool(LOGGING_RUNNER, subject, count, timeout=timeout))
-        for outcome in pool.run(_again(plan, dataset, numbers, rows)):
-            keeper.take(outcome, rows.pop(outcome.number), folder)
-            yield outcome.number
+        again = _again(plan, dataset, numbers, rows)
+        for done, outcome in enumerate(pool.run(again), 1):
+            keeper.take(outcome, rows.pop(outcome.number))
+            progress(done, len(numbers), 0)
 
 
 def _again(
@@ -181,13 +226,17 @@ def _log_of(outcome: MemberOutcome, folder: Path) -> tuple[Path | None, str]:
     """Return the log that a run left, or None and why there is none."""
     path = folder / unfinished_name(outcome.number)
     if not path.exists():
-        return None, f"{outcome.reason}, before its first row"
+        return None, _without_row(outcome)
     if outcome.status != FAILED:
         return path, ""
     readable = readable_log(path)
     if readable is None:
         return None, f"{outcome.reason}, and no row that it left can be read"
     return readable, ""
+
+
+def _without_row(outcome: MemberOutcome) -> str:
+    return f"{outcome.reason}, before its first row"
 
 
 def _recording_of(plan: StudyPlan) -> str:

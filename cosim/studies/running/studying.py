@@ -127,7 +127,14 @@ timeout, keep, results : optional
                 progress=progress,
                 notice=notice,
             )
-        keep_logs(plan, dataset, workers=count, notice=notice or _ignore, progress=keep_progress)
+        keep_logs(
+            plan,
+            dataset,
+            workers=count,
+            notice=notice or _ignore,
+            progress=keep_progress,
+            client=client,
+        )
     return open_study(place)
 
 

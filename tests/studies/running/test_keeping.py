@@ -8,7 +8,11 @@ from cosim.studies.dataset.log_files import LogRecord
 from cosim.studies.dataset.study_dataset import StudyDataset
 from cosim.studies.document.keep import read_keep
 from cosim.studies.members.left_log import readable_log
+from cosim.studies.running.keeping import keep_logs
 from cosim.studies.running.kept_members import chosen_members
+from cosim.studies.running.plan import plan_study
+from cosim.studies.running.recorded_study import RecordedStudy
+from cosim.studies.running.studying import open_dataset
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.test_process import STATELESS
 from tests.studies.dataset.outcomes import add, identity
@@ -114,6 +118,29 @@ def test_logs_are_kept_where_the_dataset_is(run):
     files = fsspec.filesystem("memory")
     assert files.cat_file("/kept/x/logs/2.mcap")[-8:] == b"\x89MCAP0\r\n"
     files.rm("/kept", recursive=True)
+
+
+class Unreached:
+    """A client of a cluster whose workers do not reach a dataset."""
+
+    def run(self, function, *values, on_error):
+        """Answer for one that is not there, and one that says no."""
+        return {"tcp://a": False, "tcp://b": OSError()}
+
+
+def test_logs_are_made_here_where_no_worker_reaches_the_dataset(run, tmp_path):
+    """They never go through the scheduler; it is said."""
+    study, _ = run()
+    file = RecordedStudy.read(study.text).study.with_options(keep=[1])
+    plan = plan_study(file)
+    notices = []
+    with open_dataset(plan, tmp_path / "out", new=False) as dataset:
+        keep_logs(plan, dataset, workers=1, notice=notices.append, client=Unreached())
+    assert set(study.logs) == {1}
+    assert notices == [
+        f"logs are made on this machine, as no worker of the cluster reaches {tmp_path / 'out'}; "
+        "on storage that they reach, such as s3://, they make them"
+    ]
 
 
 def test_what_is_left_of_failed_members_is_kept_and_the_others_are_named(tmp_path):

@@ -1,0 +1,120 @@
+"""Logs that are made on the workers of a cluster: each is put where the dataset is.
+
+A log never goes through the scheduler. In a shared folder it is written under a temporary name,
+which who planned the study changes; to other storage the worker puts it whole under its own.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Final, Self, final
+
+from cosim.errors import CosimError, UsageError
+from cosim.studies.cluster.opening import TRIAL, TryingRunner
+from cosim.studies.contracts import FAILED, MemberOutcome, StudyMember, StudySubject
+from cosim.studies.dataset.columns import LOG
+from cosim.studies.dataset.log_files import LOGS, log_name, unfinished_name
+from cosim.studies.dataset.storage import Storage, open_storage
+from cosim.studies.dataset.study_dataset import StudyDataset
+from cosim.studies.members.left_log import readable_log
+from cosim.studies.members.logging_runner import LoggingRunner
+from cosim.temporary import TemporaryFolder
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+STORING_OPENER: Final = "cosim.studies.cluster.storing:open_storing_runner"
+_MARK: Final = "#"  # between the place of a dataset and what tells it from others
+
+
+def kept_place(place: str, sha256: str) -> str:
+    """Return what the subject of :class:`StoringRunner` has as its logs."""
+    path = place if "://" in place else os.path.abspath(place)
+    return f"{path}{_MARK}{sha256}"
+
+
+def reaches_dataset(logs: str) -> bool:
+    """Return whether the dataset that a text of :func:`kept_place` is about is in reach here."""
+    place, _, sha256 = logs.rpartition(_MARK)
+    try:
+        StudyDataset.open(place, sha256=sha256)
+    except CosimError:
+        return False
+    return True
+
+
+def any_reaches(client: Client, logs: str) -> bool:
+    """Return whether a worker that is there reaches a dataset."""
+    answers: Mapping[str, object] = client.run(reaches_dataset, logs, on_error="return")
+    return any(answer is True for answer in answers.values())
+
+
+def open_storing_runner(subject: StudySubject) -> TryingRunner:
+    """Return what runs members with logs, and can be tried first.
+
+    Raises
+    ------
+    UsageError
+        If the dataset is out of reach here.
+    """
+    if not reaches_dataset(subject.logs):
+        place = subject.logs.rpartition(_MARK)[0]
+        raise UsageError(f"{place} is out of reach, where logs are kept")
+    return TryingRunner(subject, StoringRunner(subject))
+
+
+@final
+class StoringRunner:
+    """Runs members, and puts their logs where the dataset is.
+
+    An outcome has, as the metric ``log``, whether its log was put; nothing of that where who
+    planned the study finds it in a folder.
+
+    Parameters
+    ----------
+    subject : StudySubject
+        Its logs are as of :func:`kept_place`.
+    """
+
+    def __init__(self, subject: StudySubject) -> None:
+        self._resources = ExitStack()
+        self._storage: Storage = open_storage(subject.logs.rpartition(_MARK)[0])
+        shared = self._storage.folder(LOGS)
+        self._is_shared = shared is not None
+        self._folder = shared or self._resources.enter_context(TemporaryFolder("logs"))
+        self._runner = LoggingRunner(replace(subject, logs=str(self._folder)))
+
+    def __enter__(self) -> Self:
+        self._runner.__enter__()
+        return self
+
+    def __exit__(
+        self,
+        error_type: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        with self._resources:
+            self._runner.__exit__(error_type, error, trace)
+
+    def run(self, member: StudyMember) -> MemberOutcome:
+        """Run a member with a log."""
+        assert member.number != TRIAL
+        outcome = self._runner.run(member)
+        if self._is_shared:
+            return outcome
+        log = self._log_of(outcome)
+        if log is not None:
+            self._storage.put(log_name(member.number), log)
+        return replace(outcome, metrics={**outcome.metrics, LOG: float(log is not None)})
+
+    def _log_of(self, outcome: MemberOutcome) -> Path | None:
+        path = self._folder / unfinished_name(outcome.number)
+        if not path.exists():
+            return None
+        return readable_log(path) if outcome.status == FAILED else path
