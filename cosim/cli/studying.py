@@ -337,7 +337,7 @@ def show(
         worst=worst,
         as_json=as_json,
     )
-    show_study(opened, recorded.layout, recorded.command_of(opened), parts)
+    show_study(opened, recorded.layout, recorded.command_of(opened), parts, search=recorded.search)
 
 
 @study.command("verify", cls=OnceCommand)

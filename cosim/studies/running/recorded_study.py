@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import Any, Final
+from dataclasses import asdict, dataclass, field
+from typing import Final
 
 from cosim.errors import UsageError
 from cosim.log.contents.environment import environment
@@ -18,6 +18,31 @@ _TABLES: Final = "tables"
 _LAYOUT: Final = "layout"
 _SOURCE: Final = "source"
 _ENVIRONMENT: Final = "environment"
+_SEARCH: Final = "search"
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedSearch:
+    """What a dataset says of the search that chooses its members.
+
+    Parameters
+    ----------
+    metric : str
+        Name of the metric that is the objective.
+    expression : str
+    maximize : bool
+    method : str
+    """
+
+    metric: str
+    expression: str
+    maximize: bool
+    method: str
+
+    @property
+    def goal(self) -> str:
+        """What is searched: ``minimize rms(a.y - b.y)``."""
+        return f"{'maximize' if self.maximize else 'minimize'} {self.expression}"
 
 
 @dataclass(frozen=True)
@@ -30,16 +55,25 @@ class RecordedStudy:
     layout : StudyLayout
     environment : mapping of str to str
         Versions and processor where it was planned last.
+    search : RecordedSearch, optional
+        That chooses the members.
     """
 
     study: StudyFile
     layout: StudyLayout
     environment: Mapping[str, str] = field(default_factory=environment)
+    search: RecordedSearch | None = None
 
     def to_text(self) -> str:
         """Return the text that a dataset keeps."""
-        tables = self.study.to_dict()
-        return _text(tables, self.study.source, self.layout, self.environment)
+        described = {
+            _TABLES: self.study.to_dict(),
+            _SOURCE: self.study.source,
+            _LAYOUT: self.layout.to_dict(),
+            _ENVIRONMENT: dict(self.environment),
+            _SEARCH: None if self.search is None else asdict(self.search),
+        }
+        return json.dumps(described, ensure_ascii=False)
 
     @classmethod
     def read(cls, text: str) -> RecordedStudy:
@@ -55,12 +89,14 @@ class RecordedStudy:
             study, problems = study_of(described[_TABLES], described[_SOURCE])
             layout = StudyLayout.from_dict(described[_LAYOUT])
             recorded = described[_ENVIRONMENT]
+            chosen_by = described.get(_SEARCH)
+            search = None if chosen_by is None else RecordedSearch(**chosen_by)
         except (ValueError, KeyError, TypeError) as error:
             raise UsageError("the study of this dataset cannot be read by this version") from error
         if study is None:
             texts = "; ".join(text for _, text in problems)
             raise UsageError(f"the study of this dataset cannot be read by this version: {texts}")
-        return cls(study, layout, recorded)
+        return cls(study, layout, recorded, search)
 
     def command_of(self, dataset: Study) -> Callable[[int], str]:
         """Return what gives the command that runs a member of a dataset alone.
@@ -68,29 +104,3 @@ class RecordedStudy:
         Its parameters are those that are recorded, whatever the study would plan by now.
         """
         return lambda number: run_command(dataset.member(number), self.study)
-
-
-def searched_text(tables: Mapping[str, Any], members: int) -> str:
-    """Return what a dataset says of a study whose members a search chooses.
-
-    Parameters
-    ----------
-    tables : mapping
-        Of a study file.
-    members : int
-        How many there may be.
-    """
-    layout = StudyLayout("cases", samples=members)
-    return _text(tables, "", layout, environment())
-
-
-def _text(
-    tables: Mapping[str, Any], source: str, layout: StudyLayout, versions: Mapping[str, str]
-) -> str:
-    described = {
-        _TABLES: tables,
-        _SOURCE: source,
-        _LAYOUT: layout.to_dict(),
-        _ENVIRONMENT: dict(versions),
-    }
-    return json.dumps(described, ensure_ascii=False)

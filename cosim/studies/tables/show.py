@@ -11,11 +11,13 @@ from cosim.studies.analysis.results import results_of_study
 from cosim.studies.tables.groups import print_groups
 from cosim.studies.tables.member import check_is_done, print_member
 from cosim.studies.tables.metric import print_metrics
+from cosim.studies.tables.search import print_search
 from cosim.studies.tables.sensitivity import print_sobol
 from cosim.studies.tables.study import WORST, CommandOf, print_study
 
 if TYPE_CHECKING:
     from cosim.studies.dataset.study import Study
+    from cosim.studies.running.recorded_study import RecordedSearch
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +71,14 @@ class ShownParts:
             raise UsageError(f"found {given[0]} and {given[1]}; needed one of them")
 
 
-def show_study(study: Study, layout: StudyLayout, command_of: CommandOf, parts: ShownParts) -> None:
+def show_study(
+    study: Study,
+    layout: StudyLayout,
+    command_of: CommandOf,
+    parts: ShownParts,
+    *,
+    search: RecordedSearch | None = None,
+) -> None:
     """Print what a study came to, or a part of it.
 
     Parameters
@@ -79,6 +88,8 @@ def show_study(study: Study, layout: StudyLayout, command_of: CommandOf, parts: 
     command_of : callable
         Returns the command that runs a member alone.
     parts : ShownParts
+    search : RecordedSearch, optional
+        That chose the members.
 
     Raises
     ------
@@ -99,6 +110,8 @@ def show_study(study: Study, layout: StudyLayout, command_of: CommandOf, parts: 
         print_groups(results, parts.by, parts.metrics, as_json=parts.as_json)
     elif parts.metrics:
         print_metrics(results, parts.metrics, as_json=parts.as_json)
+    elif search is not None and not parts.conditions:
+        print_search(results, search, command_of, count=parts.worst, as_json=parts.as_json)
     else:
         print_study(
             results,

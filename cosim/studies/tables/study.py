@@ -65,16 +65,13 @@ def print_study(
         return
     statistics = study_statistics(results.columns, results.layout)
     correlations = rank_correlations(results.columns, results.layout)
-    print_line(_overview(results))
+    print_line(overview(results, results.layout.text))
     if results.done:
         print_line(f"wall time: {np.median(results.wall_times):.3g} s a member, the median")
     _print_statistics(results, statistics)
     _print_shares(shares)
     _print_correlations(results, correlations)
-    failures = failures_by_reason(results.columns)
-    _print_groups("failures", failures)
-    for group in failures[:_MOST_REASONS]:
-        _print_command(int(group.numbers[0]), command_of)
+    print_failures(results, command_of)
     _print_groups("ended before their stop", ends_by_reason(results.columns))
     _print_extremes(results, command_of, worst)
 
@@ -94,35 +91,54 @@ def study_content(
     for name, one in statistics.items():
         if one.count:
             extremes[name] = worst_members(columns, name, worst).tolist()
-    failures = []
-    for group in failures_by_reason(columns):
-        failures.append({**group.to_dict(), "command": command_of(int(group.numbers[0]))})
     return {
         "name": results.name,
         "design": results.layout.to_dict(),
-        "members": {
-            "planned": results.planned,
-            "done": results.done,
-            "failed": results.failed,
-            "missing": len(results.missing),
-        },
+        "members": members_content(results),
         "wall_time": float(results.wall_times.sum()),
         "statistics": {name: one.to_dict() for name, one in statistics.items()},
         "passed": [share.to_dict() for share in shares],
         "correlations": [one.to_dict() for one in correlations],
-        "failures": failures,
+        "failures": failures_content(results, command_of),
         "ended_early": [group.to_dict() for group in ends_by_reason(columns)],
         "worst": extremes,
     }
 
 
-def _overview(results: StudyResults) -> str:
+def members_content(results: StudyResults) -> dict[str, int]:
+    """Return how many members there are, as plain values for JSON."""
+    return {
+        "planned": results.planned,
+        "done": results.done,
+        "failed": results.failed,
+        "missing": len(results.missing),
+    }
+
+
+def failures_content(results: StudyResults, command_of: CommandOf) -> list[dict[str, Any]]:
+    """Return the failures by their reasons, as plain values for JSON."""
+    failures = []
+    for group in failures_by_reason(results.columns):
+        failures.append({**group.to_dict(), "command": command_of(int(group.numbers[0]))})
+    return failures
+
+
+def print_failures(results: StudyResults, command_of: CommandOf) -> None:
+    """Print the failures by their reasons, and a command for each."""
+    failures = failures_by_reason(results.columns)
+    _print_groups("failures", failures)
+    for group in failures[:_MOST_REASONS]:
+        _print_command(int(group.numbers[0]), command_of)
+
+
+def overview(results: StudyResults, design: str) -> str:
+    """Return what is done of a study, given what its members are."""
     missing = results.missing
     parts = [f"{results.done} of {results.planned} members done"]
     if len(missing):
         parts.append(f"{len(missing)} missing ({members_text(missing)})")
     parts.append(f"{results.failed} failed" if results.failed else "none failed")
-    return f"{results.name}: {results.layout.text}; {', '.join(parts)}"
+    return f"{results.name}: {design}; {', '.join(parts)}"
 
 
 def _print_statistics(results: StudyResults, statistics: dict[str, MetricStatistics]) -> None:

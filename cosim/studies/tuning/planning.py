@@ -9,6 +9,7 @@ from typing import Any, Final
 
 from cosim.errors import UsageError, listing, option, quoted
 from cosim.log.foreign.topics import is_foreign
+from cosim.studies.analysis.independence import StudyLayout
 from cosim.studies.contracts import StudyMember
 from cosim.studies.dataset.columns import metric_column, parameter_column
 from cosim.studies.dataset.identity import StudyIdentity, digest_of
@@ -23,7 +24,7 @@ from cosim.studies.document.study_file import StudyFile
 from cosim.studies.document.variations import SWAP
 from cosim.studies.metrics.metrics import parse_metrics
 from cosim.studies.running.plan import StudyPlan, plan_members
-from cosim.studies.running.recorded_study import searched_text
+from cosim.studies.running.recorded_study import RecordedSearch, RecordedStudy
 from cosim.studies.tuning.searching import TuningSearch, check_search
 from cosim.studies.tuning.space import BoundedKey, ChoiceKey, SearchSpace
 from cosim.studies.tuning.task import OBJECTIVE, TuningTask, is_rms
@@ -86,11 +87,20 @@ class TuningPlan:
         columns += [metric_column(name, text) for name, text in self.task.metrics.items()]
         return StudyIdentity(
             name=f"tuning of {self.study.scenario.name}",
-            text=searched_text(self.study.study.to_dict(), search.members),
+            text=self._recorded().to_text(),
             digests=digests,
             columns=tuple(columns),
             members=search.members,
         )
+
+    def _recorded(self) -> RecordedStudy:
+        """Return what the dataset says of the tuning; its members are cases."""
+        search = self.search
+        chosen_by = RecordedSearch(
+            OBJECTIVE, self.task.expression, maximize=search.maximize, method=search.method
+        )
+        layout = StudyLayout("cases", samples=search.members)
+        return RecordedStudy(self.study.study, layout, search=chosen_by)
 
 
 def plan_tuning(task: TuningTask) -> TuningPlan:

@@ -1,5 +1,6 @@
 """Scenarios are tuned by members in workers; a dataset makes a tuning go on where it was."""
 
+import json
 import os
 import signal
 import subprocess
@@ -171,13 +172,31 @@ def test_the_dataset_has_columns_of_keys_and_objective(lag, tmp_path):
 
 
 def test_the_dataset_is_shown_as_that_of_a_study(lag, tmp_path, capsys):
-    """Its members are cases: no interval is told of values that a search chose."""
-    tune_task(lag_task(lag, members=12), out=tmp_path / "d", workers=1)
+    """By its best members: no statistics are told of values that a search chose."""
+    result = tune_task(lag_task(lag, members=12), out=tmp_path / "d", workers=1)
     with pytest.raises(SystemExit, match=r"^0$"):
-        main(["study", "show", str(tmp_path / "d")])
-    shown = capsys.readouterr().out
-    assert "12 of 12 members done, none failed" in shown
-    assert "95 % intervals: none: members were chosen, not drawn" in shown
+        main(["study", "show", str(tmp_path / "d"), "--worst", "2"])
+    first, wall, title, heads, best, second, alone = capsys.readouterr().out.splitlines()
+    assert first == (
+        "tuning of lag: cobyqa, minimize abs(last(plant.y) - 0.5); 12 of 12 members done, none "
+        "failed"
+    )
+    assert wall.startswith("wall time: ")
+    assert title == "best members"
+    assert heads.split() == ["member", "objective", "plant.time_constant"]
+    costs = sorted((trial.objective, trial.number, trial.point) for trial in result.trials)
+    for line, (objective, number, point) in zip((best, second), costs, strict=False):
+        (value,) = point.values()
+        assert line.split() == [str(number), f"{objective:.6g}", f"{value:.6g}"]
+    assert alone == f"member {result.best.number} alone: {result.command}"
+    with pytest.raises(SystemExit, match=r"^0$"):
+        main(["study", "show", str(tmp_path / "d"), "--json"])
+    content = json.loads(capsys.readouterr().out)
+    assert content["best"][0]["objective"] == result.best.objective
+    assert content["best"][0]["values"] == result.estimate
+    assert content["best"][0]["command"] == result.command
+    assert content["search"]["maximize"] is False
+    assert "statistics" not in content
     with pytest.raises(SystemExit, match=r"^0$"):
         main(["study", "show", str(tmp_path / "d"), "--member", "3"])
     row = rows_of(tmp_path / "d")[3]

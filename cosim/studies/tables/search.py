@@ -1,0 +1,93 @@
+"""A study whose members a search chose: how far it is, and the best of them.
+
+Such members are no sample of anything: statistics, and correlations with what the search varied,
+would say how it searched.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from cosim.report.tables.console import new_table, print_json, print_line, print_table
+from cosim.studies.analysis.extremes import best_members, worst_members
+from cosim.studies.analysis.results import StudyResults
+from cosim.studies.running.recorded_study import RecordedSearch
+from cosim.studies.tables.numbers import number_text
+from cosim.studies.tables.study import (
+    CommandOf,
+    failures_content,
+    members_content,
+    overview,
+    print_failures,
+)
+
+
+def print_search(
+    results: StudyResults,
+    search: RecordedSearch,
+    command_of: CommandOf,
+    *,
+    count: int,
+    as_json: bool = False,
+) -> None:
+    """Print the best members, and what failed.
+
+    Parameters
+    ----------
+    results : StudyResults
+    search : RecordedSearch
+    command_of : callable
+        Returns the command that runs a member on its own.
+    count : int
+        How many of the best members are shown.
+    as_json : bool
+    """
+    chosen = worst_members if search.maximize else best_members
+    best = chosen(results.columns, search.metric, count).tolist()
+    if as_json:
+        print_json(_content(results, search, command_of, best))
+        return
+    print_line(overview(results, f"{search.method}, {search.goal}"))
+    if results.done:
+        print_line(f"wall time: {np.median(results.wall_times):.3g} s a member, the median")
+    table = new_table("best members", ("member", search.metric, *results.columns.parameters))
+    for number in best:
+        objective, values = _values(results, search, number)
+        cells = [number_text(v) if isinstance(v, float) else str(v) for v in values.values()]
+        table.add_row(str(number), number_text(objective), *cells)
+    if table.row_count:
+        print_table(table)
+    print_failures(results, command_of)
+    if best:
+        print_line(f"member {best[0]} alone: {command_of(best[0])}")
+
+
+def _content(
+    results: StudyResults, search: RecordedSearch, command_of: CommandOf, best: list[int]
+) -> dict[str, Any]:
+    """Return what is printed, as plain values for JSON."""
+    shown = []
+    for number in best:
+        objective, values = _values(results, search, number)
+        found = {"member": number, "objective": objective, "values": values}
+        shown.append({**found, "command": command_of(number)})
+    return {
+        "name": results.name,
+        "search": asdict(search),
+        "members": members_content(results),
+        "best": shown,
+        "failures": failures_content(results, command_of),
+    }
+
+
+def _values(
+    results: StudyResults, search: RecordedSearch, number: int
+) -> tuple[float, dict[str, Any]]:
+    """Return the objective of a member, and what was varied."""
+    columns = results.columns
+    (row,) = columns.rows_of(np.array([number]))
+    values = {key: column[row : row + 1].tolist()[0] for key, column in columns.parameters.items()}
+    return float(columns.numeric(search.metric)[row]), values
