@@ -40,6 +40,10 @@ class StudyIdentity:
         Fixed when the dataset is made.
     version : str
         Of cosim.
+    designs : str
+    replay_designs : tuple of (str, str)
+        As of StudySubject. Fixed when the dataset is made, so that a study which goes on elsewhere
+        has the same; those of further logs come in addition.
     """
 
     name: str
@@ -49,6 +53,8 @@ class StudyIdentity:
     members: int
     part_size: int = PART_SIZE
     version: str = __version__
+    designs: str = ""
+    replay_designs: tuple[tuple[str, str], ...] = ()
 
     @property
     def sha256(self) -> str:
@@ -86,9 +92,15 @@ class DatasetDescription:
 
     def grown(self, identity: StudyIdentity) -> DatasetDescription:
         """Return that of the same study with more members: columns and part size are kept."""
-        digests = {**self.identity.digests, **identity.digests}
+        before = self.identity
+        replays = {**dict(identity.replay_designs), **dict(before.replay_designs)}
         merged = replace(
-            identity, digests=digests, columns=self.identity.columns, part_size=self.layout.size
+            identity,
+            digests={**before.digests, **identity.digests},
+            columns=before.columns,
+            part_size=self.layout.size,
+            designs=before.designs or identity.designs,
+            replay_designs=tuple(replays.items()),
         )
         return replace(self, identity=merged, layout=self.layout.grown(identity.members))
 
@@ -106,6 +118,8 @@ class DatasetDescription:
             "columns": [asdict(column) for column in identity.columns],
             "study_sha256": hashlib.sha256(identity.text.encode()).hexdigest(),
             "study": identity.text,
+            "designs": identity.designs,
+            "replay_designs": [list(pair) for pair in identity.replay_designs],
         }
         content[_CHECKSUM] = digest_of(content)
         return (json.dumps(content, indent=1, ensure_ascii=False) + "\n").encode()
@@ -145,6 +159,8 @@ class DatasetDescription:
             members=layout.total,
             part_size=layout.size,
             version=content["cosim"],
+            designs=content["designs"],
+            replay_designs=tuple((path, text) for path, text in content["replay_designs"]),
         )
         return cls(identity, content["sha256"], layout)
 

@@ -103,7 +103,13 @@ class StudyPlan:
             digests,
             self._columns(results),
             len(self.design),
+            designs=self.designs,
+            replay_designs=self.replay_designs,
         )
+
+    def with_designs(self, identity: StudyIdentity) -> StudyPlan:
+        """Return the plan with the designs that a dataset was begun with, wherever that was."""
+        return replace(self, designs=identity.designs, replay_designs=identity.replay_designs)
 
     def _columns(self, results: Mapping[str, MetricValue]) -> tuple[StudyColumn, ...]:
         columns = []

@@ -113,6 +113,7 @@ timeout, keep, results : optional
         # before the dataset that is there is removed
         client = None if scheduler is None else resources.enter_context(connect(scheduler))
         dataset = resources.enter_context(open_dataset(plan, place, new=new))
+        plan = plan.with_designs(dataset.identity)
         if client is None:
             run_locally(plan, dataset, workers=count, progress=progress)
         else:

@@ -91,6 +91,8 @@ class TuningPlan:
             digests=digests,
             columns=tuple(columns),
             members=search.members,
+            designs=planned.designs,
+            replay_designs=planned.replay_designs,
         )
 
     def _recorded(self) -> RecordedStudy:

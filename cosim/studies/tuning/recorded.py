@@ -62,6 +62,11 @@ class TuningDataset:
             self._dataset.close()
 
     @property
+    def identity(self) -> StudyIdentity:
+        """Whose dataset it is, as it was begun."""
+        return self._identity if self._dataset is None else self._dataset.identity
+
+    @property
     def places(self) -> int:
         """How many members it has place for."""
         if self._place is None:

@@ -156,11 +156,12 @@ def tune_task(
         check_batches(task.search.method)
     plan = plan_tuning(task)
     with ExitStack() as resources:
+        dataset = resources.enter_context(TuningDataset(out, plan.identity(), new=new))
+        plan = replace(plan, study=plan.study.with_designs(dataset.identity))
         pool = WorkerPool(RUNNER, plan.study.subject, count, timeout=task.timeout)
         run: RunTrials = in_pool(pool)
         if scheduler is not None:  # before the dataset that is there is removed
             run = resources.enter_context(cluster_trials(scheduler, plan, notice))
-        dataset = resources.enter_context(TuningDataset(out, plan.identity(), new=new))
         resources.enter_context(pool)
         trials = TrialMembers(
             run,
