@@ -5,22 +5,50 @@ its worker, one at a time, from reading the study to the last part of its datase
 planning, one worker, Parquet. Beside it one call of ``cosim.core.ensemble.run_members`` with the
 same members, already built, in a process that has imported everything. ``academic``, 40 s at 1 ms,
 another theta and another initial state each; five metrics.
+
+Then ten times as many members of an FMU over 1 000 steps, with other parameters each, beside a loop
+in one warm process that loads the FMU, runs it and computes the metrics; and the memory of the
+process of the study after 1 000 members and at the end.
 """
 
 import os
 import subprocess
 import sys
 import tempfile
+from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from tests.bench.bench_studies import METRICS, academic, academic_edits
+from cosim.fmi.unpacked import UnpackedFmus
+from cosim.studies.metrics.metrics import parse_metrics
+from cosim.studies.metrics.recorder import MetricRecorder
+from tests.bench.bench_studies import (
+    METRICS,
+    OF_FMU,
+    SCENARIO,
+    Edits,
+    academic,
+    academic_edits,
+    fmu_edits,
+    plain_member,
+    seconds,
+)
+from tests.fmi.small import able, compiled
 
 STUDY = """
+import resource
 import sys
+from pathlib import Path
 import cosim
-cosim.study(sys.argv[1], cases=sys.argv[2], metrics=METRICS, out=sys.argv[3], workers=1)
+def resident(done, *_):
+    if done in (1_000, 10_000):
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+        print(f"  memory after {done} members: {pages * resource.getpagesize() / 1e6:.1f} MB")
+cosim.study(
+    sys.argv[1], cases=sys.argv[2], metrics=METRICS, out=sys.argv[3], workers=1, progress=resident
+)
 """
 CALL = """
 import sys
@@ -42,19 +70,18 @@ with ExitStack() as resources:
 """
 
 
-def cases(path: Path, members: int) -> None:
+def cases(path: Path, members: Sequence[Edits]) -> None:
     """Write the members as a table."""
-    lines = ["delta.terms[0].theta,plant.x_a0"]
-    for number in range(members):
-        edits = academic_edits(number)
-        lines.append(f'{edits["delta.terms[0].theta"]!r},"{edits["plant.x_a0"]}"')
+    lines = [",".join(members[0])]
+    for edits in members:
+        lines.append(",".join(f'"{value!r}"' for value in edits.values()))
     path.write_text("\n".join(lines) + "\n")
 
 
-def study_seconds(scenario: str, table: Path, out: Path) -> float:
+def study_seconds(scenario: str, table: Path, out: Path, metrics: Mapping[str, str]) -> float:
     """Return the CPU time of a process that runs the study, and of its worker [s]."""
     before = os.times()
-    code = f"METRICS = {METRICS!r}\n{STUDY}"
+    code = f"METRICS = {dict(metrics)!r}\n{STUDY}"
     subprocess.run([sys.executable, "-c", code, scenario, str(table), str(out)], check=True)
     after = os.times()
     return (
@@ -74,20 +101,49 @@ def call_seconds(scenario: str, members: int) -> float:
     return float(done.stdout)
 
 
+def compare_fmu(folder: Path, members: int) -> None:
+    """Print what a member with an FMU costs in a study and in a loop, three rounds in turn."""
+    fmu = able(compiled(folder), folder / "plant.fmu", "state", "slopes", D=0.0)
+    scenario = folder / "fmu.toml"
+    scenario.write_text(SCENARIO)
+    edits = [fmu_edits(number) for number in range(members)]
+    table = folder / "fmu.csv"
+    cases(table, edits)
+    recorder = MetricRecorder(parse_metrics(OF_FMU))
+    for number in range(3):
+        out = folder / f"out-fmu-{number}"
+        own = study_seconds(str(scenario), table, out, OF_FMU) / members * 1e3
+        with UnpackedFmus() as fmus:
+            plain_member(fmu, fmus, recorder, edits[0])
+            plain = seconds(members, partial(_run_all, fmu, fmus, recorder, edits))
+        print(
+            f"FMU, {members}: {own:.3f} ms a member beside {plain:.3f} ms, "
+            f"beyond 1.1 x {own - 1.1 * plain:+.3f} ms"
+        )
+
+
+def _run_all(
+    fmu: Path, fmus: UnpackedFmus, recorder: MetricRecorder, edits: Sequence[Edits]
+) -> None:
+    for changes in edits:
+        plain_member(fmu, fmus, recorder, changes)
+
+
 def main() -> None:
     """Print times and ratios, three rounds in turn."""
     members = int(sys.argv[1]) if len(sys.argv) > 1 else 1000
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         table = folder / "cases.csv"
-        cases(table, members)
+        cases(table, [academic_edits(number) for number in range(members)])
         for identifies in (False, True):
             scenario = academic(folder, identifies=identifies)
             for number in range(3):
-                own = study_seconds(scenario, table, folder / f"out-{identifies}-{number}")
+                own = study_seconds(scenario, table, folder / f"out-{identifies}-{number}", METRICS)
                 call = call_seconds(scenario, members)
                 title = f"academic {'with' if identifies else 'without'} identifier"
                 print(f"{title}, {members}: {own:.2f} s beside {call:.2f} s: {own / call:.3f}")
+        compare_fmu(folder, 10 * members)
 
 
 if __name__ == "__main__":
