@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -9,10 +10,18 @@ from types import TracebackType
 from typing import Self, final
 
 from cosim.core.passing_recorders import TwoRecorders
-from cosim.core.recording import Recorder
+from cosim.core.recording import Recorder, Recording
 from cosim.errors import Interrupted
+from cosim.report.summary import summarize
+from cosim.report.sweep import results_of
 from cosim.scenario.recordings.recording import Target, record
-from cosim.studies.contracts import COMPLETE, FAILED, MemberOutcome, StudyMember, StudySubject
+from cosim.studies.contracts import (
+    COMPLETE,
+    FAILED,
+    MemberOutcome,
+    StudyMember,
+    StudySubject,
+)
 from cosim.studies.dataset.log_files import unfinished_name
 from cosim.studies.members.measuring import MemberRecorder, reason_of
 from cosim.studies.members.member_builder import MemberBuilder
@@ -41,6 +50,7 @@ class LoggingRunner:
     def __init__(self, subject: StudySubject) -> None:
         self._recorder = MetricRecorder(parse_metrics(subject.metrics))
         self._builder = MemberBuilder(subject)
+        self._with_results = subject.with_results
         self._folder = Path(subject.logs)
 
     def __enter__(self) -> Self:
@@ -55,23 +65,28 @@ class LoggingRunner:
         self._builder.close()
 
     def run(self, member: StudyMember) -> MemberOutcome:
-        """Run a member with a log; its metrics are those of :class:`SubjectRunner`."""
+        """Run a member with a log; what it came to is as of :class:`SubjectRunner`."""
         measured = MemberRecorder(self._recorder)
         outcome = MemberOutcome(member.number, COMPLETE)
+        results: Mapping[str, MetricValue] = {}
         try:
             with ExitStack() as resources:
-                self._record(member, measured, resources)
+                recording = self._record(member, measured, resources)
+                if self._with_results:
+                    results = results_of(summarize(recording))
         except Interrupted:
             raise
         except Exception as error:  # of a user's code, too: it costs this member, and no other
             return replace(outcome, status=FAILED, reason=reason_of(error), steps=measured.steps)
-        metrics = self._recorder.values()
+        metrics = {**results, **self._recorder.values()}
         return replace(outcome, reason=measured.end.reason, steps=measured.steps, metrics=metrics)
 
-    def _record(self, member: StudyMember, measured: MemberRecorder, resources: ExitStack) -> None:
+    def _record(
+        self, member: StudyMember, measured: MemberRecorder, resources: ExitStack
+    ) -> Recording:
         def beside(log: Recorder) -> Recorder:
             return TwoRecorders(log, measured)
 
         experiment = self._builder.experiment(member, resources)
         target = Target(self._folder / unfinished_name(member.number), force=True)
-        record(experiment, target, progress=None, beside=beside)
+        return record(experiment, target, progress=None, beside=beside)

@@ -12,7 +12,6 @@ from dataclasses import replace
 from types import TracebackType
 from typing import Self, final
 
-from cosim.core.recorders import error_text
 from cosim.errors import Interrupted
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.preparing import build_experiment
@@ -26,7 +25,7 @@ from cosim.studies.contracts import (
     StudySubject,
 )
 from cosim.studies.document.scenario_of_study import load_scenario
-from cosim.studies.members.measuring import MemberRecorder
+from cosim.studies.members.measuring import MemberRecorder, reason_of
 from cosim.studies.members.member_builder import MemberBuilder
 from cosim.studies.members.runner import run_with_results
 from cosim.studies.metrics.metrics import parse_metrics
@@ -74,7 +73,7 @@ class LoneRunner:
             raise
         except Exception as error:  # of a user's code, too, as in the study
             values = dict.fromkeys(self._subject.metrics)
-            outcome = replace(outcome, status=FAILED, reason=error_text(error))
+            outcome = replace(outcome, status=FAILED, reason=reason_of(error))
             return replace(outcome, steps=measured.steps, metrics=values)
         return replace(outcome, reason=measured.end.reason, steps=measured.steps, metrics=values)
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from cosim.studies.contracts import FAILED, MemberOutcome
-
 _HANGS: Final = "hangs: "  # and how long it was waited for, which is not of the member
 
 
@@ -20,28 +18,26 @@ def same_reason(one: str, other: str) -> bool:
     return one == other or (one.startswith(_HANGS) and other.startswith(_HANGS))
 
 
-def difference(outcome: MemberOutcome, recorded: Mapping[str, Any], metrics: Sequence[str]) -> str:
+def difference(now: Mapping[str, Any], recorded: Mapping[str, Any], metrics: Sequence[str]) -> str:
     """Return how a member came to something else than what is recorded; empty: it did not.
 
     Parameters
     ----------
-    outcome : MemberOutcome
-    recorded : mapping
-        Its row.
+    now, recorded : mapping
+        Rows of it.
     metrics : sequence of str
         The names of those that are compared.
     """
     before = recorded["reason"] or ""
-    if outcome.status != recorded["status"] or not same_reason(outcome.reason, before):
+    after = now["reason"] or ""
+    if now["status"] != recorded["status"] or not same_reason(after, before):
         return (
-            f"it came to {outcome.reason or outcome.status!r}, and to "
-            f"{before or recorded['status']!r} before"
+            f"it came to {after or now['status']!r}, and to {before or recorded['status']!r} before"
         )
-    for name in metrics:
-        now = outcome.metrics.get(name)
-        if not same_value(now, recorded[name]) and outcome.status != FAILED:
+    for name in ("steps", *metrics):
+        if not same_value(now[name], recorded[name]):
             return (
-                f"{name} = {now!r}, and {recorded[name]!r} before; what it runs gives other "
+                f"{name} = {now[name]!r}, and {recorded[name]!r} before; what it runs gives other "
                 "results each time"
             )
     return ""

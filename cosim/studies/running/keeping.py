@@ -78,7 +78,7 @@ def keep_logs(
     with closing(dataset.log_files()) as logs:
         logs.clear_unfinished()
         chosen = chosen_members(plan.study.kept_logs, dataset).tolist()
-        keeper = LogKeeper(plan, logs, notice)
+        keeper = LogKeeper(plan, dataset, logs, notice)
         missing = keeper.missing(chosen)
         if missing:
             before = len(chosen) - len(missing)
@@ -106,6 +106,7 @@ class LogKeeper:
     Parameters
     ----------
     plan : StudyPlan
+    dataset : StudyDataset
     logs : LogFiles
     notice : callable
 
@@ -117,10 +118,17 @@ class LogKeeper:
         How many logs could not be made.
     """
 
-    def __init__(self, plan: StudyPlan, logs: LogFiles, notice: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        plan: StudyPlan,
+        dataset: StudyDataset,
+        logs: LogFiles,
+        notice: Callable[[str], None],
+    ) -> None:
+        self._dataset = dataset
         self._logs = logs
         self._notice = notice
-        self._metrics: Sequence[str] = list(plan.study.metrics)
+        self._metrics = [column.name for column in dataset.columns if column.role == "metric"]
         self._recording = _recording_of(plan)
         self.folder = logs.folder()
         self.problems = 0
@@ -152,11 +160,12 @@ class LogKeeper:
         number = outcome.number
         is_whole, problem = self._take_log(outcome)
         self.problems += bool(problem)
-        text = difference(outcome, recorded, self._metrics)
+        now = self._dataset.row_of(StudyMember(number), outcome)
+        text = difference(now, recorded, self._metrics)
         if text:
             self._notice(f"member {number} ran again for its log: {text}")
         if outcome.status == recorded["status"]:  # else the same command tries it again
-            is_same = is_whole and not text
+            is_same = is_whole and not text and bool(self._metrics)
             self._logs.note(LogRecord(number, self._recording, is_same, problem))
 
     def _take_log(self, outcome: MemberOutcome) -> tuple[bool, str]:

@@ -3,12 +3,14 @@
 import socket
 import subprocess
 import sys
+from contextlib import closing
 
 import polars
 import pytest
 
 import cosim
 from cosim.errors import DatasetError, DatasetWriteError
+from cosim.studies.dataset.log_files import LogRecord
 from cosim.studies.dataset.object_storage import PutJournal
 from cosim.studies.dataset.study_dataset import StudyDataset
 from tests.studies.dataset.outcomes import add, design, identity, member, outcome
@@ -87,6 +89,25 @@ def test_a_dataset_elsewhere_is_that_of_a_folder(place, tmp_path):
     study = cosim.open_study(place)
     assert len(study) == 23
     assert study.failures == {3: "NaN at 3 s", 10: "NaN at 10 s", 17: "NaN at 17 s"}
+
+
+def test_logs_are_put_whole_and_belong_to_the_dataset(place, tmp_path):
+    """The file here is gone then; to begin anew removes the logs and what is known of them."""
+    log = tmp_path / "_3.unfinished.mcap"
+    with StudyDataset.create(place, identity(25)) as dataset, closing(dataset.log_files()) as logs:
+        for content in (b"one", b"two"):
+            log.write_bytes(content)
+            logs.put(3, log)
+            logs.note(LogRecord(3, "signals", is_same=True))
+        assert not log.exists()
+        assert logs.folder() is None
+    files, root = fsspec.core.url_to_fs(place)
+    assert files.cat_file(f"{root}/logs/3.mcap") == b"two"
+    opened = StudyDataset.open(place)
+    assert opened.logs() == {3: f"{place}/logs/3.mcap"}
+    assert opened.log_files().records == {3: LogRecord(3, "signals", is_same=True)}
+    with StudyDataset.open_or_create(place, identity(25), new=True) as dataset:
+        assert dataset.log_files().records == dataset.logs() == {}
 
 
 def test_tasks_write_parts_elsewhere(place):

@@ -120,6 +120,18 @@ def test_logs_are_kept_where_the_dataset_is(run):
     files.rm("/kept", recursive=True)
 
 
+def test_results_of_members_are_compared_with_those_of_their_logs(tmp_path):
+    """Where there are no metrics, a log is known to be made again by them."""
+    given = {"vary": {"observer.filter_rate": [100.0, 200.0]}, "set": {"scenario.stop": 0.2}}
+    notices = []
+    given |= {"out": tmp_path / "out", "workers": 1, "notice": notices.append}
+    cosim.study("academic", keep=[0], **given)
+    assert notices == []
+    cosim.study("academic", keep=[1], **given)
+    (text,) = notices
+    assert text.startswith("removed the logs of member 0")
+
+
 class Unreached:
     """A client of a cluster whose workers do not reach a dataset."""
 
