@@ -19,6 +19,7 @@ from cosim.studies.contracts import (
     COMPLETE,
     FAILED,
     MemberOutcome,
+    MetricValue,
     StudyMember,
     StudySubject,
 )

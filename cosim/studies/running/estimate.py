@@ -9,8 +9,8 @@ from typing import Any, Final
 from cosim.errors import UsageError
 from cosim.studies.contracts import FAILED, MemberOutcome, MetricValue
 from cosim.studies.dataset.columns import all_columns
-from cosim.studies.document.keep import KeptLogs
 from cosim.studies.running.keeping import LOGGING_RUNNER
+from cosim.studies.running.kept_members import kept_count
 from cosim.studies.running.plan import RUNNER, StudyPlan
 from cosim.studies.workers.pool import WorkerPool
 from cosim.temporary import TemporaryFolder
@@ -101,25 +101,12 @@ def _row_bytes(plan: StudyPlan, outcome: MemberOutcome) -> int:
 
 def _log_bytes(plan: StudyPlan) -> int | None:
     """Return how large the kept logs are; None: that is not known."""
-    count = _kept_count(plan.study.kept_logs, len(plan.design))
+    count = kept_count(plan.study.kept_logs, len(plan.design))
     if not count:
         return count
     with TemporaryFolder("estimate") as folder:
         subject = replace(plan.subject, logs=str(folder))
-        with WorkerPool(LOGGING_RUNNER, subject, 1) as pool:
+        timeout = plan.study.settings.timeout
+        with WorkerPool(LOGGING_RUNNER, subject, 1, timeout=timeout) as pool:
             list(pool.run([plan.design.member(0)]))
         return count * sum(path.stat().st_size for path in folder.glob("*.mcap"))
-
-
-def _kept_count(kept: KeptLogs, members: int) -> int | None:
-    match kept.which:
-        case "none":
-            return 0
-        case "failed":
-            return None
-        case "all":
-            return members
-        case "numbers":
-            return sum(number < members for number in kept.numbers)
-        case _:
-            return min(kept.count, members)

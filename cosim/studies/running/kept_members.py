@@ -36,6 +36,21 @@ def check_kept_metric(kept: KeptLogs, columns: Iterable[StudyColumn]) -> None:
         )
 
 
+def kept_count(kept: KeptLogs, members: int) -> int | None:
+    """Return how many logs a study of so many members keeps; None: as many as fail."""
+    match kept.which:
+        case "none":
+            return 0
+        case "failed":
+            return None
+        case "all":
+            return members
+        case "numbers":
+            return sum(number < members for number in kept.numbers)
+        case _:
+            return min(kept.count, members)
+
+
 def chosen_members(kept: KeptLogs, dataset: StudyDataset) -> NDArray[np.int64]:
     """Return the members whose logs a study keeps, as far as they are done; in order.
 

@@ -1,0 +1,66 @@
+"""What a study will take, beside what it then took."""
+
+import pytest
+
+import cosim
+from cosim.errors import UsageError
+from cosim.studies.document.keep import read_keep
+from cosim.studies.document.reading import read_study
+from cosim.studies.running.estimate import estimate_study
+from cosim.studies.running.kept_members import kept_count
+from cosim.studies.running.plan import plan_study
+
+SCENARIO = """
+scenario = { name = "x", stop = 10.0, step = 0.001 }
+[components]
+u = { kind = "sine", amplitude = 1.0, rate = 1.0 }
+"""
+AMPLITUDES = {"u.amplitude": {"linear": [1.0, 2.0], "points": 7}}
+
+
+@pytest.fixture
+def planned(tmp_path):
+    """Return what plans a study of seven sines."""
+    (tmp_path / "x.toml").write_text(SCENARIO)
+
+    def plan(vary=AMPLITUDES, **given):
+        study = read_study(tmp_path / "x.toml")
+        return plan_study(study.with_options(vary=vary, metrics={"y": "max(u.y)"}, **given))
+
+    return plan
+
+
+def test_the_logs_take_what_was_said(planned, tmp_path):
+    """Those of all members are about as large as that of the first: their values have no zeros."""
+    plan = planned(keep="all")
+    estimate = estimate_study(plan, 2)
+    assert estimate.members == 7
+    assert estimate.study_time == estimate.first_time + 3 * estimate.member_time  # 4 a worker
+    study = cosim.study(plan.study, out=tmp_path / "out", workers=2)
+    size = sum(path.stat().st_size for path in (tmp_path / "out" / "logs").iterdir())
+    assert len(study.logs) == 7
+    assert estimate.log_bytes == pytest.approx(size, rel=0.1)
+    assert not (tmp_path / "logs").exists()
+
+
+@pytest.mark.parametrize(
+    ("keep", "count"),
+    [
+        ("all", 7),
+        ("worst 9 of y", 7),
+        ("best 3 of y", 3),
+        ((2, 5, 7), 2),
+        ("failed", None),
+        (None, 0),
+    ],
+)
+def test_kept_logs_are_counted(keep, count):
+    """Never more than there are members; how many fail is not known."""
+    assert kept_count(read_keep(keep), 7) == count
+
+
+def test_a_member_that_fails_is_no_measure(planned, tmp_path):
+    """It is named with its reason."""
+    (tmp_path / "x.toml").write_text(SCENARIO + 'v = { kind = "expression", y = "1/(t - 0.5)" }\n')
+    with pytest.raises(UsageError, match="member 0 failed, so that the others"):
+        estimate_study(planned(), 1)
