@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -14,12 +14,14 @@ from cosim.studies.tuning.local import SearchEnd
 from cosim.studies.tuning.space import SearchSpace
 from cosim.studies.tuning.standard_errors import StandardErrors
 from cosim.studies.tuning.trials import SearchTrial
+from cosim.studies.tuning.whiteness import ResidualCheck
 
 AT_BOUND: Final = 1e-4  # of the range between the bounds
 CONVERGED: Final = 1e-3  # of the range between the bounds
 SAME_PLACE: Final = 0.01  # of the range between the bounds
 SAME_COST: Final = 1e-6  # relative
-WHITE: Final = 2.58  # over sqrt(N): neighbours of white samples, in 99 of 100 cases
+NOT_WHITE: Final = 0.01  # probability of such autocorrelations, if samples were white
+ABOUT: Final = 1.25  # samples over independent ones: errors that are 12 % too small
 FLAT: Final = 1e-9  # relative; rounding alone differs by less
 
 
@@ -50,8 +52,8 @@ class TuningResult:
     errors : StandardErrors or None
     errors_problem : str
         Why there are no standard errors; empty: they were not wanted, or are there.
-    neighbours : float or None
-        How neighbouring samples of the residual correlate at the best values; None: that is not
+    residual : ResidualCheck or None
+        How the samples of the residual depend on each other at the best values; None: that is not
         known.
     expression : str
         The metric.
@@ -72,7 +74,7 @@ class TuningResult:
     starts: int
     errors: StandardErrors | None
     errors_problem: str
-    neighbours: float | None = None
+    residual: ResidualCheck | None = None
     expression: str = ""
     command: str = ""
 
@@ -139,7 +141,7 @@ class TuningResult:
             "at_bounds": self.at_bounds,
             "statements": self.statements,
             "standard_errors": None if self.errors is None else self.errors.to_dict(),
-            "neighbours": self.neighbours,
+            "residual": None if self.residual is None else asdict(self.residual),
             "command": self.command,
         }
 
@@ -253,7 +255,7 @@ def _of_errors(result: TuningResult) -> list[str]:
         return [f"no standard errors: {result.errors_problem}"]
     if result.errors is None:
         return []
-    said = [_whiteness(result.neighbours, result.errors.samples)]
+    said = [_whiteness(result.residual, result.errors.samples)]
     said += [
         f"the interval of {key} goes beyond its bounds, where nothing was tried"
         for key in _beyond_bounds(result.space, result.errors)
@@ -275,19 +277,30 @@ def _beyond_bounds(space: SearchSpace, errors: StandardErrors) -> list[str]:
     return found
 
 
-def _whiteness(correlation: float | None, samples: int) -> str:
+def _whiteness(residual: ResidualCheck | None, samples: int) -> str:
     """Return what the standard errors assume of the residual, and what it looks like."""
     assumed = (
         f"the standard errors assume that the {samples} samples of the residual are white, with "
         "one deviation"
     )
-    if correlation is None:
-        return f"{assumed}: that is not checked"
-    found = f"its neighbours correlate by {correlation:.2g}"
-    if correlation > WHITE / math.sqrt(samples):
-        independent = max(1, round(samples * (1.0 - correlation) / (1.0 + correlation)))
-        return (
-            f"{assumed}, and they are not: {found}; the errors are too small, as if about "
-            f"{independent} samples were independent: {option('samples')}"
+    if residual is not None and samples != residual.rows:
+        assumed = (
+            f"the standard errors assume that {samples} of the {residual.rows} samples of the "
+            "residual are independent, with one deviation"
         )
-    return f"{assumed}; {found}"
+    if residual is None:
+        return f"{assumed}: that is not checked"
+    found = f"its neighbours correlate by {residual.neighbours:.2g}"
+    tested = f"over {residual.lags} lags"
+    if residual.probability >= NOT_WHITE:
+        return f"{assumed}; {found}, and nothing speaks against white ones {tested}"
+    cause = (
+        "noise with a memory, or a model that cannot follow, whose values have an error of its own"
+    )
+    text = f"{assumed}; it is not white {tested}: {found}: {cause}"
+    if samples > ABOUT * residual.independent:
+        text += (
+            f"; the errors are too small, as if about {residual.independent} samples were "
+            f"independent: {option('samples')}"
+        )
+    return text

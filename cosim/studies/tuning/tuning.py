@@ -21,7 +21,7 @@ from cosim.studies.tuning.recorded import TuningDataset
 from cosim.studies.tuning.result import TuningResult
 from cosim.studies.tuning.searching import TuningMethod, TuningSearch, search_best
 from cosim.studies.tuning.task import OBJECTIVE, TuningTask
-from cosim.studies.tuning.whiteness import residual_correlation
+from cosim.studies.tuning.whiteness import residual_check
 from cosim.studies.workers.pool import WorkerPool
 
 if TYPE_CHECKING:
@@ -185,8 +185,8 @@ def _completed(plan: TuningPlan, result: TuningResult) -> TuningResult:
     if result.errors is None:
         return result
     member = plan.member(0, point)
-    neighbours = residual_correlation(plan.study.subject, OBJECTIVE, member)
-    return replace(result, neighbours=neighbours)
+    residual = residual_check(plan.study.subject, OBJECTIVE, member)
+    return replace(result, residual=residual)
 
 
 def _expression(minimize: str | None, maximize: str | None) -> str:

@@ -1,12 +1,21 @@
 """Whether the residual of the best values is white: one more run, which keeps its rows.
 
-It runs in a worker as all members do.
+It runs in a worker as all members do. The test is that of Ljung and Box [1]_. How many samples
+count as independent is their number over the integrated autocorrelation time, summed up to the
+first lag that is five times as long [2]_: so it is for parameters that change the output slowly.
+
+References
+----------
+.. [1] G. M. Ljung, G. E. P. Box, "On a measure of lack of fit in time series models", Biometrika 65
+   (1978).
+.. [2] A. Sokal, "Monte Carlo methods in statistical mechanics", 1996, section 3.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
 from typing import Final, final
 
 import numpy as np
@@ -23,16 +32,72 @@ from cosim.studies.metrics.binding import find_element
 from cosim.studies.metrics.language import Reduction, parse_metric_text
 from cosim.studies.workers.pool import WorkerPool
 
-LAG_1: Final = "lag 1"
+MOST_LAGS: Final = 20  # of the test
+LEAST_ROWS: Final = 10
+_WINDOW: Final = 5.0  # autocorrelation times
 _OPENER: Final = f"{__name__}:open_residual_runner"
 
 
-def residual_correlation(
-    subject: StudySubject, objective: str, member: StudyMember
-) -> float | None:
-    """Return how neighbours of the residual of a member correlate.
+@dataclass(frozen=True, slots=True)
+class ResidualCheck:
+    """How the rows of a residual depend on each other.
 
-    None: it is not known, as the run failed, or its rows are chosen by a condition with a duration.
+    Parameters
+    ----------
+    rows : int
+    neighbours : float
+        Their correlation.
+    lags : int
+        Of the test.
+    probability : float
+        Of autocorrelations as large as these, if the rows were white.
+    independent : int
+        As many rows of white noise say as much of a mean.
+    """
+
+    rows: int
+    neighbours: float
+    lags: int
+    probability: float
+    independent: int
+
+
+def check_rows(residual: Vector) -> ResidualCheck | None:
+    """Return how the rows of a residual depend on each other.
+
+    None: there are too few, or all are zero. Its mean is not removed: that of the noise is zero.
+    """
+    from scipy.stats import chi2
+
+    rows = residual.size
+    largest = float(np.abs(residual).max(initial=0.0))
+    if rows < LEAST_ROWS or not 0.0 < largest < math.inf:
+        return None
+    padded = np.fft.rfft(residual / largest, 2 * rows)
+    products = np.fft.irfft(np.abs(padded) ** 2, 2 * rows)[:rows]
+    correlations = products[1:] / products[0]
+    lags = min(MOST_LAGS, rows // 5)
+    squares = correlations[:lags] ** 2 / (rows - np.arange(1, lags + 1))
+    statistic = rows * (rows + 2) * float(squares.sum())
+    times = 1.0 + 2.0 * np.cumsum(correlations)
+    is_wide = np.arange(1, rows) >= _WINDOW * times
+    time = float(times[int(is_wide.argmax()) if is_wide.any() else -1])
+    return ResidualCheck(
+        rows=rows,
+        neighbours=float(correlations[0]),
+        lags=lags,
+        probability=float(chi2.sf(statistic, lags)),
+        independent=max(1, round(rows / max(time, 1.0))),
+    )
+
+
+def residual_check(
+    subject: StudySubject, objective: str, member: StudyMember
+) -> ResidualCheck | None:
+    """Return how the rows of the residual of a member depend on each other.
+
+    None: it is not known, as the run failed, its rows are chosen by a condition with a duration, or
+    they are too few.
 
     Parameters
     ----------
@@ -46,16 +111,19 @@ def residual_correlation(
         return None
     with WorkerPool(_OPENER, subject, 1) as pool:
         for outcome in pool.run([member]):
-            value = outcome.metrics.get(LAG_1)
-            return value if isinstance(value, float) else None
+            found = {name: value for name, value in outcome.metrics.items() if name in _FIELDS}
+            return ResidualCheck(**found) if len(found) == len(_FIELDS) else None  # type: ignore[arg-type]
     return None
 
 
 def open_residual_runner(subject: StudySubject) -> MemberRunner:
-    """Return a runner whose metric is the correlation of neighbours of the first metric's rows."""
+    """Return a runner whose metrics say how rows of the first metric depend on each other."""
     name, text = next(iter(subject.metrics.items()))
     reduction = parse_metric_text(name, text).reductions[0]
     return open_runner(subject, sink_of=lambda: ResidualRecorder(reduction))
+
+
+_FIELDS: Final = tuple(field.name for field in fields(ResidualCheck))
 
 
 @final
@@ -106,12 +174,10 @@ class ResidualRecorder(Nothing):
         self._parts.append(values)
 
     def values(self) -> dict[str, MetricValue]:
-        """Return the correlation; None: the values do not vary."""
+        """Return what is known of the rows; empty: nothing."""
         residual = np.concatenate([*self._parts, np.empty(0)])
-        squares = float(residual @ residual)
-        if not squares > 0.0:
-            return {LAG_1: None}
-        return {LAG_1: float(residual[1:] @ residual[:-1]) / squares}
+        found = check_rows(residual[~np.isnan(residual)])
+        return {} if found is None else asdict(found)
 
 
 def _bound(part: Program | ConditionProgram, columns: Mapping[str, int]) -> RowProgram:
