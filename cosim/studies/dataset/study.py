@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
 from cosim.errors import UsageError
 from cosim.studies.contracts import FAILED, StudyMember
-from cosim.studies.dataset.columns import RECORDING, SWAP, ColumnRole
+from cosim.studies.dataset.columns import MEMBER, RECORDING, SWAP, ColumnRole, StudyColumn
 from cosim.studies.dataset.study_dataset import StudyDataset
 
 if TYPE_CHECKING:
@@ -124,26 +124,20 @@ class Study:
         DatasetError
             If a file is damaged.
         """
-        columns = [column for column in self._dataset.columns if column.role == "parameter"]
-        names = [column.name for column in columns]
-        rows = self.table(["member", *names], members=[number]).to_pylist()
-        if not rows:
+        found = self.members([number])
+        if not found:
             raise UsageError(
                 f"there is no outcome of member {number}; there are {len(self)} of "
                 f"{self.planned} members, numbered from 0"
             )
-        changes: dict[str, Any] = {}
-        swaps: dict[str, str] = {}
-        for column in columns:
-            value = rows[0][column.name]
-            if value is None:
-                continue
-            if column.name.startswith(SWAP):
-                swaps[column.name.removeprefix(SWAP)] = value
-            else:
-                changes[column.name] = json.loads(value) if column.type == "json" else value
-        recording = changes.pop(RECORDING, None)
-        return StudyMember(number, changes, swaps, recording)
+        return found[0]
+
+    def members(self, numbers: Collection[int]) -> list[StudyMember]:
+        """Return those of some members that have an outcome, in order, as :meth:`member` does."""
+        columns = [column for column in self._dataset.columns if column.role == "parameter"]
+        names = [MEMBER, *(column.name for column in columns)]
+        rows = self.table(names, members=numbers).to_pylist()
+        return [_member_of(row, columns) for row in rows]
 
     def to_pandas(self, columns: Iterable[str] | None = None) -> pandas.DataFrame:
         """Return the table as a frame of pandas, indexed by ``member``.
@@ -174,6 +168,22 @@ class Study:
 
     def _names(self, role: ColumnRole) -> tuple[str, ...]:
         return tuple(column.name for column in self._dataset.columns if column.role == role)
+
+
+def _member_of(row: Mapping[str, Any], columns: Iterable[StudyColumn]) -> StudyMember:
+    """Return the member with the parameters that a row has; null: the scenario's own value."""
+    changes: dict[str, Any] = {}
+    swaps: dict[str, str] = {}
+    for column in columns:
+        value = row[column.name]
+        if value is None:
+            continue
+        if column.name.startswith(SWAP):
+            swaps[column.name.removeprefix(SWAP)] = value
+        else:
+            changes[column.name] = json.loads(value) if column.type == "json" else value
+    recording = changes.pop(RECORDING, None)
+    return StudyMember(row[MEMBER], changes, swaps, recording)
 
 
 def open_study(place: str | Path) -> Study:

@@ -4,7 +4,7 @@
 
     choose members by what is recorded of all
     run those again whose log is missing, or has other signals than logs are to have now
-    remove the logs of others, if they can be made again
+    remove the logs of others, if the run with the log came to what is recorded
 
 A log that differs from the run that is recorded is the only one of its kind, as is what a crash
 left of one: such logs stay, whichever members are chosen.
@@ -255,20 +255,21 @@ def _recording_of(plan: StudyPlan) -> str:
 
 
 def _remove_others(logs: LogFiles, chosen: Collection[int], notice: Callable[[str], None]) -> None:
-    """Remove the logs of members that are not chosen, and that can be made again."""
+    """Remove the logs of members that are not chosen, if others can take their place."""
     others = sorted(logs.present().difference(chosen))
     removed = [n for n in others if n in logs.records and logs.records[n].is_same]
     if removed:
         logs.remove(removed)
         notice(
-            f"removed the logs of {_members(removed)}, which keep does not name any more; where it "
-            "names them again, they are made again, bit for bit"
+            f"removed the logs of {_members(removed)}, which keep does not name any more; what the "
+            "study records of them was the same in both runs, and they run again where keep names "
+            "them again"
         )
     left = sorted(set(others).difference(removed))
     if left:
         notice(
-            f"keep does not name {_members(left)}, whose logs stay: nothing makes them again as "
-            "they are"
+            f"keep does not name {_members(left)}, whose logs stay: another run may come to "
+            "something else"
         )
 
 

@@ -10,6 +10,7 @@ from typing import Final
 from cosim.errors import UsageError
 from cosim.log.contents.environment import environment
 from cosim.studies.analysis.independence import StudyLayout
+from cosim.studies.cluster.environment import content_hash
 from cosim.studies.dataset.study import Study
 from cosim.studies.design.commands import run_command
 from cosim.studies.document.study_file import StudyFile, study_of
@@ -45,6 +46,11 @@ class RecordedSearch:
         return f"{'maximize' if self.maximize else 'minimize'} {self.expression}"
 
 
+def own_environment() -> dict[str, str]:
+    """Return versions and processor here, and what tells this source of cosim from another."""
+    return {**environment(), "source of cosim": content_hash()}
+
+
 @dataclass(frozen=True)
 class RecordedStudy:
     """What a dataset says of its study.
@@ -61,7 +67,7 @@ class RecordedStudy:
 
     study: StudyFile
     layout: StudyLayout
-    environment: Mapping[str, str] = field(default_factory=environment)
+    environment: Mapping[str, str] = field(default_factory=own_environment)
     search: RecordedSearch | None = None
 
     def to_text(self) -> str:

@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.errors import DatasetError, UsageError, command, option
-from cosim.log.contents.environment import environment
 from cosim.studies.contracts import StudyMember
 from cosim.studies.dataset.identity import differences
 from cosim.studies.dataset.study import Study
@@ -28,7 +27,7 @@ from cosim.studies.dataset.study_dataset import StudyDataset
 from cosim.studies.running.comparing import same_reason, same_value
 from cosim.studies.running.local import MembersDone
 from cosim.studies.running.plan import plan_study
-from cosim.studies.running.recorded_study import RecordedStudy
+from cosim.studies.running.recorded_study import RecordedStudy, own_environment
 from cosim.studies.workers.pool import WorkerPool
 
 LONE_RUNNER: Final = "cosim.studies.members.lone_runner:open_lone_runner"
@@ -127,7 +126,7 @@ def verify_study(
     for row in dataset.read(members=numbers).to_pylist():
         rows[row["member"]] = row
     study = Study(dataset)
-    again = {number: study.member(number) for number in numbers}
+    again = {member.number: member for member in study.members(numbers)}
     names = [column.name for column in dataset.columns if column.role == "metric"]
     found: list[VerifiedDifference] = []
     for count, outcome in enumerate(_outcomes(recorded, list(again.values()), workers), 1):
@@ -236,7 +235,7 @@ def _other_machines(rows: Collection[Mapping[str, Any]]) -> tuple[str, ...]:
 
 def _other_environment(recorded: Mapping[str, str]) -> dict[str, tuple[str, str]]:
     """Return what is otherwise here than where the study was planned last."""
-    now = environment()
+    now = own_environment()
     found = {}
     for name, value in recorded.items():
         if now.get(name, "") != value:

@@ -44,6 +44,7 @@ def _not_shown(found: StudyVerification) -> Sequence[str]:
         )
     else:
         texts.append("whether another machine comes to the same")
+    texts.append("signals that no metric is about")
     for name, (before, now) in found.environment.items():
         texts.append(f"{name} was {before}, is {now}")
     return texts

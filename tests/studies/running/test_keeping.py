@@ -92,7 +92,7 @@ def test_a_log_that_differs_from_the_recorded_run_is_never_removed(run):
     study, notices = run(keep=[2])
     assert set(study.logs) == {1, 2}
     assert notices == [
-        "keep does not name member 1, whose logs stay: nothing makes them again as they are"
+        "keep does not name member 1, whose logs stay: another run may come to something else"
     ]
 
 

@@ -1,5 +1,6 @@
 """Members that run again alone: a bit that differs is found, and what has changed is named."""
 
+import platform
 import shutil
 
 import numpy as np
@@ -10,7 +11,10 @@ from pyarrow import parquet
 import cosim
 from cosim.cli import main
 from cosim.errors import DatasetError, UsageError
+from cosim.studies.running import verifying
+from cosim.studies.running.recorded_study import own_environment
 from cosim.studies.running.verifying import verify_study
+from cosim.studies.tables.verification import print_verification
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.test_process import STATELESS
 
@@ -56,6 +60,21 @@ def test_members_come_to_what_is_recorded(recorded):
     assert (found.elsewhere, found.environment) == ((), {})
 
 
+def test_another_machine_and_other_versions_are_said(recorded, monkeypatch, capsys):
+    """What is the same there may differ for their sake, and says more."""
+    there = {**own_environment(), "numpy": "0.0"}
+    monkeypatch.setattr(verifying, "own_environment", lambda: there)
+    node = platform.node()
+    monkeypatch.setattr(verifying.platform, "node", lambda: "elsewhere")
+    print_verification(verify_study(recorded / "out", members=[1]))
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert last == (
+        f"not shown: 1 member did not run again; these ran on {node}, and again on another "
+        "machine, whose libraries may round otherwise; signals that no metric is about; numpy was "
+        f"{np.__version__}, is 0.0"
+    )
+
+
 def test_a_bit_that_differs_is_found(recorded, tmp_path, capsys):
     """Its value then and now, and the exit code, say so."""
     shutil.copytree(recorded / "out", tmp_path / "out")
@@ -68,7 +87,8 @@ def test_a_bit_that_differs_is_found(recorded, tmp_path, capsys):
     assert lines[1:] == [
         f"member 0: y was {was!r}, is {now!r}",
         "1 of 1 member is otherwise than recorded",
-        "not shown: 1 member did not run again; whether another machine comes to the same",
+        "not shown: 1 member did not run again; whether another machine comes to the same; signals "
+        "that no metric is about",
     ]
 
 
