@@ -1,9 +1,16 @@
 """Objectives in closed form, as members would evaluate them."""
 
+import contextlib
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from cosim.studies.contracts import COMPLETE, FAILED, MemberOutcome
+from cosim.studies.contracts import COMPLETE, FAILED, MemberOutcome, StudyMember
+from cosim.studies.dataset.columns import metric_column
+from cosim.studies.dataset.identity import StudyIdentity
+from cosim.studies.dataset.study_dataset import StudyDataset
+from cosim.studies.tuning.members import TrialMembers, in_pool
+from cosim.studies.tuning.recorded import TuningDataset
 
 OBJECTIVE = "J"
 
@@ -29,3 +36,40 @@ class Recorded:
             return MemberOutcome(number, COMPLETE, metrics={OBJECTIVE: self.function(point)})
         except ArithmeticError as error:
             return MemberOutcome(number, FAILED, reason=str(error))
+
+
+class CountingPool:
+    """Runs members here; their outcomes follow from their values. It may be lost with one."""
+
+    def __init__(self, function, most):
+        self.function = function
+        self.most = most
+        self.ran = []
+
+    def run(self, members):
+        """Yield outcomes, the last of a batch first."""
+        for member in reversed(list(members)):
+            if len(self.ran) == self.most:
+                raise KeyboardInterrupt
+            self.ran.append(member)
+            metrics = {"objective": self.function(member.set)}
+            yield MemberOutcome(member.number, COMPLETE, metrics=metrics)
+
+
+def tried(place, columns, ask, function=lambda point: float(len(repr(point))), *, most=math.inf):
+    """Ask for points with a dataset, until ``most`` have run; return them, and its rows at the end.
+
+    ``ask`` takes what evaluates batches of points.
+    """
+    pool = CountingPool(function, most)
+    identity = StudyIdentity("x", "", {}, (*columns, metric_column("objective")), 100)
+    with TuningDataset(place, identity) as dataset:
+        run = in_pool(pool)
+        with contextlib.suppress(KeyboardInterrupt):
+            ask(TrialMembers(run, run, _member_of, dataset, members=100))
+    rows = StudyDataset.open(place).read().to_pylist() if place.exists() else []
+    return pool.ran, repr(rows)
+
+
+def _member_of(number, point):
+    return StudyMember(number, dict(point))

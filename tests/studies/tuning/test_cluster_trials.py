@@ -4,6 +4,7 @@ import pytest
 
 import cosim
 from cosim.errors import UsageError
+from cosim.studies.cluster import connection
 from tests.studies.cluster.processes import cluster
 from tests.studies.tuning.test_tuning import LAG, rows_of
 
@@ -45,9 +46,10 @@ def test_a_method_that_tries_one_after_the_other_is_refused(lag, tmp_path, metho
     assert not (tmp_path / "d").exists()
 
 
-def test_a_scheduler_that_is_not_there_leaves_the_dataset(lag, tmp_path):
-    tuned(lag, out=tmp_path / "d", members=2, workers=1)
-    before = rows_of(tmp_path / "d")
+def test_a_scheduler_that_is_not_there_leaves_the_dataset(lag, tmp_path, monkeypatch):
+    monkeypatch.setattr(connection, "CONNECTING", 0.2)
+    (tmp_path / "d").mkdir()
+    (tmp_path / "d" / "study.json").write_text("{}")
     with pytest.raises(UsageError, match="there is no scheduler of dask at 'tcp:"):
         tuned(lag, scheduler="tcp://127.0.0.1:1", out=tmp_path / "d", new=True)
-    assert rows_of(tmp_path / "d") == before
+    assert (tmp_path / "d" / "study.json").exists()

@@ -1,19 +1,18 @@
 """A tuning knows the points that it has tried, whatever their values are."""
 
 import math
+from dataclasses import replace
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cosim.studies.contracts import COMPLETE, MemberOutcome, StudyMember
-from cosim.studies.dataset.columns import metric_column, parameter_column
-from cosim.studies.dataset.identity import StudyIdentity
-from cosim.studies.dataset.study_dataset import StudyDataset
-from cosim.studies.tuning.members import TrialMembers, in_pool
+from cosim.studies.dataset.columns import parameter_column
 from cosim.studies.tuning.points import value_name
-from cosim.studies.tuning.recorded import TuningDataset
+from cosim.studies.tuning.searching import METHODS, TuningSearch, search_best
+from cosim.studies.tuning.space import BoundedKey, SearchSpace
 from cosim.temporary import TemporaryFolder
+from tests.studies.tuning.functions import tried
 
 NUMBERS = st.one_of(st.integers(-(2**70), 2**70), st.integers(-3, 3), st.floats())
 VALUES = st.recursive(
@@ -28,44 +27,6 @@ VALUES = st.recursive(
 CHOICES = st.lists(VALUES, min_size=1, max_size=5, unique_by=value_name)
 
 
-class CountingPool:
-    """Runs members here; their outcomes follow from their values. It may be lost with one."""
-
-    def __init__(self, most):
-        self.most = most
-        self.ran = []
-
-    def run(self, members):
-        """Yield outcomes, the last of a batch first."""
-        for member in reversed(list(members)):
-            if len(self.ran) == self.most:
-                raise KeyboardInterrupt
-            self.ran.append(member)
-            metrics = {"objective": float(len(repr(member.set)))}
-            yield MemberOutcome(member.number, COMPLETE, metrics=metrics)
-
-
-def member_of(number, point):
-    """Return the member that tries a point of no swaps."""
-    return StudyMember(number, dict(point))
-
-
-def tried(place, columns, batches, most=math.inf):
-    """Try batches of points with a dataset; return what was run, and its rows at the end."""
-    pool = CountingPool(most)
-    identity = StudyIdentity("x", "", {}, (*columns, metric_column("objective")), 100)
-    with TuningDataset(place, identity) as dataset:
-        run = in_pool(pool)
-        members = TrialMembers(run, run, member_of, dataset, members=100)
-        try:
-            for batch in batches:
-                members(batch)
-        except KeyboardInterrupt:
-            pass
-    rows = StudyDataset.open(place).read().to_pylist() if place.exists() else []
-    return pool.ran, repr(rows)
-
-
 @settings(max_examples=25)
 @given(st.lists(CHOICES, min_size=1, max_size=3), st.data())
 def test_what_is_stopped_and_goes_on_is_what_was_not_stopped(lists, data):
@@ -78,12 +39,49 @@ def test_what_is_stopped_and_goes_on_is_what_was_not_stopped(lists, data):
     points = data.draw(st.lists(point, min_size=1, max_size=9, unique_by=value_name))
     most = data.draw(st.integers(0, len(points)))
     batches = [points[begin : begin + 4] for begin in range(0, len(points), 4)]
+
+    def ask(members):
+        for batch in batches:
+            members(batch)
+
     with TemporaryFolder("points") as folder:
-        whole, rows = tried(folder / "whole", columns, batches)
-        before, _ = tried(folder / "stopped", columns, batches, most)
-        after, again = tried(folder / "stopped", columns, batches)
+        whole, rows = tried(folder / "whole", columns, ask)
+        before, _ = tried(folder / "stopped", columns, ask, most=most)
+        after, again = tried(folder / "stopped", columns, ask)
     assert len(whole) == len(points)
     assert len(before) + len(after) == len(points)
+    assert again == rows
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_search_that_is_stopped_anywhere_or_grows_is_one_that_was_not(method, tmp_path):
+    """Nor does it run anything twice; a batch that was begun is completed first."""
+    if method == "optuna":
+        pytest.importorskip("optuna")
+    space = SearchSpace((BoundedKey("p.x", -2.0, 2.0), BoundedKey("p.y", 1e-3, 1e3, True)))
+    columns = [parameter_column(key.key, [1.0]) for key in space.keys]
+    search = TuningSearch(space, "objective", method=method, members=60)
+
+    def bowl(point):
+        return 3.0 + (point["p.x"] - 0.5) ** 2 + math.log10(point["p.y"] / 20.0) ** 2
+
+    def ask(members):
+        search_best(members, search)
+
+    def ask_less(members):
+        search_best(members, replace(search, members=25))
+
+    whole, rows = tried(tmp_path / "whole", columns, ask, bowl)
+    assert len(whole) == 60
+    for most in (0, 1, 7, 30, 59):
+        place = tmp_path / str(most)
+        before, _ = tried(place, columns, ask, bowl, most=most)
+        after, again = tried(place, columns, ask, bowl)
+        assert len(before) + len(after) == 60
+        assert again == rows
+    few, _ = tried(tmp_path / "grown", columns, ask_less, bowl)
+    more, again = tried(tmp_path / "grown", columns, ask, bowl)
+    assert (len(few), len(more)) == (25, 35)
     assert again == rows
 
 
