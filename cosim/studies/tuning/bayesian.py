@@ -6,6 +6,7 @@ costs in order: so it proposes the same points whenever it begins again with the
 
 from __future__ import annotations
 
+import math
 from typing import Any, Final
 
 from cosim.errors import UsageError
@@ -31,10 +32,8 @@ def need_optuna() -> Any:
     return optuna
 
 
-def search_with_optuna(
-    space: SearchSpace, trials: Trials, first: dict[str, Any], seed: int
-) -> None:
-    """Search until the trials have ended; there is no other end.
+def search_with_optuna(space: SearchSpace, trials: Trials, first: dict[str, Any], seed: int) -> str:
+    """Search until the trials have ended, or all points were tried; return that.
 
     Parameters
     ----------
@@ -55,11 +54,17 @@ def search_with_optuna(
     study = optuna.create_study(sampler=sampler)
     distributions = {key.key: _distribution(optuna, key) for key in space.keys}
     study.enqueue_trial(_encoded(space, first))
-    while True:
+    while len(trials.all) < _points(space):
         asked = [study.ask(distributions) for _ in range(BATCH)]
         points = [_decoded(space, each.params) for each in asked]
         for each, cost in zip(asked, trials.costs(points), strict=True):
             study.tell(each, cost)
+    return "all combinations of the values were tried"
+
+
+def _points(space: SearchSpace) -> float:
+    """Return how many points there are: infinitely many between bounds."""
+    return math.inf if space.bounded else math.prod(len(key.choices) for key in space.choices)
 
 
 def _distribution(optuna: Any, key: Any) -> Any:

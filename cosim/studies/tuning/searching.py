@@ -192,7 +192,7 @@ def _run(search: TuningSearch, trials: Trials, ends: list[SearchEnd]) -> str:
     """Run a search to its own end, and return why it ended."""
     space = search.space
     if search.method == "optuna":
-        search_with_optuna(space, trials, search.inside(), search.seed)
+        return search_with_optuna(space, trials, search.inside(), search.seed)
     squared = search.is_rms and not search.maximize
     method = search.method if search.method == "nelder-mead" else "cobyqa"
     local = LocalSearch(space, trials, method, squared, ends)

@@ -27,9 +27,9 @@ def tuned(lag, **options):
 
 def test_a_tuning_on_a_cluster_is_that_on_one_machine(lag, tmp_path):
     """Row for row; one that began here goes on there."""
-    here = tuned(lag, out=tmp_path / "here", workers=2)
+    here = tuned(lag, out=tmp_path / "here", workers=1)
     tuned(lag, out=tmp_path / "there", workers=1, members=15)
-    with cluster(tmp_path, workers=2) as processes:
+    with cluster(tmp_path, workers=1) as processes:
         address = processes.address
         there = tuned(lag, out=tmp_path / "there", workers=1, scheduler=address)
         kept = tuned(lag, workers=1, scheduler=address)

@@ -11,6 +11,7 @@ from cosim.studies.tuning.points import value_name
 from cosim.studies.tuning.result import statements
 from cosim.studies.tuning.searching import METHODS, TuningSearch, check_search, search_best
 from cosim.studies.tuning.space import BoundedKey, ChoiceKey, SearchSpace
+from cosim.studies.tuning.trials import SearchEnded, Trials
 from tests.studies.tuning.functions import OBJECTIVE, Recorded
 
 PLANE = SearchSpace((BoundedKey("x", -2.0, 2.0), BoundedKey("y", 1e-3, 1e3, logarithmic=True)))
@@ -233,7 +234,17 @@ def test_optuna_searches_lists_of_values_and_ends_when_all_are_tried():
     )
     assert result.best.point == {"plant": "b.fmu", "n": 1}
     assert len(result.trials) == 6
-    assert result.stop_reason == "the search asked for no new point any more"
+    assert result.finished
+    assert statements(result)[0] == "all combinations of the values were tried"
+
+
+def test_a_search_that_asks_for_no_new_point_ends():
+    """It would go round in circles for ever."""
+    trials = Trials(Recorded(lambda point: 1.0), objective=OBJECTIVE, members=9)
+    for _ in range(1001):
+        assert trials.costs([{"x": 1.0}]) == [1.0]
+    with pytest.raises(SearchEnded, match="the search asked for no new point any more"):
+        trials.costs([{"x": 1.0}])
 
 
 @pytest.mark.parametrize(

@@ -1,15 +1,17 @@
 """What is said of a residual is right for white ones, and wrong neither for others nor for them."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import curve_fit
 from scipy.signal import lfilter
 from scipy.stats import binom
 
 from cosim.studies.tuning.result import NOT_WHITE, statements
 from cosim.studies.tuning.whiteness import check_rows
-from tests.studies.tuning.test_standard_errors import DECAY, T, decay, fitted
+from tests.studies.tuning.test_standard_errors import DECAY, T, decay, errors_at_solution, fitted
 
 ROWS = 500
 SEEDS = 300
@@ -88,17 +90,18 @@ def test_colored_noise_is_said_to_make_errors_too_small():
     """
     hits = {"all": 0, "independent": 0}
     for seed in range(40):
-        residual = lfilter([1.0], [1.0, -0.9], 0.01 * white(seed, T.size))
-        result, text = said_of(truth, residual)
-        if "errors are too small, as if about" not in text:
-            continue
-        low, high = result.errors.intervals["k"]
+        measured = truth(T) + lfilter([1.0], [1.0, -0.9], 0.01 * white(seed, T.size))
+        (a, k), _ = curve_fit(decay, T, measured, p0=[2.0, 3.0])
+        check = check_rows(decay(T, a, k) - measured)
+        assert check.probability < NOT_WHITE
+        low, high = errors_at_solution(measured).intervals["k"]
         hits["all"] += low < 3.0 < high
-        widened = np.sqrt(T.size / result.residual.independent)
-        best = result.best.point["k"]
-        hits["independent"] += abs(3.0 - best) < widened * (high - low) / 2
+        widened = np.sqrt(T.size / check.independent)
+        hits["independent"] += abs(3.0 - k) < widened * (high - low) / 2
     assert hits["all"] <= 24
     assert hits["independent"] >= 32
+    _, text = said_of(truth, lfilter([1.0], [1.0, -0.9], 0.01 * white(1, T.size)))
+    assert re.search(r"errors are too small, as if about \d+ samples were independent: samp", text)
 
 
 def test_a_wrong_model_is_said_to_be_possible():
