@@ -14,6 +14,7 @@ from cosim.arrays import Vector
 from cosim.studies.analysis.columns import MemberColumns, numbers_of
 from cosim.studies.analysis.confidence import CONFIDENCE, NO_INTERVAL, ConfidenceInterval
 from cosim.studies.analysis.independence import StudyLayout, drawn_members, independence_of
+from cosim.studies.analysis.ranks import Ranks, rank_correlation, rank_correlation_deviation
 
 LEAST_MEMBERS: Final = 10  # of fewer, chance alone makes strong correlations
 
@@ -64,28 +65,27 @@ def rank_correlations(columns: MemberColumns, layout: StudyLayout) -> list[RankC
         if numbers is not None:
             parameters[key] = numbers
     found = []
-    ranked: dict[str, Vector] = {}
+    ranked: dict[str, Ranks] = {}
     ranked_rows = np.zeros(0, np.intp)
     for name, column in drawn.metrics.items():
         if column.is_text:
             continue
         rows = drawn.rows_of(column.numbers)
         if not ranked or not np.array_equal(rows, ranked_rows):  # most metrics have all members
-            ranked = {key: _centered_ranks(numbers[rows]) for key, numbers in parameters.items()}
+            ranked = {key: Ranks.of(numbers[rows]) for key, numbers in parameters.items()}
             ranked_rows = rows
-        of_metric = _centered_ranks(column.values)
+        of_metric = Ranks.of(column.values)
         for key, of_parameter in ranked.items():
-            count = len(rows)
-            value = _correlation(of_metric, of_parameter)
-            if np.isnan(of_parameter).any():
-                numbers = parameters[key][rows]
-                known = ~np.isnan(numbers)
-                count = int(known.sum())
-                value = spearman(column.values[known], numbers[known])
+            pair = (of_metric, of_parameter)
+            numbers = parameters[key][rows]
+            known = ~np.isnan(numbers)
+            if not known.all():
+                pair = (Ranks.of(column.values[known]), Ranks.of(numbers[known]))
+            value = rank_correlation(*pair)
             interval = NO_INTERVAL
             if value is not None and independent:
-                interval = _interval(value, count)
-            found.append(RankCorrelation(name, key, value, interval, count))
+                interval = _interval(value, pair)
+            found.append(RankCorrelation(name, key, value, interval, len(pair[0].order)))
     return found
 
 
@@ -97,30 +97,22 @@ def strongest(correlations: Sequence[RankCorrelation], metric: str) -> list[Rank
 
 def spearman(first: Vector, other: Vector) -> float | None:
     """Return Spearman's rank correlation; None: one of them has one value, or there is one."""
-    return _correlation(_centered_ranks(first), _centered_ranks(other))
+    return rank_correlation(Ranks.of(first), Ranks.of(other))
 
 
-def _centered_ranks(values: Vector) -> Vector:
-    from scipy.stats import rankdata
+def _interval(value: float, pair: tuple[Ranks, Ranks]) -> ConfidenceInterval:
+    """Return the interval by Fisher's z.
 
-    ranks: Vector = rankdata(values) if len(values) else values
-    return ranks - 0.5 * (len(values) + 1.0)
-
-
-def _correlation(first: Vector, other: Vector) -> float | None:
-    scale = math.sqrt(float(first @ first) * float(other @ other))
-    return float(first @ other) / scale if scale > 0.0 else None
-
-
-def _interval(value: float, count: int) -> ConfidenceInterval:
-    """Return the interval by Fisher's z with the variance of Bonett and Wright.
-
-    D. G. Bonett and T. A. Wright, "Sample size requirements for estimating Pearson, Kendall and
-    Spearman correlations", Psychometrika 65, 2000.
+    Its deviation is the larger one of that of Bonett and Wright, which holds of few members that
+    are about normal, and of that of the influence of each member, which holds of many members
+    however they depend on each other. D. G. Bonett and T. A. Wright, "Sample size requirements for
+    estimating Pearson, Kendall and Spearman correlations", Psychometrika 65, 2000.
     """
+    count = len(pair[0].order)
     if count < LEAST_MEMBERS or abs(value) >= 1.0:
         return NO_INTERVAL
-    deviation = math.sqrt((1.0 + 0.5 * value**2) / (count - 3.0))
+    of_normal = math.sqrt((1.0 + 0.5 * value**2) / (count - 3.0))
+    deviation = max(of_normal, rank_correlation_deviation(*pair) / (1.0 - value**2))
     half_width = float(ndtri(0.5 + 0.5 * CONFIDENCE)) * deviation
     middle = math.atanh(value)
     return ConfidenceInterval(math.tanh(middle - half_width), math.tanh(middle + half_width))
