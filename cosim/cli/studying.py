@@ -24,6 +24,7 @@ from cosim.cli.options import (
     read_edits,
     read_unique_pairs,
 )
+from cosim.cli.stopping import stopped_text
 from cosim.errors import UsageError, option, quoted
 from cosim.report.printable import printable
 from cosim.terminal import show_members
@@ -227,7 +228,7 @@ def run(
                 notice=None if quiet else print_notice,
             )
         except KeyboardInterrupt:
-            typer.echo(printable(_stopped(place)), err=True)
+            typer.echo(printable(stopped_text(place)), err=True)
             raise
     if not quiet:
         show(place, as_json=as_json)
@@ -271,21 +272,6 @@ def _dry_run(file: Any, workers: int | None, *, as_json: bool) -> None:
         plan = plan_study(file)
         estimate = estimate_study(plan, worker_count(workers))
     print_estimate(file.name, estimate, as_json=as_json)
-
-
-def _stopped(place: str) -> str:
-    """Return what there is of a study that is stopped."""
-    from cosim.errors import DatasetError
-    from cosim.studies.dataset.study import open_study
-
-    try:
-        stopped = open_study(place)
-    except DatasetError:
-        return "stopped before the first member was recorded"
-    return (
-        f"stopped: {len(stopped)} of {stopped.planned} members are recorded in {place}; the same "
-        "command goes on"
-    )
 
 
 @study.command("show", cls=OnceCommand)

@@ -20,6 +20,7 @@ from cosim.cli.options import (
     read_edits,
     read_unique_pairs,
 )
+from cosim.cli.stopping import stopped_text
 from cosim.errors import UsageError, option, quoted
 from cosim.report.printable import printable
 from cosim.terminal import show_members
@@ -132,30 +133,35 @@ def tune(
     from cosim.studies.tuning.tuning import tune as run_tuning
 
     with prints_to_stderr(), show_members(quiet or as_json) as progress:
-        result = run_tuning(
-            scenario,
-            minimize=minimize,
-            maximize=maximize,
-            vary=_variations(vary or []),
-            members=members,
-            method=method.value,
-            starts=starts,
-            seed=seed,
-            standard_errors=standard_errors,
-            samples=samples,
-            replay=replay,
-            allow_code=allow_code,
-            out=out,
-            new=new,
-            workers=workers,
-            scheduler=scheduler,
-            timeout=timeout,
-            set=read_edits(changes, {"scenario.stop": stop}),
-            swap=read_unique_pairs(swaps, "swap"),
-            map=read_unique_pairs(maps, "map"),
-            progress=progress,
-            notice=None if quiet else print_notice,
-        )
+        try:
+            result = run_tuning(
+                scenario,
+                minimize=minimize,
+                maximize=maximize,
+                vary=_variations(vary or []),
+                members=members,
+                method=method.value,
+                starts=starts,
+                seed=seed,
+                standard_errors=standard_errors,
+                samples=samples,
+                replay=replay,
+                allow_code=allow_code,
+                out=out,
+                new=new,
+                workers=workers,
+                scheduler=scheduler,
+                timeout=timeout,
+                set=read_edits(changes, {"scenario.stop": stop}),
+                swap=read_unique_pairs(swaps, "swap"),
+                map=read_unique_pairs(maps, "map"),
+                progress=progress,
+                notice=None if quiet else print_notice,
+            )
+        except KeyboardInterrupt:
+            if out is not None:
+                typer.echo(printable(stopped_text(out)), err=True)
+            raise
     if as_json:
         typer.echo(json.dumps(result.to_dict(), indent=2))
     elif not quiet:

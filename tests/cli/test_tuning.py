@@ -62,6 +62,20 @@ def test_the_stop_is_that_of_all_members(lag, capsys):
     assert f"again: cosim run {lag} --set scenario.stop=1.0 --set plant.time_constant=" in out
 
 
+def test_a_tuning_that_is_interrupted_says_how_to_go_on(lag, tmp_path, capsys, monkeypatch):
+    """Ctrl-C while its sixth member would run."""
+    options = [lag, OBJECTIVE, VARY, "--workers=1", f"--out={tmp_path / 'd'}"]
+    call(capsys, *options, "--members=5")
+
+    def interrupt(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("cosim.studies.tuning.members.TrialMembers._try", interrupt)
+    code, out, err = call(capsys, *options, "--members=9")
+    assert (code, out) == (130, "")
+    assert f"stopped: 5 of 9 members are recorded in {tmp_path / 'd'}; the same comm" in err
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
