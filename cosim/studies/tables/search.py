@@ -14,13 +14,13 @@ import numpy as np
 from cosim.report.tables.console import new_table, print_json, print_line, print_table
 from cosim.studies.analysis.extremes import best_members, worst_members
 from cosim.studies.analysis.results import StudyResults
+from cosim.studies.dataset.columns import RECORDING
 from cosim.studies.running.recorded_study import RecordedSearch
 from cosim.studies.tables.numbers import number_text
 from cosim.studies.tables.study import (
     CommandOf,
     failures_content,
     members_content,
-    overview,
     print_failures,
 )
 
@@ -50,13 +50,21 @@ def print_search(
     if as_json:
         print_json(_content(results, search, command_of, best))
         return
-    print_line(overview(results, f"{search.method}, {search.goal}"))
+    failed = f"{results.failed} failed" if results.failed else "none failed"
+    print_line(
+        f"{results.name}: {search.method}, {search.goal}; {results.done} members of at most "
+        f"{results.planned}, {failed}"
+    )
     if results.done:
         print_line(f"wall time: {np.median(results.wall_times):.3g} s a member, the median")
-    table = new_table("best members", ("member", search.metric, *results.columns.parameters))
+    keys = [key for key in results.columns.parameters if key != RECORDING]  # one of all
+    table = new_table("best members", ("member", search.metric, *keys))
     for number in best:
         objective, values = _values(results, search, number)
-        cells = [number_text(v) if isinstance(v, float) else str(v) for v in values.values()]
+        cells = []
+        for key in keys:
+            value = values[key]
+            cells.append(number_text(value) if isinstance(value, float) else str(value))
         table.add_row(str(number), number_text(objective), *cells)
     if table.row_count:
         print_table(table)

@@ -65,7 +65,7 @@ def print_study(
         return
     statistics = study_statistics(results.columns, results.layout)
     correlations = rank_correlations(results.columns, results.layout)
-    print_line(overview(results, results.layout.text))
+    print_line(_overview(results))
     if results.done:
         print_line(f"wall time: {np.median(results.wall_times):.3g} s a member, the median")
     _print_statistics(results, statistics)
@@ -131,14 +131,13 @@ def print_failures(results: StudyResults, command_of: CommandOf) -> None:
         _print_command(int(group.numbers[0]), command_of)
 
 
-def overview(results: StudyResults, design: str) -> str:
-    """Return what is done of a study, given what its members are."""
+def _overview(results: StudyResults) -> str:
     missing = results.missing
     parts = [f"{results.done} of {results.planned} members done"]
     if len(missing):
         parts.append(f"{len(missing)} missing ({members_text(missing)})")
     parts.append(f"{results.failed} failed" if results.failed else "none failed")
-    return f"{results.name}: {design}; {', '.join(parts)}"
+    return f"{results.name}: {results.layout.text}; {', '.join(parts)}"
 
 
 def _print_statistics(results: StudyResults, statistics: dict[str, MetricStatistics]) -> None:

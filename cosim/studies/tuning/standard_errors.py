@@ -29,7 +29,7 @@ from typing import Any, Final
 import numpy as np
 
 from cosim.arrays import Matrix, Vector
-from cosim.studies.tuning.space import BoundedKey, SearchSpace
+from cosim.studies.tuning.space import DIGITS, BoundedKey, SearchSpace
 from cosim.studies.tuning.trials import Trials
 
 LEVEL: Final = 0.95
@@ -263,10 +263,13 @@ def _centered(squares: _SumOfSquares, center: Vector, steps: Vector, noise: floa
         if (room < steps).any():
             return curvature
         level = squares.at([moved])[0]
-        if level >= curvature.level * (1.0 - 2.0 * noise) or level <= 0.0:
+        if level <= 0.0:
+            raise NoStandardErrors("the residual is zero")
+        if level >= curvature.level * (1.0 - 2.0 * noise):
             return curvature
         center = moved
-        steps = steps * math.sqrt(level / curvature.level)  # s is smaller there
+        shorter = steps * math.sqrt(level / curvature.level)  # s is smaller there
+        steps = np.maximum(shorter, np.minimum(steps, _SHORTEST_STEP))
     return curvature
 
 
@@ -306,6 +309,10 @@ def _check_definite(squares: _SumOfSquares, hessian: Matrix) -> None:
     weights = np.abs(vectors[:, 0])
     involved = np.flatnonzero(weights > 0.1 * weights.max())
     names = [squares.name(int(number)) for number in involved]
+    if len(names) == 1:
+        raise NoStandardErrors(
+            f"the objective does not rise along {names[0]}: the data do not determine it"
+        )
     raise NoStandardErrors(
         f"the objective does not rise along a combination of {', '.join(names)}: the data do not "
         "determine them together"
@@ -351,6 +358,11 @@ def _result(space: SearchSpace, curvature: _Curvature, samples: int) -> Standard
     for number, key in enumerate(space.bounded):
         value = values[key.key]
         error = float(key.slope(value) * curvature.steps[number] * deviations[number])
+        if error < abs(value) * 10.0 ** (1 - DIGITS):
+            raise NoStandardErrors(
+                f"that of {key.key} would be below the {DIGITS} digits of its value: the residual "
+                "is that of rounding"
+            )
         interval = _interval(key, value, wide * error)
         if interval is None:
             raise NoStandardErrors(_hardly_determined(space, number, correlation[number]))

@@ -10,7 +10,7 @@ from scipy.optimize import curve_fit
 from cosim.studies.tuning.result import statements
 from cosim.studies.tuning.searching import TuningSearch, search_best
 from cosim.studies.tuning.space import BoundedKey, SearchSpace
-from cosim.studies.tuning.standard_errors import standard_errors
+from cosim.studies.tuning.standard_errors import NoStandardErrors, standard_errors
 from cosim.studies.tuning.trials import Trials
 from tests.studies.tuning.functions import OBJECTIVE, Recorded
 
@@ -183,6 +183,42 @@ def test_a_residual_of_zero_has_no_errors():
     result = fitted(line, LINE, line(T, 0.0, 0.0), first={"slope": 0.0, "offset": 0.0})
     assert result.best.objective == 0.0
     assert result.errors_problem == "the residual is zero"
+
+
+@pytest.mark.parametrize("deviation", [1e-14, 1e-12, 1e-10])
+def test_a_residual_of_rounding_has_no_errors_or_right_ones(deviation):
+    """Values have 12 digits; the standard error of the slope is 0.24 deviations."""
+    space = SearchSpace((BoundedKey("slope", 0.1, 10.0),))
+
+    def slope_only(t, slope):
+        return slope * t
+
+    measured = slope_only(T, 0.7) + deviation * np.random.default_rng(3).standard_normal(T.size)
+    result = fitted(slope_only, space, measured, starts=1)
+    if deviation < 1e-10:
+        assert "the objective is noisy, by " in result.errors_problem  # from rounded values
+    else:
+        _, covariance = curve_fit(slope_only, T, measured, p0=[0.7])
+        expected = float(np.sqrt(covariance[0, 0]))
+        assert result.errors.errors["slope"] == pytest.approx(expected, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("best", "problem"),
+    [
+        (0.7 + 1e-9, "the residual is zero"),
+        (0.7 + 1e-9 + 1e-11, "that of slope would be below the 12 digits of its value: the resid"),
+    ],
+)
+def test_a_recording_without_noise_has_no_errors_where_the_search_stopped_short(best, problem):
+    """The optimum, to which the center moves, is met to the bit or only nearly."""
+    space = SearchSpace((BoundedKey("slope", 0.1, 10.0),))
+    truth = 0.7 if problem == "the residual is zero" else 0.7 + 3e-13
+    trials = Trials(
+        Recorded(lambda point: abs(point["slope"] - truth)), objective=OBJECTIVE, members=200
+    )
+    with pytest.raises(NoStandardErrors, match=problem):
+        standard_errors(space, trials, {"slope": best}, 201)
 
 
 def test_few_samples_are_refused():

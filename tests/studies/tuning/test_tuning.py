@@ -153,8 +153,8 @@ def test_the_dataset_is_shown_as_that_of_a_study(lag, tmp_path, capsys):
         main(["study", "show", str(tmp_path / "d"), "--worst", "2"])
     first, wall, title, heads, best, second, alone = capsys.readouterr().out.splitlines()
     assert first == (
-        "tuning of lag: cobyqa, minimize abs(last(plant.y) - 0.5); 12 of 12 members done, none "
-        "failed"
+        "tuning of lag: cobyqa, minimize abs(last(plant.y) - 0.5); 12 members of at most 12, "
+        "none failed"
     )
     assert wall.startswith("wall time: ")
     assert title == "best members"
