@@ -236,11 +236,10 @@ def read(
     maps, map_problems = resolve_maps(valid_tree, document.maps)
     foreign = document.foreign_kinds
     specs, component_problems = _validate_components(file.components, foreign)
-    connections, connection_problems = _connections(file)
-    followed = _followed(specs, connections)
+    written, connection_problems = _connections(file)
+    followed = _followed(specs, written)
     replaced = _replaced(document, specs, swapped_components(tree) if document.swapped else ())
     connections, implied, given_twice = _with_implied(replaced, followed)
-    written, _ = _connections(file)
     without_inputs = [name for name, spec in specs.items() if not spec.follows_inputs]
     maps, connections, recorded_inputs, input_problems = with_recorded_inputs(
         without_inputs, maps, connections, written

@@ -254,7 +254,9 @@ def _has_model_problems(
 
 def are_equal(one: Mapping[Port, Connection], other: Mapping[Port, Connection]) -> bool:
     """Return whether connections are the same."""
-    return one.keys() == other.keys() and all(_key(one[to]) == _key(other[to]) for to in one)
+    if one.keys() != other.keys():
+        return False
+    return all(one[to] is other[to] or _key(one[to]) == _key(other[to]) for to in one)
 
 
 def _key(connection: Connection) -> tuple[Any, ...]:

@@ -6,7 +6,6 @@ import json
 import re
 import tomllib
 from collections.abc import Iterable, Mapping
-from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from importlib import resources
@@ -196,7 +195,7 @@ class Document:
         lines = key_lines(self.text)
         try:
             lines.check_depth()
-            return deepcopy(_parse(self.text))
+            return _copied(_parse(self.text))
         except UsageError as error:
             raise ScenarioError(f"{self.source}:{lines.deepest}: {error}") from error
         except tomllib.TOMLDecodeError as error:
@@ -275,6 +274,19 @@ def _quotes_missing(key: str) -> str:
     if key.isascii() or '"' in key or "'" in key:
         return ""
     return "; keys with letters other than A-Z, a-z need quotes"
+
+
+def _copied(table: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a copy of tables: far quicker than ``deepcopy``, as TOML has lists and tables only."""
+    return {key: _copied_value(value) for key, value in table.items()}
+
+
+def _copied_value(value: Any) -> Any:
+    if isinstance(value, dict):
+        return _copied(value)
+    if isinstance(value, list):
+        return [_copied_value(entry) for entry in value]
+    return value
 
 
 @lru_cache(maxsize=8)  # a document and its edits share one text

@@ -184,8 +184,10 @@ def resolve_maps(
     maps : mapping of port to names
         Maps from outside; each belongs to the swap of its component, or of the one that drives it.
     """
-    ports = WrittenPorts(tree)
     swapped = swapped_components(tree)
+    if not (swapped or maps):
+        return {}, []
+    ports = WrittenPorts(tree)
     problems: list[Problem] = []
     written: dict[str, dict[str, PortNames]] = {}
     for name in swapped:
