@@ -2,9 +2,9 @@
 
 Run with ``python tests/bench/bench_whole_studies.py [MEMBERS]``. CPU time of this process and of
 its worker, one at a time, from reading the study to the last part of its dataset: all imports,
-planning, one worker, Parquet. Beside it one call of ``cosim.core.ensemble.run_members`` with the
-same members, already built, in a process that has imported everything. ``academic``, 40 s at 1 ms,
-another theta and another initial state each; five metrics.
+planning, one worker, Parquet. Beside it, in processes that have imported everything: the runner's
+loop over the same members, and one call of ``cosim.core.ensemble.run_members`` with them, already
+built. ``academic``, 40 s at 1 ms, another theta and another initial state each; five metrics.
 
 Then ten times as many members of an FMU over 1 000 steps, with other parameters each, beside a loop
 in one warm process that loads the FMU, runs it and computes the metrics; and the memory of the
@@ -50,6 +50,21 @@ cosim.study(
     sys.argv[1], cases=sys.argv[2], metrics=METRICS, out=sys.argv[3], workers=1, progress=resident
 )
 """
+LOOP = """
+import sys
+import time
+sys.path.insert(0, ROOT)
+from cosim.studies.contracts import StudyMember, StudySubject
+from cosim.studies.members.runner import open_runner
+from tests.bench.bench_studies import METRICS, academic_edits
+members = [StudyMember(number, academic_edits(number)) for number in range(int(sys.argv[2]))]
+with open_runner(StudySubject(sys.argv[1], metrics=METRICS)) as runner:
+    runner.run(members[0])
+    began = time.process_time()
+    for member in members:
+        runner.run(member)
+    print(time.process_time() - began)
+"""
 CALL = """
 import sys
 sys.path.insert(0, ROOT)
@@ -89,9 +104,9 @@ def study_seconds(scenario: str, table: Path, out: Path, metrics: Mapping[str, s
     )
 
 
-def call_seconds(scenario: str, members: int) -> float:
-    """Return the CPU time of the call alone [s]."""
-    code = f"ROOT = {str(Path(__file__).parents[2])!r}\n{CALL}"
+def seconds_of(text: str, scenario: str, members: int) -> float:
+    """Return the CPU time that a program prints [s]."""
+    code = f"ROOT = {str(Path(__file__).parents[2])!r}\n{text}"
     done = subprocess.run(
         [sys.executable, "-c", code, scenario, str(members)],
         check=True,
@@ -140,9 +155,11 @@ def main() -> None:
             scenario = academic(folder, identifies=identifies)
             for number in range(3):
                 own = study_seconds(scenario, table, folder / f"out-{identifies}-{number}", METRICS)
-                call = call_seconds(scenario, members)
-                title = f"academic {'with' if identifies else 'without'} identifier"
-                print(f"{title}, {members}: {own:.2f} s beside {call:.2f} s: {own / call:.3f}")
+                title = f"academic {'with' if identifies else 'without'} identifier, {members}"
+                for name, text in (("loop", LOOP), ("call", CALL)):
+                    plain = seconds_of(text, scenario, members)
+                    ratio = f"{own / plain:.3f}"
+                    print(f"{title}: {own:.2f} s beside a {name} of {plain:.2f} s: {ratio}")
         compare_fmu(folder, 10 * members)
 
 
