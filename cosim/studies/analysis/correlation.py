@@ -112,7 +112,7 @@ def _interval(value: float, pair: tuple[Ranks, Ranks]) -> ConfidenceInterval:
     if count < LEAST_MEMBERS or abs(value) >= 1.0:
         return NO_INTERVAL
     of_normal = math.sqrt((1.0 + 0.5 * value**2) / (count - 3.0))
-    deviation = max(of_normal, rank_correlation_deviation(*pair) / (1.0 - value**2))
+    deviation = max(of_normal, rank_correlation_deviation(*pair, value) / (1.0 - value**2))
     half_width = float(ndtri(0.5 + 0.5 * CONFIDENCE)) * deviation
     middle = math.atanh(value)
     return ConfidenceInterval(math.tanh(middle - half_width), math.tanh(middle + half_width))

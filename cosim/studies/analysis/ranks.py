@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,6 +52,16 @@ class Ranks:
         count = max(len(values), 1)
         return cls((begin + end - count) / (2.0 * count), order, begin, end)
 
+    @cached_property
+    def squares(self) -> float:
+        """The sum of squares of the centered ranks."""
+        return float(self.centered @ self.centered)
+
+    @cached_property
+    def influence(self) -> Vector:
+        """What each member contributes to the error of the mean square, shape (n,)."""
+        return _influence(self, self)
+
     def mean_above(self, weights: Vector) -> Vector:
         """Return the sum of the weights of larger values, and half of equal ones, over n."""
         sums = np.concatenate([[0.0], np.cumsum(weights[self.order])])
@@ -60,23 +71,25 @@ class Ranks:
 
 def rank_correlation(first: Ranks, other: Ranks) -> float | None:
     """Return Spearman's rank correlation; None: one of them has one value, or there is one."""
-    scale = math.sqrt(_product(first, first) * _product(other, other))
-    return _product(first, other) / scale if scale > 0.0 else None
+    scale = math.sqrt(first.squares * other.squares)
+    return float(first.centered @ other.centered) / scale if scale > 0.0 else None
 
 
-def rank_correlation_deviation(first: Ranks, other: Ranks) -> float:
-    """Return the standard deviation of Spearman's rank correlation of independent members."""
-    scale = math.sqrt(_product(first, first) * _product(other, other))
-    influence = _influence(first, other) / scale
+def rank_correlation_deviation(first: Ranks, other: Ranks, value: float) -> float:
+    """Return the standard deviation of Spearman's rank correlation of independent members.
+
+    Parameters
+    ----------
+    first, other : Ranks
+        Of the same members, two at least; neither has one value alone.
+    value : float
+        The correlation.
+    """
+    influence = _influence(first, other) / math.sqrt(first.squares * other.squares)
     for one in (first, other):
-        half = 0.5 * _product(first, other) / scale / _product(one, one)
-        influence -= half * _influence(one, one)
+        influence -= 0.5 * value / one.squares * one.influence
     count = len(influence)
-    return math.sqrt(float(influence @ influence) / (count - 1.0)) * math.sqrt(count)
-
-
-def _product(first: Ranks, other: Ranks) -> float:
-    return float(first.centered @ other.centered)
+    return math.sqrt(float(influence @ influence) * count / (count - 1.0))
 
 
 def _influence(first: Ranks, other: Ranks) -> Vector:

@@ -235,7 +235,7 @@ def test_the_deviation_of_a_rank_correlation_is_that_of_many_studies():
             u = np.floor(levels * rng.random((2, 300)))
             pair = (Ranks.of(u[0]), Ranks.of(u[0] + u[1]))
             values.append(stats.spearmanr(u[0], u[0] + u[1]).statistic)
-            deviations.append(rank_correlation_deviation(*pair))
+            deviations.append(rank_correlation_deviation(*pair, values[-1]))
         assert np.mean(deviations) == pytest.approx(np.std(values), rel=0.12)
 
 
