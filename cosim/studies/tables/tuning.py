@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from typing import Any, Final
 
+from cosim.studies.tables.numbers import number_text
 from cosim.studies.tuning.result import TuningResult
+
+_DIGITS: Final = 6
 
 
 def tuning_lines(result: TuningResult) -> list[str]:
@@ -16,19 +20,24 @@ def tuning_lines(result: TuningResult) -> list[str]:
         return [f"{members}, none with a value of {result.expression}", *result.statements]
     lines = [f"{result.expression} = {best.objective:.6g}, best of {members}"]
     for key, value in best.point.items():
-        lines.append(f"  {key} = {_shown(value)}{_error(result, key)}")
+        lines.append(f"  {key} = {_with_error(result, key, value)}")
     lines += result.statements
     lines.append(f"again: {result.command}")
     return lines
 
 
-def _shown(value: Any) -> str:
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
-
-
-def _error(result: TuningResult, key: str) -> str:
+def _with_error(result: TuningResult, key: str, value: Any) -> str:
+    """Return a value with its error, in as many digits as the error has two in."""
+    if not isinstance(value, float):
+        return str(value)
     if result.errors is None:
-        return ""
+        return number_text(value)
     low, high = result.errors.intervals[key]
     error = result.errors.errors[key]
-    return f", standard error {error:.2g}, 95 % interval {low:.6g} to {high:.6g}"
+    digits = _DIGITS
+    if value and error > 0.0:
+        digits = max(digits, math.floor(math.log10(abs(value) / error)) + 2)
+    return (
+        f"{number_text(value, digits)}, standard error {error:.2g}, 95 % interval "
+        f"{number_text(low, digits)} to {number_text(high, digits)}"
+    )

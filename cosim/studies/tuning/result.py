@@ -297,7 +297,7 @@ def _whiteness(residual: ResidualCheck | None, samples: int) -> str:
     cause = (
         "noise with a memory, or a model that cannot follow, whose values have an error of its own"
     )
-    text = f"{assumed}; it is not white {tested}: {found}: {cause}"
+    text = f"{assumed}; it is not white {tested}, {found}: {cause}"
     if samples > ABOUT * residual.independent:
         text += (
             f"; the errors are too small, as if about {residual.independent} samples were "
