@@ -270,6 +270,8 @@ def _dry_run(file: Any, workers: int | None, *, as_json: bool) -> None:
 
     with prints_to_stderr():
         plan = plan_study(file)
+        for text in plan.notices:
+            print_notice(text)
         estimate = estimate_study(plan, worker_count(workers))
     print_estimate(file.name, estimate, as_json=as_json)
 

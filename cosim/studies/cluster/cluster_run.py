@@ -59,6 +59,7 @@ def run_on_cluster(
     progress: Callable[[int, int, int], None] | None = None,
     notice: Callable[[str], None] | None = None,
     opener: str = OPENER,
+    trial: StudyMember | None = None,
 ) -> None:
     """Run the members of a study that have no outcome, as tasks of dask.distributed.
 
@@ -87,6 +88,8 @@ def run_on_cluster(
     opener : str
         As of :class:`WorkerPool`; its runner completes a member of number -1, without running it,
         where the study can be run on that machine.
+    trial : StudyMember, optional
+        The values of the member that shows this; left out: the first without an outcome.
 
     Raises
     ------
@@ -106,7 +109,7 @@ def run_on_cluster(
         open_cluster_run(
             client,
             subject,
-            member,
+            trial or member,
             dataset,
             place,
             files=files,

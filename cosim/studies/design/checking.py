@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator, Mapping
-from contextlib import ExitStack
-from dataclasses import replace
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 
-from cosim.errors import UsageError, option, quoted
-from cosim.files import file_type
+from cosim.errors import UsageError, quoted
 from cosim.scenario.parsing import Scenario
-from cosim.scenario.preparing import build_experiment
 from cosim.studies.contracts import StudyMember
-from cosim.studies.design.columns import GridColumn, SampleColumn
+from cosim.studies.design.columns import DesignColumn, GridColumn, NoiseSeedColumn, SampleColumn
+from cosim.studies.design.drawn_check import RefusedDraws, check_draws
+from cosim.studies.design.member_check import MemberCheck, check_files, without_key
 from cosim.studies.design.planning import edited_scenario
-from cosim.studies.design.recording_check import RecordingCheck
 from cosim.studies.design.study_design import RECORDING, StudyDesign
 from cosim.studies.document.variations import SWAP
 
@@ -25,13 +22,32 @@ MOST_CHECKED: Final = 2000  # values of a key
 MOST_BUILT: Final = 6  # of these; each costs what a member does
 
 
-def check_design(design: StudyDesign, scenario: Scenario, *, allow_code: bool = False) -> None:
+@dataclass(frozen=True, slots=True)
+class CheckedDesign:
+    """What a check of a design found.
+
+    Parameters
+    ----------
+    member : StudyMember
+        One that is not refused; its values need not be those of one member.
+    refused : tuple of RefusedDraws
+        Of which members will fail.
+    """
+
+    member: StudyMember
+    refused: tuple[RefusedDraws, ...]
+
+
+def check_design(
+    design: StudyDesign, scenario: Scenario, *, allow_code: bool = False
+) -> CheckedDesign:
     """Check that the scenario has every varied key, and takes its values.
 
-    Of a key of the grid every value is checked, of a sampled one the first, the smallest and the
-    largest, of a case's key every one that is no number, too. Of very many values these are the
-    first, the smallest and the largest number, and else the first 2000. The other keys have the
-    values of the first member.
+    Of a key of the grid and of a choice every value is checked, of a case's key every one that is
+    no number, too, and of its numbers the first, the smallest and the largest. Of very many values
+    these are the first, the smallest and the largest number, and else the first 2000. What is
+    drawn is refused where no draw is taken: see :mod:`cosim.studies.design.drawn_check`. The other
+    keys have the values of the first member, or of another one where that is refused.
 
     With some of these values of each key, a scenario of components of this package is built, and
     so is the replay of a log; every log is opened. Code of others is not run here: it belongs into
@@ -53,33 +69,83 @@ def check_design(design: StudyDesign, scenario: Scenario, *, allow_code: bool = 
     study = design.study
     first = design.member(0)
     edited_scenario(study, scenario, first.swap)  # what all have is not blamed on a member
-    _check_files(study.settings.swap)
-    check_recording = RecordingCheck(study, scenario, allow_code=allow_code)
-    check_recording.open(first)
-    for name, values in _checked(design):
+    check_files(study.settings.swap)
+    check = MemberCheck(study, scenario, allow_code=allow_code)
+    check.recording.open(first)
+    return _DesignCheck(design, check, first).run()
+
+
+class _DesignCheck:
+    """Checks the values of one key after the other, beside values of the others that are taken."""
+
+    def __init__(self, design: StudyDesign, check: MemberCheck, first: StudyMember) -> None:
+        self._design = design
+        self._check = check
+        self._member = first
+        self._drawn = {item.key: item for item in design.study.sampled if not item.values}
+
+    def run(self) -> CheckedDesign:
+        names = self._names()
+        if self._check.problem(self._member):
+            self._take_medians()
+        if self._check.problem(self._member):
+            # what is wrong by itself comes first, as beside it all others are wrong, too
+            names.sort(key=lambda name: bool(self._problem_without(name)))
+        refused = []
+        for name in names:
+            column = self._design.columns[name]
+            if name in self._drawn and isinstance(column, SampleColumn):
+                draws = self._check_drawn(name, column)
+                if draws is not None:
+                    refused.append(draws)
+            else:
+                self._check_values(name, _values(column))
+        self._check(self._member)
+        return CheckedDesign(self._member, tuple(refused))
+
+    def _names(self) -> list[str]:
+        """Return the keys; the logs last, as they are not to blame for a value."""
+        columns = self._design.columns.items()
+        names = [name for name, column in columns if not isinstance(column, NoiseSeedColumn)]
+        return sorted(names, key=lambda name: name == RECORDING)
+
+    def _take_medians(self) -> None:
+        """Take the median of all draws of each key."""
+        for name in self._drawn:
+            column = self._design.columns[name]
+            if isinstance(column, SampleColumn):
+                middle = np.sort(column.values)[len(column.values) // 2]
+                self._member = _with_value(self._member, name, float(middle))
+
+    def _problem_without(self, name: str) -> str:
+        values = {key: value for key, value in self._member.set.items() if key != name}
+        return self._check.problem(replace(self._member, set=values))
+
+    def _check_drawn(self, name: str, column: SampleColumn) -> RefusedDraws | None:
+        def attempt(value: float) -> str:
+            member = _with_value(self._member, name, value)
+            return without_key(self._check.problem(member), name)
+
+        layout = self._design.layout
+        draws = check_draws(
+            self._drawn[name],
+            np.asarray(column.values),
+            attempt,
+            members_each=layout.seeds * layout.grid,
+        )
+        if draws is not None and self._check.problem(self._member):
+            self._member = _with_value(self._member, name, draws.accepted)
+        return draws
+
+    def _check_values(self, name: str, values: list[Any]) -> None:
         built = _some(values)
         for number, value in enumerate(values):
-            member = _with_value(first, name, value)
-            try:
-                edited = edited_scenario(study, scenario, member.swap, member.set)
-                _check_files(member.swap)
-                if number not in built:
-                    continue
-                if member.recording is not None:
-                    check_recording(member)
-                elif is_own_code(edited):
-                    _check_built(edited)
-            except UsageError as error:
-                if name == RECORDING and str(error).startswith(str(value)):
-                    raise
-                raise UsageError(f"{name} = {quoted(value)}: {error}") from error
-
-
-def _check_files(swaps: Mapping[str, str]) -> None:
-    """Check that there is what takes the place of components."""
-    for name, path in swaps.items():
-        if not (os.path.exists(path) or os.path.exists(path.rpartition("#")[0])):
-            raise UsageError(f"{option('swap', name)}: {path}: there is no such file")
+            member = _with_value(self._member, name, value)
+            problem = self._check.problem(member, is_built=number in built)
+            if problem and name == RECORDING and problem.startswith(str(value)):
+                raise UsageError(problem)
+            if problem:
+                raise UsageError(f"{name} = {quoted(value)}: {without_key(problem, name)}")
 
 
 def _some(values: list[Any]) -> set[int]:
@@ -87,49 +153,21 @@ def _some(values: list[Any]) -> set[int]:
     return set(np.linspace(0, len(values) - 1, min(len(values), MOST_BUILT)).astype(int).tolist())
 
 
-def _check_built(scenario: Scenario) -> None:
-    with ExitStack() as resources:
-        experiment = build_experiment(scenario, resources, None)
-        if experiment.plan is None:
-            experiment.graph.prepare(experiment.clock.step_ns, experiment.designs)
-
-
-def is_own_code(scenario: Scenario) -> bool:
-    """Return whether no component runs the code of others: FMUs, classes of users."""
-    if any(spec.code is not None for spec in scenario.specs.values()):
-        return False
-    return not any(_is_fmu(text) for text in _texts(scenario.tree.get("components")))
-
-
-def _is_fmu(text: str) -> bool:
-    return file_type(text.partition("#")[0]) == "FMU"
-
-
-def _texts(value: Any) -> Iterator[str]:
-    """Yield every text in tables and lists."""
-    if isinstance(value, str):
-        yield value
-    elif isinstance(value, Mapping | list | tuple):
-        for item in value.values() if isinstance(value, Mapping) else value:
-            yield from _texts(item)
-
-
-def _checked(design: StudyDesign) -> Iterator[tuple[str, list[Any]]]:
-    """Yield keys with the values to check; the logs last, as they are not to blame for a value."""
-    columns = sorted(design.columns.items(), key=lambda item: item[0] == RECORDING)
-    for name, column in columns:
-        if isinstance(column, GridColumn | SampleColumn):  # seeds are right
-            yield name, _values(column)
-
-
-def _values(column: GridColumn | SampleColumn) -> list[Any]:
+def _values(column: DesignColumn) -> list[Any]:
+    """Return the values of a column to check."""
+    if not isinstance(column, GridColumn | SampleColumn):
+        return []
     values = column.values
     if isinstance(values, np.ndarray):
-        is_few = isinstance(column, GridColumn) and len(values) <= MOST_CHECKED
-        if is_few:
+        is_listed = isinstance(column, GridColumn) or column.indices is not None
+        if is_listed and len(values) <= MOST_CHECKED:
             return list(dict.fromkeys(values.tolist()))
         extremes = [values[0], values.min(), values.max()]
         return list(dict.fromkeys(value.item() for value in extremes))
+    return _distinct(values)
+
+
+def _distinct(values: Iterable[Any]) -> list[Any]:
     distinct: dict[str, Any] = {}
     for value in values:
         if value is not None:

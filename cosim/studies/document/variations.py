@@ -91,6 +91,12 @@ class SampledVariation:
     numbers: tuple[float, ...]
     values: tuple[Any, ...] = ()
 
+    def __str__(self) -> str:
+        numbers = list(self.numbers)
+        if numbers[2:] == [-math.inf, math.inf]:
+            numbers = numbers[:2]
+        return f"{self.distribution} {quoted(numbers)}"
+
 
 Variation: TypeAlias = GridVariation | SampledVariation
 

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
 from cosim.errors import UsageError
-from cosim.studies.contracts import FAILED, MemberOutcome, MetricValue
+from cosim.studies.contracts import FAILED, MemberOutcome, MetricValue, StudyMember
 from cosim.studies.dataset.columns import all_columns
 from cosim.studies.running.keeping import LOGGING_RUNNER
 from cosim.studies.running.kept_members import kept_count
@@ -16,6 +16,7 @@ from cosim.studies.workers.pool import WorkerPool
 from cosim.temporary import TemporaryFolder
 
 TIMED: Final = 3  # members: the first of a worker also builds what all have in common
+MOST_TIMED: Final = 10  # members, where some of them fail
 _NUMBER_BYTES: Final = 8
 
 
@@ -34,8 +35,8 @@ class StudyEstimate:
     dataset_bytes : int
         About, without the heads of its parts, and before compression.
     log_bytes : int or None
-        Of the logs that are kept, each as large as that of member 0; None: how many members fail is
-        not known.
+        Of the logs that are kept, each as large as that of one that was timed; None: how many
+        members fail is not known.
     """
 
     members: int
@@ -57,7 +58,7 @@ def estimate_study(plan: StudyPlan, workers: int) -> StudyEstimate:
     Raises
     ------
     UsageError
-        If one of them fails.
+        If all of them fail.
     """
     outcomes = _timed(plan)
     total = len(plan.design)
@@ -71,21 +72,29 @@ def estimate_study(plan: StudyPlan, workers: int) -> StudyEstimate:
         other,
         first + (each - 1) * other,
         dataset_bytes=total * _row_bytes(plan, outcomes[-1]),
-        log_bytes=_log_bytes(plan),
+        log_bytes=_log_bytes(plan, plan.design.member(outcomes[-1].number)),
     )
 
 
 def _timed(plan: StudyPlan) -> list[MemberOutcome]:
-    members = plan.design.members(0, TIMED)
+    """Run members until some are completed."""
+    members = plan.design.members(0, MOST_TIMED)
+    completed: list[MemberOutcome] = []
+    failed: list[MemberOutcome] = []
     with WorkerPool(RUNNER, plan.subject, 1, timeout=plan.study.settings.timeout) as pool:
-        outcomes = list(pool.run(members))
-    for outcome in outcomes:
-        if outcome.status == FAILED:
-            raise UsageError(
-                f"member {outcome.number} failed, so that the others cannot be timed by it: "
-                f"{outcome.reason}"
-            )
-    return outcomes
+        for outcome in pool.run(members):
+            (failed if outcome.status == FAILED else completed).append(outcome)
+            if len(completed) == TIMED:
+                break
+    if not completed:
+        which = (
+            "the only member" if len(failed) == 1 else f"each of the first {len(failed)} members"
+        )
+        raise UsageError(
+            f"{which} failed, so that the others cannot be timed by it; member "
+            f"{failed[0].number}: {failed[0].reason}"
+        )
+    return completed
 
 
 def _row_bytes(plan: StudyPlan, outcome: MemberOutcome) -> int:
@@ -99,7 +108,7 @@ def _row_bytes(plan: StudyPlan, outcome: MemberOutcome) -> int:
     return _NUMBER_BYTES * len(columns) + sum(len(text.encode()) for text in texts)
 
 
-def _log_bytes(plan: StudyPlan) -> int | None:
+def _log_bytes(plan: StudyPlan, member: StudyMember) -> int | None:
     """Return how large the kept logs are; None: that is not known."""
     count = kept_count(plan.study.kept_logs, len(plan.design))
     if not count:
@@ -108,5 +117,5 @@ def _log_bytes(plan: StudyPlan) -> int | None:
         subject = replace(plan.subject, logs=str(folder))
         timeout = plan.study.settings.timeout
         with WorkerPool(LOGGING_RUNNER, subject, 1, timeout=timeout) as pool:
-            list(pool.run([plan.design.member(0)]))
+            list(pool.run([member]))
         return count * sum(path.stat().st_size for path in folder.glob("*.mcap"))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -19,20 +19,18 @@ from cosim.studies.dataset.columns import (
     result_columns,
 )
 from cosim.studies.dataset.identity import StudyIdentity, digest_of
-from cosim.studies.design.checking import check_design, is_own_code
-from cosim.studies.design.planning import edited_scenario, plan_design
+from cosim.studies.design.checking import check_design
+from cosim.studies.design.planning import plan_design
 from cosim.studies.design.study_design import StudyDesign
 from cosim.studies.document.scenario_of_study import load_scenario
 from cosim.studies.document.study_file import STUDY, StudyFile
-from cosim.studies.members.inspector import CODE, DESIGNS, FILE, REFUSED, open_inspector
+from cosim.studies.members.inspector import CODE, DESIGNS, FILE, REFUSED
 from cosim.studies.metrics.metrics import parse_metrics
+from cosim.studies.running.inspection import inspect_members, inspected_members
 from cosim.studies.running.recorded_study import RecordedStudy
-from cosim.studies.workers.pool import WorkerPool
 
-INSPECTOR: Final = "cosim.studies.members.inspector:open_inspector"
 RUNNER: Final = "cosim.studies.members.runner:open_runner"
 RECORD: Final = "record"  # the table of a scenario, and the first word of its keys
-MOST_INSPECTED: Final = 100  # members, one for each text that is varied: files, logs
 
 
 @dataclass(frozen=True)
@@ -48,8 +46,13 @@ class StudyPlan:
     sources : mapping of str to str
         SHA-256 of every file that members read, behind ``file``, and of the classes of users.
     designs : str
+        As of StudySubject.
+    trial : StudyMember
+        One that can be built; its values need not be those of one member.
     replay_designs : tuple of (str, str)
         As of StudySubject.
+    notices : tuple of str
+        What is noteworthy: which members will fail.
     """
 
     study: StudyFile
@@ -57,7 +60,9 @@ class StudyPlan:
     design: StudyDesign
     sources: Mapping[str, str]
     designs: str
+    trial: StudyMember
     replay_designs: tuple[tuple[str, str], ...] = ()
+    notices: tuple[str, ...] = ()
 
     @property
     def subject(self) -> StudySubject:
@@ -163,12 +168,13 @@ def plan_members(
     CosimError
         If a parameter, a metric, or a file is wrong.
     """
-    check_design(design, scenario, allow_code=study.subject.allow_code)
-    inspected = [design.member(number) for number in _inspected(design)]
+    checked = check_design(design, scenario, allow_code=study.subject.allow_code)
+    inspected = inspected_members(design, checked)
     sources = _swapped_files(inspected)
     designs: dict[str | None, str] = {}
     recordings = {member.number: member.recording for member in inspected}
-    for outcome in _inspect(study, scenario, inspected):
+    inspection = inspect_members(study, scenario, design, inspected)
+    for outcome in inspection.outcomes:
         sources |= _sources_of(design.member(outcome.number), outcome, refused or _refused)
         text = sources.pop(DESIGNS, "")
         if text:
@@ -179,7 +185,16 @@ def plan_members(
     edited = scenario
     if not _is_edited_later(study):
         edited = scenario.edit(swap=settings.swap, map=dict(settings.map), set=settings.set)
-    return StudyPlan(study, edited, design, sources, of_scenario, of_replays)
+    return StudyPlan(
+        study,
+        edited,
+        design,
+        sources,
+        of_scenario,
+        inspection.trial,
+        of_replays,
+        (*map(str, checked.refused), *inspection.notices),
+    )
 
 
 def _is_edited_later(study: StudyFile) -> bool:
@@ -201,36 +216,6 @@ def _check_kept(study: StudyFile, design: StudyDesign) -> None:
                 f"{option('keep')}: there is no member {number}; there are {len(design)}, "
                 "numbered from 0"
             )
-
-
-def _inspect(
-    study: StudyFile, scenario: Scenario, members: Sequence[StudyMember]
-) -> Iterator[MemberOutcome]:
-    """Build members, and yield what the inspector says of each."""
-    edited = (edited_scenario(study, scenario, member.swap, member.set) for member in members)
-    if all(is_own_code(one) for one in edited):
-        with open_inspector(study.subject) as inspector:
-            yield from map(inspector.run, members)
-        return
-    with WorkerPool(INSPECTOR, study.subject, 1, timeout=study.settings.timeout) as pool:
-        yield from pool.run(members)
-
-
-def _inspected(design: StudyDesign) -> list[int]:
-    """Return the first member, and the first with each text that is varied."""
-    numbers = {0}
-    for name in design.names:
-        column = design.column(name)
-        if not isinstance(column, list):
-            continue
-        seen: set[str] = set()
-        for number, value in enumerate(column):
-            if isinstance(value, str) and value not in seen:
-                seen.add(value)
-                numbers.add(number)
-            if len(seen) == MOST_INSPECTED:
-                break
-    return sorted(numbers)
 
 
 def _swapped_files(members: Iterable[StudyMember]) -> dict[str, str]:

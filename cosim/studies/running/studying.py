@@ -25,7 +25,7 @@ from cosim.studies.workers.pool import WorkerPool
 if TYPE_CHECKING:
     from distributed import Client
 
-MOST_TRIED: Final = 3  # members, until one is completed that shows what a result says
+MOST_TRIED: Final = 10  # members, until one is completed that shows what a result says
 
 
 def study(
@@ -109,6 +109,9 @@ timeout, keep, results : optional
     )
     place = default_place(file) if out is None else out
     plan = plan_study(file)
+    notice = notice or _ignore
+    for text in plan.notices:
+        notice(text)
     with ExitStack() as resources:
         # before the dataset that is there is removed
         client = None if scheduler is None else resources.enter_context(connect(scheduler))
@@ -127,12 +130,13 @@ timeout, keep, results : optional
                 timeout=file.settings.timeout,
                 progress=progress,
                 notice=notice,
+                trial=plan.trial,
             )
         keep_logs(
             plan,
             dataset,
             workers=count,
-            notice=notice or _ignore,
+            notice=notice,
             progress=keep_progress,
             client=client,
         )

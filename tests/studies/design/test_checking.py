@@ -2,11 +2,13 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 import cosim
 from cosim.errors import UsageError
-from cosim.studies.design.checking import check_design, is_own_code
+from cosim.studies.design.checking import check_design
+from cosim.studies.design.member_check import is_own_code
 from cosim.studies.design.planning import plan_design
 from cosim.studies.document.reading import read_study
 from cosim.studies.document.scenario_of_study import load_scenario
@@ -39,8 +41,7 @@ def test_what_the_scenario_takes_is_right(tmp_path):
     [
         (
             {"vary": {"observer.filter_rat": [1.0]}},
-            r"observer.filter_rat = 1.0: set\['observer.filter_rat'\]: .*unknown key .*did you "
-            "mean 'filter_rate'",
+            r"\Aobserver.filter_rat = 1.0: unknown key 'filter_rat'; did you mean 'filter_rate'",
         ),
         ({"vary": {"obsrver.L": [1.0]}}, "obsrver.L = 1.0: .*there is no component 'obsrver'"),
         (
@@ -52,8 +53,29 @@ def test_what_the_scenario_takes_is_right(tmp_path):
             r"delta.terms\[2\].theta = 0\..*: .*terms has no element '2'; there are 2",
         ),
         (
-            {"vary": {"observer.filter_rate": {"normal": [10.0, 10.0]}}, "samples": 100},
-            r"observer.filter_rate = -.*: .*filter_rate = -.*; needed a positive finite rate",
+            {"vary": {"observer.filter_rate": {"normal": [-10.0, 1.0]}}, "samples": 100},
+            r"\Aobserver.filter_rate = -\S+, drawn from normal \[-10.0, 1.0\] for member 0: .*"
+            r"needed a positive finite rate .rad/s.; so are all \d+ draws that were tried",
+        ),
+        (
+            {
+                "vary": {
+                    "u.rate": {"uniform": [1.0, 2.0]},
+                    "observer.filter_rate": {"uniform": [-2.0, -1.0]},
+                },
+                "samples": 1,
+            },
+            r"\Aobserver.filter_rate = -\S+, .* for member 0: .*; the only draw is; needed another",
+        ),
+        (
+            {
+                "vary": {
+                    "u.rate": {"uniform": [1.0, 2.0]},
+                    "observer.filter_rate": {"choice": [1.0, -1.0, 2.0]},
+                },
+                "samples": 9,
+            },
+            r"\Aobserver.filter_rate = -1.0: .*needed a positive finite rate",
         ),
         (
             {"vary": {"observer.L": [[4.0, 0.0], [-50.0, 0.0]]}},
@@ -79,6 +101,40 @@ def test_what_it_does_not_take_is_refused(options, message):
     """The message has the key, the value and the reason, once."""
     with pytest.raises(UsageError, match=message):
         check(**options)
+
+
+def test_members_with_refused_draws_will_fail():
+    """They are counted, and named with a way out; the first one may be one of them.
+
+    A normal distribution with its mean at its deviation is below 0 in 15.9 % of all draws; where
+    exactly one interval of them is refused, the count is exact.
+    """
+    vary = {
+        "u.rate": {"normal": [1.0, 0.1]},
+        "observer.filter_rate": {"normal": [10.0, 10.0]},
+        "sensor.noise": {"triangular": [-1e-3, 0.0, 2e-3]},
+    }
+    for seed in range(40):
+        study = EMPTY.with_options(vary=vary, samples=60, seeds=2, seed=seed)
+        design = plan_design(study, SCENARIO)
+        rates = design.column("observer.filter_rate")
+        if rates[0] <= 0.0:
+            break
+    checked = check_design(design, SCENARIO)
+    refused = {draws.variation.key: draws for draws in checked.refused}
+    assert set(refused) == {"observer.filter_rate", "sensor.noise"}
+    draws = refused["observer.filter_rate"]
+    assert draws.count == np.count_nonzero(rates[::2] <= 0.0)
+    assert draws.number == 0
+    assert draws.value == rates[0]
+    assert checked.member.set["observer.filter_rate"] > 0.0
+    assert str(draws).startswith(
+        f"observer.filter_rate: about {draws.count} of 60 draws of normal [10.0, 10.0] are "
+        f"refused, and the members with them will fail: {float(rates[0])!r} of member 0: "
+    )
+    assert str(draws).endswith("; 'lower' and 'upper' cut the distribution")
+    noises = refused["sensor.noise"]
+    assert design.member(noises.number).set["sensor.noise"] == noises.value < 0.0
 
 
 def test_every_word_of_cases_is_checked(tmp_path):
@@ -155,7 +211,7 @@ def test_what_a_replay_takes_is_right(logs):
     [
         (
             {"replay": "a-*.mcap", "vary": {"plant.x_a0[0]": [2.0]}},
-            r"plant.x_a0\[0\] = 2.0: set\['plant.x_a0\[0\]'\]: 'plant' is taken from the rec",
+            r"\Aplant.x_a0\[0\] = 2.0: 'plant' is taken from the recording",
         ),
         (
             {"replay": "a-*.mcap", "vary": {"scenario.step": [0.01]}},

@@ -10,11 +10,14 @@ import pytest
 
 import cosim
 from cosim.errors import DatasetError, UsageError
+from cosim.studies.design.planning import plan_design
 from cosim.studies.document.reading import read_study
 from cosim.studies.metrics.metrics import parse_metrics
+from cosim.studies.running.estimate import estimate_study
 from cosim.studies.running.plan import plan_study
 from cosim.studies.running.recorded_study import RecordedStudy
 from tests.scenario.user_modules import RELAY, THERMOSTAT, write
+from tests.studies.tuning.fitted_fmu import write_fit
 
 SHORT = {"scenario.stop": 0.5}
 METRICS = {"error": "rms(observer.delta - delta.y)", "last": "last(plant.y)"}
@@ -300,6 +303,38 @@ def test_a_study_killed_at_twenty_instants_goes_on_to_the_same_dataset(tmp_path,
     assert 0 < left[0] < left[-1] < 30
     assert len(set(left)) > 10
     assert rows(noisy(tmp_path / "killed")) == rows(noisy(tmp_path / "whole"))
+
+
+def test_members_with_refused_draws_fail_and_no_others(tmp_path):
+    """They are announced, the study is planned, timed and run; with an FMU, too."""
+    write_fit(tmp_path)
+    scenario = tmp_path / "noisy.toml"
+    source = (tmp_path / "fit.toml").read_text()
+    sensor = 'sensor = { kind = "sensor", noise = 1.0, seed = 1 }'
+    source = source.replace("[components]", f"[components]\n{sensor}")
+    scenario.write_text(f'{source}"sensor.u" = "plant.y"\n')
+    for seed in range(20):
+        study = read_study(scenario).with_options(
+            vary={"sensor.noise": {"normal": [0.0, 1.0]}},
+            samples=5,
+            seed=seed,
+            metrics={"y": "last(plant.y)"},
+            set={"scenario.stop": 0.1},
+        )
+        drawn = plan_design(study, cosim.load(scenario)).column("sensor.noise")
+        if drawn[0] < 0.0 < drawn.max():
+            break
+    notices = []
+    done = cosim.study(study, out=tmp_path / "x", workers=1, notice=notices.append)
+    assert sorted(done.failures) == np.flatnonzero(drawn < 0.0).tolist()
+    assert all("noise: found" in reason for reason in done.failures.values())
+    (notice,) = notices
+    assert notice.startswith("member 0 will fail: ")
+    assert "noise: found -" in notice
+    assert estimate_study(plan_study(study), 1).members == 5
+    hopeless = study.with_options(vary={"sensor.noise": {"uniform": [-2.0, -1.0]}})
+    with pytest.raises(UsageError, match=r"member 0: .*noise: found -"):
+        cosim.study(hopeless, out=tmp_path / "y")
 
 
 def test_replays_may_compute_the_classes_of_users(tmp_path, monkeypatch):

@@ -1,0 +1,126 @@
+"""Build some members of a study before it runs: what they read, and whether they can be built."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from cosim.scenario.parsing import Scenario
+from cosim.studies.contracts import MemberOutcome, StudyMember
+from cosim.studies.design.checking import CheckedDesign
+from cosim.studies.design.member_check import is_own_code
+from cosim.studies.design.planning import edited_scenario
+from cosim.studies.design.study_design import StudyDesign
+from cosim.studies.document.study_file import StudyFile
+from cosim.studies.members.inspector import REFUSED, open_inspector
+from cosim.studies.workers.pool import WorkerPool
+
+INSPECTOR: Final = "cosim.studies.members.inspector:open_inspector"
+MOST_INSPECTED: Final = 100  # members, one for each text that is varied: files, logs
+MOST_DRAWN: Final = 10  # samples that are tried where the first one is refused
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """What members are made of.
+
+    Parameters
+    ----------
+    outcomes : sequence of MemberOutcome
+        Of the inspector.
+    trial : StudyMember
+        One that is not refused, if there is one.
+    notices : sequence of str
+        Which members are, where others are not.
+    """
+
+    outcomes: Sequence[MemberOutcome]
+    trial: StudyMember
+    notices: Sequence[str]
+
+
+def inspect_members(
+    study: StudyFile, scenario: Scenario, design: StudyDesign, members: Sequence[StudyMember]
+) -> Inspection:
+    """Build members; one that is refused with its draws is built with those of other members."""
+    outcomes = {outcome.number: outcome for outcome in _inspect(study, scenario, members)}
+    trial = members[0]
+    notices = []
+    for member in members:
+        others = _with_other_draws(design, member)
+        if not others or REFUSED not in outcomes[member.number].metrics:
+            continue
+        for outcome in _inspect(study, scenario, others):
+            if REFUSED not in outcome.metrics:
+                reason = outcomes[member.number].metrics[REFUSED]
+                notices.append(f"member {member.number} will fail: {reason}")
+                outcomes[member.number] = replace(outcome, number=member.number)
+                trial = others[outcome.number] if member is members[0] else trial
+                break
+    return Inspection(list(outcomes.values()), trial, notices)
+
+
+def inspected_members(design: StudyDesign, checked: CheckedDesign) -> list[StudyMember]:
+    """Return the first member, and the first with each text that is varied.
+
+    What is drawn in them is what can be built, as far as that is known.
+    """
+    drawn = {name: checked.member.set[name] for name in _drawn(design.study)}
+    members = []
+    for number in _with_texts(design):
+        member = design.member(number)
+        members.append(replace(member, set={**member.set, **drawn}))
+    return members
+
+
+def _inspect(
+    study: StudyFile, scenario: Scenario, members: Sequence[StudyMember]
+) -> Iterator[MemberOutcome]:
+    """Build members, and yield what the inspector says of each."""
+    edited = (edited_scenario(study, scenario, member.swap, member.set) for member in members)
+    if all(is_own_code(one) for one in edited):
+        with open_inspector(study.subject) as inspector:
+            yield from map(inspector.run, members)
+        return
+    with WorkerPool(INSPECTOR, study.subject, 1, timeout=study.settings.timeout) as pool:
+        yield from pool.run(members)
+
+
+def _with_other_draws(design: StudyDesign, member: StudyMember) -> list[StudyMember]:
+    """Return a member with the numbers that are drawn in some of the other samples."""
+    names = _drawn(design.study)
+    if not names:
+        return []
+    samples = np.unique(np.linspace(0, design.layout.samples - 1, MOST_DRAWN).astype(int))
+    each = design.layout.seeds * design.layout.grid
+    others = []
+    for number, sample in enumerate(samples.tolist()):
+        values = design.member(sample * each).set
+        drawn = {name: values[name] for name in names}
+        others.append(replace(member, number=number, set={**member.set, **drawn}))
+    return others
+
+
+def _drawn(study: StudyFile) -> list[str]:
+    """Return the keys of the numbers that are drawn."""
+    return [item.key for item in study.sampled if not item.values]
+
+
+def _with_texts(design: StudyDesign) -> list[int]:
+    """Return the first member, and the first with each text that is varied."""
+    numbers = {0}
+    for name in design.names:
+        column = design.column(name)
+        if not isinstance(column, list):
+            continue
+        seen: set[str] = set()
+        for number, value in enumerate(column):
+            if isinstance(value, str) and value not in seen:
+                seen.add(value)
+                numbers.add(number)
+            if len(seen) == MOST_INSPECTED:
+                break
+    return sorted(numbers)
