@@ -16,11 +16,8 @@ from pathlib import Path
 from typing import Final, final
 
 from cosim.errors import DatasetError, DatasetWriteError
+from cosim.studies.dataset.file_locks import FolderLock, LockState, lock_file
 
-if sys.platform != "win32":
-    import fcntl
-
-LOCK: Final = "_lock"
 _TEMPORARY: Final = ".tmp"
 _NONE: Final = -1  # no descriptor: to write there is an error
 
@@ -36,7 +33,7 @@ class LocalStorage:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._lock: int | None = None
+        self._lock: FolderLock | None = None
 
     def label(self, name: str = "") -> str:
         """Return the path of a file, or of the folder."""
@@ -97,22 +94,11 @@ class LocalStorage:
         """Keep other processes from writing, and remove what a kill left half-written."""
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
-            descriptor = os.open(self._folder / LOCK, os.O_RDWR | os.O_CREAT, 0o666)
         except OSError as error:
             raise DatasetError(
                 f"{self._folder}: {error.strerror}; needed a folder that can be written"
             ) from error
-        if not _locked(descriptor):
-            holder = os.read(descriptor, 100).decode(errors="replace")
-            os.close(descriptor)
-            raise DatasetError(
-                f"{self._folder}: another study is writing there ({holder or 'process unknown'}); "
-                "wait until it ends, or give another folder"
-            )
-        self._lock = descriptor
-        with suppress(OSError):  # a full disk: who holds it is not said then
-            os.ftruncate(descriptor, 0)
-            os.write(descriptor, f"process {os.getpid()}".encode())
+        self._lock = FolderLock(self._folder)
         for folder in (self._folder, self._folder / "parts"):
             _remove_abandoned(folder)
 
@@ -123,7 +109,7 @@ class LocalStorage:
     def close(self) -> None:
         """Let others write. Twice does no harm."""
         if self._lock is not None:
-            os.close(self._lock)
+            self._lock.close()
             self._lock = None
 
 
@@ -212,7 +198,7 @@ def _write_whole(path: Path, content: bytes) -> None:
     temporary = path.parent / f"_{path.name}.{secrets.token_hex(8)}{_TEMPORARY}"
     descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
     try:
-        _locked(descriptor)
+        lock_file(descriptor)
         _write_all(descriptor, content)
         if content:  # an empty journal needs no disk: it says nothing
             os.fsync(descriptor)
@@ -235,19 +221,6 @@ def _write_all(descriptor: int, content: bytes) -> None:
         written += os.write(descriptor, content[written:])
 
 
-def _locked(descriptor: int) -> bool:
-    """Lock a file for as long as it is open; False: another process has."""
-    if sys.platform == "win32":
-        return True
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    except OSError:  # a file system without locks
-        return True
-    return True
-
-
 def _remove_abandoned(folder: Path) -> None:
     """Remove the temporary files that no process writes any more."""
     with suppress(OSError):
@@ -260,7 +233,7 @@ def _remove_unlocked(path: Path) -> None:
     with suppress(OSError):
         descriptor = os.open(path, os.O_RDWR)
         try:
-            if _locked(descriptor):
+            if lock_file(descriptor) is LockState.HELD:  # which nobody knows without locks
                 path.unlink()
         finally:
             os.close(descriptor)

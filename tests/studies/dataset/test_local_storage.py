@@ -6,6 +6,7 @@ import pytest
 
 from cosim.errors import DatasetError, DatasetWriteError
 from cosim.studies.dataset import local_storage
+from cosim.studies.dataset.file_locks import LockState, lock_file
 from cosim.studies.dataset.local_storage import LocalStorage
 from cosim.studies.dataset.study_dataset import StudyDataset
 from tests.studies.dataset.outcomes import add, identity
@@ -83,7 +84,7 @@ def test_temporary_files_are_removed_but_those_that_are_being_written(tmp_path):
     for path in (left, held, mine):
         path.touch()
     with open(held) as file:
-        assert local_storage._locked(file.fileno())
+        assert lock_file(file.fileno()) is LockState.HELD
         with StudyDataset.open_or_create(tmp_path, identity(30)):
             assert (left.exists(), held.exists(), mine.exists()) == (False, True, True)
     with StudyDataset.open_or_create(tmp_path, identity(30)):
