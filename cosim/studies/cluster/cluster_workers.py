@@ -59,8 +59,7 @@ class ClusterWorkers:
         self._admitted = admitted
         self._admissions: dict[str, Future[Admitted]] = {}
         self._excluded: dict[str, str] = {}
-        self._seen = monotonic()  # when there was a worker, or one that might be
-        self._is_waiting = False
+        self._waits_since: float | None = None  # None: there is a worker, or one that might be
         self.threads: dict[str, int] = {}
         self.writes = False
 
@@ -115,13 +114,12 @@ class ClusterWorkers:
 
     def _check_patience(self) -> None:
         if self.threads or self._admissions:
-            self._seen = monotonic()
-            self._is_waiting = False
+            self._waits_since = None
             return
-        if not self._is_waiting:
-            self._is_waiting = True
+        if self._waits_since is None:
+            self._waits_since = monotonic()
             self._notice(f"{self._lack()}; waiting {PATIENCE:g} s for a worker that can run it")
-        if monotonic() > self._seen + PATIENCE:
+        if monotonic() >= self._waits_since + PATIENCE:
             raise self._none_left()
 
     def _lack(self) -> str:
