@@ -131,7 +131,7 @@ class DatasetDescription:
         Raises
         ------
         DatasetError
-            If it is damaged, or of a later version of the format.
+            If it is damaged, or of another version of the format.
         """
         try:
             found = json.loads(content)
@@ -146,7 +146,13 @@ class DatasetDescription:
             )
         if checksum != digest_of(found):
             raise _damaged(label)
-        return cls._of_content(found)
+        try:
+            return cls._of_content(found)
+        except (KeyError, TypeError) as error:
+            raise DatasetError(
+                f"{label}: its content is that of another state of cosim {found.get('cosim')}; "
+                "read it with that one, or give another folder"
+            ) from error
 
     @classmethod
     def _of_content(cls, content: Mapping[str, Any]) -> DatasetDescription:

@@ -1,5 +1,6 @@
 """Full disks and damaged files: one clear error, and nothing is lost that was there."""
 
+import json
 import os
 import re
 import signal
@@ -9,6 +10,7 @@ import pytest
 
 from cosim.errors import DatasetError, DatasetWriteError
 from cosim.studies.dataset import local_storage
+from cosim.studies.dataset.identity import digest_of
 from cosim.studies.dataset.study_dataset import StudyDataset
 from tests.studies.dataset.killed import complete, opened, processes
 from tests.studies.dataset.outcomes import add, identity, member, outcome, parts
@@ -187,6 +189,16 @@ def test_a_format_of_a_later_version_is_refused(folder):
     path.write_text(path.read_text().replace('"format": 1', '"format": 2'))
     problem = r"found format 2 of a dataset, needed 1; read it with cosim 1.0, or give another fol"
     with pytest.raises(DatasetError, match=problem):
+        StudyDataset.open(folder)
+
+
+def test_a_description_with_other_content_is_refused(folder):
+    """It is whole, as its checksum says, and yet not as this state of the package writes it."""
+    path = folder / "study.json"
+    content = json.loads(path.read_text())
+    del content["checksum"], content["designs"]
+    path.write_text(json.dumps({**content, "checksum": digest_of(content)}))
+    with pytest.raises(DatasetError, match=r"study.json: its content is that of another state of"):
         StudyDataset.open(folder)
 
 
