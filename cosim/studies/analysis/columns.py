@@ -20,6 +20,7 @@ VariedValues: TypeAlias = NDArray[Any]  # float64, or object; shape (N,)
 
 _SMALLEST: Final = 1e-60  # its fourth power, and the sum of many of those of the largest, is normal
 _LARGEST: Final = 1e60
+_ROUNDING: Final = 1e-12  # relative
 
 
 @dataclass(frozen=True)
@@ -155,6 +156,15 @@ class MemberColumns:
 def count_text(count: int, noun: str = "member") -> str:
     """Return how many there are: ``1 member``, ``2 members``."""
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def is_constant(values: Vector) -> bool:
+    """Return whether values are one, but for what rounding may add to it over a run."""
+    if not len(values):
+        return True
+    low = float(values.min())
+    high = float(values.max())
+    return high - low <= _ROUNDING * max(abs(low), abs(high))
 
 
 def exact_scale(values: Vector) -> float:

@@ -21,6 +21,8 @@ from cosim.arrays import Vector
 from cosim.studies.analysis.columns import NumberColumn
 
 CONFIDENCE: Final = 0.95
+_LEAST_FOR_MEAN: Final = 10  # units: the skewness of fewer says little
+_COCHRAN: Final = 25.0  # units for each squared skewness
 _LEAST_FOR_DEVIATION: Final = 5  # values: the formula divides by n - 4 and by n - 1.96
 
 
@@ -40,6 +42,11 @@ class ConfidenceInterval:
     def to_list(self) -> list[float | None]:
         """Return plain values for JSON."""
         return [self.lower, self.upper]
+
+    def holds(self, value: float) -> bool:
+        """Return whether a value is in the interval; an end that is not known excludes none."""
+        is_above = self.lower is None or self.lower <= value
+        return is_above and (self.upper is None or value <= self.upper)
 
     def scaled(self, factor: float) -> ConfidenceInterval:
         """Return the interval of a value times a positive factor."""
@@ -86,14 +93,26 @@ def mean_variance(values: Vector, units: NumberColumn | None = None) -> tuple[fl
     count = len(values)
     if not count:
         return math.nan, 0
-    sums = values - values.mean()
-    if units is not None:
-        _, index = np.unique(units, return_inverse=True)
-        sums = np.bincount(index, weights=sums)
-    number = len(sums)
+    sums, number = _unit_sums(values, units)
     if number < 2:
         return math.nan, number
     return float(sums @ sums) * number / (number - 1.0) / count**2, number
+
+
+def is_rough(values: Vector, units: NumberColumn | None = None) -> bool:
+    """Return whether the interval of a mean is to be taken with care: it may be too short.
+
+    Where there are fewer than 10 units, or fewer than 25 times the squared skewness of their
+    values, the mean is not normal enough for it (Cochran, *Sampling Techniques*, 1977, p. 42).
+    """
+    sums, number = _unit_sums(values, units)
+    if number < 2:
+        return False
+    squares = float(np.mean(sums**2))
+    if squares <= 0.0:
+        return False
+    skewness = float(np.mean(sums**3)) / squares**1.5
+    return number < _LEAST_FOR_MEAN or number < _COCHRAN * skewness**2
 
 
 def effective_count(values: Vector, units: NumberColumn | None, *, factor: float = 1.0) -> float:
@@ -242,6 +261,17 @@ def _below(count: int, probability: float, tail: float) -> int:
     first = max(math.floor(middle - reach), 0)
     k = np.arange(first, math.ceil(middle) + 1)
     return first + int(np.count_nonzero(bdtr(k, count, probability) <= tail))
+
+
+def _unit_sums(values: Vector, units: NumberColumn | None) -> tuple[Vector, int]:
+    """Return the sums over each unit of what values differ from their mean, and how many units."""
+    if not len(values):
+        return values, 0
+    sums = values - values.mean()
+    if units is not None:
+        _, index = np.unique(units, return_inverse=True)
+        sums = np.bincount(index, weights=sums)
+    return sums, len(sums)
 
 
 def _normal_quantile(confidence: float) -> float:

@@ -11,9 +11,14 @@ import numpy as np
 from scipy.special import ndtri
 
 from cosim.arrays import Vector
-from cosim.studies.analysis.columns import MemberColumns, numbers_of
+from cosim.studies.analysis.columns import MemberColumns, NumberColumn, numbers_of
 from cosim.studies.analysis.confidence import CONFIDENCE, NO_INTERVAL, ConfidenceInterval
-from cosim.studies.analysis.independence import StudyLayout, drawn_members, independence_of
+from cosim.studies.analysis.independence import (
+    Independence,
+    StudyLayout,
+    drawn_members,
+    independence_of,
+)
 from cosim.studies.analysis.ranks import Ranks, rank_correlation, rank_correlation_deviation
 
 LEAST_MEMBERS: Final = 10  # of fewer, chance alone makes strong correlations
@@ -27,11 +32,15 @@ class RankCorrelation:
     ----------
     metric, parameter : str
     value : float or None
-        In [-1, 1]; None: one of them has one value in all members.
+        In [-1, 1]; None: one of them has one value in all members, or there are fewer than
+        ``LEAST_MEMBERS``.
     interval : ConfidenceInterval
         95 %; there is one where the members were drawn one by one.
     count : int
         Members that have the metric, and a value of the parameter.
+    is_distinct : bool
+        Whether it is stronger than chance alone makes it in 19 of 20 studies; of members that were
+        chosen there is no chance.
     """
 
     metric: str
@@ -39,6 +48,7 @@ class RankCorrelation:
     value: float | None
     interval: ConfidenceInterval
     count: int
+    is_distinct: bool
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
@@ -48,6 +58,7 @@ class RankCorrelation:
             "value": self.value,
             "interval": self.interval.to_list(),
             "count": self.count,
+            "is_distinct": self.is_distinct,
         }
 
 
@@ -58,7 +69,6 @@ def rank_correlations(columns: MemberColumns, layout: StudyLayout) -> list[RankC
     """
     drawn = drawn_members(columns, layout)
     of_design = independence_of(layout)
-    independent = of_design.is_drawn and of_design.units_of(drawn.numbers) is None
     parameters = {}
     for key, raw in drawn.parameters.items():
         numbers = numbers_of(raw)
@@ -77,16 +87,41 @@ def rank_correlations(columns: MemberColumns, layout: StudyLayout) -> list[RankC
         of_metric = Ranks.of(column.values)
         for key, of_parameter in ranked.items():
             pair = (of_metric, of_parameter)
+            members = column.numbers
             numbers = parameters[key][rows]
             known = ~np.isnan(numbers)
             if not known.all():
                 pair = (Ranks.of(column.values[known]), Ranks.of(numbers[known]))
-            value = rank_correlation(*pair)
-            interval = NO_INTERVAL
-            if value is not None and independent:
-                interval = _interval(value, pair)
-            found.append(RankCorrelation(name, key, value, interval, len(pair[0].order)))
+                members = members[known]
+            found.append(_correlation_of(name, key, pair, members, of_design))
     return found
+
+
+def _correlation_of(
+    metric: str,
+    parameter: str,
+    pair: tuple[Ranks, Ranks],
+    members: NumberColumn,
+    of_design: Independence,
+) -> RankCorrelation:
+    """Return a correlation with what is known of it."""
+    count = len(members)
+    value = rank_correlation(*pair)
+    if value is None or count < LEAST_MEMBERS:
+        return RankCorrelation(metric, parameter, None, NO_INTERVAL, count, is_distinct=False)
+    if not of_design.is_drawn:
+        return RankCorrelation(metric, parameter, value, NO_INTERVAL, count, is_distinct=True)
+    units = of_design.units_of(members)
+    if units is None:
+        interval = _interval(value, pair)
+        is_distinct = interval.lower is None or not interval.holds(0.0)
+        return RankCorrelation(metric, parameter, value, interval, count, is_distinct=is_distinct)
+    independent = count
+    if of_design.layout.kind not in ("grid", "cases"):
+        independent = len(np.unique(units))  # at least: seeds, and what is chosen, differ within
+    by_chance = _normal_quantile() / math.sqrt(max(independent - 1, 1))
+    is_distinct = abs(value) > by_chance
+    return RankCorrelation(metric, parameter, value, NO_INTERVAL, count, is_distinct=is_distinct)
 
 
 def strongest(correlations: Sequence[RankCorrelation], metric: str) -> list[RankCorrelation]:
@@ -113,6 +148,10 @@ def _interval(value: float, pair: tuple[Ranks, Ranks]) -> ConfidenceInterval:
         return NO_INTERVAL
     of_normal = math.sqrt((1.0 + 0.5 * value**2) / (count - 3.0))
     deviation = max(of_normal, rank_correlation_deviation(*pair, value) / (1.0 - value**2))
-    half_width = float(ndtri(0.5 + 0.5 * CONFIDENCE)) * deviation
+    half_width = _normal_quantile() * deviation
     middle = math.atanh(value)
     return ConfidenceInterval(math.tanh(middle - half_width), math.tanh(middle + half_width))
+
+
+def _normal_quantile() -> float:
+    return float(ndtri(0.5 + 0.5 * CONFIDENCE))

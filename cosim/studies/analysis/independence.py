@@ -27,13 +27,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from cosim.studies.analysis.columns import MemberColumns, NumberColumn
+from cosim.studies.analysis.columns import MemberColumns, NumberColumn, count_text
 from cosim.studies.design.columns import NoiseSeedColumn
 from cosim.studies.design.study_design import SampleKind, StudyDesign
 
 _BASIS: Final = {
     "random": "samples drawn independently",
-    "latin-hypercube": "Latin hypercube: conservative, at least 95 % of many members",
+    "latin-hypercube": "of a Latin hypercube: conservative where there are many members",
     "sobol": "as if Sobol points were independent: mostly far too wide, not guaranteed",
     "saltelli": "as if Sobol points were independent: mostly far too wide, not guaranteed",
 }
@@ -114,12 +114,12 @@ class StudyLayout:
         """The design in words."""
         factors = []
         if self.kind == "saltelli":
-            factors.append(f"{self.base_points} base points x {self.matrices}")
+            factors.append(f"{count_text(self.base_points, 'base point')} x {self.matrices}")
         elif self.kind == "cases":
-            factors.append(f"{self.samples} cases")
+            factors.append(count_text(self.samples, "case"))
         elif self.kind != "grid":
-            factors.append(f"{self.samples} samples")
-        if self.grid > 1 or self.kind == "grid":
+            factors.append(count_text(self.samples, "sample"))
+        if self.grid > 1 or (self.kind == "grid" and self.seeds == 1):
             factors.append(f"grid of {self.grid}")
         if self.seeds > 1:
             factors.append(f"{self.seeds} seeds")
@@ -147,6 +147,9 @@ class Independence:
     def units_of(self, numbers: NumberColumn) -> NumberColumn | None:
         """Return the unit that each member belongs to; None: each is one."""
         layout = self.layout
+        if layout.kind == "saltelli" and layout.noise_seeds:
+            # the members of a base point have the same noise
+            return layout.samples_of(numbers) % layout.base_points
         if layout.kind in ("grid", "cases"):
             return layout.seeds_of(numbers) if layout.grid * layout.samples > 1 else None
         return layout.samples_of(numbers) if layout.seeds * layout.grid > 1 else None
@@ -164,7 +167,9 @@ def independence_of(layout: StudyLayout) -> Independence:
     """Return what of a study was drawn independently."""
     if layout.kind in ("grid", "cases"):
         if layout.seeds == 1:
-            return Independence(layout, "none: members were chosen, not drawn", is_drawn=False)
+            return Independence(
+                layout, "none, as the members were chosen, not drawn", is_drawn=False
+            )
         return Independence(layout, f"{layout.seeds} seeds drawn independently")
     basis = _BASIS[layout.kind]
     together = layout.seeds * layout.grid

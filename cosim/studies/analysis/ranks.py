@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Vector
+from cosim.studies.analysis.columns import is_constant
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,9 @@ class Ranks:
 
     @classmethod
     def of(cls, values: Vector) -> Ranks:
-        """Return the ranks of values, shape (n,), without NaN."""
+        """Return the ranks of values, shape (n,), without NaN; what rounding adds has none."""
+        if is_constant(values):
+            values = np.zeros(len(values))
         order = np.argsort(values, kind="stable")
         ordered = values[order]
         begin = np.searchsorted(ordered, values, "left")

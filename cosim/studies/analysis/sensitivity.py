@@ -8,7 +8,8 @@ bootstrap takes memory that grows with the square of their number.
 
 A base point is a row of the matrices A and B with its rows of AB_1, ..., AB_d, in each of which one
 column comes from B. Where one of its members failed, or has no value, the whole base point is left
-out: the others are what was drawn, under the condition that no member of theirs failed.
+out. If parameters decide which members fail, those of the others are no longer independent of each
+other, and the indices are biased: nothing in the values tells by how much.
 """
 
 from __future__ import annotations
@@ -20,13 +21,23 @@ import numpy as np
 
 from cosim.arrays import Matrix, Vector
 from cosim.errors import UsageError
-from cosim.studies.analysis.columns import MemberColumns, NumberColumn, exact_scale
-from cosim.studies.analysis.confidence import CONFIDENCE, ConfidenceInterval
+from cosim.studies.analysis.columns import (
+    MemberColumns,
+    NumberColumn,
+    exact_scale,
+    is_constant,
+)
+from cosim.studies.analysis.confidence import (
+    CONFIDENCE,
+    NO_INTERVAL,
+    ConfidenceInterval,
+)
 from cosim.studies.analysis.independence import StudyLayout
 
 RESAMPLES: Final = 1000  # of the bootstrap
 _SEED: Final = 0  # of the bootstrap: the same study has the same intervals
-_LEAST: Final = 8  # base points: of fewer an interval says nothing
+_LEAST: Final = 8  # base points: of fewer the indices are chance
+_LEAST_FOR_INTERVALS: Final = 64  # base points: of fewer as few as 70 % of the intervals hold
 _LARGEST_BLOCK: Final = 2**22  # counts of resampled base points at a time
 
 
@@ -42,8 +53,9 @@ class SobolIndices:
         Share of the variance that a parameter has alone; with everything that it does together
         with others. Estimates: they can be below 0 or above 1.
     first_intervals, total_intervals : tuple of ConfidenceInterval, length d
-        95 %, by a bootstrap over base points: as if these were independent, so too wide of Sobol
-        points mostly.
+        95 %, by a bootstrap over base points as if these were independent: rough. Of the Ishigami
+        and the g function 85 to 100 % of those of each index hold, from 64 base points on; there
+        are none of fewer.
     base_points : int
         That were complete.
     omitted : NumberColumn
@@ -99,19 +111,24 @@ def sobol_indices(columns: MemberColumns, layout: StudyLayout, metric: str) -> S
     values = matrices[:, complete]
     values = values / exact_scale(values)
     first, total = indices_of(values, np.ones((1, found)))
-    if not np.isfinite(first).all():
+    if is_constant(values.ravel()) or not np.isfinite(first).all():
         raise UsageError(
             f"Sobol indices of {metric!r}: found one value in all members, needed a metric that "
             "the parameters change"
         )
-    firsts, totals = bootstrap(values)
+    first_intervals: tuple[ConfidenceInterval, ...] = (NO_INTERVAL,) * len(first[0])
+    total_intervals = first_intervals
+    if found >= _LEAST_FOR_INTERVALS:
+        firsts, totals = bootstrap(values)
+        first_intervals = _percentiles(firsts)
+        total_intervals = _percentiles(totals)
     return SobolIndices(
         metric=metric,
         parameters=layout.parameters,
         first_order=first[0],
         total_order=total[0],
-        first_intervals=_percentiles(firsts),
-        total_intervals=_percentiles(totals),
+        first_intervals=first_intervals,
+        total_intervals=total_intervals,
         base_points=found,
         omitted=omitted,
     )

@@ -15,6 +15,7 @@ from cosim.studies.analysis.confidence import (
     ConfidenceInterval,
     deviation_interval,
     effective_count,
+    is_rough,
     mean_interval,
     quantile_interval,
     quantiles,
@@ -56,6 +57,8 @@ class MetricStatistics:
     mean, deviation, minimum, maximum : float or None
         None: no member has a value; of the standard deviation also: only one has.
     mean_interval, deviation_interval : ConfidenceInterval
+    is_rough : bool
+        Whether the interval of the mean may be too short, as of few members or skewed values.
     quantiles : tuple of QuantileEstimate
     basis : str
         What the intervals rest on, or why there are none.
@@ -70,6 +73,7 @@ class MetricStatistics:
     infinite: int
     mean: float | None
     mean_interval: ConfidenceInterval
+    is_rough: bool
     deviation: float | None
     deviation_interval: ConfidenceInterval
     minimum: float | None
@@ -87,6 +91,7 @@ class MetricStatistics:
             "infinite": self.infinite,
             "mean": self.mean,
             "mean_interval": self.mean_interval.to_list(),
+            "is_rough": self.is_rough,
             "deviation": self.deviation,
             "deviation_interval": self.deviation_interval.to_list(),
             "minimum": self.minimum,
@@ -136,11 +141,13 @@ def metric_statistics(
     count = len(values)
     of_mean = NO_INTERVAL
     of_deviation = NO_INTERVAL
+    rough = False
     if of_design.is_drawn and count:
         units = of_design.units_of(column.numbers)
         factor = of_design.variance_factor(column.numbers)
         of_mean = mean_interval(values, units, variance_factor=factor)
         of_deviation = deviation_interval(values, units, variance_factor=factor)
+        rough = is_rough(values, units)
     return MetricStatistics(
         name=column.name,
         count=count,
@@ -149,6 +156,7 @@ def metric_statistics(
         infinite=len(column.infinite),
         mean=scale * float(values.mean()) if count else None,
         mean_interval=of_mean.scaled(scale),
+        is_rough=rough,
         deviation=scale * float(values.std(ddof=1)) if count > 1 else None,
         deviation_interval=of_deviation.scaled(scale),
         minimum=scale * float(values.min()) if count else None,

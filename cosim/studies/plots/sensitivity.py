@@ -14,7 +14,7 @@ from cosim.report.plots.curves import COLORS, shown_text
 from cosim.report.plots.fitting import broken
 from cosim.report.plots.picture import PictureOptions
 from cosim.studies.analysis.columns import count_text
-from cosim.studies.analysis.confidence import CONFIDENCE, ConfidenceInterval
+from cosim.studies.analysis.confidence import CONFIDENCE, NO_INTERVAL, ConfidenceInterval
 from cosim.studies.analysis.results import StudyResults
 from cosim.studies.analysis.sensitivity import SobolIndices, check_has_indices, sobol_indices
 from cosim.studies.plots.panels import MOST_PANELS, shown_metrics, sized_picture
@@ -59,7 +59,9 @@ def plot_sobol(
     for empty in picture.panels[len(shown) :]:
         empty.set_visible(False)
     picture.legend(handles, below=True)
-    title = f"{results.name}: Sobol indices with {100.0 * CONFIDENCE:g} % intervals"
+    title = f"{results.name}: Sobol indices"
+    if any(indices.first_intervals[0] != NO_INTERVAL for indices in shown):
+        title += f" with rough {100.0 * CONFIDENCE:g} % intervals"
     if len(shown) < len(found):
         title += f" of the first {len(shown)} of {len(found)} metrics"
     picture.save(out, title=shown_text(title))
@@ -101,7 +103,10 @@ def _draw(panel: Any, indices: SobolIndices) -> list[Any]:
 
 
 def _reaches(values: Vector, intervals: Sequence[ConfidenceInterval]) -> Vector:
-    """Return how far intervals reach to both sides; one of a bootstrap may not hold the value."""
+    """Return how far intervals reach to both sides; NaN: there is none.
+
+    One of a bootstrap may not hold the value.
+    """
     lower = np.array([interval.lower for interval in intervals], np.float64)
     upper = np.array([interval.upper for interval in intervals], np.float64)
     return np.maximum(np.stack([values - lower, upper - values]), 0.0)

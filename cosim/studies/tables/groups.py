@@ -41,7 +41,14 @@ def print_groups(
         _print_metric(results, key, name, groups)
     if groups and groups[0].statistics:
         basis = next(iter(groups[0].statistics.values())).basis
-        print_line(f"95 % intervals: {basis}")
+        print_line(f"±, 95 % intervals: {basis}")
+    shown = metrics or with_values
+    if any(_is_rough(group, shown) for group in groups):
+        print_line("± may be too small in groups of few members or skewed values")
+
+
+def _is_rough(group: MemberGroup, metrics: Sequence[str]) -> bool:
+    return any(group.statistics[name].is_rough for name in metrics)
 
 
 def _print_metric(

@@ -6,12 +6,22 @@ from collections.abc import Sequence
 from typing import Final
 
 from cosim.report.tables.console import new_table, print_json, print_line, print_table
-from cosim.studies.analysis.correlation import RankCorrelation, rank_correlations, strongest
+from cosim.studies.analysis.confidence import NO_INTERVAL
+from cosim.studies.analysis.correlation import (
+    LEAST_MEMBERS,
+    RankCorrelation,
+    rank_correlations,
+    strongest,
+)
 from cosim.studies.analysis.extremes import best_members, worst_members
 from cosim.studies.analysis.results import StudyResults
 from cosim.studies.analysis.statistics import MetricStatistics, study_statistics
 from cosim.studies.tables.numbers import interval_text, members_text, number_text, percent_text
 
+_METHODS: Final = (
+    "mean: Student's t; standard deviation: Bonett; quantiles: order statistics; rank "
+    "correlations: Fisher's z"
+)
 _MOST_MEMBERS: Final = 20  # with the largest and smallest values, in JSON
 
 
@@ -40,7 +50,8 @@ def print_metrics(results: StudyResults, names: Sequence[str], *, as_json: bool 
         print_json(content)
         return
     for name in names:
-        _print_metric(results, statistics[name], strongest(correlations, name))
+        of_metric = [one for one in correlations if one.metric == name]
+        _print_metric(results, statistics[name], of_metric)
 
 
 def _print_metric(
@@ -68,11 +79,17 @@ def _print_metric(
     largest = worst_members(columns, name, 5)
     table.add_row("smallest", number_text(statistics.minimum), f"members {members_text(smallest)}")
     table.add_row("largest", number_text(statistics.maximum), f"members {members_text(largest)}")
-    for one in correlations:
+    for one in strongest(correlations, name):
         label = f"rank correlation with {one.parameter}"
         table.add_row(label, f"{one.value:+.3f}", interval_text(one.interval))
     print_table(table)
-    print_line(f"intervals: {statistics.basis}")
+    print_line(f"95 % intervals: {statistics.basis}")
+    if statistics.mean_interval != NO_INTERVAL:
+        print_line(_METHODS)
+    if statistics.is_rough:
+        print_line("the interval of the mean may be too short, as of few members or skewed values")
+    if any(one.count < LEAST_MEMBERS for one in correlations):
+        print_line(f"rank correlations: none, of fewer than {LEAST_MEMBERS} members")
     for words, numbers in (("no value", column.without_value), ("infinite", column.infinite)):
         if len(numbers):
             print_line(f"{words} in members {members_text(numbers)}")

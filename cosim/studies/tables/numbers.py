@@ -10,6 +10,7 @@ from cosim.studies.analysis.confidence import ConfidenceInterval
 
 _MOST_MEMBERS: Final = 5  # that a line names
 _MOST_DECIMALS: Final = 8
+_MOST_ROUNDED: Final = 3  # digits before the point that are more than the two that are known
 _LARGEST: Final = 1e8  # that is written without an exponent
 
 
@@ -19,7 +20,10 @@ def number_text(value: float | None, digits: int = 6) -> str:
 
 
 def text_with_half_width(value: float | None, interval: ConfidenceInterval) -> str:
-    """Return a number with half of its interval, as far as that is known: ``0.1234 ± 0.0010``."""
+    """Return a number with half of its interval, in two digits of that: ``0.1234 ± 0.0010``.
+
+    Large and small ones have one exponent: ``(2.35 ± 0.16)e+10``.
+    """
     if value is None or interval.lower is None or interval.upper is None:
         return number_text(value)
     half_width = 0.5 * (interval.upper - interval.lower)
@@ -29,7 +33,12 @@ def text_with_half_width(value: float | None, interval: ConfidenceInterval) -> s
     decimals = 1 - exponent
     if 0 <= decimals <= _MOST_DECIMALS and abs(value) < _LARGEST:
         return f"{value:.{decimals}f} ± {half_width:.{decimals}f}"
-    return f"{value:.6g} ± {half_width:.2g}"
+    if -_MOST_ROUNDED <= decimals < 0 and abs(value) < _LARGEST:
+        return f"{value:.0f} ± {half_width:.0f}"
+    common = max(exponent, math.floor(math.log10(abs(value))) if value else exponent)
+    decimals += common
+    unit = 10.0**common
+    return f"({value / unit:.{decimals}f} ± {half_width / unit:.{decimals}f})e{common:+03d}"
 
 
 def interval_text(interval: ConfidenceInterval) -> str:
@@ -42,6 +51,13 @@ def interval_text(interval: ConfidenceInterval) -> str:
     if upper is None:
         return f"from {lower:.4g}; too few members for the upper end"
     return f"{lower:.4g} to {upper:.4g}"
+
+
+def percent_interval_text(interval: ConfidenceInterval) -> str:
+    """Return the interval of a share in percent: ``12.3 % to 34.5 %``."""
+    if interval.lower is None or interval.upper is None:
+        return ""
+    return f"{100.0 * interval.lower:.3g} % to {100.0 * interval.upper:.3g} %"
 
 
 def percent_text(probability: float) -> str:

@@ -23,6 +23,7 @@ from cosim.studies.tables.study import (
     members_content,
     print_failures,
 )
+from cosim.studies.tables.wall_time import wall_time_text
 
 
 def print_search(
@@ -56,7 +57,7 @@ def print_search(
         f"{results.planned}, {failed}"
     )
     if results.done:
-        print_line(f"wall time: {np.median(results.wall_times):.3g} s a member, the median")
+        print_line(wall_time_text(results))
     keys = [key for key in results.columns.parameters if key != RECORDING]  # one of all
     table = new_table("best members", ("member", search.metric, *keys))
     for number in best:

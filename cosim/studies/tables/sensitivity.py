@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from cosim.errors import UsageError
 from cosim.report.tables.console import new_table, print_json, print_line, print_table
+from cosim.studies.analysis.columns import count_text
 from cosim.studies.analysis.confidence import ConfidenceInterval
 from cosim.studies.analysis.results import StudyResults
 from cosim.studies.analysis.sensitivity import SobolIndices, check_has_indices, sobol_indices
@@ -56,14 +57,19 @@ def _print_indices(indices: SobolIndices, results: StudyResults) -> None:
     total = f"{indices.first_order.sum():.3f}"
     table.add_row("sum", total, "", f"{indices.total_order.sum():.3f}", "")
     print_table(table)
-    print_line(f"of {indices.base_points} base points; intervals: bootstrap over them")
+    has_intervals = indices.first_intervals[0].lower is not None
+    basis = "rough, by a bootstrap over them" if has_intervals else "none, of so few"
+    points = count_text(indices.base_points, "base point")
+    print_line(f"of {points}; 95 % intervals: {basis}")
     if len(indices.omitted):
-        count = len(indices.omitted)
+        left_out = count_text(len(indices.omitted), "base point")
         print_line(
-            f"left out: {count} base point{'' if count == 1 else 's'} with a member that failed, "
-            f"has no value or is missing: {members_text(indices.omitted)}"
+            f"left out: {left_out} with a member that failed, has no value or is missing: "
+            f"{members_text(indices.omitted)}; the indices are biased where parameters decide that"
         )
 
 
 def _ends(interval: ConfidenceInterval) -> str:
+    if interval.lower is None or interval.upper is None:
+        return ""
     return f"{interval.lower:.3f} to {interval.upper:.3f}"

@@ -2,26 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, TypeAlias
 
-import numpy as np
-
 from cosim.report.tables.console import new_table, print_json, print_line, print_table
-from cosim.studies.analysis.columns import MemberColumns, NumberColumn
+from cosim.studies.analysis.columns import MemberColumns, NumberColumn, count_text
 from cosim.studies.analysis.conditions import PassedShare, passed_share
-from cosim.studies.analysis.correlation import RankCorrelation, rank_correlations, strongest
+from cosim.studies.analysis.correlation import (
+    LEAST_MEMBERS,
+    RankCorrelation,
+    rank_correlations,
+    strongest,
+)
 from cosim.studies.analysis.extremes import best_members, worst_members
 from cosim.studies.analysis.failures import ReasonGroup, ends_by_reason, failures_by_reason
+from cosim.studies.analysis.independence import independence_of
 from cosim.studies.analysis.results import StudyResults
 from cosim.studies.analysis.statistics import MetricStatistics, study_statistics
 from cosim.studies.tables.numbers import (
-    interval_text,
     members_text,
     number_text,
+    percent_interval_text,
     percent_text,
     text_with_half_width,
 )
+from cosim.studies.tables.wall_time import median_time, wall_time_text
 
 CommandOf: TypeAlias = Callable[[int], str]
 
@@ -29,6 +34,7 @@ WORST: Final = 3  # members of each metric that are shown
 _DIGITS: Final = 4  # of a figure in a table of all metrics
 _MOST_REASONS: Final = 20  # that are shown; --json has all
 _MOST_TEXTS: Final = 5  # of a metric that is a text
+_MOST_ROUGH: Final = 5  # metrics that a line names
 _MOST_PARAMETERS: Final = 3  # of the correlations of a metric
 _WEAKEST: Final = 0.1  # rank correlation that is shown
 
@@ -67,9 +73,10 @@ def print_study(
     correlations = rank_correlations(results.columns, results.layout)
     print_line(_overview(results))
     if results.done:
-        print_line(f"wall time: {np.median(results.wall_times):.3g} s a member, the median")
+        print_line(wall_time_text(results))
     _print_statistics(results, statistics)
     _print_shares(shares)
+    _print_basis(statistics, shares)
     _print_correlations(results, correlations)
     print_failures(results, command_of)
     _print_groups("ended before their stop", ends_by_reason(results.columns))
@@ -96,6 +103,7 @@ def study_content(
         "design": results.layout.to_dict(),
         "members": members_content(results),
         "wall_time": float(results.wall_times.sum()),
+        "median_wall_time": median_time(results),
         "statistics": {name: one.to_dict() for name, one in statistics.items()},
         "passed": [share.to_dict() for share in shares],
         "correlations": [one.to_dict() for one in correlations],
@@ -140,6 +148,19 @@ def _overview(results: StudyResults) -> str:
     return f"{results.name}: {results.layout.text}; {', '.join(parts)}"
 
 
+def _print_basis(statistics: Mapping[str, MetricStatistics], shares: Sequence[PassedShare]) -> None:
+    """Print what the intervals rest on, and which are to be taken with care."""
+    figures = [one for one in statistics.values() if one.count]
+    bases = [one.basis for one in figures] + [share.basis for share in shares]
+    if bases:
+        print_line(f"±, 95 % intervals: {bases[0]}")
+    rough = [one.name for one in figures if one.is_rough]
+    if rough:
+        names = ", ".join(rough[:_MOST_ROUGH])
+        more = f", and {len(rough) - _MOST_ROUGH} more" if len(rough) > _MOST_ROUGH else ""
+        print_line(f"± may be too small, as of few members or skewed values: {names}{more}")
+
+
 def _print_statistics(results: StudyResults, statistics: dict[str, MetricStatistics]) -> None:
     figures = [one for one in statistics.values() if one.count]
     if figures:
@@ -155,7 +176,6 @@ def _print_statistics(results: StudyResults, statistics: dict[str, MetricStatist
                 *(number_text(quantile.value, _DIGITS) for quantile in one.quantiles),
             )
         print_table(table)
-        print_line(f"95 % intervals: {figures[0].basis}")
     for one in statistics.values():
         _print_texts(one)
         _print_without(results, one)
@@ -175,9 +195,8 @@ def _print_without(results: StudyResults, statistics: MetricStatistics) -> None:
     column = results.columns.metrics[statistics.name]
     for words, numbers in (("no value", column.without_value), ("infinite", column.infinite)):
         if len(numbers):
-            print_line(
-                f"{statistics.name}: {words} in {len(numbers)} members: {members_text(numbers)}"
-            )
+            counted = count_text(len(numbers))
+            print_line(f"{statistics.name}: {words} in {counted}: {members_text(numbers)}")
 
 
 def _print_shares(shares: Sequence[PassedShare]) -> None:
@@ -185,7 +204,7 @@ def _print_shares(shares: Sequence[PassedShare]) -> None:
         return
     table = new_table("passed", ("", "members", "share", "95 % interval", "not passed"))
     for share in shares:
-        value = "" if share.share is None else f"{100.0 * share.share:.4g} %"
+        value = "" if share.share is None else f"{100.0 * share.share:.3g} %"
         why = [members_text(share.not_passed)] if len(share.not_passed) else []
         if share.failed:
             why.append(f"{share.failed} of them failed")
@@ -195,22 +214,28 @@ def _print_shares(shares: Sequence[PassedShare]) -> None:
             share.condition,
             f"{share.passed} of {share.of}",
             value,
-            interval_text(share.interval),
+            percent_interval_text(share.interval),
             "; ".join(why),
         )
     print_table(table)
 
 
 def _print_correlations(results: StudyResults, correlations: Sequence[RankCorrelation]) -> None:
-    """Print the parameters that each metric goes with; nothing where a study varies one thing."""
+    """Print the parameters that each metric goes with, but where chance alone may do that."""
+    if correlations and all(one.count < LEAST_MEMBERS for one in correlations):
+        print_line(f"rank correlations: none, of fewer than {LEAST_MEMBERS} members")
+        return
     table = new_table("rank correlation", ("", "strongest parameters"))
     for name in results.columns.raw_metrics:
         found = strongest(correlations, name)
-        shown = [one for one in found if abs(one.value or 0.0) >= _WEAKEST][:_MOST_PARAMETERS]
+        strong = [one for one in found if abs(one.value or 0.0) >= _WEAKEST and one.is_distinct]
+        shown = strong[:_MOST_PARAMETERS]
         if shown:
             table.add_row(name, ", ".join(f"{one.parameter} {one.value:+.2f}" for one in shown))
     if table.row_count:
         print_table(table)
+        if independence_of(results.layout).is_drawn:
+            print_line("those that chance alone makes in 1 of 20 studies are left out")
 
 
 def _print_groups(title: str, groups: Sequence[ReasonGroup]) -> None:

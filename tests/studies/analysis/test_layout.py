@@ -25,6 +25,8 @@ SCENARIO = cosim.load("academic-noisy")
     ("options", "text", "units"),
     [
         ({"vary": RATE}, "grid of 3", None),
+        ({"vary": {}, "seeds": 5}, "5 seeds", 5),
+        ({"vary": THETA, "samples": 1}, "random: 1 sample", 1),
         ({"vary": RATE, "seeds": 5}, "grid of 3 x 5 seeds", 5),
         ({"vary": {**THETA, **RATE}, "samples": 8}, "random: 8 samples x grid of 3", 8),
         (
@@ -66,6 +68,18 @@ def test_members_of_one_unit_share_what_was_drawn():
     for unit in range(4):
         assert len(np.unique(seeds[units == unit])) == 1
     assert len(np.unique(seeds)) == 4
+
+
+def test_the_members_of_a_base_point_of_saltellis_design_have_one_noise():
+    """So they count together in what is said of the mean."""
+    design = planned(vary=THETA, samples=4, sampling="saltelli", seeds=2)
+    layout = StudyLayout.of(design)
+    units = independence_of(layout).units_of(np.arange(len(design)))
+    assert units.tolist() == [0, 0, 1, 1, 2, 2, 3, 3] * 3
+    (name, *_) = layout.noise_seeds
+    seeds = np.array(design.column(name))
+    for unit in range(4):
+        assert len(np.unique(seeds[units == unit])) == 2
 
 
 def test_sobol_indices_of_a_planned_design_are_those_of_the_closed_form():

@@ -5,6 +5,7 @@ import pytest
 from scipy import stats
 
 from cosim.errors import UsageError
+from cosim.studies.analysis.confidence import NO_INTERVAL
 from cosim.studies.analysis.independence import StudyLayout
 from cosim.studies.analysis.sensitivity import bootstrap, indices_of, sobol_indices
 from tests.studies.analysis.made import columns_of
@@ -158,6 +159,7 @@ def test_one_parameter_has_all_of_the_variance():
         ),
         (layout_of(2, 4, seeds=2), np.arange(32.0), r"found 2 members of each sample, needed 1"),
         (layout_of(2, 8), np.ones(32), r"'y': found one value in all members, needed a metric"),
+        (layout_of(2, 8), 0.3 + 2.0**-54 * np.arange(32.0), r"'y': found one value in all members"),
         (layout_of(2, 4), np.arange(16.0), r"'y': found 4 of 4 base points with a value in all"),
     ],
 )
@@ -165,6 +167,39 @@ def test_a_study_without_indices_says_why(layout, raw, message):
     """The design, its members, or the metric."""
     with pytest.raises(UsageError, match=message):
         sobol_indices(columns_of({"y": raw}), layout, "y")
+
+
+@pytest.mark.parametrize("count", [150, pytest.param(2000, marks=pytest.mark.campaign)])
+def test_few_base_points_have_indices_without_intervals(count):
+    """Of 16 Sobol points fewer than 90 % of the intervals would hold those of the g function."""
+    rng = np.random.default_rng(8)
+    hold = []
+    for _ in range(count):
+        values = saltelli(g_function, 5, 16, rng)
+        for resampled, true in zip(bootstrap(values, resamples=200), g_indices(), strict=True):
+            lower, upper = np.quantile(resampled, [0.025, 0.975], axis=0)
+            hold.append((lower <= true) & (true <= upper))
+    assert np.mean(hold) < 0.9
+    found = sobol_indices(columns_of({"y": values.ravel()}), layout_of(5, 16), "y")
+    assert {*found.first_intervals, *found.total_intervals} == {NO_INTERVAL}
+    assert np.isfinite(found.total_order).all()
+    content = found.to_dict()["parameters"]["p0"]
+    assert content["first_interval"] == [None, None]
+
+
+@pytest.mark.parametrize("points", [64, pytest.param(512, marks=pytest.mark.campaign)])
+def test_intervals_of_sobol_points_hold_roughly(points):
+    """Of each index of the Ishigami function 80 % at least, of 100 studies: not 95 %."""
+    rng = np.random.default_rng(9)
+    hold = []
+    for _ in range(100):
+        values = saltelli(ishigami, 3, points, rng)
+        both = zip(bootstrap(values, resamples=300), ishigami_indices(), strict=True)
+        quantiles = [
+            (np.quantile(resampled, [0.025, 0.975], axis=0), true) for resampled, true in both
+        ]
+        hold.append([(ends[0] <= true) & (true <= ends[1]) for ends, true in quantiles])
+    assert np.mean(hold, axis=0).min() >= 0.75
 
 
 def test_the_same_study_has_the_same_intervals():

@@ -56,7 +56,7 @@ def test_a_grid_has_no_interval_and_one_with_seeds_has_that_of_its_seeds():
     chosen = study_statistics(columns_of({"a": values[:6]}), StudyLayout("grid", grid=6))["a"]
     assert chosen.mean_interval.to_list() == [None, None]
     assert chosen.quantiles[1].interval.to_list() == [None, None]
-    assert chosen.basis == "none: members were chosen, not drawn"
+    assert chosen.basis == "none, as the members were chosen, not drawn"
     layout = StudyLayout("grid", seeds=40, grid=6)
     drawn = study_statistics(columns_of({"a": values}), layout)["a"]
     expected = stats.ttest_1samp(of_seed + of_point.mean(), 0.0).confidence_interval(0.95)
@@ -261,8 +261,52 @@ def test_statistics_of_huge_and_tiny_values_are_scaled(scale):
 
 def test_members_without_a_parameter_have_no_part_in_its_correlation():
     """They are counted as without."""
-    first = np.array([1.0, 2.0, np.nan, 4.0, 5.0])
-    columns = columns_of({"m": np.array([2.0, 1.0, 9.0, 4.0, 5.0])}, parameters={"p": first})
+    first = np.arange(12.0)
+    first[2] = np.nan
+    values = np.random.default_rng(0).permutation(12).astype(float)
+    columns = columns_of({"m": values}, parameters={"p": first})
     (found,) = rank_correlations(columns, RANDOM)
-    assert found.count == 4
-    assert found.value == pytest.approx(stats.spearmanr([1, 2, 4, 5], [2, 1, 4, 5]).statistic)
+    assert found.count == 11
+    known = ~np.isnan(first)
+    assert found.value == pytest.approx(stats.spearmanr(first[known], values[known]).statistic)
+
+
+@pytest.mark.parametrize("count", [1, 2, 9])
+def test_few_members_have_no_rank_correlation(count):
+    """Two are always in order: of nine, chance alone makes 0.68 in 1 of 20 studies."""
+    columns = columns_of({"m": np.arange(float(count))}, parameters={"p": np.arange(count)})
+    (found,) = rank_correlations(columns, RANDOM)
+    assert (found.value, found.count, found.is_distinct) == (None, count, False)
+    assert strongest([found], "m") == []
+
+
+def test_what_rounding_adds_has_no_rank_correlation():
+    """A metric that no parameter changes, summed in another order."""
+    noise = 1.0 + 2.0**-52 * np.arange(40.0)
+    columns = columns_of({"m": noise}, parameters={"p": np.arange(40)})
+    (found,) = rank_correlations(columns, RANDOM)
+    assert found.value is None
+
+
+@pytest.mark.parametrize(
+    ("layout", "rows"),
+    [
+        (StudyLayout("random", samples=2000), 2000),
+        (StudyLayout("latin-hypercube", samples=2000), 2000),
+        (StudyLayout("random", samples=2000 // 5, seeds=5), 2000),
+        (StudyLayout("grid", grid=100, seeds=20), 2000),
+    ],
+)
+def test_chance_alone_is_distinct_in_1_of_20_correlations(layout, rows):
+    """At most, of 200 parameters that change nothing; samples count once, however many seeds."""
+    rng = np.random.default_rng(8)
+    units = layout.samples if layout.kind != "grid" else layout.grid * layout.seeds
+    repeats = rows // units
+    values = np.repeat(rng.normal(size=units), repeats)
+    parameters = {f"p{k}": np.repeat(rng.normal(size=units), repeats) for k in range(200)}
+    found = rank_correlations(columns_of({"m": values}, parameters=parameters), layout)
+    share = np.mean([one.is_distinct for one in found])
+    # binomial: 200 trials of 5 % are within 3.3 deviations in 999 of 1000
+    assert share <= 0.05 + 3.3 * np.sqrt(0.05 * 0.95 / 200)
+    strong = columns_of({"m": values}, parameters={"p": values + 0.1})
+    assert rank_correlations(strong, layout)[0].is_distinct

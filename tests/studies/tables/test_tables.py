@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import pyarrow
 import pytest
 from scipy import stats
 
@@ -32,7 +33,10 @@ def test_a_study_says_what_is_done_and_what_is_not(capsys):
         "tolerances: random: 210 samples; 200 of 210 members done, 10 missing (200, 201, 202, 203, "
         "204, and 5 more), 3 failed"
     )
-    assert second == "wall time: 0.25 s a member, the median"
+    assert second == (
+        "wall time: 0.25 s a member, the median of those completed; at most 0.25 s a member that "
+        "failed"
+    )
 
 
 def test_a_study_prints_statistics_failures_and_the_worst_members(capsys):
@@ -48,12 +52,14 @@ def test_a_study_prints_statistics_failures_and_the_worst_members(capsys):
     low, middle, high = np.quantile(kept, [0.05, 0.5, 0.95])
     figures = (kept.std(ddof=1), low, middle, high)
     assert row[3:] == [f"{value:.4g}" for value in figures]
-    assert ["95 % intervals: samples drawn independently"] in lines
+    assert ["±, 95 % intervals: samples drawn independently"] in lines
     assert ["settling: no value in 4 members: 5, 55, 105, 155"] in lines
     passed = int((kept < 0.1).sum())
     assert [f"verdict: {passed} identifiable; {197 - passed} weak"] in lines
     (share,) = [line for line in lines if line[0] == "rms < 0.1"]
-    assert share[1:3] == [f"{passed} of 200", f"{passed / 2.0:.4g} %"]
+    wilson = stats.binomtest(passed, 200).proportion_ci(method="wilson")
+    ends = f"{100.0 * wilson.low:.3g} % to {100.0 * wilson.high:.3g} %"
+    assert share[1:4] == [f"{passed} of 200", f"{passed / 2.0:.3g} %", ends]
     assert share[4].endswith("; 3 of them failed")
     reason = "RunawayError: the values of loop 1 grow without end at t = 0.25 s"
     assert ["2", "3, 17", reason] in lines
@@ -63,6 +69,7 @@ def test_a_study_prints_statistics_failures_and_the_worst_members(capsys):
     largest = ", ".join(f"{k}: {rms[k]:.6g}" for k in worst)
     assert ["rms", f"{np.nanargmin(rms)}: {kept.min():.6g}", largest] in lines
     assert ["settling", "plant.mass +0.86"] in lines
+    assert ["those that chance alone makes in 1 of 20 studies are left out"] in lines
 
 
 def test_json_has_all_of_it(capsys):
@@ -90,6 +97,52 @@ def test_a_condition_that_is_none_prints_nothing(capsys):
     assert capsys.readouterr().out == ""
 
 
+def test_two_members_are_said_to_be_too_few(capsys):
+    """Their rank correlation is always 1, and their interval rests on a normal distribution."""
+    study = MadeStudy({"p": np.array([1.0, 2.0]), "y": np.array([3.0, 4.0])}, ("p",), ("y",))
+    results = results_of_study(study, StudyLayout("random", samples=2))
+    print_study(results, command_of)
+    lines = printed(capsys)
+    assert ["rank correlations: none, of fewer than 10 members"] in lines
+    assert ["± may be too small, as of few members or skewed values: y"] in lines
+    print_metrics(results, ["y"])
+    lines = printed(capsys)
+    assert ["rank correlations: none, of fewer than 10 members"] in lines
+    assert [
+        "the interval of the mean may be too short, as of few members or skewed values"
+    ] in lines
+
+
+def test_what_chance_makes_is_not_called_a_strong_parameter(capsys):
+    """Of 40 members +0.2 says nothing, and the one that changes the metric is shown alone."""
+    rng = np.random.default_rng(4)
+    cause, other = rng.normal(size=(2, 40))
+    columns = {"cause": cause, "other": other, "y": cause + 0.3 * rng.normal(size=40)}
+    value = stats.spearmanr(columns["other"], columns["y"]).statistic
+    assert 0.1 < abs(value) < 0.25
+    study = MadeStudy(columns, ("cause", "other"), ("y",))
+    print_study(results_of_study(study, StudyLayout("random", samples=40)), command_of)
+    (row,) = [line for line in printed(capsys) if line[0] == "y" and "cause" in line[1]]
+    assert "other" not in row[1]
+
+
+def test_members_that_hung_do_not_change_how_long_one_takes(capsys):
+    """Six of ten were ended after a minute."""
+    failed = np.arange(10) < 6
+    columns = {
+        "y": pyarrow.array(np.arange(10.0), mask=failed),
+        "status": list(np.where(failed, "failed", "complete")),
+        "reason": ["hung: ended after 60 s"] * 6 + [""] * 4,
+        "wall_time": np.where(failed, 60.0, 0.5),
+    }
+    results = results_of_study(MadeStudy(columns, (), ("y",)), StudyLayout("random", samples=10))
+    print_study(results, command_of)
+    expected = "wall time: 0.5 s a member, the median of those completed; at most 60 s a member"
+    assert printed(capsys)[1] == [f"{expected} that failed"]
+    print_study(results, command_of, as_json=True)
+    assert json.loads(capsys.readouterr().out)["median_wall_time"] == 0.5
+
+
 def test_a_study_in_which_every_member_failed_says_so(capsys):
     """Without figures."""
     columns = {"rms": np.full(4, np.nan), "status": ["failed"] * 4, "reason": ["crashed"] * 4}
@@ -98,6 +151,7 @@ def test_a_study_in_which_every_member_failed_says_so(capsys):
     lines = printed(capsys)
     assert lines[0][0].startswith("tolerances: grid of 4; 4 of 4 members done, 4 failed")
     assert ["4", "0, 1, 2, 3", "crashed"] in lines
+    assert ["wall time: 0.25 s a member that failed, the median"] in lines
 
 
 def test_a_study_that_has_not_begun_has_no_figures(capsys):
@@ -185,9 +239,9 @@ def test_sobol_indices_are_printed(capsys):
     assert [line[0] for line in lines[2:5]] == ["p", "q", "sum"]
     assert abs(float(lines[2][1]) - 9.0 / 13.0) < 0.02
     assert abs(float(lines[3][3]) - 4.0 / 13.0) < 0.02
-    assert ["of 255 base points; intervals: bootstrap over them"] in lines
+    assert ["of 255 base points; 95 % intervals: rough, by a bootstrap over them"] in lines
     assert lines[-1][0].startswith("left out: 1 base point with a member that failed")
-    assert lines[-1][0].endswith(": 4")
+    assert lines[-1][0].endswith(": 4; the indices are biased where parameters decide that")
     assert "Sobol indices of 'z': found one value in all members" in captured.err
     print_sobol(results, as_json=True)
     assert list(json.loads(capsys.readouterr().out)) == ["y"]
@@ -202,9 +256,13 @@ def test_sobol_indices_are_printed(capsys):
     [
         (0.12345678, 0.0012, "0.1235 ± 0.0012"),
         (1234.5678, 0.01, "1234.568 ± 0.010"),
-        (5.0, 300.0, "5 ± 3e+02"),
+        (5.0, 300.0, "5 ± 300"),
+        (123456.7, 4321.0, "123457 ± 4321"),
+        (5.0, 3e6, "(0.0 ± 3.0)e+06"),
+        (2.35156e10, 1.6e9, "(2.35 ± 0.16)e+10"),
+        (-1.5e-12, 3e-12, "(-1.5 ± 3.0)e-12"),
         (0.0, 0.25, "0.00 ± 0.25"),
-        (1.5e-12, 3e-13, "1.5e-12 ± 3e-13"),
+        (1.5e-12, 3e-13, "(1.50 ± 0.30)e-12"),
         (3.25, 0.0, "3.25"),
     ],
 )
@@ -226,6 +284,15 @@ def test_an_interval_names_the_end_that_it_does_not_have():
     )
     assert members_text(np.arange(5)) == "0, 1, 2, 3, 4"
     assert members_text(np.arange(6)) == "0, 1, 2, 3, 4, and 1 more"
+
+
+def test_groups_of_few_members_are_said_to_have_rough_means(capsys):
+    """Five seeds at each of two rates."""
+    numbers = np.arange(10)
+    columns = {"rate": np.array([10.0, 100.0])[numbers % 2], "y": np.sqrt(numbers)}
+    study = MadeStudy(columns, ("rate",), ("y",))
+    print_groups(results_of_study(study, StudyLayout("grid", seeds=5, grid=2)), "rate")
+    assert printed(capsys)[-1] == ["± may be too small in groups of few members or skewed values"]
 
 
 def seeded_grid():
@@ -251,7 +318,8 @@ def test_each_value_of_a_key_has_statistics(capsys):
     first = values[values < 50.0]
     half_width = stats.t.ppf(0.975, 19) * first.std(ddof=1) / np.sqrt(20)
     assert lines[2][3] == f"{first.mean():.2f} ± {half_width:.2f}"
-    assert lines[5] == ["95 % intervals: 20 seeds drawn independently"]
+    assert lines[5] == ["±, 95 % intervals: 20 seeds drawn independently"]
+    assert len(lines) == 6
     print_groups(results, "plant", ["y"], as_json=True)
     content = json.loads(capsys.readouterr().out)
     assert [group["value"] for group in content["groups"]] == ["b.fmu", "a.fmu"]
