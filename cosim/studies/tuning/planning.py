@@ -9,11 +9,12 @@ from typing import Any, Final
 
 from cosim.errors import UsageError, listing, option, quoted
 from cosim.log.foreign.topics import is_foreign
+from cosim.scenario.parsing import Scenario
 from cosim.studies.analysis.independence import StudyLayout
 from cosim.studies.contracts import StudyMember
 from cosim.studies.dataset.columns import metric_column, parameter_column
 from cosim.studies.dataset.identity import StudyIdentity, digest_of
-from cosim.studies.design.columns import DesignColumn, MemberLayout, SampleColumn, packed
+from cosim.studies.design.columns import DesignColumn, MemberLayout, SampleColumn
 from cosim.studies.design.commands import run_command
 from cosim.studies.design.own_values import own_value
 from cosim.studies.design.planning import edited_scenario
@@ -133,7 +134,9 @@ def plan_tuning(task: TuningTask) -> TuningPlan:
         swaps = [f"{SWAP}{key} = {quoted(path)}: " for key, path in member.swap.items()]
         return f"{''.join(swaps)}{_of_objective(reason, name)}"
 
-    planned = plan_members(study, load_scenario(study.scenario), design, refused=refused)
+    scenario = load_scenario(study.scenario)
+    _check_bounds(search.space, study, scenario)
+    planned = plan_members(study, scenario, design, refused=refused)
     return TuningPlan(task, planned, search, recording)
 
 
@@ -174,28 +177,47 @@ def _own_values(space: SearchSpace, study: StudyFile, recording: str | None) -> 
     return {key: value for key, value in values.items() if value is not None}
 
 
+def _check_bounds(space: SearchSpace, study: StudyFile, scenario: Scenario) -> None:
+    """Check that the tables of a scenario take the bounds.
+
+    They need not run there: a trial that fails is none of the best.
+
+    Raises
+    ------
+    UsageError
+        If they do not.
+    """
+    for key in space.bounded:
+        for value in (key.lower, key.upper):
+            try:
+                edited_scenario(study, scenario, {}, {key.key: value})
+            except UsageError as error:
+                raise UsageError(f"{key.key} = {quoted(value)}: {error}") from error
+
+
 def _checked_points(study: StudyFile, search: TuningSearch, recording: str | None) -> StudyDesign:
-    """Return a design that has the first point, and the bounds or values of every key."""
-    bounded = search.space.bounded
-    lists = [_first_of(key, search) for key in search.space.keys]
+    """Return a design that has the first point, and the values of every list."""
+    is_replay = recording is not None
+    lists = [_built(key, search, is_replay=is_replay) for key in search.space.keys]
     count = max(map(len, lists))
     columns: dict[str, DesignColumn] = {}
     if recording is not None:
         columns[RECORDING] = SampleColumn([recording] * count)
     for key, values in zip(search.space.keys, lists, strict=True):
         repeated = [values[number % len(values)] for number in range(count)]
-        # all values of a list are checked, of an array only the extremes
-        columns[key.key] = SampleColumn(packed(repeated) if key in bounded else repeated)
+        columns[key.key] = SampleColumn(repeated)
     layout = MemberLayout(samples=count, seeds=1, grid=1, noises=0)
     return StudyDesign(study, "cases", layout, columns)
 
 
-def _first_of(key: BoundedKey | ChoiceKey, search: TuningSearch) -> list[Any]:
-    """Return the values of a key that are checked; the first one is tried first, if any is."""
+def _built(key: BoundedKey | ChoiceKey, search: TuningSearch, *, is_replay: bool) -> list[Any]:
+    """Return the values of a key that are built."""
     if isinstance(key, ChoiceKey):
         return list(key.choices)
-    first = search.inside().get(key.key, key.value(0.5))
-    return [first, key.lower, key.upper]
+    middle = key.value(0.5)
+    first = search.inside().get(key.key, middle)
+    # a replay refuses what is recorded only where it changes
+    return [first, middle] if is_replay else [first]
 
 
 def _typical(key: BoundedKey | ChoiceKey) -> list[Any]:
