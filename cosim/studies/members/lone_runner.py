@@ -15,7 +15,7 @@ from typing import Self, final
 from cosim.errors import Interrupted
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.preparing import build_experiment
-from cosim.scenario.recordings.recording import run_into
+from cosim.scenario.recordings.recording import run_rows
 from cosim.studies.contracts import (
     COMPLETE,
     FAILED,
@@ -92,5 +92,5 @@ class LoneRunner:
     ) -> Mapping[str, MetricValue]:
         if self._subject.with_results:
             return {**run_with_results(experiment, measured), **measured.sink.values()}
-        run_into(measured, experiment, progress=None, profile=None)
+        run_rows(measured, experiment)  # messages and verdicts are of a log
         return measured.sink.values()

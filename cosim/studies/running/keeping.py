@@ -31,6 +31,7 @@ from cosim.studies.running.keeping_on_cluster import log_on_cluster
 from cosim.studies.running.kept_members import chosen_members
 from cosim.studies.running.local import MembersDone
 from cosim.studies.running.plan import RECORD, StudyPlan
+from cosim.studies.running.time_limits import limits_with_log
 from cosim.studies.workers.pool import WorkerPool
 from cosim.temporary import TemporaryFolder
 
@@ -78,22 +79,17 @@ def keep_logs(
     with closing(dataset.log_files()) as logs:
         logs.clear_unfinished()
         chosen = chosen_members(plan.study.kept_logs, dataset).tolist()
-        keeper = LogKeeper(plan, dataset, logs, notice)
+        keeper = LogKeeper(plan, dataset, logs, notice=notice, progress=progress)
         missing = keeper.missing(chosen)
         if missing:
-            before = len(chosen) - len(missing)
-
-            def note(done: int, total: int, failed: int) -> None:
-                if progress is not None:
-                    progress(before + done, before + total, keeper.problems)
-
-            if client is not None and _can_log_on(client, dataset, notice):
-                take = keeper.take
+            is_here = client is None or not _can_log_on(client, dataset, notice)
+            for numbers, limit in limits_with_log(dataset, missing, plan.study.settings.timeout):
+                if client is None or is_here:
+                    _log_here(plan, dataset, keeper, numbers, limit=limit, workers=workers)
+                    continue
                 log_on_cluster(
-                    client, plan, dataset, missing, take=take, notice=notice, progress=note
+                    client, plan, dataset, numbers, limit=limit, take=keeper.take, notice=notice
                 )
-            else:
-                _log_here(plan, dataset, keeper, missing, workers=workers, progress=note)
             logs.clear_unfinished()
         _remove_others(logs, set(chosen), notice)
         _name_missing(logs, chosen, notice)
@@ -108,14 +104,13 @@ class LogKeeper:
     plan : StudyPlan
     dataset : StudyDataset
     logs : LogFiles
-    notice : callable
+    notice, progress : callable
+        As of :func:`keep_logs`.
 
     Attributes
     ----------
     folder : Path or None
         Of this machine, in which logs are begun; None: they are elsewhere.
-    problems : int
-        How many logs could not be made.
     """
 
     def __init__(
@@ -123,7 +118,9 @@ class LogKeeper:
         plan: StudyPlan,
         dataset: StudyDataset,
         logs: LogFiles,
+        *,
         notice: Callable[[str], None],
+        progress: MembersDone | None,
     ) -> None:
         self._dataset = dataset
         self._logs = logs
@@ -131,12 +128,18 @@ class LogKeeper:
         self._metrics = [column.name for column in dataset.columns if column.role == "metric"]
         self._recording = _recording_of(plan)
         self.folder = logs.folder()
-        self.problems = 0
+        self._progress = progress
+        self._total = 0
+        self._done = 0
+        self._problems = 0
 
-    def missing(self, chosen: Iterable[int]) -> list[int]:
-        """Return those of the chosen members whose logs are to be made."""
+    def missing(self, chosen: Collection[int]) -> list[int]:
+        """Return those of the chosen members whose logs are to be made, and count from there."""
         present = self._logs.present()
-        return [number for number in chosen if not self._is_settled(number, present)]
+        missing = [number for number in chosen if not self._is_settled(number, present)]
+        self._total = len(chosen)
+        self._done = len(chosen) - len(missing)
+        return missing
 
     def _is_settled(self, number: int, present: Collection[int]) -> bool:
         record = self._logs.records.get(number)
@@ -148,7 +151,9 @@ class LogKeeper:
             return False
         return record.recording == self._recording or not record.is_same
 
-    def take(self, outcome: MemberOutcome, recorded: dict[str, Any]) -> None:
+    def take(
+        self, outcome: MemberOutcome, recorded: dict[str, Any], folder: Path | None = None
+    ) -> None:
         """Take the outcome of a run with a log, and give the log that it left its name.
 
         Parameters
@@ -156,10 +161,12 @@ class LogKeeper:
         outcome : MemberOutcome
         recorded : dict
             The row of the member.
+        folder : Path, optional
+            Of this machine, in which the log was begun; left out: that of the dataset.
         """
         number = outcome.number
-        is_whole, problem = self._take_log(outcome)
-        self.problems += bool(problem)
+        is_whole, problem = self._take_log(outcome, folder or self.folder)
+        self._problems += bool(problem)
         now = self._dataset.row_of(StudyMember(number), outcome)
         text = difference(now, recorded, self._metrics)
         if text:
@@ -167,15 +174,18 @@ class LogKeeper:
         if outcome.status == recorded["status"]:  # else the same command tries it again
             is_same = is_whole and not text and bool(self._metrics)
             self._logs.note(LogRecord(number, self._recording, is_same, problem))
+        self._done += 1
+        if self._progress is not None:
+            self._progress(self._done, self._total, self._problems)
 
-    def _take_log(self, outcome: MemberOutcome) -> tuple[bool, str]:
+    def _take_log(self, outcome: MemberOutcome, folder: Path | None) -> tuple[bool, str]:
         """Return whether a log has the end of its run, and why there is none."""
         if LOG in outcome.metrics:  # the worker has put what there was
             is_there = bool(outcome.metrics[LOG])
             return is_there, "" if is_there else _without_row(outcome)
-        if self.folder is None:
+        if folder is None:
             return False, f"{outcome.reason}, and what it left of a log is lost with its process"
-        log, problem = _log_of(outcome, self.folder)
+        log, problem = _log_of(outcome, folder)
         if log is None:
             return False, problem
         is_whole = is_ended(log)
@@ -200,22 +210,20 @@ def _log_here(
     keeper: LogKeeper,
     numbers: Sequence[int],
     *,
+    limit: float,
     workers: int,
-    progress: MembersDone,
 ) -> None:
     """Run members with logs on this machine."""
     rows: dict[int, dict[str, Any]] = {}
     with ExitStack() as resources:
-        if keeper.folder is None:
-            keeper.folder = resources.enter_context(TemporaryFolder("logs"))
-        subject = replace(plan.subject, logs=str(keeper.folder))
-        timeout = plan.study.settings.timeout
+        folder = keeper.folder
+        if folder is None:
+            folder = resources.enter_context(TemporaryFolder("logs"))
+        subject = replace(plan.subject, logs=str(folder))
         count = min(workers, len(numbers))
-        pool = resources.enter_context(WorkerPool(LOGGING_RUNNER, subject, count, timeout=timeout))
-        again = _again(plan, dataset, numbers, rows)
-        for done, outcome in enumerate(pool.run(again), 1):
-            keeper.take(outcome, rows.pop(outcome.number))
-            progress(done, len(numbers), 0)
+        pool = resources.enter_context(WorkerPool(LOGGING_RUNNER, subject, count, timeout=limit))
+        for outcome in pool.run(_again(plan, dataset, numbers, rows)):
+            keeper.take(outcome, rows.pop(outcome.number), folder)
 
 
 def _again(

@@ -10,7 +10,6 @@ from cosim.studies.cluster.cluster_run import open_cluster_run
 from cosim.studies.cluster.storing import STORING_OPENER, kept_place
 from cosim.studies.contracts import MemberOutcome, StudyMember
 from cosim.studies.dataset.study_dataset import StudyDataset
-from cosim.studies.running.local import MembersDone
 from cosim.studies.running.plan import StudyPlan
 
 if TYPE_CHECKING:
@@ -25,9 +24,9 @@ def log_on_cluster(
     dataset: StudyDataset,
     numbers: Sequence[int],
     *,
+    limit: float,
     take: OutcomeWithRow,
     notice: Callable[[str], None],
-    progress: MembersDone,
 ) -> None:
     """Run members with logs on a cluster.
 
@@ -38,11 +37,12 @@ def log_on_cluster(
     dataset : StudyDataset
         Some worker reaches it.
     numbers : sequence of int
+    limit : float
+        Wall time after which a member hangs [s].
     take : callable
         Called with each outcome, and the row of its member.
     notice : callable
         Called for each worker that is not used.
-    progress : callable
 
     Raises
     ------
@@ -51,8 +51,7 @@ def log_on_cluster(
     """
     chosen = ChosenMembers(plan, dataset, numbers)
     place = dataset.label
-    logs = kept_place(place, dataset.sha256)
-    subject = replace(plan.subject, logs=logs)
+    subject = replace(plan.subject, logs=kept_place(place, dataset.sha256))
     with open_cluster_run(
         client,
         subject,
@@ -60,11 +59,11 @@ def log_on_cluster(
         LoggedMembers(dataset, len(numbers), take),
         place,
         files=plan.files,
-        timeout=plan.study.settings.timeout,
+        timeout=limit,
         notice=notice,
         opener=STORING_OPENER,
     ) as run:
-        run.complete(chosen, progress)
+        run.complete(chosen, _ignore)
 
 
 @final
@@ -140,3 +139,7 @@ class LoggedMembers:
 
     def note_part(self, first: int) -> None:
         """Do nothing: there are no parts."""
+
+
+def _ignore(*_: int) -> None:
+    """Do nothing: who takes the outcomes counts them."""

@@ -11,7 +11,7 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.errors import DatasetError, UsageError, command, option
-from cosim.studies.contracts import StudyMember
+from cosim.studies.contracts import MemberOutcome, StudyMember
 from cosim.studies.dataset.identity import differences
 from cosim.studies.dataset.study import Study
 from cosim.studies.dataset.study_dataset import StudyDataset
@@ -28,6 +28,7 @@ from cosim.studies.running.comparing import same_reason, same_value
 from cosim.studies.running.local import MembersDone
 from cosim.studies.running.plan import plan_study
 from cosim.studies.running.recorded_study import RecordedStudy, own_environment
+from cosim.studies.running.time_limits import limit_again
 from cosim.studies.workers.pool import WorkerPool
 
 LONE_RUNNER: Final = "cosim.studies.members.lone_runner:open_lone_runner"
@@ -129,7 +130,9 @@ def verify_study(
     again = {member.number: member for member in study.members(numbers)}
     names = [column.name for column in dataset.columns if column.role == "metric"]
     found: list[VerifiedDifference] = []
-    for count, outcome in enumerate(_outcomes(recorded, list(again.values()), workers), 1):
+    limit = limit_again(dataset, recorded.study.settings.timeout)
+    outcomes = _outcomes(recorded, list(again.values()), workers, limit)
+    for count, outcome in enumerate(outcomes, 1):
         now = dataset.row_of(again[outcome.number], outcome)
         found += _differences(rows[outcome.number], now, [*names, *_COMPARED])
         if progress is not None:
@@ -201,14 +204,13 @@ def _check_unchanged(dataset: StudyDataset, recorded: RecordedStudy) -> None:
         )
 
 
-def _outcomes(recorded: RecordedStudy, members: Sequence[StudyMember], workers: int) -> Any:
+def _outcomes(
+    recorded: RecordedStudy, members: Sequence[StudyMember], workers: int, limit: float
+) -> Iterator[MemberOutcome]:
     """Yield the outcomes of members, each of a process of its own."""
-    study = recorded.study
-    timeout = study.settings.timeout
+    subject = recorded.study.subject
     count = min(workers, len(members))
-    with WorkerPool(
-        LONE_RUNNER, study.subject, count, timeout=timeout, members_per_worker=1
-    ) as pool:
+    with WorkerPool(LONE_RUNNER, subject, count, timeout=limit, members_per_worker=1) as pool:
         yield from pool.run(members)
 
 
