@@ -28,12 +28,14 @@ from typing import TYPE_CHECKING, Any, Final, final
 from cosim.errors import CosimError, RunError, listing
 from cosim.interrupts import uninterrupted
 from cosim.studies.cluster.connection import check_scheduler, connect, distributed, lost
+from cosim.studies.cluster.file_copies import named_files
 from cosim.studies.cluster.opening import OPENER
 from cosim.studies.cluster.planned_members import OutcomesByNumber, PlannedMembers
 from cosim.studies.cluster.tasks import MemberTask, RemainingTasks
 from cosim.studies.contracts import MemberOutcome, StudyMember, StudySubject
 from cosim.studies.dataset.storage import open_storage
 from cosim.studies.dataset.study_dataset import StudyDataset
+from cosim.studies.document.scenario_of_study import is_log, load_scenario
 from cosim.studies.workers.messages import encode_member
 
 if TYPE_CHECKING:
@@ -153,6 +155,7 @@ def open_cluster_run(
         "name": name,
         "subject": _plain({**subject.to_dict(), "scenario": _scenario(subject, files)}),
         "files": dict(files),
+        "named": _named(subject, files),
         "first": first_member(first),
         "timeout": timeout,
         "place": place,
@@ -364,6 +367,13 @@ def _scenario(subject: StudySubject, files: Mapping[str, str]) -> str:
     """Return the scenario under the name that it has among the files, which may have no links."""
     real = os.path.realpath(subject.scenario)
     return real if real in files else subject.scenario
+
+
+def _named(subject: StudySubject, files: Mapping[str, str]) -> dict[str, str]:
+    """Return the files that the text of a scenario names by absolute paths."""
+    if _scenario(subject, files) not in files or is_log(subject.scenario):
+        return {}
+    return named_files(load_scenario(subject.scenario).tree, files)
 
 
 def _plain(value: Any) -> Any:

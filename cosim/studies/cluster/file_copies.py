@@ -1,7 +1,8 @@
 """The files of a study on a worker: those that the planner has, or copies of them.
 
 Copies stand in one folder under the paths that the files have where the study is planned, so that
-what one says of another by a relative path still holds. A worker keeps the content of every file
+what one says of another by a relative path still holds; absolute paths in the copy of the scenario
+are those of the copies. A worker keeps the content of every file
 that it was sent by its hash: it is sent once, however many studies have it.
 """
 
@@ -9,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import secrets
 import shutil
 from collections.abc import Mapping
@@ -71,6 +73,50 @@ def place_copies(folder: Path, study: str, files: Mapping[str, str]) -> Path:
     return root
 
 
+def named_files(value: Any, files: Mapping[str, str]) -> dict[str, str]:
+    """Return the absolute paths that tables name, with those under which the files are known.
+
+    Parameters
+    ----------
+    value
+        Tables, lists, and what is in them.
+    files : mapping of absolute path to SHA-256
+    """
+    match value:
+        case str():
+            path = value.partition("#")[0]
+            known = path if path in files else os.path.realpath(path)
+            return {path: known} if os.path.isabs(path) and known in files else {}
+        case Mapping():
+            return named_files(list(value.values()), files)
+        case list() | tuple():
+            found: dict[str, str] = {}
+            for entry in value:
+                found |= named_files(entry, files)
+            return found
+        case _:
+            return {}
+
+
+def name_copies(scenario: Path, named: Mapping[str, str], root: str) -> None:
+    """Replace the paths that a scenario names by those of the copies.
+
+    Parameters
+    ----------
+    scenario : Path
+        A copy.
+    named : mapping of path to path
+        As of :func:`named_files`.
+    root : str
+        Folder of the copies.
+    """
+    text = scenario.read_text(encoding="utf-8")
+    for path, known in named.items():
+        quoted = re.compile(f"(?<=[\"']){re.escape(path)}(?=[\"'#])")
+        text = quoted.sub(moved(known, root).replace("\\", r"\\"), text)
+    scenario.write_text(text, encoding="utf-8")
+
+
 def remove_copies(folder: Path, study: str) -> None:
     """Remove the folder of a study."""
     shutil.rmtree(folder / FOLDER / study, ignore_errors=True)
@@ -91,7 +137,10 @@ def with_copies(value: Any, files: Mapping[str, str], root: str) -> Any:
             path, mark, rest = value.partition("#")
             return moved(path, root) + mark + rest if path in files else value
         case Mapping():
-            return {key: with_copies(entry, files, root) for key, entry in value.items()}
+            return {
+                with_copies(key, files, root): with_copies(entry, files, root)
+                for key, entry in value.items()
+            }
         case list() | tuple():
             return [with_copies(entry, files, root) for entry in value]
         case _:

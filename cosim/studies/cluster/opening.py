@@ -1,7 +1,7 @@
 """What a guarded child of a cluster's worker opens: the study's runner, which can be tried first.
 
 A member of a negative number is built, not run. So it is known before the first task whether this
-machine imports the classes of users, reads the tables and loads the FMUs.
+machine imports the classes of users, reads tables and logs, and loads the FMUs.
 """
 
 from __future__ import annotations
@@ -12,8 +12,6 @@ from typing import Final, Self, final
 
 from cosim.core.recorders import error_text
 from cosim.errors import Interrupted
-from cosim.scenario.preparing import build_experiment
-from cosim.scenario.running.execution import load
 from cosim.studies.contracts import (
     COMPLETE,
     FAILED,
@@ -22,6 +20,7 @@ from cosim.studies.contracts import (
     StudyMember,
     StudySubject,
 )
+from cosim.studies.members.member_builder import MemberBuilder
 from cosim.studies.members.runner import open_runner
 
 OPENER: Final = "cosim.studies.cluster.opening:open_trying_runner"
@@ -67,14 +66,12 @@ class TryingRunner:
         return MemberOutcome(TRIAL, COMPLETE)
 
     def _build(self, member: StudyMember) -> None:
-        if member.recording is not None:
-            return
-        subject = self._subject
-        swaps = {**subject.swap, **member.swap}
-        changes = {**subject.set, **member.set}
-        scenario = load(subject.scenario).edit(swap=swaps, map=subject.map, set=changes)
-        with ExitStack() as resources:
-            build_experiment(scenario, resources, None)
+        builder = MemberBuilder(self._subject)
+        try:
+            with ExitStack() as resources:
+                builder.experiment(member, resources)
+        finally:
+            builder.close()
 
 
 def open_trying_runner(subject: StudySubject) -> TryingRunner:

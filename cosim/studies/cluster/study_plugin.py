@@ -12,7 +12,14 @@ from typing import Any, final
 from distributed import Worker, WorkerPlugin
 
 from cosim.errors import CosimError, RunError
-from cosim.studies.cluster.file_copies import has_all, place_copies, remove_copies, with_copies
+from cosim.studies.cluster.file_copies import (
+    has_all,
+    moved,
+    name_copies,
+    place_copies,
+    remove_copies,
+    with_copies,
+)
 from cosim.studies.cluster.member_executor import MemberExecutor
 from cosim.studies.contracts import MemberOutcome, StudyMember, StudySubject
 from cosim.studies.dataset.storage import open_storage
@@ -26,7 +33,8 @@ class StudyPlugin(WorkerPlugin):  # type: ignore[misc]
     Parameters
     ----------
     settings : mapping
-        Plain values: ``name``, ``subject``, ``files``, ``first`` (values of the member that is
+        Plain values: ``name``, ``subject``, ``files``, ``named`` (as of
+        :func:`named_files`, of the scenario), ``first`` (values of the member that is
         tried), ``timeout``, ``place``, ``sha256``, ``probe`` (name and content of a file
         in the dataset) and ``opener``.
     """
@@ -50,8 +58,11 @@ class StudyPlugin(WorkerPlugin):  # type: ignore[misc]
     def _prepare(self) -> None:
         files = self._settings["files"]
         if not has_all(files):
-            root = place_copies(self._folder, self._settings["name"], files)
-            self._root = str(root)
+            root = str(place_copies(self._folder, self._settings["name"], files))
+            if self._settings["named"]:
+                scenario = Path(moved(self._settings["subject"]["scenario"], root))
+                name_copies(scenario, self._settings["named"], root)
+            self._root = root
         self.writes = _reaches(self._settings["place"], self._settings["probe"])
 
     async def teardown(self, worker: Worker) -> None:

@@ -8,6 +8,8 @@ from cosim.studies.cluster.file_copies import (
     has_all,
     missing_content,
     moved,
+    name_copies,
+    named_files,
     place_copies,
     remove_copies,
     store_content,
@@ -78,6 +80,22 @@ def test_paths_in_values_become_those_of_the_copies():
         "q": ["/w/r/x/t.csv", "/x/other.csv", "see /x/t.csv", 1.5],
         "n": None,
     }
+
+
+def test_a_scenario_names_the_copies_of_what_it_names(tmp_path):
+    """Whole absolute paths of known files, also under a link; what follows them stays."""
+    path, digest = write(tmp_path / "a.fmu", b"a")
+    link = tmp_path / "link.fmu"
+    link.symlink_to(path)
+    files = {path: digest}
+    tree = {"x": [{"path": f"{path}#cs"}, {"path": str(link)}], "y": f"{path}.csv", "z": "a.fmu"}
+    named = named_files(tree, files)
+    assert named == {path: path, str(link): path}
+    scenario = tmp_path / "s.toml"
+    scenario.write_text(f"""p = "{path}#cs"\nq = '{link}'\nr = "{path}.csv" # {path}\n""")
+    name_copies(scenario, named, "/w")
+    copy = moved(path, "/w")
+    assert scenario.read_text() == f"""p = "{copy}#cs"\nq = '{copy}'\nr = "{path}.csv" # {path}\n"""
 
 
 def test_an_fmu_needs_a_binary_for_the_platform_of_the_worker():

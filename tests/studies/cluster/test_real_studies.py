@@ -32,6 +32,7 @@ WITH_FMU = """
 scenario = { name = "x", stop = 0.1, step = 0.01 }
 [components]
 plant = { kind = "fmu", path = "../fmus/GOOD.fmu" }
+other = { kind = "fmu", path = "/proc/self/cwd/fmus/GOOD.fmu" }
 """
 
 
@@ -77,7 +78,7 @@ def hashed(folder):
 
 
 def test_files_are_sent_and_outcomes_name_those_of_the_planner(workers, tmp_path, monkeypatch):
-    """A scenario with a relative path, FMUs that members swap, and one that fails."""
+    """A scenario with a relative and an absolute path, FMUs that members swap, one that fails."""
     folder = tmp_path / "study"
     (folder / "x").mkdir(parents=True)
     (folder / "fmus").mkdir()
