@@ -115,7 +115,7 @@ def _log_bytes(plan: StudyPlan, member: StudyMember) -> int | None:
         return count
     with TemporaryFolder("estimate") as folder:
         subject = replace(plan.subject, logs=str(folder))
-        timeout = plan.study.settings.timeout
-        with WorkerPool(LOGGING_RUNNER, subject, 1, timeout=timeout) as pool:
+        # without the timeout of the study: the end of a log may take longer than a run
+        with WorkerPool(LOGGING_RUNNER, subject, 1) as pool:
             list(pool.run([member]))
         return count * sum(path.stat().st_size for path in folder.glob("*.mcap"))
