@@ -1,7 +1,6 @@
 """Scenarios are tuned by members in workers; a dataset makes a tuning go on where it was."""
 
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -30,6 +29,26 @@ from tests.studies.tuning.fitted_fmu import (
     write_fit,
 )
 
+KILLED = """
+import os, signal, sys
+from cosim.cli.app import main
+from cosim.studies.dataset.study_dataset import StudyDataset
+
+add = StudyDataset.add
+left = int(sys.argv[1])
+
+
+def killed(self, member, outcome):
+    global left
+    add(self, member, outcome)
+    left -= 1
+    if not left:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+StudyDataset.add = killed
+main(sys.argv[2:])
+"""
 VARYING = ("wall_time", "worker", "log")  # columns that differ from run to run
 LAG = """
 scenario = { name = "lag", stop = 2.0, step = 0.01 }
@@ -102,22 +121,16 @@ def test_a_tuning_that_is_killed_again_and_again_ends_as_an_undisturbed_one(lag,
     """Its dataset is the same, row for row and bit for bit, but for times and workers."""
     task = lag_task(lag, "rms(plant.y - 0.5)", with_errors=True, members=40)
     whole = tune_task(task, out=tmp_path / "whole", workers=1)
-    command = [sys.executable, "-m", "cosim", "tune", str(lag), f"--minimize={task.expression}"]
-    command += ["--vary=plant.time_constant=log:0.1:10", "--members=40", "--standard-errors"]
-    command += ["--workers=1", f"--out={tmp_path / 'killed'}"]
-    journal = tmp_path / "killed" / "_journal.jsonl"
-    for most in (1, 12):
-        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, start_new_session=True)
-        while process.poll() is None:
-            if journal.exists() and journal.read_bytes().count(b"\n") > most:
-                os.kill(process.pid, signal.SIGKILL)
-            try:
-                process.wait(0.005)
-            except subprocess.TimeoutExpired:
-                continue
-        assert process.returncode == -signal.SIGKILL
-    recorded = len(StudyDataset.open(tmp_path / "killed"))
-    assert 12 <= recorded < len(whole.trials)
+    arguments = ["tune", str(lag), f"--minimize={task.expression}", "--members=40", "--workers=1"]
+    arguments += ["--vary=plant.time_constant=log:0.1:10", "--standard-errors"]
+    for most, recorded in ((1, 1), (17, 18)):
+        command = [sys.executable, "-c", KILLED, str(most), *arguments]
+        ended = subprocess.run(
+            [*command, f"--out={tmp_path / 'killed'}"], stdout=subprocess.DEVNULL, check=False
+        )
+        assert ended.returncode == -signal.SIGKILL
+        assert len(StudyDataset.open(tmp_path / "killed")) == recorded
+    assert len(whole.trials) > recorded
     again = tune_task(task, out=tmp_path / "killed", workers=1)
     assert again.to_dict() == whole.to_dict()
     assert rows_of(tmp_path / "killed") == rows_of(tmp_path / "whole")
