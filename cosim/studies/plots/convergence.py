@@ -58,7 +58,7 @@ def _draw(panel: Any, means: RunningMean) -> list[Any]:
         color=color,
         alpha=FAINT,
         linewidth=0.0,
-        label=f"{_PERCENT} interval",
+        label=f"{_PERCENT} interval of each",
     )
     style = {"marker": "."} if len(means.counts) <= _MARKED else {}
     (line,) = panel.plot(

@@ -18,6 +18,7 @@ from cosim.studies.plots.scales import Scale, check_drawable, is_logarithmic
 
 _COLORS: Final = tuple(color for color in COLORS if color != FAILED_COLOR)
 _MOST_POINTS: Final = 3000  # single members that are drawn
+_MOST_MARKS: Final = 300  # of members that failed; more of a panel cannot be told apart
 _MOST_LINES: Final = len(_COLORS)
 _BAR: Final = 12.0  # width [points]
 _MOST_MARKED: Final = 25  # places of a line that have a mark each
@@ -180,7 +181,9 @@ def _draw_failed(panel: Any, scale: Scale, rows: NumberColumn) -> list[Any]:
     """Mark above the frame of a panel where members failed: they have no value."""
     if not len(rows):
         return []
-    places = np.unique(scale.positions[rows])[:_MOST_POINTS]
+    places = np.unique(scale.positions[rows])
+    if len(places) > _MOST_MARKS:
+        places = places[np.linspace(0, len(places) - 1, _MOST_MARKS).astype(np.int64)]
     marks: list[Any] = panel.plot(
         places,
         np.full(len(places), _ABOVE),

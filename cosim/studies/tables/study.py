@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Final, TypeAlias
 
 from cosim.report.tables.console import new_table, print_json, print_line, print_table
 from cosim.studies.analysis.columns import MemberColumns, NumberColumn, count_text
 from cosim.studies.analysis.conditions import PassedShare, passed_share
-from cosim.studies.analysis.correlation import (
-    LEAST_MEMBERS,
-    RankCorrelation,
-    rank_correlations,
-    strongest,
-)
+from cosim.studies.analysis.correlation import rank_correlations
 from cosim.studies.analysis.extremes import best_members, worst_members
 from cosim.studies.analysis.failures import ReasonGroup, ends_by_reason, failures_by_reason
-from cosim.studies.analysis.independence import independence_of
 from cosim.studies.analysis.results import StudyResults
 from cosim.studies.analysis.statistics import MetricStatistics, study_statistics
+from cosim.studies.tables.basis import print_basis
+from cosim.studies.tables.correlations import print_correlations
 from cosim.studies.tables.numbers import (
     members_text,
     number_text,
@@ -34,9 +30,6 @@ WORST: Final = 3  # members of each metric that are shown
 _DIGITS: Final = 4  # of a figure in a table of all metrics
 _MOST_REASONS: Final = 20  # that are shown; --json has all
 _MOST_TEXTS: Final = 5  # of a metric that is a text
-_MOST_ROUGH: Final = 5  # metrics that a line names
-_MOST_PARAMETERS: Final = 3  # of the correlations of a metric
-_WEAKEST: Final = 0.1  # rank correlation that is shown
 
 
 def print_study(
@@ -76,8 +69,8 @@ def print_study(
         print_line(wall_time_text(results))
     _print_statistics(results, statistics)
     _print_shares(shares)
-    _print_basis(statistics, shares)
-    _print_correlations(results, correlations)
+    print_basis(statistics, shares)
+    print_correlations(results, correlations)
     print_failures(results, command_of)
     _print_groups("ended before their stop", ends_by_reason(results.columns))
     _print_extremes(results, command_of, worst)
@@ -148,19 +141,6 @@ def _overview(results: StudyResults) -> str:
     return f"{results.name}: {results.layout.text}; {', '.join(parts)}"
 
 
-def _print_basis(statistics: Mapping[str, MetricStatistics], shares: Sequence[PassedShare]) -> None:
-    """Print what the intervals rest on, and which are to be taken with care."""
-    figures = [one for one in statistics.values() if one.count]
-    bases = [one.basis for one in figures] + [share.basis for share in shares]
-    if bases:
-        print_line(f"±, 95 % intervals: {bases[0]}")
-    rough = [one.name for one in figures if one.is_rough]
-    if rough:
-        names = ", ".join(rough[:_MOST_ROUGH])
-        more = f", and {len(rough) - _MOST_ROUGH} more" if len(rough) > _MOST_ROUGH else ""
-        print_line(f"± may be too small, as of few members or skewed values: {names}{more}")
-
-
 def _print_statistics(results: StudyResults, statistics: dict[str, MetricStatistics]) -> None:
     figures = [one for one in statistics.values() if one.count]
     if figures:
@@ -218,24 +198,6 @@ def _print_shares(shares: Sequence[PassedShare]) -> None:
             "; ".join(why),
         )
     print_table(table)
-
-
-def _print_correlations(results: StudyResults, correlations: Sequence[RankCorrelation]) -> None:
-    """Print the parameters that each metric goes with, but where chance alone may do that."""
-    if correlations and all(one.count < LEAST_MEMBERS for one in correlations):
-        print_line(f"rank correlations: none, of fewer than {LEAST_MEMBERS} members")
-        return
-    table = new_table("rank correlation", ("", "strongest parameters"))
-    for name in results.columns.raw_metrics:
-        found = strongest(correlations, name)
-        strong = [one for one in found if abs(one.value or 0.0) >= _WEAKEST and one.is_distinct]
-        shown = strong[:_MOST_PARAMETERS]
-        if shown:
-            table.add_row(name, ", ".join(f"{one.parameter} {one.value:+.2f}" for one in shown))
-    if table.row_count:
-        print_table(table)
-        if independence_of(results.layout).is_drawn:
-            print_line("those that chance alone makes in 1 of 20 studies are left out")
 
 
 def _print_groups(title: str, groups: Sequence[ReasonGroup]) -> None:

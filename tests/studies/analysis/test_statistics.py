@@ -96,6 +96,27 @@ def test_a_latin_hypercube_says_that_its_interval_is_conservative():
     assert "conservative" in found.basis
 
 
+@pytest.mark.parametrize("count", [150, pytest.param(5000, marks=pytest.mark.campaign)])
+def test_all_intervals_of_a_latin_hypercube_are_conservative(count):
+    """Of the mean, deviation, quantiles and share of p + q, which has a triangular distribution."""
+    rng = np.random.default_rng(9)
+    layout = StudyLayout("latin-hypercube", samples=40)
+    low = np.sqrt(0.1)  # 5 % are below it
+    hold = []
+    for _ in range(count):
+        values = stats.qmc.LatinHypercube(2, rng=rng).random(40).sum(axis=1)
+        columns = columns_of({"a": values})
+        found = study_statistics(columns, layout)["a"]
+        share = passed_share(columns, layout, f"a < {float(2.0 - low)}")
+        intervals = [quantile.interval for quantile in found.quantiles]
+        truth = list(zip(intervals, (low, 1.0, 2.0 - low), strict=True))
+        truth += [(found.mean_interval, 1.0), (found.deviation_interval, np.sqrt(1.0 / 6.0))]
+        truth += [(share.interval, 0.95)]
+        hold.append([interval.holds(true) for interval, true in truth])
+    # binomial: that of 95 % is within 3.3 deviations in 999 of 1000
+    assert np.mean(hold, axis=0).min() >= 0.95 - 3.3 * np.sqrt(0.05 * 0.95 / count)
+
+
 def test_a_member_without_a_value_does_not_pass():
     """Nor does one that failed; infinity is compared as any other number."""
     raw = [0.05, 0.2, None, 0.01, np.inf, 0.03]
