@@ -35,7 +35,8 @@ _BASIS: Final = {
     "random": "samples drawn independently",
     "latin-hypercube": "of a Latin hypercube: conservative where there are many members",
     "sobol": "as if Sobol points were independent: mostly far too wide, not guaranteed",
-    "saltelli": "as if Sobol points were independent: mostly far too wide, not guaranteed",
+    "saltelli": "of matrices A and B, as if Sobol points were independent: mostly far too wide, "
+    "not guaranteed",
 }
 
 

@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
+from rich.table import Table
+
 from cosim.report.tables.console import new_table, print_json, print_line, print_table
+from cosim.studies.analysis.columns import MemberColumns
 from cosim.studies.analysis.confidence import NO_INTERVAL
 from cosim.studies.analysis.correlation import (
     LEAST_MEMBERS,
@@ -75,10 +78,7 @@ def _print_metric(
     for quantile in statistics.quantiles:
         head = percent_text(quantile.probability)
         table.add_row(head, number_text(quantile.value), interval_text(quantile.interval))
-    smallest = best_members(columns, name, 5)
-    largest = worst_members(columns, name, 5)
-    table.add_row("smallest", number_text(statistics.minimum), f"members {members_text(smallest)}")
-    table.add_row("largest", number_text(statistics.maximum), f"members {members_text(largest)}")
+    _add_extremes(table, columns, name)
     for one in strongest(correlations, name):
         label = f"rank correlation with {one.parameter}"
         table.add_row(label, f"{one.value:+.3f}", interval_text(one.interval))
@@ -93,3 +93,14 @@ def _print_metric(
     for words, numbers in (("no value", column.without_value), ("infinite", column.infinite)):
         if len(numbers):
             print_line(f"{words} in members {members_text(numbers)}")
+
+
+def _add_extremes(table: Table, columns: MemberColumns, name: str) -> None:
+    """Add the smallest and the largest value of all members, and whose they are."""
+    for words, numbers in (
+        ("smallest", best_members(columns, name, 5)),
+        ("largest", worst_members(columns, name, 5)),
+    ):
+        values = columns.numeric(name)[columns.rows_of(numbers[:1])]
+        text = number_text(float(values[0])) if len(values) else ""
+        table.add_row(words, text, f"members {members_text(numbers)}" if text else "")

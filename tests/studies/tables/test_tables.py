@@ -187,6 +187,19 @@ def test_a_metric_is_printed_with_all_intervals(capsys):
     assert capsys.readouterr().out == ""
 
 
+@pytest.mark.parametrize("kind", ["saltelli", "random"])
+def test_the_extremes_of_a_metric_are_those_of_the_members_beside_them(kind, capsys):
+    """Of all members: also of those that no statistics are of, and of infinite ones."""
+    values = np.arange(64.0)
+    values[[40, 50]] = -7.0, np.inf
+    study = MadeStudy({"y": values}, (), ("y",))
+    layout = StudyLayout(kind, samples=64, parameters=("p", "q"))
+    print_metrics(results_of_study(study, layout), ["y"])
+    lines = printed(capsys)
+    assert ["smallest", "-7", "members 40, 0, 1, 2, 3"] in lines
+    assert ["largest", "inf", "members 50, 63, 62, 61, 60"] in lines
+
+
 def test_one_member_is_printed_with_its_command(capsys):
     """Parameters, metrics, how it ended."""
     study, results = tolerances()
