@@ -25,6 +25,7 @@ _MOST_MARKED: Final = 25  # places of a line that have a mark each
 _MOST_PLACES: Final = 100  # values of a key that each have a place; more are put together
 _MOST_BINS: Final = 40  # that they are put together in
 _IN_BIN: Final = 20  # members; fewer than these have fewer bins
+_SIDE_BY_SIDE: Final = 0.7  # of the room of a name, for all lines
 _ABOVE: Final = 1.025  # of the height of a panel: above its frame, where no values are
 _BAND: Final = "5 % to 95 % of the members"
 _FAILED: Final = "members that failed"
@@ -51,6 +52,7 @@ def plot_over_key(
     columns = results.columns
     scale = Scale.of(columns.parameters[keys[0]])
     lines = _lines(results, keys)
+    shifts = _shifts(len(lines)) if scale.names else np.zeros(len(lines))
     is_binned = len(np.unique(scale.positions)) > _MOST_PLACES
     is_line = not scale.names and results.layout.kind == "grid"
     handles: list[Any] = []
@@ -58,9 +60,9 @@ def plot_over_key(
         check_drawable(column.name, column.values)
         label = picture.label(panel, column)
         rows = columns.rows_of(column.numbers)
-        for name, color, is_of_line in lines:
+        for (name, color, is_of_line), shift in zip(lines, shifts, strict=True):
             chosen = is_of_line[rows]
-            x = scale.positions[rows[chosen]]
+            x = scale.positions[rows[chosen]] + shift
             values = column.values[chosen]
             if not len(values):
                 continue
@@ -75,9 +77,7 @@ def plot_over_key(
         scale.label(panel.xaxis, results.with_unit(keys[0]))
         panel.set_ylabel(label)
     title = shown_text(results.with_unit(keys[1])) if len(lines) > 1 else ""
-    # what all lines have comes behind their names
-    handles.sort(key=lambda handle: handle.get_label() in (_BAND, _FAILED))
-    picture.legend(handles, title=title)
+    picture.legend(_in_order(handles, len(lines)), title=title)
     picture.save(out, f"over {keys[0]}{note}")
 
 
@@ -95,6 +95,24 @@ def _lines(results: StudyResults, keys: Sequence[str]) -> list[tuple[str, str, M
         text = scale.names[int(place)] if scale.names else f"{place:g}"
         found.append((text, color, scale.positions == place))
     return found
+
+
+def _in_order(handles: Sequence[Any], lines: int) -> list[Any]:
+    """Return the handles of a legend: what all lines have comes behind their names, in gray."""
+    from matplotlib.patches import Patch
+
+    bands = [handle for handle in handles if handle.get_label() == _BAND]
+    marks = [handle for handle in handles if handle.get_label() == _FAILED]
+    named = [handle for handle in handles if handle not in bands and handle not in marks]
+    if bands and lines > 1:
+        bands = [Patch(color="0.8", label=_BAND)]
+    return [*named, *bands, *marks]
+
+
+def _shifts(count: int) -> Vector:
+    """Return where the bars of lines stand side by side around a name."""
+    places: Vector = np.arange(float(count)) - 0.5 * (count - 1)
+    return _SIDE_BY_SIDE / count * places
 
 
 def _draw_places(

@@ -17,7 +17,7 @@ from cosim.studies.analysis.columns import NumberColumn, count_text
 from cosim.studies.analysis.correlation import LEAST_MEMBERS, spearman
 from cosim.studies.analysis.results import StudyResults
 from cosim.studies.plots.panels import FAILED_COLOR, shown_metrics, sized_picture
-from cosim.studies.plots.scales import Scale, check_drawable, even_edges, is_logarithmic
+from cosim.studies.plots.scales import Scale, cell_edges, check_drawable, even_edges, is_logarithmic
 
 _MOST: Final = 7  # rows and columns
 _PANEL: Final = 3.8  # cm
@@ -27,6 +27,7 @@ _TICKS: Final = 3  # intervals of a linear axis, at most
 _MOST_POINTS: Final = 4000  # that are drawn one by one
 _MOST_MARKS: Final = 300  # of failed members; more would hide the others
 _CELLS: Final = 50
+_FAINTEST: Final = 0.5  # members of a cell that would be white: one is not
 _BINS: Final = 24
 
 
@@ -149,15 +150,23 @@ def _draw_points(panel: Any, x: _Quantity, y: _Quantity) -> None:
     if not len(first):
         return
     if len(first) > _MOST_POINTS:
-        edges = [
-            even_edges(first, _CELLS, logarithmic=x.scale.logarithmic),
-            even_edges(other, _CELLS, logarithmic=y.scale.logarithmic),
-        ]
+        from matplotlib.colors import LogNorm
+
+        edges = [_edges(x.scale, first), _edges(y.scale, other)]
+        norm = LogNorm(vmin=_FAINTEST)
         # as dots: as paths the cells of all panels would take 12 MB
-        panel.hist2d(first, other, bins=edges, cmap="Blues", cmin=1, norm="log", rasterized=True)
+        panel.hist2d(first, other, bins=edges, cmap="Blues", cmin=1, norm=norm, rasterized=True)
     else:
         size = 2.0 if len(first) > 500 else 4.0
         panel.plot(first, other, ".", color=COLORS[0], markersize=size, alpha=0.6)
+
+
+def _edges(scale: Scale, values: Vector) -> Vector:
+    """Return the edges of cells: of few values halfway between these, else of one width."""
+    different = np.unique(values)
+    if len(different) <= _CELLS:
+        return cell_edges(different, logarithmic=scale.logarithmic)
+    return even_edges(values, _CELLS, logarithmic=scale.logarithmic)
 
 
 def _draw_failed(panel: Any, x: _Quantity, y: _Quantity, failed: NumberColumn) -> list[Any]:

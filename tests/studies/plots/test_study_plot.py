@@ -1,6 +1,7 @@
 """Pictures of studies: what they show, read back from the SVG, whose text is text."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pyarrow
@@ -240,6 +241,34 @@ def test_nothing_is_drawn_between_names(figures, tmp_path):
     (panel,) = figures[0].axes
     assert all(line.get_linestyle() == "None" for line in panel.lines)
     assert panel.get_xlim() == (-0.5, 1.5)
+
+
+def test_bars_of_several_lines_stand_side_by_side(figures, tmp_path):
+    """Within the room of their name: one behind the other they could not be told apart."""
+    study = grid_study(seeds=3, plants=["x/a.fmu", "x/b.fmu"])
+    keys = ["swap.plant", "observer.filter_rate"]
+    chosen = study.columns.parameters["observer.filter_rate"] < 50.0
+    few = replace(study, columns=study.columns.only(chosen))
+    plot_study(few, tmp_path / "a.svg", kind="line", keys=keys)
+    (panel,) = figures[0].axes
+    medians = [line.get_xdata() for line in panel.lines if line.get_label()[0] != "_"]
+    assert np.ravel(medians) == pytest.approx([-0.175, 0.825, 0.175, 1.175])
+
+
+def test_cells_of_a_scatter_matrix_show_the_points_of_a_grid(figures, tmp_path):
+    """Of many members at few values: each cell reaches halfway to the next."""
+    numbers = np.arange(6000)
+    columns = {"p": numbers % 3.0, "q": numbers // 3 % 2.0, "y": np.sqrt(numbers)}
+    study = MadeStudy(columns, ("p", "q"), ("y",))
+    plot_study(
+        results_of_study(study, StudyLayout("grid", seeds=1000, grid=6)),
+        tmp_path / "a.svg",
+        kind="scatter",
+    )
+    (mesh,) = figures[0].axes[3].collections
+    assert mesh.get_coordinates()[0, :, 0].tolist() == [-0.5, 0.5, 1.5, 2.5]
+    assert mesh.get_array().tolist() == [[1000.0] * 3] * 2
+    assert mesh.to_rgba(mesh.get_array())[0, 0, :3].max() < 0.6  # dark
 
 
 LONG = "subsystem_of_the_{}_actuator.hydraulic_cylinder.initial_pressure_of_the_chamber"
