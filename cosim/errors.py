@@ -20,6 +20,7 @@
         ├── RunawayError      a loop whose values grow without end, step by step
         ├── LogWriteError     a full disk, a lost file; what was written stays valid
         ├── DatasetWriteError the same, of the dataset of a study
+        ├── ChangedFileError  a file that a study reads is another one than when it began
         └── Interrupted       Ctrl-C or another signal; exit 128 + its number
 
 Every message names the thing, what was found, what was needed and the way out, in the language of
@@ -136,6 +137,27 @@ class LogWriteError(RunError):
 
 class DatasetWriteError(RunError):
     """A dataset could not be written further; the outcomes that were written are there."""
+
+
+class ChangedFileError(RunError):
+    """A file that a study reads is not the one that it began with.
+
+    Parameters
+    ----------
+    problem : str
+        The file and what became of it.
+    """
+
+    def __init__(self, problem: str) -> None:
+        super().__init__(problem)
+        self.problem = problem
+
+    def __str__(self) -> str:
+        """Add the way out, in the language of whoever reads it."""
+        return (
+            f"{self.problem}; put it back as it was, and the study goes on from here, or begin "
+            f"anew with {flag('new')}"
+        )
 
 
 class Interrupted(RunError):

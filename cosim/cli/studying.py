@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.core import TyperGroup
@@ -28,6 +29,9 @@ from cosim.cli.stopping import stopped_text
 from cosim.errors import UsageError, option, quoted
 from cosim.report.printable import printable
 from cosim.terminal import show_members
+
+if TYPE_CHECKING:
+    from cosim.studies.tables.show import ShownParts
 
 
 class StudyCommands(TyperGroup):
@@ -192,6 +196,7 @@ def run(
     from cosim.studies.document.reading import read_study
     from cosim.studies.running.studying import default_place
     from cosim.studies.running.studying import study as run_study
+    from cosim.studies.tables.show import ShownParts
 
     with prints_to_stderr():
         file = read_study(source).with_options(
@@ -231,7 +236,7 @@ def run(
             typer.echo(printable(stopped_text(place)), err=True)
             raise
     if not quiet:
-        show(place, as_json=as_json)
+        _show(place, ShownParts(as_json=as_json))
     if done.failures:
         raise typer.Exit(1)
 
@@ -310,12 +315,8 @@ def show(
     as_json: JsonOption = False,
 ) -> None:
     """Show what a study came to, also while it runs."""
-    from cosim.studies.dataset.study import open_study
-    from cosim.studies.running.recorded_study import RecordedStudy
-    from cosim.studies.tables.show import ShownParts, show_study
+    from cosim.studies.tables.show import ShownParts
 
-    opened = open_study(place)
-    recorded = RecordedStudy.read(opened.text)
     parts = ShownParts(
         member,
         tuple(metrics or ()),
@@ -325,7 +326,24 @@ def show(
         worst=worst,
         as_json=as_json,
     )
+    _print_warnings(_show(place, parts))
+
+
+def _show(place: str, parts: ShownParts) -> tuple[str, ...]:
+    """Show parts of a study; return what was not known of it when it was planned."""
+    from cosim.studies.dataset.study import open_study
+    from cosim.studies.running.recorded_study import RecordedStudy
+    from cosim.studies.tables.show import show_study
+
+    opened = open_study(place)
+    recorded = RecordedStudy.read(opened.text)
     show_study(opened, recorded.layout, recorded.command_of(opened), parts, search=recorded.search)
+    return recorded.warnings
+
+
+def _print_warnings(texts: Iterable[str]) -> None:
+    for text in texts:
+        print_notice(f"warning: {text}")
 
 
 @study.command("verify", cls=OnceCommand)

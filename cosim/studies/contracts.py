@@ -107,6 +107,10 @@ class StudySubject:
         alike: JSON. Linear algebra gives other bits on other machines. Empty: it is computed.
     replay_designs : sequence of (recording, JSON)
         The same for members that replay one log: what that does not have.
+    digests : mapping of path to SHA-256
+        Of all files that members read, as they were when the study was planned, under the absolute
+        paths that are opened; behind ``code of`` those of the classes of users. A member that
+        finds another content is not run. Empty: nothing is checked.
     """
 
     scenario: str
@@ -119,6 +123,7 @@ class StudySubject:
     logs: str = ""
     designs: str = ""
     replay_designs: Sequence[Sequence[str]] = ()
+    digests: Mapping[str, str] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""

@@ -468,6 +468,7 @@ class Builder:
             attachments=records.attachments,
             fmus=context.fmus.opened,
             files=frozenset(context.files.paths),
+            modules=frozenset(context.files.modules),
             identified=self._judged(graph),
             models=context.models.records,
             given_states=self.given_states,

@@ -61,6 +61,8 @@ class Experiment:
         What was opened for this run and may have messages.
     files : frozenset of Path
         What is read beside the scenario.
+    modules : frozenset of Path
+        The files of the classes of users.
     identified : mapping of identifier to IdentifiedPlant
         What its estimates are judged by.
     models : mapping of name to plain values
@@ -111,6 +113,7 @@ class Experiment:
     attachments: Mapping[str, str]
     fmus: Mapping[str, MessageSource]
     files: frozenset[Path]
+    modules: frozenset[Path] = frozenset()
     identified: Mapping[str, IdentifiedPlant] = field(default_factory=dict)
     models: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     given_states: Mapping[str, GivenStates] = field(default_factory=dict)

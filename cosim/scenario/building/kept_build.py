@@ -57,6 +57,8 @@ class KeptBuild:
 
     Attributes
     ----------
+    built : Experiment
+        As it was built; what it opened is closed.
     computed : mapping of component name to Design
         Its designs, computed on this machine; those of what actions set among them.
 
@@ -79,7 +81,7 @@ class KeptBuild:
             experiment = builder.experiment()
             graph = experiment.graph
             self._plan = graph.prepare(experiment.clock.step_ns)
-            self._experiment = experiment
+            self.built = experiment
             self.computed = {**self._plan.designs, **setting_designs(with_settings(experiment))}
         self._common = CommonDesigns(self.computed, self.computed)
         actions = [timed.action for timed in experiment.actions]
@@ -100,8 +102,8 @@ class KeptBuild:
     def take(self, common: CommonDesigns) -> None:
         """Take the designs that its runs have in common with others."""
         self._common = common
-        step_ns = self._experiment.clock.step_ns
-        designs = common.prepare(self._experiment.graph, step_ns, self._plan.designs)
+        step_ns = self.built.clock.step_ns
+        designs = common.prepare(self.built.graph, step_ns, self._plan.designs)
         self._plan = replace(self._plan, designs=designs)
 
     def experiment(self, scenario: Scenario, resources: ExitStack) -> Experiment | None:
@@ -187,7 +189,7 @@ class KeptBuild:
             if component is None:
                 return None
             components[name] = component
-        experiment = self._experiment
+        experiment = self.built
         graph = experiment.graph
         if jump_problems(scenario, graph):
             return None
@@ -205,6 +207,8 @@ class KeptBuild:
             scenario=scenario,
             plan=replace(self._plan, designs={**self._plan.designs, **designs}),
             fmus=context.fmus.opened,
+            files=frozenset(context.files.paths),
+            modules=frozenset(context.files.modules),
             identified={},
             warnings=(),
         )

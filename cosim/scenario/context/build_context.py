@@ -140,6 +140,7 @@ class ScenarioBuildContext:
         self._classes = UserClasses(
             folder,
             scenario.specs,
+            self.files,
             self.records,
             recording=recording,
             allowed=named_files,

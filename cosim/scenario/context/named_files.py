@@ -28,6 +28,8 @@ class NamedFiles:
     ----------
     paths : set of Path
         Those that are read.
+    modules : set of Path
+        Those of the classes of users.
     """
 
     def __init__(self, folder: Path, recording: Recording | None, allowed: Collection[str]) -> None:
@@ -35,6 +37,7 @@ class NamedFiles:
         self._recording = recording
         self._allowed = allowed
         self.paths: set[Path] = set()
+        self.modules: set[Path] = set()
 
     def path(self, name: str) -> Path:
         """Return the path of a file, and record that it is read.

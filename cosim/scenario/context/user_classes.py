@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final, final
 from cosim.core.recording import Recording
 from cosim.errors import UsageError, option
 from cosim.scenario.context.build_records import BuildRecords
+from cosim.scenario.context.named_files import NamedFiles
 from cosim.scenario.document.problems import TableProblems
 from cosim.scenario.kinds import Kind
 from cosim.scenario.recorded_metadata import component_record
@@ -36,6 +37,7 @@ class UserClasses:
     folder : Path
         Of the scenario.
     specs : mapping of component name to Kind
+    files : NamedFiles
     records : BuildRecords
     recording : Recording or None
         Of a replay.
@@ -49,6 +51,7 @@ class UserClasses:
         self,
         folder: Path,
         specs: Mapping[str, Kind],
+        files: NamedFiles,
         records: BuildRecords,
         *,
         recording: Recording | None,
@@ -57,6 +60,7 @@ class UserClasses:
     ) -> None:
         self._folder = folder
         self._specs = specs
+        self._files = files
         self._records = records
         self._recording = recording
         self._allowed = allowed
@@ -114,6 +118,7 @@ class UserClasses:
         if is_replayed and own != recorded:
             raise _other_code(name, recorded, own)
         self._records.add_metadata(name, {"code": code})
+        self._files.modules.update(user_class.files)
         return user_class
 
 

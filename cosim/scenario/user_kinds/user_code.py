@@ -58,6 +58,8 @@ class UserClass:
     sources : mapping of file name to str
         The SHA-256 of its module; of a module in the folder, of everything too that it imported
         from there.
+    files : tuple of Path
+        Where these are.
     distribution : str or None
         Name and version of the installed package that it is part of.
     """
@@ -65,6 +67,7 @@ class UserClass:
     name: str
     loaded: type
     sources: Mapping[str, str]
+    files: tuple[Path, ...]
     distribution: str | None = None
 
 
@@ -180,7 +183,7 @@ def load_class(
     sources = {}
     for path, text in imported.hashes.items():
         sources[path.relative_to(inside.folder).as_posix()] = text
-    return UserClass(name, _class_in(imported.module, class_name), sources)
+    return UserClass(name, _class_in(imported.module, class_name), sources, tuple(imported.hashes))
 
 
 # --- modules of a folder ---
@@ -375,7 +378,7 @@ def _ordinary_class(name: str, module_name: str, class_name: str, folder: Path |
     source = Path(*loaded.__module__.split(".")).with_suffix(path.suffix).as_posix()
     if path.stem == "__init__":
         source = Path(*loaded.__module__.split("."), path.name).as_posix()
-    return UserClass(name, loaded, {source: digest})
+    return UserClass(name, loaded, {source: digest}, (path.resolve(),))
 
 
 def _distribution_of(module: str) -> str | None:

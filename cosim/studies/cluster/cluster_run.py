@@ -366,7 +366,7 @@ def _error_of(task: MemberTask, error: BaseException) -> CosimError:
 def _scenario(subject: StudySubject, files: Mapping[str, str]) -> str:
     """Return the scenario under the name that it has among the files, which may have no links."""
     real = os.path.realpath(subject.scenario)
-    return real if real in files else subject.scenario
+    return real if real in files and subject.scenario not in files else subject.scenario
 
 
 def _named(subject: StudySubject, files: Mapping[str, str]) -> dict[str, str]:

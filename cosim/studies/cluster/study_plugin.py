@@ -11,6 +11,7 @@ from typing import Any, final
 
 from distributed import Worker, WorkerPlugin
 
+from cosim.digests import sha256_of
 from cosim.errors import CosimError, RunError
 from cosim.studies.cluster.file_copies import (
     has_all,
@@ -132,7 +133,7 @@ class StudyPlugin(WorkerPlugin):  # type: ignore[misc]
             settings = self._settings
             executor = MemberExecutor(
                 settings["opener"],
-                StudySubject(**self._moved(settings["subject"])),
+                self._subject(),
                 timeout=settings["timeout"],
             )
             self._all.append(executor)
@@ -141,6 +142,19 @@ class StudyPlugin(WorkerPlugin):  # type: ignore[misc]
     def _give_back(self, executor: MemberExecutor) -> None:
         with self._lock:
             self._idle.append(executor)
+
+    def _subject(self) -> StudySubject:
+        """Return the subject with the paths of this machine."""
+        subject = StudySubject(**self._moved(self._settings["subject"]))
+        if self._root is None:
+            return subject
+        files = self._settings["files"]
+        digests = {}
+        for path, digest in subject.digests.items():
+            digests[moved(path, self._root) if path in files else path] = digest
+        if self._settings["named"]:  # its copy names other copies
+            digests[subject.scenario] = sha256_of(subject.scenario)
+        return replace(subject, digests=digests)
 
     def _local(self, member: StudyMember) -> StudyMember:
         """Return a member with the paths of this machine."""

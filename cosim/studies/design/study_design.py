@@ -9,11 +9,14 @@ from typing import Any, Final, Literal, TypeAlias
 import numpy as np
 
 from cosim.errors import UsageError
+from cosim.scenario.recordings.replaying import texts_in
 from cosim.studies.contracts import StudyMember
 from cosim.studies.design.columns import (
     ColumnValues,
     DesignColumn,
+    GridColumn,
     MemberLayout,
+    SampleColumn,
     plain_values,
 )
 from cosim.studies.document.study_file import StudyFile
@@ -62,6 +65,14 @@ class StudyDesign:
         own value.
         """
         return self.columns[name].take(self.layout, self._numbers(begin, end))
+
+    def texts(self) -> set[str]:
+        """Return all texts that members have as values, each once."""
+        texts: set[str] = set()
+        for column in self.columns.values():
+            if isinstance(column, GridColumn | SampleColumn) and isinstance(column.values, list):
+                texts |= texts_in(column.values)
+        return texts
 
     def member(self, number: int) -> StudyMember:
         """Return a member.

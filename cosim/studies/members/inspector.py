@@ -6,23 +6,21 @@ FMUs are loaded for that, and classes of users imported: it belongs into a worke
 from __future__ import annotations
 
 from contextlib import ExitStack, suppress
-from pathlib import Path
 from types import TracebackType
 from typing import Final, Self, final
 
-from cosim.digests import sha256_of
 from cosim.errors import CosimError, UsageError
 from cosim.scenario.building.experiment import Experiment
 from cosim.studies.contracts import COMPLETE, MemberOutcome, StudyMember, StudySubject
-from cosim.studies.dataset.identity import digest_of
 from cosim.studies.members.designs import encode_designs
 from cosim.studies.members.member_builder import MemberBuilder
+from cosim.studies.members.sources import code_digests
 from cosim.studies.metrics.metrics import parse_metrics
 
 DESIGNS: Final = "designs"  # of what all members have in common, as of StudySubject
 REFUSED: Final = "refused"  # why a member cannot be built
 FILE: Final = "file "  # before the path of a file that a member reads
-CODE: Final = "code of "  # before the name of a component of a user's class
+MODULE: Final = "module "  # before that of a file of a user's class
 
 
 def open_inspector(subject: StudySubject) -> MemberInspector:
@@ -63,19 +61,19 @@ class MemberInspector:
         ------
         RunError
             If an FMU fails, as it then does in the run of the member.
+        ChangedFileError
+            If a file changed meanwhile.
         """
         try:
             with ExitStack() as resources:
                 experiment = self._builder.experiment(member, resources)
                 channels = {channel.name: channel for channel in experiment.graph.layout.channels}
                 self._metrics.check(channels)
-                read = _sources(experiment)
+                read = self._sources(experiment)
         except UsageError as error:
             return MemberOutcome(member.number, COMPLETE, metrics={REFUSED: str(error)})
-        if member.recording is not None:
-            path = Path(member.recording).resolve()
-            read[f"{FILE}{path}"] = sha256_of(path)
         read[DESIGNS] = self._designs(member)
+        self._builder.sources.check(member)
         return MemberOutcome(member.number, COMPLETE, metrics=dict(read))
 
     def _designs(self, member: StudyMember) -> str:
@@ -86,11 +84,10 @@ class MemberInspector:
             return encode_designs(self._builder.replay_designs(member.recording))
         return ""
 
-
-def _sources(experiment: Experiment) -> dict[str, str]:
-    """Return the SHA-256 of all files that are read for a run, and of the classes of users."""
-    sources = {f"{FILE}{path}": sha256_of(path) for path in sorted(experiment.files)}
-    for name, metadata in experiment.metadata.items():
-        if "code" in metadata:
-            sources[f"{CODE}{name}"] = digest_of(metadata["code"])
-    return sources
+    def _sources(self, experiment: Experiment) -> dict[str, str]:
+        """Return the SHA-256 of all files that are read for a run, and of the classes of users."""
+        digest = self._builder.digests.of
+        sources = {f"{FILE}{path}": digest(str(path)) for path in sorted(experiment.files)}
+        for path in sorted(experiment.modules):
+            sources[f"{MODULE}{path}"] = digest(str(path))
+        return sources | code_digests(experiment)

@@ -11,7 +11,7 @@ from typing import Self, final
 
 from cosim.core.passing_recorders import TwoRecorders
 from cosim.core.recording import Recorder, Recording
-from cosim.errors import Interrupted
+from cosim.errors import ChangedFileError, Interrupted
 from cosim.report.summary import summarize
 from cosim.report.sweep import results_of
 from cosim.scenario.recordings.recording import Target, record
@@ -71,13 +71,16 @@ class LoggingRunner:
         outcome = MemberOutcome(member.number, COMPLETE)
         results: Mapping[str, MetricValue] = {}
         try:
+            self._builder.sources.check(member)
             with ExitStack() as resources:
                 recording = self._record(member, measured, resources)
                 if self._with_results:
                     results = results_of(summarize(recording))
-        except Interrupted:
+            self._builder.sources.check(member)
+        except (Interrupted, ChangedFileError):
             raise
         except Exception as error:  # of a user's code, too: it costs this member, and no other
+            self._builder.sources.check(member)
             return replace(outcome, status=FAILED, reason=reason_of(error), steps=measured.steps)
         metrics = {**results, **self._recorder.values()}
         return replace(outcome, reason=measured.end.reason, steps=measured.steps, metrics=metrics)

@@ -11,6 +11,7 @@ from typing import Any, Final, final
 
 from cosim.core.contracts import Design
 from cosim.core.signals import Interface
+from cosim.digests import FileDigests
 from cosim.fmi.unpacked import UnpackedFmus
 from cosim.log import Log
 from cosim.log.editing.joining import open_joined
@@ -24,6 +25,7 @@ from cosim.scenario.running.replay import Replays, replays_of
 from cosim.studies.contracts import StudyMember, StudySubject
 from cosim.studies.document.scenario_of_study import load_scenario
 from cosim.studies.members.designs import decode_designs
+from cosim.studies.members.sources import SourceCheck, member_texts
 
 OPEN_LOGS: Final = 4  # whose rows may be in memory
 MOST_BUILDS: Final = 16  # that are kept, of members with swaps of their own
@@ -39,6 +41,9 @@ class MemberBuilder:
 
     Attributes
     ----------
+    digests : FileDigests
+        Of this process.
+    sources : SourceCheck
     fmus : UnpackedFmus
 
     Raises
@@ -47,6 +52,8 @@ class MemberBuilder:
         If there is no such scenario, or it has problems of its own.
     UsageError
         If the designs of the subject cannot be understood.
+    ChangedFileError
+        If a file is another one than when the study was planned.
     """
 
     def __init__(self, subject: StudySubject) -> None:
@@ -54,10 +61,13 @@ class MemberBuilder:
         self._given = decode_designs(subject.designs)
         self._of_replays = {path: decode_designs(text) for path, text in subject.replay_designs}
         self._replay_common: dict[str, CommonDesigns] = {}
+        self.digests = FileDigests()
+        self.sources = SourceCheck(subject, self.digests)
         self._scenario = load_scenario(subject.scenario)
+        self.sources.open(self._scenario, subject)
         self._logs: dict[str, Log] = {}
         self._builds: dict[tuple[tuple[str, str], ...], KeptBuild | None] = {}
-        self.fmus = UnpackedFmus()
+        self.fmus = UnpackedFmus(self.digests)
 
     def close(self) -> None:
         """Forget the logs, and remove the unpacked FMUs."""
@@ -82,8 +92,13 @@ class MemberBuilder:
         Raises
         ------
         CosimError
-            If it cannot be built.
+            If it cannot be built; ChangedFileError where it reads another file than was planned.
         """
+        experiment = self._experiment(member, resources)
+        self.sources.note(experiment, member_texts(member))
+        return experiment
+
+    def _experiment(self, member: StudyMember, resources: ExitStack) -> Experiment:
         swaps = self.swaps(member)
         common = replace(self.common_of(member), own=decode_designs(member.designs))
         if member.recording is not None:
@@ -157,6 +172,7 @@ class MemberBuilder:
 
     def _built(self, swaps: Mapping[str, str]) -> KeptBuild | None:
         """Build the scenario with some swaps; None: it cannot be."""
+        kept = None
         with suppress(Exception):  # each member says itself what is wrong with it
             scenario = self.scenario(swaps)
             replaced: Mapping[str, Interface] = {}
@@ -164,8 +180,10 @@ class MemberBuilder:
                 from cosim.scenario.swapping.swap_comparison import replaced_interfaces
 
                 replaced = replaced_interfaces(scenario, self.fmus)
-            return KeptBuild(scenario, self.fmus, replaced)
-        return None
+            kept = KeptBuild(scenario, self.fmus, replaced)
+        if kept is not None:
+            self.sources.note(kept.built, swaps.values())
+        return kept
 
     def _replays(self, path: str, swaps: Mapping[str, str]) -> Replays:
         """Return a recording that can be replayed."""

@@ -11,7 +11,7 @@ from typing import Final, Self, final
 
 from cosim.core.passing_recorders import TwoRecorders
 from cosim.core.recording import Recorder
-from cosim.errors import Interrupted
+from cosim.errors import ChangedFileError, Interrupted
 from cosim.report.summary import summarize
 from cosim.report.sweep import results_of
 from cosim.scenario.building.common_designs import setting_designs, without
@@ -30,6 +30,7 @@ from cosim.studies.contracts import (
 from cosim.studies.members.designs import encode_designs, own_designs
 from cosim.studies.members.measuring import MemberRecorder, MetricSink, reason_of
 from cosim.studies.members.member_builder import MemberBuilder
+from cosim.studies.members.sources import member_texts
 from cosim.studies.metrics.metrics import parse_metrics
 from cosim.studies.metrics.recorder import MetricRecorder
 
@@ -100,21 +101,25 @@ class SubjectRunner:
         Raises
         ------
         Interrupted
-            If the user interrupts it; all else that fails is an outcome.
+            If the user interrupts it.
+        ChangedFileError
+            If a file that it reads is another one than when the study was planned. All else that
+            fails is an outcome.
         """
         began = perf_counter()
         measured = MemberRecorder(self._sink_of())
         values: Mapping[str, MetricValue] = dict.fromkeys(self._subject.metrics)
         status: MemberStatus = COMPLETE
         try:
+            self._builder.sources.check(member)
             values = self._run(member, measured)
             reason = measured.end.reason
-        except Interrupted:
+        except (Interrupted, ChangedFileError):
             raise
         except Exception as error:  # of a user's code, too: it costs this member, and no other
             reason = reason_of(error)
             status = FAILED
-        return MemberOutcome(
+        outcome = MemberOutcome(
             member.number,
             status,
             reason=reason,
@@ -123,6 +128,8 @@ class SubjectRunner:
             wall_time=perf_counter() - began,
             designs=self._own_designs(member, measured),
         )
+        self._builder.sources.check(member)  # it may have read a file that changed meanwhile
+        return outcome
 
     def _own_designs(self, member: StudyMember, measured: MemberRecorder) -> str:
         """Return what was designed for a member alone."""
@@ -138,7 +145,7 @@ class SubjectRunner:
         if not (member.recording or self._subject.with_results or is_as_before):
             swaps = self._builder.swaps(member)
             scenario = self._builder.scenario(swaps, member.set)
-            if self._run_kept(scenario, swaps, measured):
+            if self._run_kept(scenario, member, measured):
                 return measured.sink.values()
         with ExitStack() as resources:
             experiment = self._builder.experiment(member, resources)
@@ -155,17 +162,16 @@ class SubjectRunner:
         run_rows(measured, experiment)
         return measured.sink.values()
 
-    def _run_kept(
-        self, scenario: Scenario, swaps: Mapping[str, str], measured: MemberRecorder
-    ) -> bool:
+    def _run_kept(self, scenario: Scenario, member: StudyMember, measured: MemberRecorder) -> bool:
         """Run a member in a graph that is kept; return False where it does not fit there."""
-        kept = self._builder.kept(swaps)
+        kept = self._builder.kept(self._builder.swaps(member))
         if kept is None:
             return False
         with ExitStack() as resources:
             experiment = kept.experiment(scenario, resources)
             if experiment is None:
                 return False
+            self._builder.sources.note(experiment, member_texts(member))
             run_rows(measured, _in_short_blocks(experiment))
             return True
 

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, Final
 
-from cosim.digests import sha256_of
 from cosim.errors import UsageError, option
 from cosim.scenario.parsing import Scenario
+from cosim.scenario.recordings.replaying import texts_in
 from cosim.studies.analysis.independence import StudyLayout
-from cosim.studies.contracts import MemberOutcome, MetricValue, StudyMember, StudySubject
+from cosim.studies.contracts import MetricValue, StudyMember, StudySubject
 from cosim.studies.dataset.columns import (
     StudyColumn,
     metric_column,
@@ -24,10 +23,16 @@ from cosim.studies.design.planning import plan_design
 from cosim.studies.design.study_design import StudyDesign
 from cosim.studies.document.scenario_of_study import load_scenario
 from cosim.studies.document.study_file import STUDY, StudyFile
-from cosim.studies.members.inspector import CODE, DESIGNS, FILE, REFUSED
+from cosim.studies.members.sources import common_texts
 from cosim.studies.metrics.metrics import parse_metrics
 from cosim.studies.running.inspection import inspect_members, inspected_members
 from cosim.studies.running.recorded_study import RecordedStudy
+from cosim.studies.running.sources import (
+    StudySources,
+    found_sources,
+    named_files,
+    scenario_digest,
+)
 
 RUNNER: Final = "cosim.studies.members.runner:open_runner"
 RECORD: Final = "record"  # the table of a scenario, and the first word of its keys
@@ -43,14 +48,9 @@ class StudyPlan:
     scenario : Scenario
         As its file says, with the edits that all members have.
     design : StudyDesign
-    sources : mapping of str to str
-        SHA-256 of every file that members read, behind ``file``, and of the classes of users.
-    designs : str
-        As of StudySubject.
+    sources : StudySources
     trial : StudyMember
         One that can be built; its values need not be those of one member.
-    replay_designs : tuple of (str, str)
-        As of StudySubject.
     notices : tuple of str
         What is noteworthy: which members will fail.
     """
@@ -58,29 +58,19 @@ class StudyPlan:
     study: StudyFile
     scenario: Scenario
     design: StudyDesign
-    sources: Mapping[str, str]
-    designs: str
+    sources: StudySources
     trial: StudyMember
-    replay_designs: tuple[tuple[str, str], ...] = ()
     notices: tuple[str, ...] = ()
 
     @property
     def subject(self) -> StudySubject:
         """What all members have in common."""
-        subject = self.study.subject
-        return replace(subject, designs=self.designs, replay_designs=self.replay_designs)
+        return self.sources.given_to(self.study.subject)
 
     @property
     def files(self) -> dict[str, str]:
         """SHA-256 by absolute path of the files that members read, the scenario's among them."""
-        files = {}
-        scenario = Path(self.study.scenario)
-        if scenario.is_file():
-            files[str(scenario.resolve())] = sha256_of(scenario)
-        for name, digest in self.sources.items():
-            if name.startswith(FILE):
-                files[name.removeprefix(FILE)] = digest
-        return files
+        return self.sources.movable(self.scenario.document.folder)
 
     def identity(self, results: Mapping[str, MetricValue]) -> StudyIdentity:
         """Return whose dataset it is.
@@ -90,7 +80,8 @@ class StudyPlan:
         results : mapping of name to value
             Of the result of a run, where those are kept beside the metrics.
         """
-        recorded = RecordedStudy(self.study, StudyLayout.of(self.design))
+        layout = StudyLayout.of(self.design)
+        recorded = RecordedStudy(self.study, layout, warnings=self.sources.warnings)
         digests = {
             "the scenario": digest_of(_base(self.scenario, with_record=self.subject.with_results)),
             "the metrics": digest_of([dict(self.study.metrics), self.subject.with_results]),
@@ -100,21 +91,23 @@ class StudyPlan:
             edits = [_own_edits(self.subject), dict(settings.swap), dict(settings.map)]
             digests["what all members have"] = digest_of([*edits, settings.allow_code])
         folder = self.scenario.document.folder
-        for name, digest in self.sources.items():
-            digests[_source_label(name, folder)] = digest
+        digests |= self.sources.digests(self.study.scenario, folder)
         return StudyIdentity(
             self.study.name,
             recorded.to_text(),
             digests,
             self._columns(results),
             len(self.design),
-            designs=self.designs,
-            replay_designs=self.replay_designs,
+            designs=self.sources.designs,
+            replay_designs=self.sources.replay_designs,
         )
 
     def with_designs(self, identity: StudyIdentity) -> StudyPlan:
         """Return the plan with the designs that a dataset was begun with, wherever that was."""
-        return replace(self, designs=identity.designs, replay_designs=identity.replay_designs)
+        sources = replace(
+            self.sources, designs=identity.designs, replay_designs=identity.replay_designs
+        )
+        return replace(self, sources=sources)
 
     def _columns(self, results: Mapping[str, MetricValue]) -> tuple[StudyColumn, ...]:
         columns = []
@@ -138,10 +131,11 @@ def plan_study(study: StudyFile) -> StudyPlan:
         If a parameter, a distribution, a metric, or a file is wrong.
     """
     parse_metrics(study.metrics)
+    files = scenario_digest(study.subject)
     scenario = load_scenario(study.scenario)
     design = plan_design(study, scenario)
     _check_kept(study, design)
-    return plan_members(study, scenario, design)
+    return plan_members(study, scenario, design, files=files)
 
 
 def plan_members(
@@ -149,6 +143,7 @@ def plan_members(
     scenario: Scenario,
     design: StudyDesign,
     *,
+    files: Mapping[str, str],
     refused: Callable[[StudyMember, str], str] | None = None,
 ) -> StudyPlan:
     """Plan a study whose design and metrics are there.
@@ -159,6 +154,8 @@ def plan_members(
     scenario : Scenario
         As its file says.
     design : StudyDesign
+    files : mapping of path to SHA-256
+        That of the scenario, from before it was read.
     refused : callable, optional
         Returns what to say of a member that cannot be built, given the reason; left out: its number
         and that.
@@ -170,17 +167,13 @@ def plan_members(
     """
     checked = check_design(design, scenario, allow_code=study.subject.allow_code)
     inspected = inspected_members(design, checked)
-    sources = _swapped_files(inspected)
-    designs: dict[str | None, str] = {}
-    recordings = {member.number: member.recording for member in inspected}
+    named = named_files(_texts(design, scenario), scenario.document.folder)
     inspection = inspect_members(study, scenario, design, inspected)
-    for outcome in inspection.outcomes:
-        sources |= _sources_of(design.member(outcome.number), outcome, refused or _refused)
-        text = sources.pop(DESIGNS, "")
-        if text:
-            designs[recordings[outcome.number]] = text
-    of_scenario = designs.pop(None, "")
-    of_replays = tuple((path, text) for path, text in designs.items() if path)
+    members = {member.number: member for member in inspected}
+    sources = found_sources(
+        {**named, **files}, inspection.outcomes, members, refused=refused or _refused
+    )
+    warnings = [f"warning: {text}" for text in sources.warnings]
     settings = study.settings
     edited = scenario
     if not _is_edited_later(study):
@@ -190,10 +183,8 @@ def plan_members(
         edited,
         design,
         sources,
-        of_scenario,
         inspection.trial,
-        of_replays,
-        (*map(str, checked.refused), *inspection.notices),
+        (*map(str, checked.refused), *inspection.notices, *warnings),
     )
 
 
@@ -218,35 +209,20 @@ def _check_kept(study: StudyFile, design: StudyDesign) -> None:
             )
 
 
-def _swapped_files(members: Iterable[StudyMember]) -> dict[str, str]:
-    """Return the files that take the places of components, also where they cannot be loaded."""
-    files = {}
-    for member in members:
-        for text in member.swap.values():
-            path = Path(text)
-            if not path.is_file():
-                path = Path(text.rpartition("#")[0])
-            files[f"{FILE}{path.resolve()}"] = sha256_of(path)
-    return files
+def _texts(design: StudyDesign, scenario: Scenario) -> set[str]:
+    """Return the texts that may name what members read.
+
+    A replay takes from its log what the scenario names.
+    """
+    subject = design.study.subject
+    edits = texts_in([dict(subject.set), dict(subject.swap)])
+    is_replay = design.study.settings.replay is not None
+    common = set() if is_replay else common_texts(scenario, subject)
+    return design.texts() | edits | common
 
 
 def _refused(member: StudyMember, reason: str) -> str:
     return f"member {member.number}: {reason}"
-
-
-def _sources_of(
-    member: StudyMember, outcome: MemberOutcome, refused: Callable[[StudyMember, str], str]
-) -> dict[str, str]:
-    """Return what a member is made of; what is lost with its process fails in its run, too.
-
-    Raises
-    ------
-    UsageError
-        If the member is refused.
-    """
-    if REFUSED in outcome.metrics:
-        raise UsageError(refused(member, str(outcome.metrics[REFUSED])))
-    return {name: str(digest) for name, digest in outcome.metrics.items()}
 
 
 def _base(scenario: Scenario, *, with_record: bool) -> dict[str, Any]:
@@ -260,13 +236,3 @@ def _own_edits(subject: StudySubject) -> dict[str, Any]:
     if subject.with_results:
         return dict(subject.set)
     return {key: value for key, value in subject.set.items() if not key.startswith(f"{RECORD}.")}
-
-
-def _source_label(name: str, folder: Path) -> str:
-    """Return how a source is named in messages: files by their path from the scenario's folder."""
-    if name.startswith(CODE):
-        return name
-    path = Path(name.removeprefix(FILE))
-    kinds: Mapping[str, str] = {".fmu": "FMU", ".mcap": "log", ".csv": "table", ".parquet": "table"}
-    kind = kinds.get(path.suffix.lower(), "file")
-    return f"{kind} {path.relative_to(folder) if path.is_relative_to(folder) else path}"

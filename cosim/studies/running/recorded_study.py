@@ -20,6 +20,7 @@ _LAYOUT: Final = "layout"
 _SOURCE: Final = "source"
 _ENVIRONMENT: Final = "environment"
 _SEARCH: Final = "search"
+_WARNINGS: Final = "warnings"
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,12 +64,15 @@ class RecordedStudy:
         Versions and processor where it was planned last.
     search : RecordedSearch, optional
         That chooses the members.
+    warnings : tuple of str
+        What was not known of it when it was planned.
     """
 
     study: StudyFile
     layout: StudyLayout
     environment: Mapping[str, str] = field(default_factory=own_environment)
     search: RecordedSearch | None = None
+    warnings: tuple[str, ...] = ()
 
     def to_text(self) -> str:
         """Return the text that a dataset keeps."""
@@ -78,6 +82,7 @@ class RecordedStudy:
             _LAYOUT: self.layout.to_dict(),
             _ENVIRONMENT: dict(self.environment),
             _SEARCH: None if self.search is None else asdict(self.search),
+            _WARNINGS: list(self.warnings),
         }
         return json.dumps(described, ensure_ascii=False)
 
@@ -97,12 +102,13 @@ class RecordedStudy:
             recorded = described[_ENVIRONMENT]
             chosen_by = described.get(_SEARCH)
             search = None if chosen_by is None else RecordedSearch(**chosen_by)
+            warnings = tuple(map(str, described.get(_WARNINGS, ())))
         except (ValueError, KeyError, TypeError) as error:
             raise UsageError("the study of this dataset cannot be read by this version") from error
         if study is None:
             texts = "; ".join(text for _, text in problems)
             raise UsageError(f"the study of this dataset cannot be read by this version: {texts}")
-        return cls(study, layout, recorded, search)
+        return cls(study, layout, recorded, search, warnings)
 
     def command_of(self, dataset: Study) -> Callable[[int], str]:
         """Return what gives the command that runs a member of a dataset alone.

@@ -26,6 +26,7 @@ from cosim.studies.document.variations import SWAP
 from cosim.studies.metrics.metrics import parse_metrics
 from cosim.studies.running.plan import StudyPlan, plan_members
 from cosim.studies.running.recorded_study import RecordedSearch, RecordedStudy
+from cosim.studies.running.sources import scenario_digest
 from cosim.studies.tuning.searching import TuningSearch, check_search
 from cosim.studies.tuning.space import BoundedKey, ChoiceKey, SearchSpace
 from cosim.studies.tuning.task import OBJECTIVE, TuningTask, is_rms
@@ -103,7 +104,8 @@ class TuningPlan:
             OBJECTIVE, self.task.expression, maximize=search.maximize, method=search.method
         )
         layout = StudyLayout("cases", samples=search.members)
-        return RecordedStudy(self.study.study, layout, search=chosen_by)
+        warnings = self.study.sources.warnings
+        return RecordedStudy(self.study.study, layout, search=chosen_by, warnings=warnings)
 
 
 def plan_tuning(task: TuningTask) -> TuningPlan:
@@ -134,9 +136,10 @@ def plan_tuning(task: TuningTask) -> TuningPlan:
         swaps = [f"{SWAP}{key} = {quoted(path)}: " for key, path in member.swap.items()]
         return f"{''.join(swaps)}{_of_objective(reason, name)}"
 
+    files = scenario_digest(study.subject)
     scenario = load_scenario(study.scenario)
     _check_bounds(search.space, study, scenario)
-    planned = plan_members(study, scenario, design, refused=refused)
+    planned = plan_members(study, scenario, design, files=files, refused=refused)
     return TuningPlan(task, planned, search, recording)
 
 

@@ -3,8 +3,9 @@
 ::
 
     pool -> worker     {"opener": ..., "subject": ..., ...}, then a member a line
-    worker -> pool     {"refusal": ..., "exit_code": ...} or {"ready": true}, then for each member
-                       {"outcome": ..., "seconds": ..., "retires": ...}
+    worker -> pool     {"refusal": ..., "exit_code": ..., "has_changed": ...} or {"ready": true},
+                       then for each member {"outcome": ..., "seconds": ..., "retires": ...}, or
+                       the refusal of one that reads another file than the study began with
 
 Floats keep their bits, also infinite ones and NaN.
 """
@@ -51,10 +52,14 @@ class WorkerReady(NamedTuple):
 
 
 class WorkerRefusal(NamedTuple):
-    """A worker cannot open its runner; the exit code is that of the error."""
+    """A worker cannot open its runner, or found another file than the study began with.
+
+    The exit code is that of the error.
+    """
 
     text: str
     exit_code: int
+    has_changed: bool = False
 
 
 class WorkerAnswer(NamedTuple):
@@ -108,7 +113,8 @@ def encode_reply(reply: WorkerReply) -> bytes:
         case WorkerReady():
             return _line({"ready": True})
         case WorkerRefusal():
-            return _line({"refusal": reply.text, "exit_code": reply.exit_code})
+            refusal = {"refusal": reply.text, "exit_code": reply.exit_code}
+            return _line({**refusal, "has_changed": reply.has_changed})
     outcome = {name: getattr(reply.outcome, name) for name in _OF_OUTCOME}
     return _line({"outcome": outcome, "seconds": reply.seconds, "retires": reply.retires})
 
@@ -127,7 +133,7 @@ def decode_reply(line: bytes) -> WorkerReply:
             outcome = MemberOutcome(**values["outcome"])
             return WorkerAnswer(outcome, values["seconds"], values["retires"])
         if "refusal" in values:
-            return WorkerRefusal(values["refusal"], values["exit_code"])
+            return WorkerRefusal(values["refusal"], values["exit_code"], values["has_changed"])
         if "ready" in values:
             return WorkerReady()
     except (KeyError, TypeError) as error:

@@ -29,7 +29,7 @@ from time import monotonic
 from types import TracebackType
 from typing import Final, Self, final
 
-from cosim.errors import CosimError, RunError, UsageError, option, quoted
+from cosim.errors import ChangedFileError, CosimError, RunError, UsageError, option, quoted
 from cosim.interrupts import uninterrupted
 from cosim.studies.contracts import COMPLETE, FAILED, MemberOutcome, StudyMember, StudySubject
 from cosim.studies.workers.member_times import MemberTimes
@@ -103,6 +103,7 @@ class WorkerPool:
         self._count = count
         self._times = MemberTimes(timeout)
         self._output = output
+        self._refusal: CosimError | None = None
         self._lost_openings = 0  # in a row
         self._next_look = 0.0
         self._workers: dict[int, WorkerProcess] = {}  # by the pipe from them
@@ -141,16 +142,22 @@ class WorkerPool:
         ------
         UsageError
             If a worker refuses the subject: a scenario with an error.
+        ChangedFileError
+            If a member reads another file than the study began with.
         RunError
             If workers are lost one after the other while they open their runner.
         """
+        self._refusal = None
         remaining = RemainingMembers(members)
         try:
             self._give(remaining)
             while not remaining.is_empty or any(worker.queue for worker in self._workers.values()):
                 outcomes = self._wait(remaining)
-                self._give(remaining)  # first, as others take their time with the outcomes
+                if self._refusal is None:
+                    self._give(remaining)  # first, as others take their time with the outcomes
                 yield from outcomes
+                if self._refusal is not None:
+                    raise self._refusal
         finally:
             for worker in list(self._workers.values()):
                 if worker.queue:
@@ -217,14 +224,15 @@ class WorkerPool:
 
     def _receive(self, worker: WorkerProcess, remaining: RemainingMembers) -> list[MemberOutcome]:
         """Take the replies of a worker; return outcomes, also of a member that it is lost with."""
-        outcomes = []
+        outcomes: list[MemberOutcome] = []
         replies, is_open = worker.receive()
         for reply in replies:
             match reply:
                 case WorkerReady():
                     self._lost_openings = 0
                 case WorkerRefusal():
-                    raise self._refused(reply)
+                    self._refusal = self._refused(reply)
+                    return outcomes
                 case WorkerAnswer():
                     outcomes.append(reply.outcome)
                     is_complete = reply.outcome.status == COMPLETE
@@ -300,7 +308,9 @@ class WorkerPool:
             )
 
     def _refused(self, refusal: WorkerRefusal) -> CosimError:
-        """Return the error with which a worker refuses to open its runner."""
+        """Return the error with which a worker refuses to go on."""
+        if refusal.has_changed:
+            return ChangedFileError(refusal.text)
         if refusal.exit_code == UsageError.exit_code:
             return UsageError(refusal.text)
         return RunError(f"{quoted(self._scenario)} cannot be opened: {refusal.text}")

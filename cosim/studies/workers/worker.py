@@ -16,7 +16,7 @@ from importlib import import_module
 from time import perf_counter
 from typing import Final, NoReturn
 
-from cosim.errors import CosimError
+from cosim.errors import ChangedFileError, CosimError
 from cosim.processes import describe_exit, end_with_parent, leave_no_core
 from cosim.studies.contracts import FAILED, MemberOutcome, MemberRunner, StudyMember
 from cosim.studies.workers.messages import (
@@ -84,10 +84,17 @@ def run_member(runner: MemberRunner, member: StudyMember, worker: str) -> Worker
 
     A runner makes an outcome of what it expects. After anything else nobody knows what state it is
     in, and the worker retires.
+
+    Raises
+    ------
+    ChangedFileError
+        If it reads another file than the study began with: there is no outcome then.
     """
     began = perf_counter()
     try:
         outcome = runner.run(member)
+    except ChangedFileError:
+        raise
     except BaseException as error:
         return failed_answer(member.number, error, perf_counter() - began, worker)
     seconds = perf_counter() - began
@@ -99,6 +106,14 @@ def failed_answer(number: int, error: BaseException, seconds: float, worker: str
     reason = describe_error(error)
     outcome = MemberOutcome(number, FAILED, reason=reason, wall_time=seconds, worker=worker)
     return WorkerAnswer(outcome, seconds, retires=True)
+
+
+def refusal_of(error: BaseException) -> WorkerRefusal:
+    """Return what a worker says that cannot go on for an error."""
+    if isinstance(error, ChangedFileError):  # the parent adds the way out, in its language
+        return WorkerRefusal(error.problem, error.exit_code, has_changed=True)
+    code = error.exit_code if isinstance(error, CosimError) else 1
+    return WorkerRefusal(describe_error(error), code)
 
 
 def encode_answer(answer: WorkerAnswer) -> bytes:
@@ -160,12 +175,15 @@ def main(arguments: Sequence[str]) -> NoReturn:
             opening = decode_opening(next(lines))
             runner = stack.enter_context(open_runner(opening))
         except BaseException as error:
-            code = error.exit_code if isinstance(error, CosimError) else 1
-            replies.write(encode_reply(WorkerRefusal(describe_error(error), code)))
+            replies.write(encode_reply(refusal_of(error)))
             os._exit(1)
         replies.write(encode_reply(WorkerReady()))
         most = opening.most_members
-        serve(runner, lines, members=members, replies=replies, most=most)
+        try:
+            serve(runner, lines, members=members, replies=replies, most=most)
+        except ChangedFileError as error:
+            replies.write(encode_reply(refusal_of(error)))
+            os._exit(1)
     with suppress(OSError, ValueError):
         sys.stdout.flush()
     os._exit(0)
