@@ -2,6 +2,7 @@
 
 A part of the dataset without any outcome is one task, so that a worker can write it, as long as
 there are many parts and each is quick. Else a task is some members, and their outcomes come back.
+The last tasks are the shortest: at the end all threads wait for the last one.
 """
 
 from __future__ import annotations
@@ -11,7 +12,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Final, final
 
-LEAST: Final = 1.0  # [s] of members in a task
+LEAST: Final = 0.25  # [s] of members in a task
+TASK_RATE: Final = 100.0  # [1/s] that a scheduler has time for
 MOST: Final = 10.0
 MOST_OF_PART: Final = 60.0  # [s] that is lost when the worker of a whole part is
 MOST_MEMBERS: Final = 1000  # of a task that is no part: what its message holds
@@ -100,7 +102,8 @@ class RemainingTasks:
             return 1
         share = self.count / (PIECES_PER_THREAD * threads)
         seconds = max(self._seconds, 1e-6)
-        wanted = max(LEAST / seconds, min(MOST / seconds, share))
+        least = max(LEAST, threads / TASK_RATE)
+        wanted = max(least / seconds, min(MOST / seconds, share))
         return max(1, min(MOST_MEMBERS, round(wanted)))
 
 

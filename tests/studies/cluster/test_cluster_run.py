@@ -1,13 +1,14 @@
 """Studies on a scheduler and workers in processes of their own, over TCP on loopback."""
 
 import os
+import re
 import signal
 import threading
 import time
 
 import pytest
 
-from cosim.errors import RunError
+from cosim.errors import RunError, UsageError
 from cosim.studies.cluster.cluster_run import run_on_cluster
 from cosim.studies.cluster.connection import connect
 from cosim.studies.dataset.study_dataset import StudyDataset
@@ -127,6 +128,32 @@ def test_a_worker_that_comes_later_is_used(tmp_path):
     assert found.num_rows == 400
 
 
+def test_a_worker_without_cosim_is_named_and_not_used(two_workers, tmp_path):
+    """The others run the study."""
+    worker = two_workers.start_worker(PYTHONPATH=_without_cosim(tmp_path))
+    try:
+        with connect(two_workers.address) as client:
+            client.wait_for_workers(3, timeout=LIMIT)
+        notices = []
+        found = run(two_workers.address, CountedMembers(8), tmp_path / "a", notice=notices.append)
+    finally:
+        worker.kill()
+        worker.wait(LIMIT)
+    assert found.num_rows == 8
+    (notice,) = notices
+    assert re.match(r"worker tcp://.* is not used: .*ImportError.*there is no cosim", notice)
+
+
+def test_a_scheduler_without_cosim_is_one_error(tmp_path):
+    """It reads the tasks; nothing is run."""
+    folder = tmp_path / _made(tmp_path, "cluster")
+    with (
+        cluster(folder, workers=0, PYTHONPATH=_without_cosim(tmp_path)) as processes,
+        pytest.raises(UsageError, match=r"^the scheduler at tcp://.* cannot read .*: ImportError"),
+    ):
+        run(processes.address, CountedMembers(8), tmp_path / "a")
+
+
 def test_ctrl_c_leaves_what_came_and_nothing_on_its_way(two_workers, tmp_path):
     """The same study goes on from there."""
     design = CountedMembers(150, sleeps=0.02)
@@ -226,6 +253,13 @@ def _queued(dask_scheduler):
     return sum(
         task.state in ("waiting", "queued", "no-worker") for task in dask_scheduler.tasks.values()
     )
+
+
+def _without_cosim(folder):
+    """Return a path on which there is no cosim."""
+    package = folder / _made(folder, "other") / _made(folder / "other", "cosim")
+    (package / "__init__.py").write_text("raise ImportError('there is no cosim')")
+    return str(folder / "other")
 
 
 def _made(folder, name):

@@ -53,14 +53,21 @@ def test_the_first_members_are_given_one_at_a_time():
 
 
 def test_quick_parts_are_whole_tasks_until_few_are_left():
-    """The last four parts are shared out in pieces of at least a second among two threads."""
+    """The last four parts are shared out among two threads, in pieces that get shorter."""
     parts = list(PartLayout(100, (10_000,)).parts())
     tasks = tasks_of([range(10_000)], parts, seconds=0.1)
     whole = [task for task in tasks if task.is_part]
     assert len(whole) == 95  # one is begun before it is known how quick they are, four are left
     pieces = [task.members for task in tasks if not task.is_part and task.members[0] >= 9600]
-    assert all(len(members) >= 10 for members in pieces if members.stop % 100)
+    assert all(len(members) >= 2 for members in pieces if members.stop % 100)
+    assert [len(members) for members in pieces][-3:] == [2, 2, 2]
     assert max(map(len, pieces)) == 50  # an eighth of four parts
+
+
+def test_the_tasks_of_many_threads_are_not_more_than_a_scheduler_takes():
+    """300 threads come to it 100 times a second."""
+    tasks = tasks_of([range(10_000)], [], seconds=0.1, threads=300)
+    assert {len(task.members) for task in tasks[300:-1]} == {30}
 
 
 def test_members_of_slow_parts_come_back_every_ten_seconds():
