@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from cosim.arguments import mapping_argument, texts_argument, truth_argument, whole_argument
 from cosim.core.recorders import Memory
@@ -23,6 +23,9 @@ from cosim.scenario.recordings.recording import Progress, Target, check_target, 
 from cosim.scenario.recordings.replay_changes import Swaps, check_changes
 from cosim.scenario.recordings.replaying import rebuilt, valid_designs, with_setting_designs
 from cosim.scenario.recordings.window import ReplayWindow, window_of
+
+if TYPE_CHECKING:
+    from cosim.fmi.unpacked import UnpackedFmus
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,8 +143,13 @@ def check_replay_target(source: Log, out: str | Path | None, *, force: bool) -> 
     check_target(out, force=force)
 
 
-def prepared_replay(source: Log, request: ReplayRequest, resources: ExitStack) -> Experiment:
-    """Build the replay of a log.
+def prepared_replay(
+    source: Log,
+    request: ReplayRequest,
+    resources: ExitStack,
+    unpacked: UnpackedFmus | None = None,
+) -> Experiment:
+    """Build the replay of a log; FMUs that take the places of others are unpacked once for all.
 
     Raises
     ------
@@ -163,6 +171,7 @@ def prepared_replay(source: Log, request: ReplayRequest, resources: ExitStack) -
         rerun=request.rerun,
         components=request.components,
         swaps=swaps,
+        unpacked=unpacked,
     )
     check_changes(experiment, recorded_document(source), changes, swaps)
     designs = valid_designs(experiment, source, replaced=swaps.paths)

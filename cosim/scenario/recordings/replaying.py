@@ -34,6 +34,7 @@ from cosim.scenario.recordings.replay_changes import NO_CHANGES, NO_SWAPS, Swaps
 from cosim.scenario.recordings.rerunning import fmu_paths, rerun_specs, with_recorded_reports
 
 if TYPE_CHECKING:
+    from cosim.fmi.unpacked import UnpackedFmus
     from cosim.scenario.recordings.replayed_part import ReplayedPart
 
 
@@ -60,6 +61,7 @@ def rebuilt(
     rerun: bool = False,
     components: Sequence[str] | None = None,
     swaps: Swaps = NO_SWAPS,
+    unpacked: UnpackedFmus | None = None,
 ) -> Experiment:
     """Build the scenario of a log again, with its recorded components; only the log is needed.
 
@@ -81,6 +83,8 @@ def rebuilt(
         The only ones to compute; the others are taken from the log. None: all that can be.
     swaps : Swaps
         Components to replace by others, which are computed.
+    unpacked : UnpackedFmus, optional
+        Where FMUs are unpacked and loaded for all builds of a process.
 
     Raises
     ------
@@ -124,6 +128,7 @@ def rebuilt(
         left_out=left_out,
         fmus_again=fmus_again,
         block=block,
+        unpacked=unpacked,
         replaced=_replaced(source, swaps.paths),
         beside=scenario,
     )

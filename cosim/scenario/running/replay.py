@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final, Protocol, final
+from typing import TYPE_CHECKING, Any, Final, Protocol, final
 
 from cosim.arguments import (
     callable_argument,
@@ -38,6 +38,9 @@ from cosim.scenario.recordings.replay_request import (
 )
 from cosim.scenario.running.execution import load, run
 from cosim.scenario.running.field_replay import check_field_options, with_recorded_components
+
+if TYPE_CHECKING:
+    from cosim.fmi.unpacked import UnpackedFmus
 
 _LARGE: Final = 2**25  # bytes of rows
 
@@ -69,8 +72,16 @@ class Replays(Protocol):
         """Build and prepare the replay with some values; raise UsageError if it cannot be run."""
         ...
 
-    def experiment(self, values: Mapping[str, Any], resources: ExitStack) -> Experiment:
-        """Build the replay with some values, to run it into a recorder of one's own."""
+    def experiment(
+        self,
+        values: Mapping[str, Any],
+        resources: ExitStack,
+        unpacked: UnpackedFmus | None = None,
+    ) -> Experiment:
+        """Build the replay with some values, to run it into a recorder of one's own.
+
+        FMUs are unpacked into ``unpacked`` for all replays; without it, for this one.
+        """
         ...
 
     def check_target(self, out: str | Path | None, *, force: bool) -> None:
@@ -118,9 +129,14 @@ class LogReplays:
             experiment = self.experiment(values, resources)
             experiment.graph.prepare(experiment.clock.step_ns, experiment.designs)
 
-    def experiment(self, values: Mapping[str, Any], resources: ExitStack) -> Experiment:
+    def experiment(
+        self,
+        values: Mapping[str, Any],
+        resources: ExitStack,
+        unpacked: UnpackedFmus | None = None,
+    ) -> Experiment:
         """Build the replay with some values."""
-        return prepared_replay(self.source, self._with(values), resources)
+        return prepared_replay(self.source, self._with(values), resources, unpacked)
 
     def check_target(self, out: str | Path | None, *, force: bool) -> None:
         """Refuse a path that the log of a replay cannot be written to."""
@@ -174,9 +190,14 @@ class FieldReplays:
             if experiment.plan is None:
                 experiment.graph.prepare(experiment.clock.step_ns)
 
-    def experiment(self, values: Mapping[str, Any], resources: ExitStack) -> Experiment:
+    def experiment(
+        self,
+        values: Mapping[str, Any],
+        resources: ExitStack,
+        unpacked: UnpackedFmus | None = None,
+    ) -> Experiment:
         """Build the replay with some values."""
-        return build_experiment(self._with(values), resources, self.block)
+        return build_experiment(self._with(values), resources, self.block, unpacked=unpacked)
 
     def check_target(self, out: str | Path | None, *, force: bool) -> None:
         """Refuse a path that the log of a replay cannot be written to."""

@@ -103,7 +103,8 @@ class MemberBuilder:
         common = replace(self.common_of(member), own=decode_designs(member.designs))
         if member.recording is not None:
             replays = self._replays(member.recording, swaps)
-            replay = replays.experiment({**self._subject.set, **member.set}, resources)
+            changes = {**self._subject.set, **member.set}
+            replay = replays.experiment(changes, resources, self.fmus)
             return common.with_settings(common.prepared(replay))
         scenario = self.scenario(swaps, member.set)
         return build_experiment(scenario, resources, None, unpacked=self.fmus, common=common)
@@ -118,7 +119,7 @@ class MemberBuilder:
         """
         with ExitStack() as resources:
             replays = self._replays(path, self._subject.swap)
-            experiment = replays.experiment(self._subject.set, resources)
+            experiment = replays.experiment(self._subject.set, resources, self.fmus)
             recorded = experiment.designs or {}
             plan = experiment.plan
             if plan is None:

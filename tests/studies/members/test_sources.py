@@ -8,6 +8,7 @@ import pytest
 import cosim
 from cosim.digests import sha256_of
 from cosim.errors import ChangedFileError
+from cosim.fmi.reading.model_description import read
 from cosim.studies.contracts import COMPLETE, StudyMember, StudySubject
 from cosim.studies.members.logging_runner import open_logging_runner
 from cosim.studies.members.runner import open_runner
@@ -166,3 +167,25 @@ def test_a_recording_is_checked(tmp_path):
         part = StudyMember(0, recording=str(tmp_path / "run.part2.mcap"))
         with pytest.raises(ChangedFileError, match=r"run\.mcap"):
             runner.run(part)
+
+
+def test_replays_unpack_an_fmu_once(subject, tmp_path, monkeypatch):
+    """As runs do; what they come to is as of a replay alone, bit for bit."""
+    log = tmp_path / "run.mcap"
+    cosim.run(subject.scenario, set=subject.set, out=log)
+    swap = {"plant": str(tmp_path / "b.fmu")}
+    changes = [{"plant.start": {"A": -1.0 - n}} for n in range(2)]
+    alone = [cosim.replay(log, swap=swap, set=one)["plant.y"][-1] for one in changes]
+    unpacked = []
+
+    def counted(*given, **into):
+        unpacked.append(given)
+        return read(*given, **into)
+
+    monkeypatch.setattr("cosim.fmi.unpacked.read", counted)
+    replayed = StudySubject(subject.scenario, metrics=subject.metrics)
+    with open_runner(replayed) as runner:
+        for number, one in enumerate(changes):
+            outcome = runner.run(StudyMember(number, one, swap, str(log)))
+            assert outcome.metrics == {"y": alone[number]}, outcome.reason
+    assert len(unpacked) == 1
