@@ -155,6 +155,9 @@ def tune_task(
     if scheduler is not None:
         check_batches(task.search.method)
     plan = plan_tuning(task)
+    if notice is not None:
+        for warning in plan.study.sources.warnings:
+            notice(f"warning: {warning}")
     with ExitStack() as resources:
         dataset = resources.enter_context(TuningDataset(out, plan.identity(), new=new))
         plan = replace(plan, study=plan.study.with_designs(dataset.identity))
