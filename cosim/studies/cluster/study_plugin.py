@@ -146,15 +146,10 @@ class StudyPlugin(WorkerPlugin):  # type: ignore[misc]
     def _subject(self) -> StudySubject:
         """Return the subject with the paths of this machine."""
         subject = StudySubject(**self._moved(self._settings["subject"]))
-        if self._root is None:
+        if self._root is None or not self._settings["named"]:
             return subject
-        files = self._settings["files"]
-        digests = {}
-        for path, digest in subject.digests.items():
-            digests[moved(path, self._root) if path in files else path] = digest
-        if self._settings["named"]:  # its copy names other copies
-            digests[subject.scenario] = sha256_of(subject.scenario)
-        return replace(subject, digests=digests)
+        own = {subject.scenario: sha256_of(subject.scenario)}  # the copy names other copies
+        return replace(subject, digests={**subject.digests, **own})
 
     def _local(self, member: StudyMember) -> StudyMember:
         """Return a member with the paths of this machine."""
