@@ -116,7 +116,7 @@ def million(folder, members, part_size):
     study_plugin.MemberExecutor = InProcess
     with (
         LocalCluster(
-            processes=False, n_workers=4, threads_per_worker=1, dashboard_address=None
+            processes=False, n_workers=4, threads_per_worker=1, dashboard_address="127.0.0.1:0"
         ) as local,
         Client(local, set_as_default=False) as client,
         StudyDataset.open_or_create(

@@ -151,16 +151,16 @@ def test_a_missing_sdk_is_one_clear_error(call, log, monkeypatch, command):
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (("--speed", "0"), "--speed: found 0.0; needed a finite number above 0"),
+        (("--port", "0", "--speed", "0"), "--speed: found 0.0; needed a finite number above 0"),
         (("--port", "70000"), "--port: found 70000; needed 0 to 65535"),
         (("--port", "0", "plant.z"), "a.mcap has no 'plant.z': 'plant' has no signal 'z'"),
-        (("--layout", "a.mcap"), "--layout a.mcap: exists; choose another path"),
-        (("--layout", "none/x.json"), "none/x.json: No such file or directory"),
+        (("--port", "0", "--layout", "a.mcap"), "--layout a.mcap: exists; choose another path"),
+        (("--port", "0", "--layout", "none/x.json"), "none/x.json: No such file or directory"),
     ],
 )
 def test_wrong_options_of_play(call, log, arguments, text):
     """One line that says what is needed."""
-    code, _, err = call("play", "a.mcap", "--port", "0", *arguments)
+    code, _, err = call("play", "a.mcap", *arguments)
     assert code in (1, 2)
     assert text in err
     assert len(err.splitlines()) == 1

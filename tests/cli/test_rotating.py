@@ -2,7 +2,8 @@
 
 import json
 
-ROTATED = ("run", "academic", "--stop", "2", "--rotate", "0.8s", "--out", "run.mcap")
+RUN = ("run", "academic", "--stop", "2")
+ROTATED = (*RUN, "--rotate", "0.8s", "--out", "run.mcap")
 
 
 def test_the_files_and_the_end_of_the_whole_run_are_shown(call, tmp_path):
@@ -37,7 +38,7 @@ def test_json_has_the_results_of_the_whole_run(call):
 
 def test_a_run_within_the_limit_is_shown_as_ever(call, tmp_path):
     """It has one file."""
-    code, out, _ = call(*ROTATED, "--stop", "0.5")
+    code, out, _ = call(*RUN, "--rotate", "3s", "--out", "run.mcap")
     assert code == 0
     assert out.splitlines()[-1] == "log\t\t\trun.mcap"
     assert [path.name for path in tmp_path.iterdir()] == ["run.mcap"]
@@ -47,12 +48,13 @@ def test_wrong_use_of_rotate_exits_with_2(call):
     """One line on stderr, nothing on stdout."""
     call(*ROTATED, "--quiet")
     for options, text in [
-        (("--out", "a.mcap", "--rotate", "1 MiBi"), "--rotate: found '1 MiBi'; needed a size in"),
-        (("--out", "a.mcap", "--plot", "a.png"), "found both --rotate and --plot"),
-        (("--out", "a.mcap", "--profile"), "found both --rotate and --profile"),
-        ((), "run.mcap exists; choose another path, or --force to replace it"),
+        (("a.mcap", "--rotate", "1 MiBi"), "--rotate: found '1 MiBi'; needed a size in"),
+        (("a.mcap", "--rotate", "1s", "--plot", "a.png"), "found both --rotate and --plot"),
+        (("a.mcap", "--rotate", "1s", "--profile"), "found both --rotate and --profile"),
+        (("run.mcap", "--rotate", "1s"), "run.mcap exists; choose another path, or --force"),
+        (("a.mcap", "--rotate", "1s", "--rotate", "2s"), "--rotate: given 2 times, needed once"),
     ]:
-        code, out, err = call(*ROTATED, *options)
+        code, out, err = call(*RUN, "--out", *options)
         assert (code, out) == (2, "")
         assert text in err
         assert err.count("\n") == 1

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from typing import Any, Final
-from warnings import catch_warnings, filterwarnings
 
 import numpy as np
 
 from cosim.arrays import Vector
 from cosim.errors import UsageError
 from cosim.files import check_writable
+from cosim.filters import collected_warnings
 from cosim.report.plots.fitting import fit_labels, fit_legend, fit_title
 
 CENTIMETER: Final = 1.0 / 2.54  # inches
@@ -21,6 +21,7 @@ SMALLEST: Final = 3.0  # cm
 LARGEST: Final = 200.0  # cm
 _DOTS_PER_INCH: Final = 150
 # text stays text: it can be searched and edited, and set in the font of the page
+_NO_ROOM: Final = "constrained_layout not applied"  # a warning of matplotlib
 _TEXT_AS_TEXT: Final = {"svg.fonttype": "none", "pdf.fonttype": 42}
 
 
@@ -168,18 +169,17 @@ class Picture:
             self.panels[0].set_xlim(self._options.start, self._options.stop)
         picture = BytesIO()  # a file that is there stays whole if this is interrupted
         try:
-            with rc_context(_TEXT_AS_TEXT), catch_warnings():
-                filterwarnings("error", "constrained_layout not applied")
+            with rc_context(_TEXT_AS_TEXT), collected_warnings(_NO_ROOM) as problems:
                 fit_labels(self._figure, rows=self._rows, columns=self._columns)
                 self._figure.savefig(picture, format=_format(out), dpi=_DOTS_PER_INCH)
+            if problems:
+                width, height = self._figure.get_size_inches() / CENTIMETER
+                raise UsageError(
+                    f"size: found {width:g} x {height:g} cm; needed more for the names at the axes "
+                    "of this picture"
+                )
             out.parent.mkdir(parents=True, exist_ok=True)
             out.write_bytes(picture.getvalue())
-        except UserWarning as error:
-            width, height = self._figure.get_size_inches() / CENTIMETER
-            raise UsageError(
-                f"size: found {width:g} x {height:g} cm; needed more for the names at the axes of "
-                "this picture"
-            ) from error
         except ValueError as error:
             raise UsageError(f"{out}: {error}") from error
         except OSError as error:

@@ -26,6 +26,8 @@ class ClusterProcesses:
             "--port",
             "0",
             "--no-dashboard",
+            "--dashboard-address",  # for others: by itself it listens to all, on one port
+            "127.0.0.1:0",
             "--scheduler-file",
             self._file,
             "--no-jupyter",

@@ -28,7 +28,10 @@ LIMIT = 20.0  # [s], which nothing here takes
 def local():
     """Serve a cluster without workers, inside of this process."""
     with distributed.LocalCluster(
-        processes=False, n_workers=0, threads_per_worker=1, dashboard_address=None
+        processes=False,
+        n_workers=0,
+        threads_per_worker=1,
+        dashboard_address="127.0.0.1:0",  # None: a port that others may have
     ) as cluster:
         yield cluster
 
