@@ -25,7 +25,9 @@ def metrics(
     ] = None,
     study: Annotated[
         str | None,
-        typer.Option("--of", metavar="DIR", help="Those of a study, by its dataset."),
+        typer.Option(
+            "--of", metavar="DIR", help="Compute the metrics of the study whose dataset this is."
+        ),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 
-def stopped_text(place: str) -> str:
-    """Return what there is of a study that is stopped."""
+def stopped_text(place: str, *, new: bool) -> str:
+    """Return what there is of a study that is stopped; ``new``: that was to begin anew."""
     from cosim.errors import DatasetError
     from cosim.studies.dataset.study import open_study
+    from cosim.studies.dataset.study_dataset import StudyDataset
 
     try:
+        if not StudyDataset.is_at(place):
+            return "stopped before the first member was recorded"
         stopped = open_study(place)
-    except DatasetError:
-        return "stopped before the first member was recorded"
-    return (
-        f"stopped: {len(stopped)} of {stopped.planned} members are recorded in {place}; the same "
-        "command goes on"
-    )
+    except DatasetError as error:
+        return f"stopped; {error}"
+    recorded = f"stopped: {len(stopped)} of {stopped.planned} members are recorded in {place}"
+    if new:
+        return f"{recorded}; the command without --new goes on with these, with it they are removed"
+    return f"{recorded}; the same command goes on"

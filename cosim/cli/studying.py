@@ -110,7 +110,7 @@ def run(
         typer.Option(help="random (default), latin-hypercube, sobol, or saltelli."),
     ] = None,
     seed: Annotated[
-        int | None, typer.Option(help="That all random numbers follow from. [default: 0]")
+        int | None, typer.Option(help="Seed of all random numbers. [default: 0]")
     ] = None,
     seeds: Annotated[
         int | None, typer.Option(help="How many seeds each noise source gets.")
@@ -216,10 +216,15 @@ def run(
             keep=_kept(keep),
             results=results,
         )
-    if dry_run:
-        _dry_run(file, workers, as_json=as_json)
-        return
     place = str(default_place(file)) if out is None else out
+    if dry_run:
+        if scheduler is not None:
+            raise UsageError(
+                "found both --dry-run and --scheduler; the time that --dry-run shows is that of "
+                "workers on this machine: leave out --scheduler"
+            )
+        _dry_run(file, workers, None if new else place, as_json=as_json)
+        return
     with prints_to_stderr(), show_members(quiet or as_json) as progress:
         try:
             done = run_study(
@@ -233,7 +238,7 @@ def run(
                 notice=None if quiet else print_notice,
             )
         except KeyboardInterrupt:
-            typer.echo(printable(stopped_text(place)), err=True)
+            typer.echo(printable(stopped_text(place, new=new)), err=True)
             raise
     if not quiet:
         _show(place, ShownParts(as_json=as_json))
@@ -266,17 +271,19 @@ def _kept(text: str | None) -> str | list[int] | None:
         ) from error
 
 
-def _dry_run(file: Any, workers: int | None, *, as_json: bool) -> None:
-    """Print what a study will take."""
+def _dry_run(file: Any, workers: int | None, place: str | None, *, as_json: bool) -> None:
+    """Print what a study will take; ``place``: where it would go on."""
     from cosim.studies.running.estimate import estimate_study
     from cosim.studies.running.plan import plan_study
-    from cosim.studies.running.studying import worker_count
+    from cosim.studies.running.studying import check_place, worker_count
     from cosim.studies.tables.estimate import print_estimate
 
     with prints_to_stderr():
         plan = plan_study(file)
         for text in plan.notices:
             print_notice(text)
+        if place is not None:
+            check_place(plan, place)
         estimate = estimate_study(plan, worker_count(workers))
     print_estimate(file.name, estimate, as_json=as_json)
 
@@ -286,7 +293,9 @@ def show(
     place: DatasetArgument,
     member: Annotated[
         int | None,
-        typer.Option(metavar="NUMBER", help="All of one member, and the command that runs it."),
+        typer.Option(
+            metavar="NUMBER", help="Show everything about one member, and the command that runs it."
+        ),
     ] = None,
     metrics: Annotated[
         list[str] | None,
@@ -310,7 +319,10 @@ def show(
         bool, typer.Option("--sobol", help="Sobol indices, of a study with sampling saltelli.")
     ] = False,
     worst: Annotated[
-        int, typer.Option(help="How many members with the largest values are named.")
+        int,
+        typer.Option(
+            help="How many members with the largest values are named; of a tuning, the best."
+        ),
     ] = 3,
     as_json: JsonOption = False,
 ) -> None:
@@ -405,7 +417,9 @@ def plot(
     ] = None,
     metrics: Annotated[
         list[str] | None,
-        typer.Option("--metric", metavar="NAME", help="Shown; default: all. Repeatable."),
+        typer.Option(
+            "--metric", metavar="NAME", help="Metric that is drawn; default: all. Repeatable."
+        ),
     ] = None,
     keys: Annotated[
         list[str] | None,

@@ -69,7 +69,7 @@ def tune(
         ),
     ] = SearchMethod.COBYQA,
     starts: Annotated[int, typer.Option(metavar="N", help="Starts of a local search.")] = 4,
-    seed: Annotated[int, typer.Option(metavar="N", help="Of starts and random points.")] = 1,
+    seed: Annotated[int, typer.Option(metavar="N", help="Seed of starts and random points.")] = 1,
     standard_errors: Annotated[
         bool,
         typer.Option(
@@ -160,7 +160,7 @@ def tune(
             )
         except KeyboardInterrupt:
             if out is not None:
-                typer.echo(printable(stopped_text(out)), err=True)
+                typer.echo(printable(stopped_text(out, new=new)), err=True)
             raise
     if as_json:
         typer.echo(json.dumps(result.to_dict(), indent=2))

@@ -16,6 +16,7 @@ MemberStatus: TypeAlias = Literal["complete", "failed"]
 
 COMPLETE: Final = "complete"
 FAILED: Final = "failed"
+HANGS: Final = "hangs: "  # begins the reason of a member that took longer than it might
 
 
 @dataclass(frozen=True, slots=True)

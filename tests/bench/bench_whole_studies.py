@@ -1,10 +1,13 @@
 """A whole study, its dataset included, beside one call for the same members.
 
-Run with ``python tests/bench/bench_whole_studies.py [MEMBERS]``. CPU time of this process and of
-its worker, one at a time, from reading the study to the last part of its dataset: all imports,
-planning, one worker, Parquet. Beside it, in processes that have imported everything: the runner's
-loop over the same members, and one call of ``cosim.core.ensemble.run_members`` with them, already
-built. ``academic``, 40 s at 1 ms, another theta and another initial state each; five metrics.
+``python tests/bench/bench_whole_studies.py [MEMBERS [ROUNDS [academic] [identified] [fmu]]]``.
+
+CPU time of this process and of its worker, one at a time, from reading the study to the last part
+of its dataset: all imports, planning, one worker, Parquet. Modules are compiled before, as they are
+after an installation. Beside it, in processes that have imported everything: the runner's loop over
+the same members, and one call of ``cosim.core.ensemble.run_members`` with them, already built.
+``academic``, 40 s at 1 ms, without its identifier and with it (*identified*), another theta and
+another initial state each; five metrics.
 
 Then ten times as many members of an FMU over 1 000 steps, with other parameters each, beside a loop
 in one warm process that loads the FMU, runs it and computes the metrics; and the memory of the
@@ -97,11 +100,19 @@ def study_seconds(scenario: str, table: Path, out: Path, metrics: Mapping[str, s
     """Return the CPU time of a process that runs the study, and of its worker [s]."""
     before = os.times()
     code = f"METRICS = {dict(metrics)!r}\n{STUDY}"
-    subprocess.run([sys.executable, "-c", code, scenario, str(table), str(out)], check=True)
+    command = [sys.executable, "-c", code, scenario, str(table), str(out)]
+    subprocess.run(command, check=True, env=with_compiled_modules(out.parent))
     after = os.times()
     return (
         after.children_user - before.children_user + after.children_system - before.children_system
     )
+
+
+def with_compiled_modules(folder: Path) -> dict[str, str]:
+    """Return an environment in which modules are compiled once."""
+    environment = {**os.environ, "PYTHONPYCACHEPREFIX": str(folder / "compiled")}
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
+    return environment
 
 
 def seconds_of(text: str, scenario: str, members: int) -> float:
@@ -116,8 +127,25 @@ def seconds_of(text: str, scenario: str, members: int) -> float:
     return float(done.stdout)
 
 
-def compare_fmu(folder: Path, members: int) -> None:
-    """Print what a member with an FMU costs in a study and in a loop, three rounds in turn."""
+def compare_academic(folder: Path, members: int, rounds: int, *, identifies: bool) -> None:
+    """Print what a study costs beside a loop and a call, in turn."""
+    edits = [academic_edits(number) for number in range(members)]
+    table = folder / "cases.csv"
+    cases(table, edits)
+    first = folder / "first.csv"
+    cases(first, edits[:1])
+    scenario = academic(folder, identifies=identifies)
+    study_seconds(scenario, first, folder / f"out-{identifies}", METRICS)
+    for number in range(rounds):
+        own = study_seconds(scenario, table, folder / f"out-{identifies}-{number}", METRICS)
+        title = f"academic {'with' if identifies else 'without'} identifier, {members}"
+        for name, text in (("loop", LOOP), ("call", CALL)):
+            plain = seconds_of(text, scenario, members)
+            print(f"{title}: {own:.2f} s beside a {name} of {plain:.2f} s: {own / plain:.3f}")
+
+
+def compare_fmu(folder: Path, members: int, rounds: int) -> None:
+    """Print what a member with an FMU costs in a study and in a loop, in turn."""
     fmu = able(compiled(folder), folder / "plant.fmu", "state", "slopes", D=0.0)
     scenario = folder / "fmu.toml"
     scenario.write_text(SCENARIO)
@@ -125,7 +153,7 @@ def compare_fmu(folder: Path, members: int) -> None:
     table = folder / "fmu.csv"
     cases(table, edits)
     recorder = MetricRecorder(parse_metrics(OF_FMU))
-    for number in range(3):
+    for number in range(rounds):
         out = folder / f"out-fmu-{number}"
         own = study_seconds(str(scenario), table, out, OF_FMU) / members * 1e3
         with UnpackedFmus() as fmus:
@@ -145,22 +173,18 @@ def _run_all(
 
 
 def main() -> None:
-    """Print times and ratios, three rounds in turn."""
+    """Print times and ratios, in turn."""
     members = int(sys.argv[1]) if len(sys.argv) > 1 else 1000
+    rounds = int(sys.argv[2]) if len(sys.argv) > 2 else 3
+    parts = sys.argv[3:] or ["academic", "identified", "fmu"]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        table = folder / "cases.csv"
-        cases(table, [academic_edits(number) for number in range(members)])
-        for identifies in (False, True):
-            scenario = academic(folder, identifies=identifies)
-            for number in range(3):
-                own = study_seconds(scenario, table, folder / f"out-{identifies}-{number}", METRICS)
-                title = f"academic {'with' if identifies else 'without'} identifier, {members}"
-                for name, text in (("loop", LOOP), ("call", CALL)):
-                    plain = seconds_of(text, scenario, members)
-                    ratio = f"{own / plain:.3f}"
-                    print(f"{title}: {own:.2f} s beside a {name} of {plain:.2f} s: {ratio}")
-        compare_fmu(folder, 10 * members)
+        if "academic" in parts:
+            compare_academic(folder, members, rounds, identifies=False)
+        if "identified" in parts:
+            compare_academic(folder, members, rounds, identifies=True)
+        if "fmu" in parts:
+            compare_fmu(folder, 10 * members, rounds)
 
 
 if __name__ == "__main__":

@@ -87,6 +87,20 @@ def test_a_dry_run_records_nothing(call, tmp_path):
     assert estimate["study_time"] > 0
 
 
+def test_a_dry_run_refuses_what_the_run_would_refuse(call, tmp_path):
+    """The dataset of another study in its place, and what it does not show."""
+    call("study", "filters.toml", "--set", "scenario.stop=0.25", "--out", "other", "-q")
+    before = {path: path.read_bytes() for path in (tmp_path / "other").rglob("*") if path.is_file()}
+    text = call("study", "filters.toml", "--dry-run", "--out", "other", code=2)
+    assert "other holds the dataset of another study" in text
+    assert {path: path.read_bytes() for path in before} == before
+    assert "nothing was recorded" in call(
+        "study", "filters.toml", "--dry-run", "--out", "other", "--new"
+    )
+    text = call("study", "filters.toml", "--dry-run", "--scheduler", "tcp://127.0.0.1:1", code=2)
+    assert "found both --dry-run and --scheduler" in text
+
+
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [

@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+from cosim.cli.stopping import stopped_text
 from tests.studies.tuning.test_tuning import LAG
 
 VARY = "--vary=plant.time_constant=log:0.1:10"
@@ -73,7 +74,14 @@ def test_a_tuning_that_is_interrupted_says_how_to_go_on(lag, tmp_path, capsys, m
     monkeypatch.setattr("cosim.studies.tuning.members.TrialMembers._try", interrupt)
     code, out, err = call(capsys, *options, "--members=9")
     assert (code, out) == (130, "")
-    assert f"stopped: 5 of 9 members are recorded in {tmp_path / 'd'}; the same comm" in err
+    recorded = f"stopped: 5 of 9 members are recorded in {tmp_path / 'd'}; the "
+    assert f"{recorded}same command goes on\n" in err
+    _, _, err = call(capsys, *options, "--members=9", "--new")
+    assert f"{recorded}command without --new goes on with these" in err
+    _, _, err = call(capsys, *options[:-1], f"--out={tmp_path / 'e'}")
+    assert "stopped before the first member was recorded" in err
+    (tmp_path / "d" / "study.json").write_text("{")
+    assert "damaged" in stopped_text(str(tmp_path / "d"), new=True)
 
 
 @pytest.mark.parametrize(

@@ -216,7 +216,7 @@ class ClusterRun:
             names = [f"{part.start}-{part.stop - 1}" for part in self._given_up]
             raise RunError(
                 f"dask gave up members {listing(names)}: every worker that ran them ended; the "
-                "other members are in the dataset, and the same study goes on from there"
+                "same study goes on from what is in its dataset"
             )
 
     def close(self) -> None:

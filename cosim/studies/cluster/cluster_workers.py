@@ -134,5 +134,5 @@ class ClusterWorkers:
             return UsageError(f"{self._lack()}; no other came within {PATIENCE:g} s")
         return RunError(
             f"the scheduler had no workers for {PATIENCE:g} s; start some, as with 'dask worker "
-            "ADDRESS', and run the study again: it goes on where it was"
+            "ADDRESS', and run the study again: it goes on from what is in its dataset"
         )

@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
-from cosim.errors import RunError, UsageError, option, quoted
+from cosim.errors import RunError, UsageError, option, quoted, shortened
 from cosim.filters import ignored_warnings
 from cosim.interrupts import uninterrupted
 from cosim.studies.cluster.environment import describe_environment, lacks
@@ -103,8 +103,8 @@ def check_scheduler(client: Client) -> None:
 def lost(client: Client) -> RunError:
     """Return the error of a scheduler that has gone."""
     return RunError(
-        f"the connection to {_address(client)} was lost; what came until then is in the dataset, "
-        "and the same study goes on from there"
+        f"the connection to {_address(client)} was lost; the same study goes on from what is in "
+        "its dataset"
     )
 
 
@@ -118,9 +118,10 @@ def _open(library: Any, client: Client, address: str) -> None:
         with ignored_warnings(r"\s*Mismatched versions"):
             library.Client.__init__(client, address, timeout=CONNECTING, set_as_default=False)
     except (OSError, TypeError, ValueError) as error:  # TypeError: of TLS without certificates
+        cause = shortened(" ".join(f"{type(error).__name__}: {error}".split()))
         raise UsageError(
-            f"{option('scheduler')}: there is no scheduler of dask at {quoted(address)}; needed "
-            "the address that 'dask scheduler' prints, such as tcp://host:8786"
+            f"{option('scheduler')}: cannot connect to a scheduler of dask at {quoted(address)} "
+            f"({cause}); needed the address that 'dask scheduler' prints, such as tcp://host:8786"
         ) from error
 
 

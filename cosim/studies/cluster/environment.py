@@ -52,7 +52,7 @@ def content_hash() -> str:
 
 
 def lacks(own: Mapping[str, str], found: Mapping[str, str]) -> str:
-    """Say what a worker has otherwise than this process; empty: nothing that matters.
+    """Return what a worker has otherwise than this process; empty: nothing that matters.
 
     Its platform may be another: see :func:`without_binary`.
     """

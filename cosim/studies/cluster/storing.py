@@ -7,12 +7,11 @@ which who planned the study changes; to other storage the worker puts it whole u
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Final, Self, final
+from typing import Final, Self, final
 
 from cosim.errors import CosimError, UsageError
 from cosim.studies.cluster.opening import TRIAL, TryingRunner
@@ -24,9 +23,6 @@ from cosim.studies.dataset.study_dataset import StudyDataset
 from cosim.studies.members.left_log import readable_log
 from cosim.studies.members.logging_runner import LoggingRunner
 from cosim.temporary import TemporaryFolder
-
-if TYPE_CHECKING:
-    from distributed import Client
 
 STORING_OPENER: Final = "cosim.studies.cluster.storing:open_storing_runner"
 _MARK: Final = "#"  # between the place of a dataset and what tells it from others
@@ -46,12 +42,6 @@ def reaches_dataset(logs: str) -> bool:
     except CosimError:
         return False
     return True
-
-
-def any_reaches(client: Client, logs: str) -> bool:
-    """Return whether a worker that is there reaches a dataset."""
-    answers: Mapping[str, object] = client.run(reaches_dataset, logs, on_error="return")
-    return any(answer is True for answer in answers.values())
 
 
 def open_storing_runner(subject: StudySubject) -> TryingRunner:

@@ -16,6 +16,7 @@ from distributed import Worker, get_worker
 
 from cosim.studies.cluster.environment import describe_environment
 from cosim.studies.cluster.file_copies import missing_content, store_content
+from cosim.studies.cluster.storing import reaches_dataset
 from cosim.studies.cluster.study_plugin import StudyPlugin
 from cosim.studies.contracts import FAILED, MemberOutcome
 from cosim.studies.workers.messages import decode_member
@@ -71,6 +72,11 @@ async def close_study(name: str, *, dask_worker: Worker) -> None:
     """End the children of a study, and remove its copies."""
     if name in dask_worker.plugins:
         await dask_worker.plugin_remove(name=name)
+
+
+async def reaches(logs: str) -> bool:
+    """Return whether a worker reaches the dataset where logs are kept."""
+    return await asyncio.to_thread(reaches_dataset, logs)
 
 
 def run_members(name: str, lines: bytes, first: int | None) -> dict[str, Any]:

@@ -73,7 +73,7 @@ class FolderLock:
             raise
 
     def close(self) -> None:
-        """Let others write."""
+        """Release the lock."""
         os.close(self._descriptor)
         if self._is_exclusive:
             self._exclusive.unlink(missing_ok=True)
@@ -89,13 +89,13 @@ class FolderLock:
             self._make_exclusive(folder)
         with suppress(OSError):  # a full disk: who holds it is not said then
             os.ftruncate(self._descriptor, 0)
-            os.write(self._descriptor, f"process {os.getpid()}".encode())
+            os.write(self._descriptor, _own_name().encode())
 
     def _make_exclusive(self, folder: Path) -> None:
         try:
             with open(self._exclusive, "x") as file:
                 self._is_exclusive = True
-                file.write(f"process {os.getpid()} on {platform.node()}")
+                file.write(_own_name())
         except FileExistsError as error:
             raise DatasetError(
                 f"{folder}: another study is writing there, or was killed "
@@ -103,7 +103,13 @@ class FolderLock:
                 f"locks; wait until it ends, or, if it has, remove {self._exclusive}"
             ) from error
         except OSError as error:
+            if self._is_exclusive:
+                self._exclusive.unlink(missing_ok=True)
             raise _unwritable(folder, error) from error
+
+
+def _own_name() -> str:
+    return f"process {os.getpid()} on {platform.node()}"
 
 
 def _holder(path: Path) -> str:

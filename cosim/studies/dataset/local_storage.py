@@ -107,7 +107,7 @@ class LocalStorage:
         return AppendedJournal(self._folder / name)
 
     def close(self) -> None:
-        """Let others write. Twice does no harm."""
+        """Release the lock of the place. Twice does no harm."""
         if self._lock is not None:
             self._lock.close()
             self._lock = None

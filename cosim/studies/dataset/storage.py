@@ -100,7 +100,7 @@ class Storage(Protocol):
         ...
 
     def close(self) -> None:
-        """Let others write. Twice does no harm."""
+        """Release the lock of the place. Twice does no harm."""
         ...
 
 

@@ -77,6 +77,18 @@ class StudyDataset:
         """
         return cls._for_writing(place, identity, None, new=False, may_exist=False)
 
+    @staticmethod
+    def is_at(place: str | Path) -> bool:
+        """Return whether the description of a dataset is there.
+
+        Raises
+        ------
+        DatasetError
+            If it is damaged or out of reach.
+        """
+        pyarrow()
+        return _description(open_storage(place)) is not None
+
     @classmethod
     def open(cls, place: str | Path, *, sha256: str | None = None) -> Self:
         """Open a dataset for reading, also while a study writes it, or for :meth:`write_part`.
@@ -138,6 +150,20 @@ class StudyDataset:
         return cls._for_writing(place, identity, design, new=new)
 
     @classmethod
+    def check(
+        cls, place: str | Path, identity: StudyIdentity, *, design: PlannedColumns | None = None
+    ) -> None:
+        """Check that a study goes on in the dataset that is there; change nothing.
+
+        Raises
+        ------
+        DatasetError
+            As of :meth:`open_or_create`, and if there is none.
+        """
+        dataset = cls.open(place)
+        _grown(cls, dataset._storage, dataset._description, identity, design)
+
+    @classmethod
     def _for_writing(
         cls,
         place: str | Path,
@@ -184,7 +210,7 @@ class StudyDataset:
         self.close()
 
     def close(self) -> None:
-        """Let others write; the journal keeps what has no part yet. Twice does no harm."""
+        """Release the lock; the journal keeps what has no part yet. Twice does no harm."""
         if self._is_writing:
             self._is_writing = False
             try:

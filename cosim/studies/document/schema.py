@@ -60,8 +60,8 @@ class StudySettings(TomlTable):
     )
     timeout: Annotated[Number, Field(gt=0.0)] | None = Field(
         None,
-        description="wall time after which a member has failed [s]; default: ten times that of "
-        "one member that was timed, at least 60 s",
+        description="wall time after which a member has failed [s]; default: ten times the longest "
+        "of the first ones, at least 60 s; an hour until a member is completed",
     )
     keep: str | tuple[Whole, ...] | None = Field(
         None,

@@ -66,8 +66,6 @@ def _table(name: str, parts: list[str], text: str) -> dict[str, Any]:
         if len(numbers) != 3 or not numbers[2].is_integer():
             raise UsageError(f"found {quoted(text)}; needed {name}:FIRST:LAST:POINTS")
         return {name: numbers[:2], "points": int(numbers[2])}
-    if name == "exponential":
-        return {name: numbers}
     if name in _BOUNDED and len(numbers) == 4:
         return {name: numbers[:2], "lower": numbers[2], "upper": numbers[3]}
     return {name: numbers}

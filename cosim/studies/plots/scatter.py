@@ -114,7 +114,7 @@ def _draw_panels(
 
 
 def _share_axes(panels: Any, row: int, column: int) -> None:
-    """Give a panel the axes of those below it, and left of it."""
+    """Share the axes of a panel with those below it, and left of it."""
     panel = panels[row, column]
     panel.set_axisbelow(True)
     if column > row:

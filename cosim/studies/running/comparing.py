@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import Any
 
-_HANGS: Final = "hangs: "  # and how long it was waited for, which is not of the member
+from cosim.studies.contracts import HANGS
 
 
 def same_value(one: Any, other: Any) -> bool:
@@ -14,8 +14,8 @@ def same_value(one: Any, other: Any) -> bool:
 
 
 def same_reason(one: str, other: str) -> bool:
-    """Return whether two reasons of failures are the same."""
-    return one == other or (one.startswith(_HANGS) and other.startswith(_HANGS))
+    """Return whether two reasons of failures are the same, however long one was waited for."""
+    return one == other or (one.startswith(HANGS) and other.startswith(HANGS))
 
 
 def difference(now: Mapping[str, Any], recorded: Mapping[str, Any], metrics: Sequence[str]) -> str:
@@ -31,13 +31,18 @@ def difference(now: Mapping[str, Any], recorded: Mapping[str, Any], metrics: Seq
     before = recorded["reason"] or ""
     after = now["reason"] or ""
     if now["status"] != recorded["status"] or not same_reason(after, before):
-        return (
-            f"it came to {after or now['status']!r}, and to {before or recorded['status']!r} before"
-        )
+        ends = (after or now["status"], before or recorded["status"])
+        return "it ended with {!r}, and with {!r} before".format(*ends)
     for name in ("steps", *metrics):
         if not same_value(now[name], recorded[name]):
-            return (
-                f"{name} = {now[name]!r}, and {recorded[name]!r} before; what it runs gives other "
-                "results each time"
-            )
+            return f"{name} = {now[name]!r}, and {recorded[name]!r} before; {_cause(now, recorded)}"
     return ""
+
+
+def _cause(now: Mapping[str, Any], recorded: Mapping[str, Any]) -> str:
+    """Return why two runs of a member may differ."""
+    repeats = "what it runs gives other results each time"
+    machine, before = ((row["worker"] or "").rpartition(":")[0] for row in (now, recorded))
+    if machine == before:
+        return repeats
+    return f"it ran on {before} before, which may round otherwise than {machine}, or {repeats}"

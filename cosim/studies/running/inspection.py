@@ -56,11 +56,17 @@ def inspect_members(
         for outcome in _inspect(study, scenario, others):
             if REFUSED not in outcome.metrics:
                 reason = outcomes[member.number].metrics[REFUSED]
-                notices.append(f"member {member.number} will fail: {reason}")
+                notices.append(f"{_refusal_of(design, member)}: {reason}")
                 outcomes[member.number] = replace(outcome, number=member.number)
                 trial = others[outcome.number] if member is members[0] else trial
                 break
     return Inspection(list(outcomes.values()), trial, notices)
+
+
+def _refusal_of(design: StudyDesign, member: StudyMember) -> str:
+    if member == design.member(member.number):
+        return f"member {member.number} will fail"
+    return f"member {member.number} cannot be built with the draws that were tried"
 
 
 def inspected_members(design: StudyDesign, checked: CheckedDesign) -> list[StudyMember]:

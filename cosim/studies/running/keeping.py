@@ -19,15 +19,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
 from cosim.errors import listing
-from cosim.studies.cluster.storing import any_reaches, kept_place
 from cosim.studies.contracts import FAILED, MemberOutcome, StudyMember
 from cosim.studies.dataset.columns import LOG
 from cosim.studies.dataset.identity import digest_of
 from cosim.studies.dataset.log_files import LogFiles, LogRecord, unfinished_name
 from cosim.studies.dataset.study_dataset import StudyDataset
 from cosim.studies.members.left_log import is_ended, readable_log
-from cosim.studies.running.comparing import difference
-from cosim.studies.running.keeping_on_cluster import log_on_cluster
+from cosim.studies.running.comparing import difference, same_reason
+from cosim.studies.running.keeping_on_cluster import any_reaches, log_on_cluster
 from cosim.studies.running.kept_members import chosen_members
 from cosim.studies.running.local import MembersDone
 from cosim.studies.running.plan import RECORD, StudyPlan
@@ -97,7 +96,7 @@ def keep_logs(
 
 @final
 class LogKeeper:
-    """Gives logs their names, and records how they came to be.
+    """Names logs, and records how they came to be.
 
     Parameters
     ----------
@@ -171,7 +170,10 @@ class LogKeeper:
         text = difference(now, recorded, self._metrics)
         if text:
             self._notice(f"member {number} ran again for its log: {text}")
-        if outcome.status == recorded["status"]:  # else the same command tries it again
+        is_settled = outcome.status == recorded["status"]
+        if problem:  # another one than that of the member may pass
+            is_settled = is_settled and same_reason(outcome.reason, recorded["reason"] or "")
+        if is_settled:  # else the same command tries it again
             is_same = is_whole and not text and bool(self._metrics)
             self._logs.note(LogRecord(number, self._recording, is_same, problem))
         self._done += 1
@@ -195,7 +197,7 @@ class LogKeeper:
 
 def _can_log_on(client: Client, dataset: StudyDataset, notice: Callable[[str], None]) -> bool:
     """Return whether the workers of a cluster can put logs where the dataset is."""
-    if any_reaches(client, kept_place(dataset.label, dataset.sha256)):
+    if any_reaches(client, dataset):
         return True
     notice(
         f"logs are made on this machine, as no worker of the cluster reaches {dataset.label}; on "
@@ -282,7 +284,7 @@ def _remove_others(logs: LogFiles, chosen: Collection[int], notice: Callable[[st
 
 
 def _name_missing(logs: LogFiles, chosen: Iterable[int], notice: Callable[[str], None]) -> None:
-    """Say which of the chosen members have no log, and why."""
+    """Notice which of the chosen members have no log, and why."""
     reasons = []
     for number in chosen:
         record = logs.records.get(number)

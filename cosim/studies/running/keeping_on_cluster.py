@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, final
 
@@ -16,6 +16,15 @@ if TYPE_CHECKING:
     from distributed import Client
 
 OutcomeWithRow = Callable[[MemberOutcome, dict[str, Any]], None]
+
+
+def any_reaches(client: Client, dataset: StudyDataset) -> bool:
+    """Return whether a worker that is there reaches a dataset."""
+    from cosim.studies.cluster.worker_functions import reaches
+
+    place = kept_place(dataset.label, dataset.sha256)
+    answers: Mapping[str, object] = client.run(reaches, place, on_error="return")
+    return any(answer is True for answer in answers.values())
 
 
 def log_on_cluster(

@@ -14,6 +14,7 @@ from cosim.studies.cluster.environment import content_hash
 from cosim.studies.dataset.study import Study
 from cosim.studies.design.commands import run_command
 from cosim.studies.document.study_file import StudyFile, study_of
+from cosim.version import __version__
 
 _TABLES: Final = "tables"
 _LAYOUT: Final = "layout"
@@ -104,10 +105,9 @@ class RecordedStudy:
             search = None if chosen_by is None else RecordedSearch(**chosen_by)
             warnings = tuple(map(str, described.get(_WARNINGS, ())))
         except (ValueError, KeyError, TypeError) as error:
-            raise UsageError("the study of this dataset cannot be read by this version") from error
+            raise _unreadable(f"{type(error).__name__}: {error}") from error
         if study is None:
-            texts = "; ".join(text for _, text in problems)
-            raise UsageError(f"the study of this dataset cannot be read by this version: {texts}")
+            raise _unreadable("; ".join(text for _, text in problems))
         return cls(study, layout, recorded, search, warnings)
 
     def command_of(self, dataset: Study) -> Callable[[int], str]:
@@ -116,3 +116,10 @@ class RecordedStudy:
         Its parameters are those that are recorded, whatever the study would plan by now.
         """
         return lambda number: run_command(dataset.member(number), self.study)
+
+
+def _unreadable(problem: str) -> UsageError:
+    return UsageError(
+        f"what the dataset says of its study cannot be read by cosim {__version__} ({problem}); "
+        "read it with the version that wrote it, or begin the study anew"
+    )

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Final
 
 from cosim.digests import sha256_of
-from cosim.errors import ChangedFileError, UsageError, listing
+from cosim.errors import RunError, UsageError, listing
 from cosim.files import file_type
 from cosim.studies.contracts import FAILED, MemberOutcome, StudyMember, StudySubject
 from cosim.studies.members.inspector import DESIGNS, FILE, MODULE, REFUSED
@@ -140,7 +140,7 @@ def found_sources(
     ------
     UsageError
         If a member is refused.
-    ChangedFileError
+    RunError
         If a file changed meanwhile.
     """
     known = dict(files)
@@ -186,11 +186,11 @@ def _answers(
 
 def _add(files: dict[str, str], path: str, digest: str) -> None:
     if files.setdefault(path, digest) != digest:
-        raise ChangedFileError(f"{path} has changed while the study was planned")
+        raise RunError(f"{path} has changed while the study was planned; plan it again")
 
 
 def _warnings(lost: Mapping[str, Sequence[int]]) -> Iterator[str]:
-    """Say of members that could not be built what is not known of them."""
+    """Return what is not known of members that could not be built."""
     for reason, numbers in lost.items():
         names = listing(list(map(str, numbers)), _SHOWN)
         plural = "s" if len(numbers) > 1 else ""

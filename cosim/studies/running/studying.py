@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from cosim.arguments import truth_argument, whole_argument
-from cosim.errors import DatasetError, UsageError, option
+from cosim.errors import UsageError, option
 from cosim.studies.cluster.cluster_run import run_on_cluster
 from cosim.studies.cluster.connection import connect
 from cosim.studies.contracts import COMPLETE, MetricValue
@@ -175,7 +175,7 @@ def open_dataset(plan: StudyPlan, place: str | Path, *, new: bool) -> StudyDatas
         If logs are kept by a metric that is no number.
     """
     results: Mapping[str, MetricValue] = {}
-    if plan.subject.with_results and (new or not is_there(place)):
+    if plan.subject.with_results and (new or not StudyDataset.is_at(place)):
         results = _example_results(plan)
     identity = plan.identity(results)
     is_known = bool(results) or not plan.subject.with_results
@@ -184,13 +184,16 @@ def open_dataset(plan: StudyPlan, place: str | Path, *, new: bool) -> StudyDatas
     return StudyDataset.open_or_create(place, identity, design=plan.design, new=new)
 
 
-def is_there(place: str | Path) -> bool:
-    """Return whether there is a dataset that can be read."""
-    try:
-        StudyDataset.open(place).close()
-    except DatasetError:
-        return False  # or damaged, which is said where it is opened for writing
-    return True
+def check_place(plan: StudyPlan, place: str | Path) -> None:
+    """Check that a study goes on in the dataset that is there, if there is one; change nothing.
+
+    Raises
+    ------
+    DatasetError
+        If it is another study's, or damaged.
+    """
+    if StudyDataset.is_at(place):
+        StudyDataset.check(place, plan.identity({}), design=plan.design)
 
 
 def _example_results(plan: StudyPlan) -> Mapping[str, MetricValue]:

@@ -137,6 +137,8 @@ def verify_study(
         found += _differences(rows[outcome.number], now, [*names, *_COMPARED])
         if progress is not None:
             progress(count, len(numbers), len({item.member for item in found}))
+    if found:
+        _check_unchanged(dataset, recorded)  # what changed meanwhile would be the cause
     return StudyVerification(
         study.name,
         tuple(numbers),

@@ -29,4 +29,8 @@ def print_correlations(results: StudyResults, correlations: Sequence[RankCorrela
     if table.row_count:
         print_table(table)
         if independence_of(results.layout).is_drawn:
-            print_line("those that chance alone makes in 1 of 20 studies are left out")
+            line = "those that chance alone makes in 1 of 20 studies are left out"
+            by_chance = len(correlations) // 20
+            if by_chance:
+                line += f"; of {len(correlations)} pairs it makes about {by_chance}"
+            print_line(line)

@@ -7,6 +7,7 @@ from typing import Final
 
 from rich.table import Table
 
+from cosim.errors import listing
 from cosim.report.tables.console import new_table, print_json, print_line, print_table
 from cosim.studies.analysis.columns import MemberColumns
 from cosim.studies.analysis.confidence import NO_INTERVAL
@@ -88,8 +89,10 @@ def _print_metric(
         print_line(_METHODS)
     if statistics.is_rough:
         print_line("the interval of the mean may be too short, as of few members or skewed values")
-    if any(one.count < LEAST_MEMBERS for one in correlations):
-        print_line(f"rank correlations: none, of fewer than {LEAST_MEMBERS} members")
+    few = [one.parameter for one in correlations if one.count < LEAST_MEMBERS]
+    if few:
+        which = "" if len(few) == len(correlations) else f" with {listing(few)}"
+        print_line(f"rank correlations{which}: none, of fewer than {LEAST_MEMBERS} members")
     for words, numbers in (("no value", column.without_value), ("infinite", column.infinite)):
         if len(numbers):
             print_line(f"{words} in members {members_text(numbers)}")

@@ -23,9 +23,9 @@ def print_verification(found: StudyVerification, *, as_json: bool = False) -> No
         print_line(f"member {item.member}: {item.name} was {item.recorded!r}, is {item.now!r}")
     differing = {item.member for item in found.differences}
     if differing:
-        are = "is" if len(differing) == 1 else "are"
+        differ = "differs" if len(differing) == 1 else "differ"
         total = _members(len(found.members))
-        print_line(f"{len(differing)} of {total} {are} otherwise than recorded")
+        print_line(f"{len(differing)} of {total} {differ} from what is recorded")
     else:
         print_line(f"as recorded, bit for bit: {listing(found.values, 10)}")
     print_line(f"not shown: {'; '.join(_not_shown(found))}")

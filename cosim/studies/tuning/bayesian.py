@@ -28,7 +28,10 @@ def need_optuna() -> Any:
     try:
         import optuna
     except ImportError as error:
-        raise UsageError("the method 'optuna' needs optuna: pip install 'cosim[optuna]'") from error
+        raise UsageError(
+            "the method 'optuna' needs optuna, which is not installed: pip install optuna, or, in "
+            "a clone of cosim, pip install -e '.[optuna]'"
+        ) from error
     return optuna
 
 

@@ -12,7 +12,6 @@ from cosim.studies.contracts import MemberOutcome, StudyMember
 from cosim.studies.dataset.columns import RECORDING, StudyColumn, pyarrow
 from cosim.studies.dataset.identity import StudyIdentity
 from cosim.studies.dataset.study_dataset import StudyDataset
-from cosim.studies.running.studying import is_there
 from cosim.studies.tuning.points import point_name
 
 _OUTCOME: Final = ("member", "status", "reason", "steps")
@@ -46,7 +45,7 @@ class TuningDataset:
         if place is None:
             return
         pyarrow()
-        if not new and is_there(place):
+        if not new and StudyDataset.is_at(place):
             self._dataset = StudyDataset.open_or_create(place, identity)
 
     def __enter__(self) -> Self:

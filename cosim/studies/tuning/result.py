@@ -230,7 +230,7 @@ def _elsewhere(result: TuningResult) -> list[str]:
     others = [end for end in result.ends if not result.ended_here(end)]
     ended = len(result.ends)
     if not others:
-        return [f"{_here_text(len(here), ended)}; better values elsewhere are not excluded"]
+        return [f"{_here_text(len(here), result.starts)}; better values elsewhere are not excluded"]
     other = min(others, key=lambda end: end.cost)
     place = values_text(other.point)
     if math.isclose(other.cost, result.best.cost, rel_tol=SAME_COST):
@@ -242,11 +242,14 @@ def _elsewhere(result: TuningResult) -> list[str]:
     ]
 
 
-def _here_text(here: int, ended: int) -> str:
-    if not ended:
+def _here_text(here: int, starts: int) -> str:
+    """Return how many of the starts ended at the best values, none of them elsewhere."""
+    if not here:
         return "no search from a start has ended"
-    if ended == 1:
+    if starts == 1:
         return "searched from one start"
+    if here < starts:
+        return f"{here} of {starts} starts ended, here"
     return f"all {here} starts ended here"
 
 

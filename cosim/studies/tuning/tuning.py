@@ -188,7 +188,7 @@ def _completed(plan: TuningPlan, result: TuningResult) -> TuningResult:
     if result.errors is None:
         return result
     member = plan.member(0, point)
-    residual = residual_check(plan.study.subject, OBJECTIVE, member)
+    residual = residual_check(plan.study.subject, OBJECTIVE, member, timeout=plan.task.timeout)
     return replace(result, residual=residual)
 
 

@@ -24,6 +24,7 @@ from cosim.arrays import Matrix, Vector
 from cosim.core.contracts import Block
 from cosim.core.recorders import Nothing
 from cosim.core.recording import Plan
+from cosim.errors import RunError
 from cosim.native.numerics.expression import ConditionProgram, Program
 from cosim.native.numerics.programs import RowProgram
 from cosim.studies.contracts import MemberRunner, MetricValue, StudyMember, StudySubject
@@ -92,12 +93,12 @@ def check_rows(residual: Vector) -> ResidualCheck | None:
 
 
 def residual_check(
-    subject: StudySubject, objective: str, member: StudyMember
+    subject: StudySubject, objective: str, member: StudyMember, *, timeout: float | None = None
 ) -> ResidualCheck | None:
     """Return how the rows of the residual of a member depend on each other.
 
-    None: it is not known, as the run failed, its rows are chosen by a condition with a duration, or
-    they are too few.
+    None: it is not known, as the run failed or could not begin, its rows are chosen by a condition
+    with a duration, or they are too few.
 
     Parameters
     ----------
@@ -105,15 +106,19 @@ def residual_check(
     objective : str
         The name of its metric that is the rms of the residual.
     member : StudyMember
+    timeout : float, optional
+        Wall time that the run may take [s].
     """
     reduction = parse_metric_text(objective, subject.metrics[objective]).reductions[0]
     if reduction.where is not None and reduction.where.duration_ns:
         return None
-    with WorkerPool(_OPENER, subject, 1) as pool:
-        for outcome in pool.run([member]):
-            found = {name: value for name, value in outcome.metrics.items() if name in _FIELDS}
-            return ResidualCheck(**found) if len(found) == len(_FIELDS) else None  # type: ignore[arg-type]
-    return None
+    try:
+        with WorkerPool(_OPENER, subject, 1, timeout=timeout) as pool:
+            (outcome,) = pool.run([member])
+    except RunError:  # such as a file that has changed: the result of the search stays
+        return None
+    found = {name: value for name, value in outcome.metrics.items() if name in _FIELDS}
+    return ResidualCheck(**found) if len(found) == len(_FIELDS) else None  # type: ignore[arg-type]
 
 
 def open_residual_runner(subject: StudySubject) -> MemberRunner:

@@ -37,6 +37,18 @@ class MemberTimes:
         self.limit = UNTIL_TIMED if timeout is None else timeout
 
     @property
+    def origin(self) -> str:
+        """Where the limit comes from, and how to have another one; empty: it was given."""
+        if self._is_given:
+            return ""
+        if not self._timed:
+            return ", the limit until a member is completed; set a timeout for another one"
+        return (
+            f", the larger of {LEAST:g} s and {FACTOR:g} times the longest of the first members; "
+            "set a timeout for another one"
+        )
+
+    @property
     def ahead(self) -> int:
         """How many members a worker is to have, with the one that it runs."""
         return min(MOST_AHEAD, max(1, int(AHEAD / self._recent)))

@@ -31,7 +31,14 @@ from typing import Final, Self, final
 
 from cosim.errors import ChangedFileError, CosimError, RunError, UsageError, option, quoted
 from cosim.interrupts import uninterrupted
-from cosim.studies.contracts import COMPLETE, FAILED, MemberOutcome, StudyMember, StudySubject
+from cosim.studies.contracts import (
+    COMPLETE,
+    FAILED,
+    HANGS,
+    MemberOutcome,
+    StudyMember,
+    StudySubject,
+)
 from cosim.studies.workers.member_times import MemberTimes
 from cosim.studies.workers.messages import (
     WorkerAnswer,
@@ -148,6 +155,7 @@ class WorkerPool:
             If workers are lost one after the other while they open their runner.
         """
         self._refusal = None
+        self._lost_openings = 0
         remaining = RemainingMembers(members)
         try:
             self._give(remaining)
@@ -164,7 +172,7 @@ class WorkerPool:
                     self._end(worker)
 
     def _give(self, remaining: RemainingMembers) -> None:
-        """Give workers members, and start those that are missing."""
+        """Hand members to workers, and start those that are missing."""
         for worker in self._workers.values():
             self._fill(worker, remaining)
         while len(self._workers) < self._count:
@@ -176,7 +184,7 @@ class WorkerPool:
             self._watch(worker)
 
     def _fill(self, worker: WorkerProcess, remaining: RemainingMembers) -> None:
-        """Give a worker members if half of those that it should have are done."""
+        """Hand members to a worker if half of those that it should have are done."""
         ahead = self._times.ahead
         if worker.is_last or worker.is_full or 2 * len(worker.queue) > ahead:
             return
@@ -250,9 +258,12 @@ class WorkerPool:
         limit = self._time_limit(worker)
         if monotonic() - worker.since < limit:
             return []
-        reason = f"hangs: did not end within {limit:g} s"
+        reason = f"{HANGS}did not end within {limit:g} s"
         if not worker.is_ready:
-            raise RunError(f"the process that opens {quoted(self._scenario)} {reason}")
+            self._refusal = RunError(f"the process that opens {quoted(self._scenario)} {reason}")
+            return []
+        if not worker.is_last:
+            reason = f"{reason}{self._times.origin}"
         return self._replace(worker, reason, remaining, hangs=True)
 
     def _time_limit(self, worker: WorkerProcess) -> float:
@@ -274,11 +285,6 @@ class WorkerPool:
         """End a worker that is lost, so that another is started; return the outcome of its member.
 
         There is none where it ran no member, or where others may be the cause.
-
-        Raises
-        ------
-        RunError
-            If the last ones were lost while they opened their runner.
         """
         wall_time = monotonic() - worker.since
         self._end(worker)
@@ -300,9 +306,10 @@ class WorkerPool:
         return [outcome]
 
     def _count_opening(self, reason: str) -> None:
+        """Refuse to go on where the last ones were lost while they opened their runner."""
         self._lost_openings += 1
-        if self._lost_openings == OPENINGS:
-            raise RunError(
+        if self._lost_openings >= OPENINGS:
+            self._refusal = RunError(
                 f"the process that opens {quoted(self._scenario)} {reason}, {OPENINGS} times in a "
                 f"row; 'cosim check' says more of an FMU"
             )
@@ -316,7 +323,7 @@ class WorkerPool:
         return RunError(f"{quoted(self._scenario)} cannot be opened: {refusal.text}")
 
     def _let_end(self) -> None:
-        """Let idle workers free what they hold, and end by themselves."""
+        """End idle workers: they free what they hold, and end by themselves."""
         for worker in list(self._workers.values()):
             if worker.queue or not worker.is_ready:
                 self._end(worker)

@@ -70,7 +70,7 @@ def open_runner(opening: WorkerOpening) -> MemberRunner:
 
 
 def describe_error(error: BaseException) -> str:
-    """Say what ended a member, or the opening of a runner."""
+    """Return what ended a member, or the opening of a runner."""
     if isinstance(error, CosimError):
         return str(error)
     if isinstance(error, SystemExit):

@@ -72,7 +72,7 @@ class WorkerProcess:
         return bool(self._unsent)
 
     def give(self, members: Sequence[StudyMember]) -> None:
-        """Give it members, in one write."""
+        """Hand members to it, in one write."""
         if not self.queue:
             self.since = monotonic()
         self.queue += members
@@ -114,7 +114,7 @@ class WorkerProcess:
         return replies, bool(chunk)
 
     def let_end(self) -> None:
-        """Let it end by itself: no more members come."""
+        """Close its pipe, so that it ends by itself: no more members come."""
         self.is_last = True
         self.since = monotonic()
         os.close(self.members)

@@ -192,7 +192,9 @@ def test_a_scheduler_that_goes_is_one_error(tmp_path):
         killer.start()
         with (
             StudyDataset.open_or_create(tmp_path / "a", identity(3000)) as dataset,
-            pytest.raises(RunError, match=r"the connection to tcp://.* was lost; what came until"),
+            pytest.raises(
+                RunError, match=r"the connection to tcp://.* was lost; the same study goes"
+            ),
         ):
             run_on_cluster(
                 processes.address,

@@ -31,7 +31,10 @@ def clients(monkeypatch):
 def test_a_scheduler_that_is_not_there_is_one_error(address, clients):
     """No finalizer is left with a client to close: it would wait for a lock of the next one."""
     with (
-        pytest.raises(UsageError, match=r"there is no scheduler of dask at '.*'; needed the addr"),
+        pytest.raises(
+            UsageError,
+            match=r"cannot connect to a scheduler of dask at '.*' \(.*\); needed the addr",
+        ),
         connect(address),
     ):
         pass

@@ -4,10 +4,13 @@ import pytest
 
 import cosim
 from cosim.cli.app import main
-from cosim.errors import ChangedFileError, DatasetError
+from cosim.errors import ChangedFileError, DatasetError, RunError
+from cosim.studies.contracts import COMPLETE, MemberOutcome, StudyMember
 from cosim.studies.document.reading import read_study
+from cosim.studies.members.inspector import FILE
 from cosim.studies.running.plan import plan_study
 from cosim.studies.running.recorded_study import RecordedStudy
+from cosim.studies.running.sources import found_sources
 from tests.scenario.user_modules import RELAY, THERMOSTAT
 
 TABLE = """
@@ -31,6 +34,15 @@ def exit_code(arguments):
     with pytest.raises(SystemExit) as caught:
         main(arguments)
     return caught.value.code
+
+
+def test_a_file_that_changes_while_a_study_is_planned_is_named():
+    """Nothing has begun that could go on."""
+    outcome = MemberOutcome(0, COMPLETE, metrics={f"{FILE}/u.csv": "ab"})
+    members = {0: StudyMember(0)}
+    text = "^/u.csv has changed while the study was planned; plan it again$"
+    with pytest.raises(RunError, match=text):
+        found_sources({"/u.csv": "cd"}, [outcome], members, refused=lambda *_: "")
 
 
 def write_table(path, value):

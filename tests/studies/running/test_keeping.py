@@ -1,14 +1,18 @@
 """Logs of chosen members: those that the study names, and no others; nothing is lost."""
 
+from contextlib import closing
+from dataclasses import replace
+
 import pytest
 
 import cosim
 from cosim.errors import UsageError
+from cosim.studies.contracts import FAILED, MemberOutcome
 from cosim.studies.dataset.log_files import LogRecord
 from cosim.studies.dataset.study_dataset import StudyDataset
 from cosim.studies.document.keep import read_keep
 from cosim.studies.members.left_log import readable_log
-from cosim.studies.running.keeping import keep_logs
+from cosim.studies.running.keeping import LogKeeper, keep_logs
 from cosim.studies.running.kept_members import chosen_members
 from cosim.studies.running.plan import plan_study
 from cosim.studies.running.recorded_study import RecordedStudy
@@ -205,6 +209,27 @@ def test_a_log_in_which_nothing_can_be_read_is_none(run, tmp_path):
     assert readable_log(left) is not None
     left.write_bytes(content[:40])
     assert readable_log(left) is None
+
+
+def test_a_log_that_failed_for_another_reason_is_made_again(run, tmp_path):
+    """Such as a full disk; what the member itself fails for stays as it is."""
+    study, _ = run()
+    plan = plan_study(RecordedStudy.read(study.text).study.with_options(keep="all"))
+    recorded = {
+        **study.table(members=[0]).to_pylist()[0],
+        "status": FAILED,
+        "reason": "crashes: SIGSEGV",
+    }
+    outcome = MemberOutcome(0, FAILED, reason="No space left on device")
+    with (
+        open_dataset(plan, tmp_path / "out", new=False) as dataset,
+        closing(dataset.log_files()) as logs,
+    ):
+        keeper = LogKeeper(plan, dataset, logs, notice=lambda _: None, progress=None)
+        keeper.take(outcome, recorded)
+        assert 0 not in logs.records
+        keeper.take(replace(outcome, reason="crashes: SIGSEGV"), recorded)
+        assert logs.records[0].problem == "crashes: SIGSEGV, before its first row"
 
 
 def test_keeping_has_a_progress_of_its_own(run):

@@ -12,6 +12,7 @@ import cosim
 from cosim.cli import main
 from cosim.errors import DatasetError, UsageError
 from cosim.studies.running import verifying
+from cosim.studies.running.comparing import difference
 from cosim.studies.running.recorded_study import own_environment
 from cosim.studies.running.verifying import verify_study
 from cosim.studies.tables.verification import print_verification
@@ -37,6 +38,17 @@ def recorded(tmp_path_factory):
         out=folder / "out",
     )
     return folder
+
+
+def test_what_may_have_made_a_difference_is_said():
+    """Of another machine nobody knows whether it rounds otherwise."""
+    now = {"status": "complete", "reason": "", "steps": 3, "y": 1.0, "worker": "here:5"}
+    text = "y = 1.0, and 2.0 before; "
+    cause = "what it runs gives other results each time"
+    assert difference(now, {**now, "y": 2.0, "worker": "here:4"}, ["y"]) == f"{text}{cause}"
+    assert difference(now, {**now, "y": 2.0, "worker": "there:4"}, ["y"]) == (
+        f"{text}it ran on there before, which may round otherwise than here, or {cause}"
+    )
 
 
 def change_one_bit(place):
@@ -86,7 +98,7 @@ def test_a_bit_that_differs_is_found(recorded, tmp_path, capsys):
     lines = capsys.readouterr().out.splitlines()
     assert lines[1:] == [
         f"member 0: y was {was!r}, is {now!r}",
-        "1 of 1 member is otherwise than recorded",
+        "1 of 1 member differs from what is recorded",
         "not shown: 1 member did not run again; whether another machine comes to the same; signals "
         "that no metric is about",
     ]

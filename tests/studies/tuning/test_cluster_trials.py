@@ -50,6 +50,6 @@ def test_a_scheduler_that_is_not_there_leaves_the_dataset(lag, tmp_path, monkeyp
     monkeypatch.setattr(connection, "CONNECTING", 0.2)
     (tmp_path / "d").mkdir()
     (tmp_path / "d" / "study.json").write_text("{}")
-    with pytest.raises(UsageError, match="there is no scheduler of dask at 'tcp:"):
+    with pytest.raises(UsageError, match="cannot connect to a scheduler of dask at 'tcp:"):
         tuned(lag, scheduler="tcp://127.0.0.1:1", out=tmp_path / "d", new=True)
     assert (tmp_path / "d" / "study.json").exists()

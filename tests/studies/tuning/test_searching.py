@@ -281,7 +281,9 @@ def test_wrong_searches_are_refused(options, message):
 def test_optuna_is_needed_by_its_method_only(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "optuna", None)
     check_search(TuningSearch(PLANE, OBJECTIVE))
-    with pytest.raises(UsageError, match="the method 'optuna' needs optuna: pip install 'cosim"):
+    with pytest.raises(
+        UsageError, match="the method 'optuna' needs optuna, which is not installed"
+    ):
         check_search(TuningSearch(PLANE, OBJECTIVE, method="optuna"))
 
 

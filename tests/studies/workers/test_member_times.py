@@ -30,6 +30,18 @@ def test_members_that_failed_do_not_set_the_limit():
     assert limit_after(0.1, is_complete=False) == 3600.0
 
 
+def test_a_limit_says_where_it_comes_from():
+    """And how to have another one, unless it was given."""
+    assert MemberTimes(3.0).origin == ""
+    times = MemberTimes(None)
+    assert times.origin == ", the limit until a member is completed; set a timeout for another one"
+    times.note(0.1, is_complete=True)
+    assert times.origin == (
+        ", the larger of 60 s and 10 times the longest of the first members; set a timeout for "
+        "another one"
+    )
+
+
 def test_short_members_wait_in_numbers_and_long_ones_do_not():
     """At most a quarter of a second of them, as long as they last like the slow ones before."""
     times = MemberTimes(None)

@@ -345,6 +345,14 @@ def test_a_worker_that_is_lost_while_it_opens_ends_the_study(does, reason):
         outcomes_of([doing(number) for number in range(10)], subject={"opening": does})
 
 
+def test_a_pool_that_could_not_open_says_so_again():
+    """Each time it is asked: workers are not started for ever."""
+    with open_pool(subject={"opening": "SIGSEGV"}) as workers:
+        for _ in range(2):
+            with pytest.raises(RunError, match="3 times in a row"):
+                list(workers.run([doing(0)]))
+
+
 def test_a_worker_that_hangs_while_it_opens_ends_the_study(monkeypatch):
     """Opening has a limit of its own, as models may be compiled."""
     monkeypatch.setattr(pool, "OPENING_LIMIT", 0.5)
