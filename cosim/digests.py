@@ -1,12 +1,17 @@
-"""SHA-256 of files; what was read before is read again only where the file may be another one."""
+"""SHA-256 of files, values and this package.
+
+A file that was read before is read again only where it may be another one.
+"""
 
 from __future__ import annotations
 
+import json
 import os
-from hashlib import file_digest
+from functools import cache
+from hashlib import file_digest, sha256
 from pathlib import Path
 from time import time_ns
-from typing import BinaryIO, Final, TypeAlias, final
+from typing import Any, BinaryIO, Final, TypeAlias, final
 
 from cosim.files import regular
 
@@ -15,6 +20,8 @@ FileState: TypeAlias = tuple[int, int, int, int, int]
 
 # Times of files advance by ticks of the system: within one a second change cannot be seen.
 SETTLED_NS: Final = 50_000_000
+
+_SOURCES: Final = frozenset({".py", ".c", ".h", ".toml"})
 
 
 def sha256_of(path: str | Path) -> str:
@@ -32,6 +39,24 @@ def sha256_of(path: str | Path) -> str:
 def sha256_of_open(file: BinaryIO) -> str:
     """Return the SHA-256 of what follows in an open file, in hexadecimal."""
     return file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
+
+
+def digest_of(value: Any) -> str:
+    """Return the SHA-256 of plain values, whatever the order of their keys, in hexadecimal."""
+    text = json.dumps(value, sort_keys=True, default=str)
+    return sha256(text.encode()).hexdigest()
+
+
+@cache
+def source_digest() -> str:
+    """Return what tells the source of cosim from another of the same version."""
+    root = Path(__file__).parent
+    digest = sha256()
+    for path in sorted(root.rglob("*")):
+        if path.suffix in _SOURCES and path.is_file():
+            digest.update(path.relative_to(root).as_posix().encode() + b"\0")
+            digest.update(sha256(path.read_bytes()).digest())
+    return digest.hexdigest()[:12]
 
 
 @final

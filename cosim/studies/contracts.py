@@ -16,6 +16,8 @@ MemberStatus: TypeAlias = Literal["complete", "failed"]
 
 COMPLETE: Final = "complete"
 FAILED: Final = "failed"
+RECORDING: Final = "recording"  # name of the column with the log that is replayed
+SWAP: Final = "swap."  # what the key of a swap that is varied begins with
 HANGS: Final = "hangs: "  # begins the reason of a member that took longer than it might
 
 

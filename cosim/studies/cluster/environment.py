@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import hashlib
 import platform
 import zipfile
 from collections.abc import Iterable, Mapping
-from functools import cache
 from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
 from typing import Final
 
-import cosim
+from cosim.digests import source_digest
 from cosim.fmi import platforms
 from cosim.version import __version__
 
-_SOURCES: Final = frozenset({".py", ".c", ".h", ".toml"})
 _WORDS: Final = {
     "python": "Python",
     "cosim": "cosim",
@@ -31,24 +27,12 @@ def describe_environment() -> dict[str, str]:
     return {
         "python": f"{major}.{minor}",
         "cosim": __version__,
-        "content": content_hash(),
+        "content": source_digest(),
         "numpy": _version_of("numpy"),
         "scipy": _version_of("scipy"),
         "system": platforms.SYSTEM,
         "architecture": platforms.ARCHITECTURE,
     }
-
-
-@cache
-def content_hash() -> str:
-    """Return what tells the source of cosim from another of the same version."""
-    root = Path(cosim.__file__).parent
-    digest = hashlib.sha256()
-    for path in sorted(root.rglob("*")):
-        if path.suffix in _SOURCES and path.is_file():
-            digest.update(path.relative_to(root).as_posix().encode() + b"\0")
-            digest.update(hashlib.sha256(path.read_bytes()).digest())
-    return digest.hexdigest()[:12]
 
 
 def lacks(own: Mapping[str, str], found: Mapping[str, str]) -> str:

@@ -16,21 +16,19 @@ from typing import Any, Final, Literal, TypeAlias
 import numpy as np
 
 from cosim.errors import DatasetError, UsageError
-from cosim.studies.contracts import MemberOutcome, MetricValue, StudyMember
+from cosim.studies.contracts import RECORDING, SWAP, MemberOutcome, MetricValue, StudyMember
 
 ColumnType: TypeAlias = Literal["double", "int64", "bool", "string", "list<double>", "json"]
 ColumnRole: TypeAlias = Literal["number", "parameter", "metric", "outcome"]
 MemberRow: TypeAlias = list[Any]
 
 MEMBER: Final = "member"
-RECORDING: Final = "recording"
 LOG: Final = "log"
 _ARRAY_TYPES: Final[Mapping[str, ColumnType]] = {
     "float64": "double",
     "int64": "int64",
     "bool": "bool",
 }
-SWAP: Final = "swap."
 _LARGEST_EXACT: Final = 2**53  # every whole number up to it is a double
 _LARGEST_INT64: Final = 2**63
 

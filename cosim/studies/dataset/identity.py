@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
+from cosim.digests import digest_of
 from cosim.errors import DatasetError, flag
 from cosim.studies.dataset.columns import StudyColumn, all_columns
 from cosim.studies.dataset.layout import PartLayout
@@ -16,6 +17,7 @@ from cosim.version import __version__
 FORMAT: Final = 1
 PART_SIZE: Final = 1000
 DESCRIPTION: Final = "study.json"
+OF_METRICS: Final = "the metrics"  # what the digest of the metrics is named
 _CHECKSUM: Final = "checksum"
 
 
@@ -196,12 +198,6 @@ def differences(recorded: StudyIdentity, planned: StudyIdentity) -> list[str]:
 def _parameters(identity: StudyIdentity) -> dict[str, str]:
     columns = (column for column in identity.columns if column.role == "parameter")
     return {column.name: column.type for column in columns}
-
-
-def digest_of(value: Any) -> str:
-    """Return the SHA-256 of plain values, whatever the order of their keys."""
-    text = json.dumps(value, sort_keys=True, default=str)
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _damaged(label: str) -> DatasetError:

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
 from cosim.errors import UsageError
-from cosim.studies.contracts import FAILED, StudyMember
-from cosim.studies.dataset.columns import MEMBER, RECORDING, SWAP, ColumnRole, StudyColumn
+from cosim.studies.contracts import FAILED, RECORDING, SWAP, StudyMember
+from cosim.studies.dataset.columns import MEMBER, ColumnRole, StudyColumn
 from cosim.studies.dataset.study_dataset import StudyDataset
 
 if TYPE_CHECKING:

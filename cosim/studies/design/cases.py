@@ -23,9 +23,8 @@ from cosim.files import file_type
 from cosim.log.conversion.parquet import need_pyarrow
 from cosim.scenario.data_files.csv_file import read_lines
 from cosim.scenario.document.edits import parse_value, plain, short
+from cosim.studies.contracts import RECORDING, SWAP
 from cosim.studies.design.columns import ColumnValues, packed, plain_values
-from cosim.studies.design.study_design import RECORDING
-from cosim.studies.document.variations import SWAP
 
 _FLOAT: Final = re.compile(r"[+-]?(0|[1-9]\d*)(\.\d+([eE][+-]?\d+)?|[eE][+-]?\d+)", re.ASCII)
 _INTEGER: Final = re.compile(r"[+-]?(0|[1-9]\d{0,17})", re.ASCII)

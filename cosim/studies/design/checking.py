@@ -10,13 +10,12 @@ import numpy as np
 
 from cosim.errors import UsageError, quoted
 from cosim.scenario.parsing import Scenario
-from cosim.studies.contracts import StudyMember
+from cosim.studies.contracts import RECORDING, SWAP, StudyMember
 from cosim.studies.design.columns import DesignColumn, GridColumn, NoiseSeedColumn, SampleColumn
 from cosim.studies.design.drawn_check import RefusedDraws, check_draws
 from cosim.studies.design.member_check import MemberCheck, check_files, without_key
 from cosim.studies.design.planning import edited_scenario
-from cosim.studies.design.study_design import RECORDING, StudyDesign
-from cosim.studies.document.variations import SWAP
+from cosim.studies.design.study_design import StudyDesign
 
 MOST_CHECKED: Final = 2000  # values of a key
 MOST_BUILT: Final = 6  # of these; each costs what a member does

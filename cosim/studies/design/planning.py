@@ -15,6 +15,7 @@ from cosim.errors import UsageError, option, quoted
 from cosim.scenario.document.edits import short
 from cosim.scenario.document.elements import address
 from cosim.scenario.parsing import Scenario
+from cosim.studies.contracts import RECORDING, SWAP
 from cosim.studies.design.cases import read_cases
 from cosim.studies.design.columns import (
     DesignColumn,
@@ -28,9 +29,9 @@ from cosim.studies.design.own_values import noise_sources, own_number
 from cosim.studies.design.probabilities import unit_points
 from cosim.studies.design.quantiles import chosen, quantiles
 from cosim.studies.design.recordings import find_recordings
-from cosim.studies.design.study_design import RECORDING, SampleKind, StudyDesign
+from cosim.studies.design.study_design import SampleKind, StudyDesign
 from cosim.studies.document.study_file import StudyFile
-from cosim.studies.document.variations import SWAP, GridVariation, SampledVariation
+from cosim.studies.document.variations import GridVariation, SampledVariation
 
 MOST_MEMBERS: Final = 2 * 10**7  # whose columns fit into the memory of a small machine
 _BLOCK: Final = 2**16  # samples

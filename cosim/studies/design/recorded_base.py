@@ -11,8 +11,8 @@ from cosim.log.reading.reader import open_log
 from cosim.scenario.document.document import Document
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.recordings.recorded_scenario import recorded_document
+from cosim.studies.document.study_file import STUDY
 
-STUDY: Final = "study"  # a table that runs do not rest on
 MOST_NAMED: Final = 3  # keys
 
 

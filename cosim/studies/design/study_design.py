@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
 from cosim.errors import UsageError
 from cosim.scenario.recordings.replaying import texts_in
-from cosim.studies.contracts import StudyMember
+from cosim.studies.contracts import RECORDING, SWAP, StudyMember
 from cosim.studies.design.columns import (
     ColumnValues,
     DesignColumn,
@@ -20,11 +20,8 @@ from cosim.studies.design.columns import (
     plain_values,
 )
 from cosim.studies.document.study_file import StudyFile
-from cosim.studies.document.variations import SWAP
 
 SampleKind: TypeAlias = Literal["grid", "cases", "random", "latin-hypercube", "sobol", "saltelli"]
-
-RECORDING: Final = "recording"  # name of the column with the log that is replayed
 
 
 @dataclass(frozen=True, slots=True)

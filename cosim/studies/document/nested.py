@@ -7,7 +7,8 @@ from typing import Any
 
 from cosim.scenario.document.edits import short
 from cosim.scenario.document.problems import Key
-from cosim.studies.document.variations import FORMS, SWAP
+from cosim.studies.contracts import SWAP
+from cosim.studies.document.variations import FORMS
 
 Written = dict[str, Key]  # how an entry was written, by its key
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from cosim.files import file_type
 from cosim.scenario.document.document import shipped
-from cosim.studies.document.variations import SWAP
+from cosim.studies.contracts import SWAP
 
 
 def absolute(text: Any, folder: Path) -> Any:

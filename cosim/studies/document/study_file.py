@@ -14,7 +14,7 @@ from cosim.arguments import mapping_argument
 from cosim.errors import UsageError, nearest, option
 from cosim.scenario.document.edits import plain, short
 from cosim.scenario.document.problems import Key, Problem, TableProblems, problems_of
-from cosim.studies.contracts import StudySubject
+from cosim.studies.contracts import SWAP, StudySubject
 from cosim.studies.document.keep import KeptLogs, read_keep
 from cosim.studies.document.nested import flat_edits, flat_variations
 from cosim.studies.document.paths import with_absolute_paths
@@ -284,7 +284,7 @@ def _metric_problems(
 
 def _both_problems(settings: StudySettings, variations: Sequence[Variation]) -> list[Problem]:
     """Return which keys are both set for all members and varied."""
-    known = {short(key) for key in settings.set} | {f"swap.{name}" for name in settings.swap}
+    known = {short(key) for key in settings.set} | {f"{SWAP}{name}" for name in settings.swap}
     problems: list[Problem] = []
     for variation in variations:
         if variation.key in known:

@@ -30,9 +30,8 @@ from pydantic import ValidationError
 from cosim.errors import UsageError, quoted
 from cosim.scenario.document.edits import plain
 from cosim.scenario.document.problems import TableProblems, problems_of
+from cosim.studies.contracts import SWAP
 from cosim.studies.document.schema import VariationTable
-
-SWAP: Final = "swap."  # what the key of a varied swap begins with
 
 FORMS: Final = (
     "values",

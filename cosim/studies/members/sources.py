@@ -15,7 +15,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Final, final
 
-from cosim.digests import FileDigests
+from cosim.digests import FileDigests, digest_of
 from cosim.errors import ChangedFileError
 from cosim.files import file_type
 from cosim.log.mcap_file.rotation import part_paths
@@ -23,7 +23,6 @@ from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.recordings.replaying import texts_in
 from cosim.studies.contracts import StudyMember, StudySubject
-from cosim.studies.dataset.identity import digest_of
 from cosim.studies.document.study_file import STUDY
 
 CODE: Final = "code of "  # before the name of a class of users

@@ -18,10 +18,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
+from cosim.digests import digest_of
 from cosim.errors import listing
 from cosim.studies.contracts import FAILED, MemberOutcome, StudyMember
 from cosim.studies.dataset.columns import LOG
-from cosim.studies.dataset.identity import digest_of
 from cosim.studies.dataset.log_files import LogFiles, LogRecord, unfinished_name
 from cosim.studies.dataset.study_dataset import StudyDataset
 from cosim.studies.members.left_log import is_ended, readable_log

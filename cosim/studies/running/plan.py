@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
+from cosim.digests import digest_of
 from cosim.errors import UsageError, option
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.recordings.replaying import texts_in
@@ -17,7 +18,7 @@ from cosim.studies.dataset.columns import (
     parameter_column,
     result_columns,
 )
-from cosim.studies.dataset.identity import StudyIdentity, digest_of
+from cosim.studies.dataset.identity import OF_METRICS, StudyIdentity
 from cosim.studies.design.checking import check_design
 from cosim.studies.design.planning import plan_design
 from cosim.studies.design.study_design import StudyDesign
@@ -84,7 +85,7 @@ class StudyPlan:
         recorded = RecordedStudy(self.study, layout, warnings=self.sources.warnings)
         digests = {
             "the scenario": digest_of(_base(self.scenario, with_record=self.subject.with_results)),
-            "the metrics": digest_of([dict(self.study.metrics), self.subject.with_results]),
+            OF_METRICS: digest_of([dict(self.study.metrics), self.subject.with_results]),
         }
         if _is_edited_later(self.study):
             settings = self.study.settings

@@ -7,10 +7,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Final
 
+from cosim.digests import source_digest
 from cosim.errors import UsageError
 from cosim.log.contents.environment import environment
 from cosim.studies.analysis.independence import StudyLayout
-from cosim.studies.cluster.environment import content_hash
 from cosim.studies.dataset.study import Study
 from cosim.studies.design.commands import run_command
 from cosim.studies.document.study_file import StudyFile, study_of
@@ -50,7 +50,7 @@ class RecordedSearch:
 
 def own_environment() -> dict[str, str]:
     """Return versions and processor here, and what tells this source of cosim from another."""
-    return {**environment(), "source of cosim": content_hash()}
+    return {**environment(), "source of cosim": source_digest()}
 
 
 @dataclass(frozen=True)

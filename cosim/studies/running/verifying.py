@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from cosim.errors import DatasetError, UsageError, command, option
 from cosim.studies.contracts import MemberOutcome, StudyMember
-from cosim.studies.dataset.identity import differences
+from cosim.studies.dataset.identity import OF_METRICS, differences
 from cosim.studies.dataset.study import Study
 from cosim.studies.dataset.study_dataset import StudyDataset
 from cosim.studies.running.comparing import same_reason, same_value
@@ -34,7 +34,6 @@ from cosim.studies.workers.pool import WorkerPool
 LONE_RUNNER: Final = "cosim.studies.members.lone_runner:open_lone_runner"
 SAMPLE: Final = 10  # members, spread over all
 _COMPARED: Final = ("status", "reason", "steps", "other_results")  # beside metrics
-_METRICS: Final = "the metrics"
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,7 +191,7 @@ def _check_unchanged(dataset: StudyDataset, recorded: RecordedStudy) -> None:
     DatasetError
         If something has changed; names all of it.
     """
-    if _METRICS not in dataset.identity.digests:
+    if OF_METRICS not in dataset.identity.digests:
         raise UsageError(
             f"{dataset.label} is the dataset of a tuning, whose members are chosen while it runs; "
             f"{command('study show DIR --member NUMBER')} prints what runs one of them"

@@ -14,7 +14,7 @@ import numpy as np
 from cosim.report.tables.console import new_table, print_json, print_line, print_table
 from cosim.studies.analysis.extremes import best_members, worst_members
 from cosim.studies.analysis.results import StudyResults
-from cosim.studies.dataset.columns import RECORDING
+from cosim.studies.contracts import RECORDING
 from cosim.studies.running.recorded_study import RecordedSearch
 from cosim.studies.tables.numbers import number_text
 from cosim.studies.tables.study import (

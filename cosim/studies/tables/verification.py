@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from cosim.errors import listing
 from cosim.report.tables.console import print_json, print_line
+from cosim.studies.analysis.columns import count_text
 from cosim.studies.running.verifying import StudyVerification
 
 
@@ -16,15 +17,15 @@ def print_verification(found: StudyVerification, *, as_json: bool = False) -> No
         return
     numbers = listing([str(number) for number in found.members], 10)
     print_line(
-        f"{found.name}: {len(found.members)} of {_members(found.done)} ran again, each alone in a "
-        f"process of its own and built afresh: {numbers}"
+        f"{found.name}: {len(found.members)} of {count_text(found.done)} ran again, each alone in "
+        f"a process of its own and built afresh: {numbers}"
     )
     for item in found.differences:
         print_line(f"member {item.member}: {item.name} was {item.recorded!r}, is {item.now!r}")
     differing = {item.member for item in found.differences}
     if differing:
         differ = "differs" if len(differing) == 1 else "differ"
-        total = _members(len(found.members))
+        total = count_text(len(found.members))
         print_line(f"{len(differing)} of {total} {differ} from what is recorded")
     else:
         print_line(f"as recorded, bit for bit: {listing(found.values, 10)}")
@@ -36,7 +37,7 @@ def _not_shown(found: StudyVerification) -> Sequence[str]:
     texts = []
     others = found.done - len(found.members)
     if others:
-        texts.append(f"{_members(others)} did not run again")
+        texts.append(f"{count_text(others)} did not run again")
     if found.elsewhere:
         texts.append(
             f"these ran on {listing(found.elsewhere, 3)}, and again on another machine, whose "
@@ -48,7 +49,3 @@ def _not_shown(found: StudyVerification) -> Sequence[str]:
     for name, (before, now) in found.environment.items():
         texts.append(f"{name} was {before}, is {now}")
     return texts
-
-
-def _members(count: int) -> str:
-    return f"{count} member{'' if count == 1 else 's'}"

@@ -9,8 +9,8 @@ from typing import Any, Final
 from cosim.arguments import mapping_argument
 from cosim.errors import UsageError, option, quoted
 from cosim.scenario.document.edits import plain, short
+from cosim.studies.contracts import SWAP
 from cosim.studies.document.paths import absolute
-from cosim.studies.document.variations import SWAP
 from cosim.studies.tuning.space import BoundedKey, ChoiceKey, SearchSpace
 
 _BOUNDS: Final = ("linear", "log")

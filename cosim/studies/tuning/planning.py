@@ -7,22 +7,22 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
+from cosim.digests import digest_of
 from cosim.errors import UsageError, listing, option, quoted
 from cosim.log.foreign.topics import is_foreign
 from cosim.scenario.parsing import Scenario
 from cosim.studies.analysis.independence import StudyLayout
-from cosim.studies.contracts import StudyMember
+from cosim.studies.contracts import RECORDING, SWAP, StudyMember
 from cosim.studies.dataset.columns import metric_column, parameter_column
-from cosim.studies.dataset.identity import StudyIdentity, digest_of
+from cosim.studies.dataset.identity import OF_METRICS, StudyIdentity
 from cosim.studies.design.columns import DesignColumn, MemberLayout, SampleColumn
 from cosim.studies.design.commands import run_command
 from cosim.studies.design.own_values import own_value
 from cosim.studies.design.planning import edited_scenario
 from cosim.studies.design.recordings import find_recordings
-from cosim.studies.design.study_design import RECORDING, StudyDesign
+from cosim.studies.design.study_design import StudyDesign
 from cosim.studies.document.scenario_of_study import load_scenario
 from cosim.studies.document.study_file import StudyFile
-from cosim.studies.document.variations import SWAP
 from cosim.studies.metrics.metrics import parse_metrics
 from cosim.studies.running.plan import StudyPlan, plan_members
 from cosim.studies.running.recorded_study import RecordedSearch, RecordedStudy
@@ -32,7 +32,6 @@ from cosim.studies.tuning.space import BoundedKey, ChoiceKey, SearchSpace
 from cosim.studies.tuning.task import OBJECTIVE, TuningTask, is_rms
 
 _SEARCH: Final = "the search (its keys, bounds, method, starts and seed)"
-_METRICS: Final = "the metrics"
 
 
 @dataclass(frozen=True)
@@ -81,7 +80,7 @@ class TuningPlan:
             search.seed,
         ]
         planned = self.study.identity({})
-        digests = {name: digest for name, digest in planned.digests.items() if name != _METRICS}
+        digests = {name: digest for name, digest in planned.digests.items() if name != OF_METRICS}
         digests["the objective"] = digest_of(self.task.expression)
         digests[_SEARCH] = digest_of(asked)
         columns = [] if self.recording is None else [parameter_column(RECORDING, [self.recording])]

@@ -8,8 +8,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self, cast, final
 
-from cosim.studies.contracts import MemberOutcome, StudyMember
-from cosim.studies.dataset.columns import RECORDING, StudyColumn, pyarrow
+from cosim.studies.contracts import RECORDING, MemberOutcome, StudyMember
+from cosim.studies.dataset.columns import StudyColumn, pyarrow
 from cosim.studies.dataset.identity import StudyIdentity
 from cosim.studies.dataset.study_dataset import StudyDataset
 from cosim.studies.tuning.points import point_name

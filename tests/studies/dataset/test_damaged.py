@@ -8,9 +8,9 @@ import sys
 
 import pytest
 
+from cosim.digests import digest_of
 from cosim.errors import DatasetError, DatasetWriteError
 from cosim.studies.dataset import local_storage
-from cosim.studies.dataset.identity import digest_of
 from cosim.studies.dataset.study_dataset import StudyDataset
 from tests.studies.dataset.killed import complete, opened, processes
 from tests.studies.dataset.outcomes import add, identity, member, outcome, parts

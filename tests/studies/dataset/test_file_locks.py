@@ -52,7 +52,7 @@ def test_a_lock_of_a_folder_is_of_one_process(tmp_path):
     """Another one is named; nothing is left of one that ends."""
     first = FolderLock(tmp_path)
     with pytest.raises(
-        DatasetError, match=rf"another study .*\(process {os.getpid()}\); wait until"
+        DatasetError, match=rf"another study .*\(process {os.getpid()} on .*\); wait until"
     ):
         FolderLock(tmp_path)
     first.close()
