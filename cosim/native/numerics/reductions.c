@@ -232,8 +232,11 @@ static void integrate(cosim_reduction *s, int64_t first, int64_t n, const double
     terms[0] = 0.5 * (t[0] - s->t_before) * (s->before + x[0]);
     for (int64_t k = 1; k < n; ++k)
         terms[k] = 0.5 * (t[k] - t[k - 1]) * (x[k - 1] + x[k]);
-    for (int64_t k = 0; k < n; ++k)
-        terms[k] = terms[k] == terms[k] ? terms[k] : 0.0;
+    /* none where one of both rows has no value; +inf and -inf have no integral */
+    if (s->before != s->before || x[0] != x[0])
+        terms[0] = 0.0;
+    for (int64_t k = 1; k < n; ++k)
+        terms[k] = x[k - 1] == x[k - 1] && x[k] == x[k] ? terms[k] : 0.0;
     add_terms(s->lanes[COSIM_INTEGRAL], first, n, terms);
     s->before = x[n - 1];
     s->t_before = t[n - 1];

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from scipy.special import ndtri
+from scipy.special import ndtri, stdtrit
 
 from cosim.arrays import Vector
 from cosim.studies.analysis.columns import MemberColumns, NumberColumn, numbers_of
@@ -22,6 +22,7 @@ from cosim.studies.analysis.independence import (
 from cosim.studies.analysis.ranks import Ranks, rank_correlation, rank_correlation_deviation
 
 LEAST_MEMBERS: Final = 10  # of fewer, chance alone makes strong correlations
+LEAST_UNITS: Final = 5  # of fewer seeds or samples, chance alone makes all of one sign
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,12 +117,26 @@ def _correlation_of(
         interval = _interval(value, pair)
         is_distinct = interval.lower is None or not interval.holds(0.0)
         return RankCorrelation(metric, parameter, value, interval, count, is_distinct=is_distinct)
-    independent = count
-    if of_design.layout.kind not in ("grid", "cases"):
-        independent = len(np.unique(units))  # at least: seeds, and what is chosen, differ within
-    by_chance = _normal_quantile() / math.sqrt(max(independent - 1, 1))
-    is_distinct = abs(value) > by_chance
+    is_distinct = abs(value) > _largest_by_chance(value, pair, units, of_design.layout)
     return RankCorrelation(metric, parameter, value, NO_INTERVAL, count, is_distinct=is_distinct)
+
+
+def _largest_by_chance(
+    value: float, pair: tuple[Ranks, Ranks], units: NumberColumn, layout: StudyLayout
+) -> float:
+    """Return how large chance alone makes a correlation in 1 of 20 studies.
+
+    The members of a seed, or of a sample, count together: what the noise adds may grow with the
+    parameter, so that all members of a seed err to one side.
+    """
+    independent = len(np.unique(units))
+    if independent < LEAST_UNITS:
+        return math.inf
+    deviation = rank_correlation_deviation(*pair, value, units=units)
+    largest = float(stdtrit(independent - 1, 0.5 + 0.5 * CONFIDENCE)) * deviation
+    if layout.kind in ("grid", "cases"):  # whose parameters were not drawn
+        return largest
+    return max(largest, _normal_quantile() / math.sqrt(independent - 1))
 
 
 def strongest(correlations: Sequence[RankCorrelation], metric: str) -> list[RankCorrelation]:

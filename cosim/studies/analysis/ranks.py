@@ -78,8 +78,10 @@ def rank_correlation(first: Ranks, other: Ranks) -> float | None:
     return float(first.centered @ other.centered) / scale if scale > 0.0 else None
 
 
-def rank_correlation_deviation(first: Ranks, other: Ranks, value: float) -> float:
-    """Return the standard deviation of Spearman's rank correlation of independent members.
+def rank_correlation_deviation(
+    first: Ranks, other: Ranks, value: float, *, units: NDArray[np.int64] | None = None
+) -> float:
+    """Return the standard deviation of Spearman's rank correlation.
 
     Parameters
     ----------
@@ -87,10 +89,15 @@ def rank_correlation_deviation(first: Ranks, other: Ranks, value: float) -> floa
         Of the same members, two at least; neither has one value alone.
     value : float
         The correlation.
+    units : array of int, shape (n,), optional
+        Members of one unit depend on each other, and units do not; left out: all are independent.
     """
     influence = _influence(first, other) / math.sqrt(first.squares * other.squares)
     for one in (first, other):
         influence -= 0.5 * value / one.squares * one.influence
+    if units is not None:
+        _, places = np.unique(units, return_inverse=True)
+        influence = np.bincount(places, weights=influence).astype(np.float64)
     count = len(influence)
     return math.sqrt(float(influence @ influence) * count / (count - 1.0))
 

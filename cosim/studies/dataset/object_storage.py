@@ -2,7 +2,8 @@
 
 An object is put whole, so nobody finds a part of it. There is no lock: that only one study writes
 there is for the user to see to. There is nothing to append to either: the journal is put as a whole
-when an outcome comes, at most every few seconds, and when the study ends; a kill loses what came after.
+when an outcome comes, at most every few seconds, and when the study ends; a kill loses what came
+after.
 """
 
 from __future__ import annotations

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
+from time import perf_counter
 from types import TracebackType
 from typing import Self, final
 
@@ -67,6 +68,7 @@ class LoggingRunner:
 
     def run(self, member: StudyMember) -> MemberOutcome:
         """Run a member with a log; what it came to is as of :class:`SubjectRunner`."""
+        began = perf_counter()
         measured = MemberRecorder(self._recorder)
         outcome = MemberOutcome(member.number, COMPLETE)
         results: Mapping[str, MetricValue] = {}
@@ -82,8 +84,13 @@ class LoggingRunner:
         except Exception as error:  # of a user's code, too: it costs this member, and no other
             self._builder.sources.check(member)
             return replace(outcome, status=FAILED, reason=reason_of(error), steps=measured.steps)
-        metrics = {**results, **self._recorder.values()}
-        return replace(outcome, reason=measured.end.reason, steps=measured.steps, metrics=metrics)
+        return replace(
+            outcome,
+            reason=measured.end.reason,
+            steps=measured.steps,
+            metrics={**results, **self._recorder.values()},
+            wall_time=perf_counter() - began,
+        )
 
     def _record(
         self, member: StudyMember, measured: MemberRecorder, resources: ExitStack

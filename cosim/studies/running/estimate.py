@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
 from cosim.errors import UsageError
-from cosim.studies.contracts import FAILED, MemberOutcome, MetricValue, StudyMember
+from cosim.studies.contracts import FAILED, MemberOutcome, MetricValue
 from cosim.studies.dataset.columns import all_columns
 from cosim.studies.running.keeping import LOGGING_RUNNER
 from cosim.studies.running.kept_members import kept_count
@@ -31,7 +31,7 @@ class StudyEstimate:
     first_time, member_time : float
         Wall time of the first member of a worker, and of the one that was timed after it [s].
     study_time : float
-        Of all members, on these workers [s].
+        Of all members, and of the second runs of those whose logs are kept, on these workers [s].
     dataset_bytes : int
         About, without the heads of its parts, and before compression.
     log_bytes : int or None
@@ -65,14 +65,15 @@ def estimate_study(plan: StudyPlan, workers: int) -> StudyEstimate:
     first = outcomes[0].wall_time
     other = outcomes[-1].wall_time
     each = -(-total // workers)
+    log_bytes, log_time = _kept_logs(plan, outcomes[-1].number, workers)
     return StudyEstimate(
         total,
         workers,
         first,
         other,
-        first + (each - 1) * other,
+        first + (each - 1) * other + log_time,
         dataset_bytes=total * _row_bytes(plan, outcomes[-1]),
-        log_bytes=_log_bytes(plan, plan.design.member(outcomes[-1].number)),
+        log_bytes=log_bytes,
     )
 
 
@@ -108,14 +109,18 @@ def _row_bytes(plan: StudyPlan, outcome: MemberOutcome) -> int:
     return _NUMBER_BYTES * len(columns) + sum(len(text.encode()) for text in texts)
 
 
-def _log_bytes(plan: StudyPlan, member: StudyMember) -> int | None:
-    """Return how large the kept logs are; None: that is not known."""
+def _kept_logs(plan: StudyPlan, number: int, workers: int) -> tuple[int | None, float]:
+    """Return how large the kept logs are, and how long they take to make [s], by one member.
+
+    None: how many are kept is not known.
+    """
     count = kept_count(plan.study.kept_logs, len(plan.design))
     if not count:
-        return count
+        return count, 0.0
     with TemporaryFolder("estimate") as folder:
         subject = replace(plan.subject, logs=str(folder))
         # without the timeout of the study: the end of a log may take longer than a run
         with WorkerPool(LOGGING_RUNNER, subject, 1) as pool:
-            list(pool.run([member]))
-        return count * sum(path.stat().st_size for path in folder.glob("*.mcap"))
+            (outcome,) = pool.run([plan.design.member(number)])
+        size = sum(path.stat().st_size for path in folder.glob("*.mcap"))
+        return count * size, -(-count // workers) * outcome.wall_time

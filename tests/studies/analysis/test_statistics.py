@@ -292,6 +292,58 @@ def test_members_without_a_parameter_have_no_part_in_its_correlation():
     assert found.value == pytest.approx(stats.spearmanr(first[known], values[known]).statistic)
 
 
+@pytest.mark.parametrize(("grid", "seeds"), [(5, 5), (10, 5), (5, 10), (10, 20), (3, 50)])
+def test_noise_that_grows_with_a_key_makes_no_correlation(grid, seeds):
+    """All members of a seed have the same noise, times the key: the true correlation is 0."""
+    rng = np.random.default_rng(11)
+    layout = StudyLayout("grid", grid=grid, seeds=seeds)
+    key = np.geomspace(1e-4, 1e-2, grid)
+    metrics = {f"m{n}": (key * rng.normal(size=(seeds, 1))).ravel() for n in range(200)}
+    found = rank_correlations(columns_of(metrics, parameters={"p": np.tile(key, seeds)}), layout)
+    share = np.mean([one.is_distinct for one in found])
+    # binomial: 200 trials of 5 % are within 3.3 deviations in 999 of 1000
+    assert share <= 0.05 + 3.3 * np.sqrt(0.05 * 0.95 / 200)
+
+
+@pytest.mark.parametrize("seeds", [2, 3, 4])
+def test_of_very_few_seeds_nothing_is_distinct(seeds):
+    """Chance alone gives all of them one sign."""
+    layout = StudyLayout("grid", grid=10, seeds=seeds)
+    key = np.tile(np.arange(10.0), seeds)
+    (found,) = rank_correlations(columns_of({"m": key}, parameters={"p": key}), layout)
+    assert found.value == 1.0
+    assert not found.is_distinct
+
+
+@pytest.mark.parametrize("common", [0.0, 0.9])
+def test_a_trend_over_a_grid_is_distinct(common):
+    """Of 20 seeds, whether their noise is common to all points or not."""
+    rng = np.random.default_rng(12)
+    layout = StudyLayout("grid", grid=5, seeds=20)
+    metrics = {}
+    for number in range(100):
+        shared = common * rng.normal(size=(20, 1))
+        own = np.sqrt(1.0 - common**2) * rng.normal(size=(20, 5))
+        metrics[f"m{number}"] = (np.linspace(0.0, 1.0, 5) + shared + own).ravel()
+    parameters = {"p": np.tile(np.arange(5.0), 20)}
+    found = rank_correlations(columns_of(metrics, parameters=parameters), layout)
+    assert np.mean([one.is_distinct for one in found]) >= 0.8
+
+
+def test_a_metric_that_is_smallest_in_the_middle_makes_no_correlation():
+    """Of samples with seeds: the deviation is larger than that of independent columns."""
+    rng = np.random.default_rng(13)
+    layout = StudyLayout("random", samples=100, seeds=3)
+    metrics, shares = {}, []
+    for _ in range(200):
+        key = np.repeat(rng.uniform(-1.0, 1.0, size=100), 3)
+        metrics = {"m": key**2 + 1e-3 * rng.normal(size=300)}
+        (found,) = rank_correlations(columns_of(metrics, parameters={"p": key}), layout)
+        shares.append(found.is_distinct)
+    # asymptotic in the number of samples: the reference is 0.06 of 1000 studies of 50 samples
+    assert np.mean(shares) <= 0.06 + 3.3 * np.sqrt(0.06 * 0.94 / 200)
+
+
 @pytest.mark.parametrize("count", [1, 2, 9])
 def test_few_members_have_no_rank_correlation(count):
     """Two are always in order: of nine, chance alone makes 0.68 in 1 of 20 studies."""

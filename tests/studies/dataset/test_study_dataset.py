@@ -254,7 +254,9 @@ def test_two_studies_cannot_write_one_dataset_at_once(tmp_path):
     """The second is refused while the first writes; who reads is not."""
     with StudyDataset.create(tmp_path, identity(5)) as dataset:
         add(dataset, [0])
-        problem = r"another study is writing there \(process \d+ on .*\); wait until it ends, or give"
+        problem = (
+            r"another study is writing there \(process \d+ on .*\); wait until it ends, or give"
+        )
         with pytest.raises(DatasetError, match=problem):
             StudyDataset.open_or_create(tmp_path, identity(5))
         with pytest.raises(DatasetError, match=problem):

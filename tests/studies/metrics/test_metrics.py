@@ -157,6 +157,8 @@ def test_an_integral_is_between_rows_that_follow_each_other():
     assert value("integral(plant.gap, plant.gap < 50)", rows) == pytest.approx(8e-3, rel=1e-15)
     assert value("integral(plant.gap, plant.gap > 50)", rows) == 0.0
     assert value("integral(plant.gap, plant.gap > 500)", rows) is None
+    infinite = "(1e308 * 10) * (t - 0.1005)"  # of either sign, of which there is no sum
+    assert value(f"integral({infinite}, t >= 0.1 and t < 0.1015)", rows) is None
 
 
 def test_a_duration_is_that_of_conditions_everywhere():
