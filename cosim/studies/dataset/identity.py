@@ -200,6 +200,24 @@ def _parameters(identity: StudyIdentity) -> dict[str, str]:
     return {column.name: column.type for column in columns}
 
 
+def check_is_dataset(content: bytes | None, label: str) -> None:
+    """Check that a file may be the description of a dataset, whole or damaged: it is replaced.
+
+    Raises
+    ------
+    DatasetError
+        If it is another program's.
+    """
+    if content is None:
+        return
+    try:
+        found = json.loads(content)
+    except ValueError:
+        return
+    if not isinstance(found, dict) or _CHECKSUM not in found:
+        raise DatasetError(f"{label} is not that of a dataset; give another folder, or remove it")
+
+
 def _damaged(label: str) -> DatasetError:
     return DatasetError(
         f"{label} is damaged; take it from a copy, or {flag('new')} begins anew, without the "

@@ -79,11 +79,12 @@ class PartFiles:
         try:
             file = parquet.ParquetFile(io.BytesIO(content), page_checksum_verification=True)
             self._check_study(name, file.schema_arrow.metadata or {})
+            if not file.schema_arrow.equals(self.schema):  # whichever columns are asked for
+                raise self._damaged(name)
             table = file.read(columns=list(names), use_threads=False).select(list(names))
         except (arrow.ArrowException, OSError, KeyError) as error:
             raise self._damaged(name) from error
-        wanted = arrow.schema([self.schema.field(name) for name in names])
-        if not table.schema.equals(wanted) or len(table) != len(part):
+        if len(table) != len(part):
             raise self._damaged(name)
         return table
 

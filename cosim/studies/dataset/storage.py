@@ -12,6 +12,7 @@ from typing import Protocol
 from urllib.parse import unquote, urlsplit
 
 from cosim.arguments import path_argument
+from cosim.errors import UsageError
 
 
 class DatasetJournal(Protocol):
@@ -115,6 +116,8 @@ def open_storage(place: str | Path) -> Storage:
         If there is no such kind of storage.
     """
     text = str(place)
+    if not text:
+        raise UsageError("found an empty path of a dataset; needed a folder, or a URL")
     if "://" not in text:
         from cosim.studies.dataset.local_storage import LocalStorage
 

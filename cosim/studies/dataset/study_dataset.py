@@ -32,6 +32,7 @@ from cosim.studies.dataset.identity import (
     DESCRIPTION,
     DatasetDescription,
     StudyIdentity,
+    check_is_dataset,
     differences,
 )
 from cosim.studies.dataset.layout import PARTS, PartLayout
@@ -180,6 +181,7 @@ class StudyDataset:
         storage.lock()
         try:
             if new:
+                check_is_dataset(storage.read(DESCRIPTION), storage.label(DESCRIPTION))
                 _remove(storage)
             recorded = _description(storage)
             if recorded is None:

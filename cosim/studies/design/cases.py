@@ -180,6 +180,8 @@ def _read_column(column: Any, file: str, name: str) -> ColumnValues:
         numbers = column.cast(pyarrow.int64()).to_numpy()
         return numbers
     values = column.to_pylist()
+    if pyarrow.types.is_decimal(column.type):  # as the same digits in a CSV file
+        values = [None if value is None else float(value) for value in values]
     if any(isinstance(value, str) for value in values):
         cells = ["" if value is None else str(value) for value in values]
         return _read_cells(cells, f"file {file}", name)

@@ -255,7 +255,7 @@ def _log_of(outcome: MemberOutcome, folder: Path) -> tuple[Path | None, str]:
 
 
 def _without_row(outcome: MemberOutcome) -> str:
-    return f"{outcome.reason}, before its first row"
+    return f"{outcome.reason}, before a row of its log was written"
 
 
 def _recording_of(plan: StudyPlan) -> str:

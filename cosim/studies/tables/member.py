@@ -37,7 +37,7 @@ def print_member(
     print_section("metrics", _with_units(metrics, results, "no value"))
     shown = {}
     for name, value in others.items():
-        if name not in ("member", "status", "reason") and value not in (None, ""):
+        if name not in ("member", "status", "reason", "designs") and value not in (None, ""):
             shown[results.with_unit(name)] = shortened(str(value))
     print_section("run", shown)
     print_line(f"alone: {command}")

@@ -21,7 +21,8 @@ def print_sobol(
     Raises
     ------
     UsageError
-        If the design of the study is none of Saltelli's, or a metric that is named has no indices.
+        If the design of the study is none of Saltelli's, or a metric that is named, or each metric,
+        has no indices.
     """
     check_has_indices(results.layout)
     found: list[SobolIndices] = []
@@ -33,6 +34,8 @@ def print_sobol(
             if metrics:
                 raise
             without.append(str(error))
+    if without and not found:
+        raise UsageError("; ".join(without))
     if as_json:
         print_json({indices.metric: indices.to_dict() for indices in found})
         return

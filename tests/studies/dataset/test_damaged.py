@@ -7,9 +7,10 @@ import signal
 import sys
 
 import pytest
+from pyarrow import parquet
 
 from cosim.digests import digest_of
-from cosim.errors import DatasetError, DatasetWriteError
+from cosim.errors import DatasetError, DatasetWriteError, UsageError
 from cosim.studies.dataset import local_storage
 from cosim.studies.dataset.study_dataset import StudyDataset
 from tests.studies.dataset.killed import complete, opened, processes
@@ -134,6 +135,33 @@ def test_a_damaged_part_is_named_and_its_members_run_anew_without_it(folder):
         assert dataset.missing() == [range(10, 20), range(25, 30)]
         add(dataset, range(10, 20))
         assert dataset.read().equals(expected)
+
+
+def test_a_part_without_one_of_its_columns_is_damaged(folder):
+    """Whichever column is asked for."""
+    path = next((folder / "parts").iterdir())
+    parquet.write_table(parquet.read_table(path).drop_columns(["error"]), path)
+    with pytest.raises(DatasetError, match=r"is damaged; remove it and run the study again"):
+        _ = StudyDataset.open(folder).failed
+
+
+@pytest.mark.parametrize("content", ['{"a": 1}', "[]"])
+def test_a_file_of_another_program_is_not_replaced(tmp_path, content):
+    """Though it has the name of the description."""
+    path = tmp_path / "study.json"
+    path.write_text(content)
+    text = r"study\.json is not that of a dataset; give another folder, or remove it"
+    with pytest.raises(DatasetError, match=text):
+        StudyDataset.open_or_create(tmp_path, identity(3), new=True)
+    assert path.read_text() == content
+    path.write_text("{")  # one that is damaged
+    StudyDataset.open_or_create(tmp_path, identity(3), new=True).close()
+
+
+def test_an_empty_path_is_refused():
+    """It would be the working directory."""
+    with pytest.raises(UsageError, match="found an empty path of a dataset; needed a folder"):
+        StudyDataset.open_or_create("", identity(3))
 
 
 def test_a_damaged_description_is_named(folder):

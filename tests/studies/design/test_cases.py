@@ -1,5 +1,7 @@
 """Tables of cases."""
 
+from decimal import Decimal
+
 import numpy as np
 import pyarrow
 import pytest
@@ -141,6 +143,13 @@ def test_what_is_no_table_of_cases_is_refused(write, text, message):
     """The message names the file, and the line or the column."""
     with pytest.raises(UsageError, match=rf"file '.*cases.csv'.*{message}"):
         read_cases(write(text))
+
+
+def test_decimals_are_the_numbers_of_their_digits(tmp_path):
+    """As DuckDB makes them of literals."""
+    column = pyarrow.array([Decimal("1.5"), Decimal("0.1")], pyarrow.decimal128(3, 1))
+    parquet.write_table(pyarrow.table({"a.x": column}), tmp_path / "x.parquet")
+    assert plain(read_cases(tmp_path / "x.parquet")) == {"a.x": [1.5, 0.1]}
 
 
 def test_other_files_are_refused(tmp_path, write):

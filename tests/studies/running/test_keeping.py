@@ -229,7 +229,7 @@ def test_a_log_that_failed_for_another_reason_is_made_again(run, tmp_path):
         keeper.take(outcome, recorded)
         assert 0 not in logs.records
         keeper.take(replace(outcome, reason="crashes: SIGSEGV"), recorded)
-        assert logs.records[0].problem == "crashes: SIGSEGV, before its first row"
+        assert logs.records[0].problem == "crashes: SIGSEGV, before a row of its log was written"
 
 
 def test_keeping_has_a_progress_of_its_own(run):

@@ -63,6 +63,7 @@ def test_workers_put_logs_where_the_dataset_is(study, tmp_path, monkeypatch):
             "log is lost with its process)"
         ]
         assert others == [
-            "no log of 1 failed member that is kept: 2 (crashes: SIGSEGV, before its first row)"
+            "no log of 1 failed member that is kept: 2 (crashes: SIGSEGV, before a row of its log "
+            "was written)"
         ]
         assert len(list((tmp_path / "out" / "logs").iterdir())) == 2
