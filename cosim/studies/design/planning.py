@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from cosim.errors import UsageError, option, quoted
+from cosim.errors import UsageError, nearest, option, quoted
 from cosim.scenario.document.edits import short
 from cosim.scenario.document.elements import address
 from cosim.scenario.parsing import Scenario
@@ -55,6 +55,8 @@ def plan_design(study: StudyFile, scenario: Scenario) -> StudyDesign:
     _check_sampling(study)
     cases = {} if study.settings.cases is None else read_cases(Path(study.settings.cases))
     recordings = find_recordings(study.settings.replay)
+    if not recordings and RECORDING not in cases:
+        _check_swapped(study, scenario, cases)
     grid = list(study.grid)
     if recordings:
         grid.insert(0, GridVariation(RECORDING, recordings))
@@ -94,6 +96,24 @@ def edited_scenario(
 
 
 # --- checks ---
+
+
+def _check_swapped(study: StudyFile, scenario: Scenario, cases: Mapping[str, object]) -> None:
+    """Check that columns of a table of cases that are no dotted keys are components.
+
+    Raises
+    ------
+    UsageError
+        If there is no such component.
+    """
+    for key in cases:
+        name = key.removeprefix(SWAP)
+        if key.startswith(SWAP) and name not in scenario.specs:
+            raise UsageError(
+                f"file {study.settings.cases!r}, column {name!r}: there is no component {name!r} "
+                "to swap, and keys have a dot, such as 'scenario.stop'; "
+                f"{nearest(name, scenario.specs)}"
+            )
 
 
 def _check_sampling(study: StudyFile) -> None:

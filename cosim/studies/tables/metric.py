@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 from rich.table import Table
@@ -63,7 +63,6 @@ def _print_metric(
 ) -> None:
     columns = results.columns
     name = statistics.name
-    column = columns.metrics[name]
     table = new_table(results.with_unit(name), ("", "", "95 % interval"))
     table.add_row("members", str(statistics.count), "")
     for words, count in (
@@ -84,18 +83,32 @@ def _print_metric(
         label = f"rank correlation with {one.parameter}"
         table.add_row(label, f"{one.value:+.3f}", interval_text(one.interval))
     print_table(table)
-    print_line(f"95 % intervals: {statistics.basis}")
+    for line in _notes(results, statistics, correlations):
+        print_line(line)
+
+
+def _notes(
+    results: StudyResults, statistics: MetricStatistics, correlations: Sequence[RankCorrelation]
+) -> Iterator[str]:
+    """Yield what the figures are of, and what is missing."""
+    column = results.columns.metrics[statistics.name]
+    if results.layout.kind == "saltelli":
+        yield (
+            "of the members of matrices A and B; smallest, largest and members without a value: of "
+            "all members"
+        )
+    yield f"95 % intervals: {statistics.basis}"
     if statistics.mean_interval != NO_INTERVAL:
-        print_line(_METHODS)
+        yield _METHODS
     if statistics.is_rough:
-        print_line("the interval of the mean may be too short, as of few members or skewed values")
+        yield "the interval of the mean may be too short, as of few members or skewed values"
     few = [one.parameter for one in correlations if one.count < LEAST_MEMBERS]
     if few:
         which = "" if len(few) == len(correlations) else f" with {listing(few)}"
-        print_line(f"rank correlations{which}: none, of fewer than {LEAST_MEMBERS} members")
+        yield f"rank correlations{which}: none, of fewer than {LEAST_MEMBERS} members"
     for words, numbers in (("no value", column.without_value), ("infinite", column.infinite)):
         if len(numbers):
-            print_line(f"{words} in members {members_text(numbers)}")
+            yield f"{words} in members {members_text(numbers)}"
 
 
 def _add_extremes(table: Table, columns: MemberColumns, name: str) -> None:

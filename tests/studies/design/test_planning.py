@@ -206,6 +206,15 @@ def test_cases_are_members_in_the_order_of_their_rows(tmp_path):
     assert design.column("observer.filter_rate") == [100.0, 100.0, None, None]
 
 
+def test_a_column_of_no_component_is_named(tmp_path):
+    """Such as one of comments."""
+    path = tmp_path / "cases.csv"
+    path.write_text("observer.filter_rate,note\n100.0,good\n")
+    text = r"cases\.csv', column 'note': there is no component 'note' to swap, and keys have a dot"
+    with pytest.raises(UsageError, match=text):
+        planned(cases=path)
+
+
 def test_swaps_and_recordings_are_varied(tmp_path):
     """Recordings are the slowest of a grid, and sorted."""
     plants = of_swaps(tmp_path, "b.fmu", "a.fmu")
