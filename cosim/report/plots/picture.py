@@ -20,8 +20,8 @@ CENTIMETER: Final = 1.0 / 2.54  # inches
 SMALLEST: Final = 3.0  # cm
 LARGEST: Final = 200.0  # cm
 _DOTS_PER_INCH: Final = 150
-# text stays text: it can be searched and edited, and set in the font of the page
 _NO_ROOM: Final = "constrained_layout not applied"  # a warning of matplotlib
+# text stays text: it can be searched and edited, and set in the font of the page
 _TEXT_AS_TEXT: Final = {"svg.fonttype": "none", "pdf.fonttype": 42}
 
 
