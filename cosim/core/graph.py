@@ -43,6 +43,7 @@ from cosim.core.structure.order import Coupling
 from cosim.core.structure.ports import Ports, layout_of
 from cosim.core.structure.variability import Variabilities
 from cosim.errors import GraphError, nearest
+from cosim.native.numerics.program_cache import ProgramCaches
 from cosim.native.stages.loop_solver import LoopSolver
 from cosim.units import Conversion
 
@@ -99,6 +100,8 @@ class Graph:
         How often the components were initialized.
     watched : frozenset of component names
         Whose loops end a run where they run away (:mod:`cosim.core.stages.runaway`); to be set.
+    program_caches : ProgramCaches or None
+        What expressions in t of the compiled steps were in the last run, for the next; to be set.
 
     Raises
     ------
@@ -125,6 +128,7 @@ class Graph:
         self.threads = threads
         self.native = native
         self.watched: frozenset[str] = frozenset()
+        self.program_caches: ProgramCaches | None = None
         self.components = checked_components(components)
         check_choice("coupling", coupling, COUPLINGS)
         check_choice("input_interpolation", input_interpolation, INTERPOLATIONS)

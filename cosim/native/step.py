@@ -102,6 +102,7 @@ class NativeStep:
     ----------
     address : int
         Of ``state``.
+    keep : tuple of object
     """
 
     def __init__(
@@ -129,7 +130,7 @@ class NativeStep:
         self.memory = memory
         self.status = 0
         self.address = ctypes.addressof(state)
-        self._keep = tuple(keep)
+        self.keep = tuple(keep)
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Advance over K communication steps of ``h`` seconds.
@@ -225,7 +226,7 @@ class NativeStep:
         if not self._memory_is_state:
             return None
         copy = np.zeros(max(1, len(self.memory)))
-        self._keep = (*self._keep, copy)
+        self.keep = (*self.keep, copy)
         addresses = (pointer(self.memory), pointer(copy))
         return RollbackStruct(None, None, *addresses, len(self.memory), 0)
 

@@ -65,7 +65,7 @@ def _advancing_stages(graph: Graph) -> Sequence[Advancing]:
     together: list[Stage] = []
     steps: dict[str, NativeStep] = {}
     for stage in graph.stages:
-        steps_of_stage = _native_steps(stage.members)
+        steps_of_stage = _native_steps(stage.members, graph)
         if stage.controls:
             advancing += _compiled(together, steps, graph)
             together = []
@@ -88,7 +88,7 @@ def _in_substeps(stage: Stage, graph: Graph) -> Advancing:
         return NestedLoop(stage.members, stage.order, stage.nested, inner)
     advancing: Advancing = stage
     if graph.native:
-        steps = _native_steps(stage.members)
+        steps = _native_steps(stage.members, graph)
         advancing = NativeStage([stage], steps, graph.layout, nullcontext())
     for control in stage.controls:
         advancing = SubsteppedLoop(stage, control, advancing)
@@ -117,7 +117,7 @@ def _compiled(stages: Sequence[Stage], steps: NativeSteps, graph: Graph) -> list
     return [with_branches(stages, may_leave, binaries, compiled)]
 
 
-def _native_steps(members: Iterable[Member]) -> dict[str, NativeStep]:
+def _native_steps(members: Iterable[Member], graph: Graph) -> dict[str, NativeStep]:
     steps = {}
     for member in members:
         step = member.component.native()
@@ -125,6 +125,8 @@ def _native_steps(members: Iterable[Member]) -> dict[str, NativeStep]:
         is_silent = step is not None and step.left_outputs is None and member.returns_left_limits
         if step is not None and not is_silent:
             steps[member.name] = step
+            if graph.program_caches is not None:
+                graph.program_caches.connect(member.name, step)
     return steps
 
 

@@ -163,9 +163,9 @@ def past_alphas(name: str, constants: PastAlphas) -> list[str]:
     for i, alpha in enumerate(constants.alphas):
         if isinstance(alpha, Program):
             lines += _program(f"{name}{i}", alpha)
-            programs.append(f"{{{len(alpha.code)}, {name}{i}_code, {name}{i}_constants}}")
+            programs.append(f"{{{len(alpha.code)}, {name}{i}_code, {name}{i}_constants, 0}}")
         else:
-            programs.append("{0, 0, 0}")
+            programs.append("{0, 0, 0, 0}")
     lines.append(f"static const cosim_program {name}_programs[] = {{{', '.join(programs)}}};")
     lines.append("static " + integers(f"{name}_element", elements_of(constants.alphas)))
     lines.append("static " + doubles(f"{name}_age", constants.ages))

@@ -183,7 +183,7 @@ int32_t cosim_linear_source_at(void *self, double t, const double *u, double *y)
         const cosim_linear_response *term = s->terms + k;
         double value;
         cosim_response(term->states, term->G, term->c, term->beta, 1, &t, &value, s->work);
-        y[term->element] += cosim_evaluate(&term->factor, t) * value;
+        y[term->element] += cosim_evaluate(term->factor, t) * value;
     }
     return COSIM_OK;
 }

@@ -90,7 +90,7 @@ int32_t cosim_recorded_at(void *self, double t, const double *u, double *y);
 /* y_i = program_i(t) + sum over its terms of factor(t) c' exp(G t) beta. */
 typedef struct {
     int32_t states, element;
-    cosim_program factor;
+    const cosim_program *factor;
     const double *G, *c, *beta; /* (states, states), (states), (states) */
 } cosim_linear_response;
 typedef struct {

@@ -14,7 +14,7 @@ from cosim.arrays import Matrix, Vector
 from cosim.native.blocks.wrapping import InnerStruct, inner_struct
 from cosim.native.library import address, int32, pointer
 from cosim.native.numerics.expression import Program
-from cosim.native.numerics.programs import ProgramStruct, program_array, program_struct
+from cosim.native.numerics.programs import program_array
 from cosim.native.step import DOUBLE, NativeStep
 
 Extrapolation: TypeAlias = Literal["error", "hold", "linear"]
@@ -104,8 +104,7 @@ class _LinearResponseStruct(Structure):
 
     _fields_ = (
         *((name, c_int32) for name in ("states", "element")),
-        ("factor", ProgramStruct),
-        *((name, c_void_p) for name in ("G", "c", "beta")),
+        *((name, c_void_p) for name in ("factor", "G", "c", "beta")),
     )
 
 
@@ -285,13 +284,14 @@ def linear_source_step(
     of_programs = program_array(programs)
     terms_type = _LinearResponseStruct * max(len(responses), 1)
     terms = terms_type()
-    keep: list[object] = [of_programs, *programs, terms]
+    factors = program_array([term.factor for term in responses])
+    keep: list[object] = [of_programs, *programs, factors, terms]
     most = 0
     for i, term in enumerate(responses):
         given = (term.G, term.c, term.beta)
         matrices = [np.array(array, np.float64, order="C") for array in given]
         n = len(term.beta)
-        factor = program_struct(term.factor)
+        factor = ctypes.addressof(factors[i])
         terms[i] = _LinearResponseStruct(n, term.element, factor, *map(pointer, matrices))
         keep += [term.factor, *matrices]
         most = max(most, n)

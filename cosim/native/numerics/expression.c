@@ -2,13 +2,12 @@
 #include "operations.h"
 
 #include <stddef.h>
+#include <string.h>
 
-double cosim_evaluate(const cosim_program *program, double t)
-{
-    return cosim_evaluate_row(program, t, NULL);
-}
+/* How many instants of the run before are looked through for one: a state event has others. */
+#define INSTANTS_AHEAD 4
 
-double cosim_evaluate_row(const cosim_program *program, double t, const double *row)
+static double compute(const cosim_program *program, double t, const double *row)
 {
     double stack[COSIM_STACK];
     int32_t top = -1;
@@ -27,6 +26,37 @@ double cosim_evaluate_row(const cosim_program *program, double t, const double *
             stack[top] = cosim_unary(code, stack[top]);
     }
     return stack[0];
+}
+
+/* The instants have to agree in their bits: sin(-0.0) is not sin(0.0). */
+static double look_up(const cosim_program *program, double t)
+{
+    cosim_program_cache *cache = program->cache;
+    int64_t end = cache->next + INSTANTS_AHEAD;
+    if (end > cache->count)
+        end = cache->count;
+    for (int64_t k = cache->next; k < end; ++k)
+        if (memcmp(cache->t + k, &t, sizeof t) == 0) {
+            cache->next = k + 1;
+            return cache->values[k];
+        }
+    const double value = compute(program, t, NULL);
+    if (cache->next == cache->count && cache->count < cache->room) {
+        cache->t[cache->count] = t;
+        cache->values[cache->count] = value;
+        cache->next = ++cache->count;
+    }
+    return value;
+}
+
+double cosim_evaluate(const cosim_program *program, double t)
+{
+    return cosim_evaluate_row(program, t, NULL);
+}
+
+double cosim_evaluate_row(const cosim_program *program, double t, const double *row)
+{
+    return program->cache == NULL ? compute(program, t, row) : look_up(program, t);
 }
 
 void cosim_evaluate_rows(const cosim_program *program, int64_t count, const double *t,

@@ -4,12 +4,19 @@
 
 #include "cosim.h"
 
+/* The values of an expression in t alone, in the order in which a run asks for them. */
+typedef struct {
+    int64_t room, count, next; /* values at most; values; the one that is asked for next */
+    double *t, *values;        /* (room) */
+} cosim_program_cache;
+
 /* An expression as a postfix program; see expression.py for the language. */
 typedef struct {
     int32_t length;
-    const int32_t *code;     /* operation, or number of operations + index of a constant, or
-                                -1 - column of the row */
-    const double *constants; /* referred to by code */
+    const int32_t *code;        /* operation, or number of operations + index of a constant, or
+                                   -1 - column of the row */
+    const double *constants;    /* referred to by code */
+    cosim_program_cache *cache; /* NULL: every value is computed */
 } cosim_program;
 #define COSIM_STACK 64
 double cosim_evaluate(const cosim_program *program, double t); /* of t alone */

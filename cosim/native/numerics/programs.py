@@ -14,10 +14,30 @@ from cosim.native.numerics.expression import Program
 from cosim.native.step import DOUBLE, NativeStep
 
 
+class ProgramCacheStruct(ctypes.Structure):
+    """cosim_program_cache.
+
+    Attributes
+    ----------
+    arrays : tuple of Vector
+        To which it points.
+    """
+
+    _fields_ = (
+        *((name, c_int64) for name in ("room", "count", "next")),
+        *((name, c_void_p) for name in ("t", "values")),
+    )
+    arrays: tuple[Vector, ...] = ()
+
+
 class ProgramStruct(ctypes.Structure):
     """cosim_program."""
 
-    _fields_ = (("length", c_int32), ("code", c_void_p), ("constants", c_void_p))
+    _fields_ = (
+        ("length", c_int32),
+        *((name, c_void_p) for name in ("code", "constants")),
+        ("cache", POINTER(ProgramCacheStruct)),
+    )
 
 
 class ExpressionStruct(ctypes.Structure):

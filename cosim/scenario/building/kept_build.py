@@ -27,6 +27,7 @@ from cosim.core.contracts import Component
 from cosim.core.port import Port
 from cosim.core.signals import Interface
 from cosim.errors import CosimError
+from cosim.native.numerics.program_cache import ProgramCaches
 from cosim.scenario.building.build import Builder
 from cosim.scenario.building.common_designs import CommonDesigns, setting_designs, with_settings
 from cosim.scenario.building.coupling_check import with_loop_gains
@@ -80,6 +81,7 @@ class KeptBuild:
             builder = Builder(scenario, resources, unpacked=unpacked, replaced=replaced)
             experiment = builder.experiment()
             graph = experiment.graph
+            graph.program_caches = ProgramCaches()
             self._plan = graph.prepare(experiment.clock.step_ns)
             self.built = experiment
             self.computed = {**self._plan.designs, **setting_designs(with_settings(experiment))}

@@ -34,7 +34,7 @@ from cosim.studies.members.sources import member_texts
 from cosim.studies.metrics.metrics import parse_metrics
 from cosim.studies.metrics.recorder import MetricRecorder
 
-BLOCK_BYTES: Final = 2**21  # of the rows of a block: most of them stay in the cache
+BLOCK_BYTES: Final = 2**19  # of the rows of a block, which stay in the cache
 
 
 def open_runner(
