@@ -3,10 +3,11 @@
 ``python tests/bench/bench_cluster.py [overhead] [million]``
 
 *overhead*: a scheduler and two workers in processes of their own, over TCP on loopback; members
-sleep for 20 ms, so that the processors of this machine are not what is measured. Time: two workers
-times the time from the first look at the cluster to the last outcome in the dataset, against the
-sum of the members' wall times; with and without opening the study. Processors: what scheduler,
-workers and this process used beside the guarded children.
+sleep for 20 and for 100 ms, so that the processors of this machine are not what is measured. Time:
+two workers times the time from the first look at the cluster to the last outcome in the dataset,
+against the sum of the members' wall times; with and without opening the study; and that time
+against the time of the same study in two local workers. Processors: what scheduler, workers and
+this process used beside the guarded children.
 
 *million*: members that cost nothing, in workers inside of this process, without guarded children:
 what is left is planning, the scheduler, and the writing of parts. Tasks of 1000 members, then of
@@ -22,6 +23,7 @@ import threading
 import time
 from concurrent.futures import Future
 from pathlib import Path
+from typing import NamedTuple
 
 from distributed import Client, LocalCluster
 
@@ -30,6 +32,7 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from cosim.studies.cluster import study_plugin
 from cosim.studies.cluster.cluster_run import run_on_cluster
 from cosim.studies.dataset.study_dataset import StudyDataset
+from cosim.studies.workers.pool import WorkerPool
 from tests.studies.cluster.planned import (
     OPENER,
     SUBJECT,
@@ -39,8 +42,8 @@ from tests.studies.cluster.planned import (
 )
 from tests.studies.cluster.processes import cluster
 
-MEMBERS = 6000
-SLEEP = 0.02  # s
+SECONDS = 60  # of a study
+SLEEPS = (0.02, 0.1)  # of a member [s]
 WORKERS = 2
 
 
@@ -51,43 +54,77 @@ def processor_time(pid):
 
 
 def overhead(folder):
-    """Print what a cluster costs beside the members."""
+    """Print what a cluster costs beside the members, and beside the same study run locally."""
     with cluster(folder, WORKERS) as processes:
         pids = [process.pid for process in [processes.scheduler, *processes.workers]]
-        for title, count in (("first study", MEMBERS // 6), ("second", MEMBERS)):
-            design = CountedMembers(count, sleeps=SLEEP)
+        run_study(folder / "first", processes, CountedMembers(100, sleeps=0.1))
+        for sleep in SLEEPS:
+            design = CountedMembers(round(SECONDS * WORKERS / sleep), sleeps=sleep)
+            local = local_times(folder / f"local-{sleep}", design)
             before = [*map(processor_time, pids), time.process_time()]
-            place = folder / title
-            arrivals = []
-            with StudyDataset.open_or_create(place, identity(count, part_size=100)) as dataset:
-                began = time.perf_counter()
-                run_on_cluster(
-                    processes.address,
-                    SUBJECT,
-                    design,
-                    dataset,
-                    str(place),
-                    files={},
-                    opener=OPENER,
-                    progress=lambda *counts, arrivals=arrivals: arrivals.append(
-                        (time.perf_counter(), counts[0])
-                    ),
-                )
-                ended = time.perf_counter()
-                members = sum(dataset.read(["wall_time"]).column("wall_time").to_pylist())
+            times = run_study(folder / f"cluster-{sleep}", processes, design)
             after = [*map(processor_time, pids), time.process_time()]
             used = [late - early for early, late in zip(before, after, strict=True)]
-            first = next(at for at in arrivals if at[1])
-            share = (count - first[1]) / count
-            steady = WORKERS * (arrivals[-1][0] - first[0]) / (members * share) - 1
             print(
-                f"{title}: {count} members of {1e3 * members / count:.2f} ms, "
-                f"{ended - began:.2f} s on {WORKERS} workers; time beside the members "
-                f"{100 * (WORKERS * (ended - began) / members - 1):.2f} %, after the first outcome "
-                f"{100 * steady:.2f} %; processors beside the children: scheduler {used[0]:.2f} s, "
-                f"workers {sum(used[1:-1]):.2f} s, this process {used[-1]:.2f} s, together "
-                f"{100 * sum(used) / members:.2f} %"
+                f"{len(design)} members of {1e3 * times.members / len(design):.2f} ms, "
+                f"{times.all:.2f} s on {WORKERS} workers; {times.of_members()}; beside "
+                f"{local.all:.2f} s in local workers ({local.of_members()}) "
+                f"{100 * (times.all / local.all - 1):+.2f} %; processors beside the children: "
+                f"scheduler {used[0]:.2f} s, workers {sum(used[1:-1]):.2f} s, "
+                f"this process {used[-1]:.2f} s, together {100 * sum(used) / times.members:.2f} %"
             )
+
+
+class Times(NamedTuple):
+    """How long a study took, and its members [s]; behind its first outcome, too."""
+
+    all: float
+    members: float
+    behind_first: float
+    members_behind_first: float
+
+    def of_members(self):
+        """Return what a study takes beside its members."""
+        whole = WORKERS * self.all / self.members - 1
+        behind = WORKERS * self.behind_first / self.members_behind_first - 1
+        return f"{100 * whole:.2f} % beside the members, {100 * behind:.2f} % behind the first"
+
+
+def times_of(dataset, run, count):
+    """Return the times of a study that ``run(progress)`` runs."""
+    arrivals = []
+    began = time.perf_counter()
+    run(lambda done, *_: arrivals.append((time.perf_counter(), done)))
+    ended = time.perf_counter()
+    members = sum(dataset.read(["wall_time"]).column("wall_time").to_pylist())
+    first = next(arrival for arrival in arrivals if arrival[1])
+    share = (count - first[1]) / count
+    return Times(ended - began, members, arrivals[-1][0] - first[0], members * share)
+
+
+def run_study(place, processes, design):
+    """Return the times of a study on a cluster."""
+    with StudyDataset.open_or_create(place, identity(len(design), part_size=100)) as dataset:
+
+        def run(progress):
+            settings = {"files": {}, "opener": OPENER, "progress": progress}
+            run_on_cluster(processes.address, SUBJECT, design, dataset, str(place), **settings)
+
+        return times_of(dataset, run, len(design))
+
+
+def local_times(place, design):
+    """Return the times of a study in workers of this process."""
+    with StudyDataset.open_or_create(place, identity(len(design), part_size=100)) as dataset:
+
+        def run(progress):
+            members = design.members()
+            with WorkerPool(OPENER, SUBJECT, WORKERS) as pool:
+                for outcome in pool.run(members):
+                    dataset.add(members[outcome.number], outcome)
+                    progress(len(dataset))
+
+        return times_of(dataset, run, len(design))
 
 
 class InProcess:
