@@ -175,6 +175,21 @@ def check_plot(plot: Path | None, out: Path | None) -> None:
         raise UsageError(f"--plot {plot}: found the path of the log, --out {out}; needed another")
 
 
+def check_out(place: str | None) -> None:
+    """Check that a dataset is there when the command has ended.
+
+    Raises
+    ------
+    UsageError
+        If it is not.
+    """
+    if place is not None and place.startswith("memory://"):
+        raise UsageError(
+            f"{option('out')}: found {quoted(place)}, which is lost when this command ends; needed "
+            "a folder, or a URL such as s3://bucket/x"
+        )
+
+
 def print_notice(text: str) -> None:
     """Print a message, to stderr."""
     typer.echo(printable(text), err=True)

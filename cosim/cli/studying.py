@@ -20,6 +20,7 @@ from cosim.cli.options import (
     SetOption,
     StopOption,
     SwapOption,
+    check_out,
     print_notice,
     prints_to_stderr,
     read_edits,
@@ -198,6 +199,7 @@ def run(
     from cosim.studies.running.studying import study as run_study
     from cosim.studies.tables.show import ShownParts
 
+    check_out(out)
     with prints_to_stderr():
         file = read_study(source).with_options(
             vary=_variations(vary),

@@ -15,6 +15,7 @@ from cosim.cli.options import (
     SetOption,
     StopOption,
     SwapOption,
+    check_out,
     print_notice,
     prints_to_stderr,
     read_edits,
@@ -132,6 +133,7 @@ def tune(
     from cosim.studies.tables.tuning import tuning_lines
     from cosim.studies.tuning.tuning import tune as run_tuning
 
+    check_out(out)
     with prints_to_stderr(), show_members(quiet or as_json) as progress:
         try:
             result = run_tuning(

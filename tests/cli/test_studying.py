@@ -117,6 +117,7 @@ def test_a_dry_run_refuses_what_the_run_would_refuse(call, tmp_path):
         (["--set", "observer.filter_rate=1"], "it is varied"),
         (["--cases", "a.csv", "--cases", "b.csv"], "--cases: given 2 times, needed once"),
         (["--out", "a", "-o", "b"], "--out: given 2 times, needed once"),
+        (["--out", "memory://a"], "--out: found 'memory://a', which is lost when this command"),
     ],
 )
 def test_wrong_options_are_named(call, arguments, text):

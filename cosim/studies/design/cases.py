@@ -93,6 +93,7 @@ def _read_csv(path: Path, file: str) -> tuple[list[str], list[ColumnValues]]:
         for row in reader:
             if len(row) > 1 or (row and row[0].strip()):
                 names = [name.strip() for name in row]
+                _check_delimiter(names, file)
                 break
         while rows := list(islice(_rows(reader, len(names), file), _BLOCK)):
             columns = zip(*rows, strict=True)
@@ -104,6 +105,17 @@ def _read_csv(path: Path, file: str) -> tuple[list[str], list[ColumnValues]]:
     if not parts:
         raise UsageError(f"file {file} {NO_ROWS}")
     return names, [_joined(blocks) for blocks in zip(*parts, strict=True)]
+
+
+def _check_delimiter(names: Sequence[str], file: str) -> None:
+    if len(names) > 1:
+        return
+    for delimiter in (";", "\t", "|"):
+        if delimiter in names[0]:
+            raise UsageError(
+                f"file {file}: found {delimiter!r} between its columns; needed commas, and points "
+                "in numbers"
+            )
 
 
 def _rows(reader: Any, width: int, file: str) -> Iterator[list[str]]:

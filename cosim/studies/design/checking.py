@@ -11,7 +11,13 @@ import numpy as np
 from cosim.errors import UsageError, quoted
 from cosim.scenario.parsing import Scenario
 from cosim.studies.contracts import RECORDING, SWAP, StudyMember
-from cosim.studies.design.columns import DesignColumn, GridColumn, NoiseSeedColumn, SampleColumn
+from cosim.studies.design.columns import (
+    DesignColumn,
+    GridColumn,
+    NoiseSeedColumn,
+    SampleColumn,
+    plain_values,
+)
 from cosim.studies.design.drawn_check import RefusedDraws, check_draws
 from cosim.studies.design.member_check import MemberCheck, check_files, without_key
 from cosim.studies.design.planning import edited_scenario
@@ -19,6 +25,7 @@ from cosim.studies.design.study_design import StudyDesign
 
 MOST_CHECKED: Final = 2000  # values of a key
 MOST_BUILT: Final = 6  # of these; each costs what a member does
+MOST_NAMED: Final = 3  # values of a key that are refused
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,15 +97,22 @@ class _DesignCheck:
         if self._check.problem(self._member):
             # what is wrong by itself comes first, as beside it all others are wrong, too
             names.sort(key=lambda name: bool(self._problem_without(name)))
+            if names and self._problem_without(names[0]):  # several are: each is checked alone
+                self._member = replace(self._member, set={})
         refused = []
+        problems: list[str] = []
         for name in names:
             column = self._design.columns[name]
             if name in self._drawn and isinstance(column, SampleColumn):
                 draws = self._check_drawn(name, column)
                 if draws is not None:
                     refused.append(draws)
-            else:
-                self._check_values(name, _values(column))
+                continue
+            problems += self._value_problems(name, _values(column))
+            if problems and self._check.problem(self._member):
+                break  # beside a value that is refused all others are, too
+        if problems:
+            raise UsageError("\n".join(problems))
         self._check(self._member)
         return CheckedDesign(self._member, tuple(refused))
 
@@ -136,15 +150,43 @@ class _DesignCheck:
             self._member = _with_value(self._member, name, draws.accepted)
         return draws
 
-    def _check_values(self, name: str, values: list[Any]) -> None:
+    def _value_problems(self, name: str, values: list[Any]) -> list[str]:
+        """Return what is wrong with the first values of a key that are refused.
+
+        The keys after it are checked beside one that is taken.
+        """
         built = _some(values)
+        taken: list[StudyMember] = []
+        problems: list[str] = []
         for number, value in enumerate(values):
             member = _with_value(self._member, name, value)
             problem = self._check.problem(member, is_built=number in built)
-            if problem and name == RECORDING and problem.startswith(str(value)):
-                raise UsageError(problem)
-            if problem:
-                raise UsageError(f"{name} = {quoted(value)}: {without_key(problem, name)}")
+            if not problem:
+                taken.append(member)
+                continue
+            if name != RECORDING or not problem.startswith(str(value)):
+                problem = f"{name} = {quoted(value)}: {without_key(problem, name)}"
+            problems.append(f"{self._place(name, value)}{problem}")
+            if len(problems) == MOST_NAMED:
+                break
+        if problems and taken:
+            self._member = taken[0]
+        return problems
+
+    def _place(self, name: str, value: Any) -> str:
+        """Return where a value stands in the table of cases, before a message; empty: nowhere."""
+        column = self._design.columns[name]
+        if self._design.kind != "cases" or not isinstance(column, SampleColumn):
+            return ""
+        row = next(
+            row for row, other in enumerate(plain_values(column.values), 1) if _same(other, value)
+        )
+        return f"file {str(self._design.study.settings.cases)!r}, row {row}: "
+
+
+def _same(one: Any, other: Any) -> bool:
+    """Return whether values of a column are the same, NaN and NaN too."""
+    return repr(one) == repr(other)
 
 
 def _some(values: list[Any]) -> set[int]:

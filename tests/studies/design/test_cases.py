@@ -133,6 +133,8 @@ def test_a_parquet_table_has_the_same(tmp_path):
         ('a.x\n"1\n', "line 3: unexpected end of data"),
         ("a.x,a.x\n1,2\n", "two columns 'a.x'; needed a key for each column"),
         ("a.x,components.a.x\n1,2\n", "two columns 'components.a.x'"),
+        ("a.x;a.y\n1,5;2\n", "found ';' between its columns; needed commas, and points in numbers"),
+        ("a.x\ta.y\n1\t2\n", r"found '\\t' between its columns; needed commas"),
         ("a.x,\n1,2\n", "a column without a name"),
         ("plant\n3\n", "column 'swap.plant': found 3; needed a path, or a key with a dot"),
         ("a.x\n" + 60 * "[" + 60 * "]" + "\n", r"column 'a.x': .*nested"),

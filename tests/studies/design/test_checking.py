@@ -266,3 +266,45 @@ def test_code_of_users_is_not_run_to_check_a_replay(logs):
     study = EMPTY.with_options(replay=str(logs / "a-1.mcap"), vary={"plant.x_a0[0]": [2.0]})
     design = plan_design(study, SCENARIO)
     check_design(design, SCENARIO, allow_code=True)
+
+
+def test_every_key_of_a_table_of_cases_is_refused_at_once_by_its_rows(tmp_path):
+    """Also where the first row is wrong; a key is not blamed for another."""
+    path = tmp_path / "cases.csv"
+    path.write_text('u.amplitude,u.rate\n1.0,"2,5"\n-,3.5\n3.0,abc\n1,\n2,"[1"\n3,x\n')
+    with pytest.raises(UsageError) as refused:
+        check(cases=path)
+    rate, amplitude = [], []
+    for line in str(refused.value).split("\n"):
+        place, _, problem = line.partition(": ")
+        row = place.removeprefix(f"file {str(path)!r}, row ")
+        (rate if problem.startswith("u.rate = ") else amplitude).append((row, problem))
+    assert rate == [
+        ("1", "u.rate = '2,5': found '2,5'; needed a number"),
+        ("3", "u.rate = 'abc': found 'abc'; needed a number"),
+        ("5", "u.rate = '[1': found '[1'; needed a number"),
+    ]
+    assert amplitude == [("2", "u.amplitude = '-': found '-'; needed a number")]
+
+
+def test_keys_of_which_no_value_is_taken_are_refused_alone(tmp_path):
+    path = tmp_path / "cases.csv"
+    path.write_text("u.amplitude,u.rat\na,1.0\nb,2.0\n")
+    with pytest.raises(UsageError) as refused:
+        check(cases=path)
+    problems = [line.split(", row ")[1] for line in str(refused.value).split("\n")]
+    assert problems[:2] == [
+        "1: u.amplitude = 'a': found 'a'; needed a number",
+        "2: u.amplitude = 'b': found 'b'; needed a number",
+    ]
+    assert [problem[:35] for problem in problems[2:]] == [
+        "1: u.rat = 1.0: unknown key 'rat'; ",
+        "2: u.rat = 2.0: unknown key 'rat'; ",
+    ]
+
+
+def test_a_number_that_is_none_is_named_by_its_row(tmp_path):
+    path = tmp_path / "cases.csv"
+    path.write_text("u.rate\n1.0\nnan\n")
+    with pytest.raises(UsageError, match=r"row 2: u.rate = nan: found nan; needed a finite"):
+        check(cases=path)
