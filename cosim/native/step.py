@@ -103,6 +103,7 @@ class NativeStep:
     address : int
         Of ``state``.
     keep : tuple of object
+        What ``state`` points into: arrays, programs of expressions, the steps inside this one.
     """
 
     def __init__(

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Iterator
-from typing import Final, final
+from typing import Final, TypeAlias, final
 
 import numpy as np
 
@@ -17,6 +17,8 @@ from cosim.native.library import pointer
 from cosim.native.numerics.expression import OPERATIONS
 from cosim.native.numerics.programs import ProgramCacheStruct, ProgramStruct
 from cosim.native.step import DOUBLE, NativeStep
+
+_Place: TypeAlias = tuple[str, int]  # a component, and the number of an expression in it
 
 MOST_BYTES: Final = 2**25  # of the caches of a graph
 _NOT_CACHED: Final = b""  # the content of what is no expression in t alone, or not always the same
@@ -36,9 +38,9 @@ class ProgramCaches:
     """
 
     def __init__(self, most_bytes: int = MOST_BYTES) -> None:
-        self._rest = most_bytes
-        self._contents: dict[tuple[str, int], bytes] = {}
-        self._caches: dict[tuple[str, int], ProgramCacheStruct] = {}
+        self._free_bytes = most_bytes
+        self._contents: dict[_Place, bytes] = {}
+        self._caches: dict[_Place, ProgramCacheStruct] = {}
 
     def connect(self, component: str, step: NativeStep) -> None:
         """Let a component's expressions read their caches from the start on: before every run.
@@ -47,19 +49,30 @@ class ProgramCaches:
         """
         for number, program in enumerate(_programs(step)):
             place = (component, number)
-            content = _content(program)
-            if self._contents.setdefault(place, content) != content:
-                self._contents[place] = _NOT_CACHED
-            if self._contents[place] == _NOT_CACHED:
-                self._caches.pop(place, None)
+            if self._is_cached(place, _content(program)):
+                cache = self._cache_of(place)
+                cache.next = 0
+                program.cache = ctypes.pointer(cache)  # which keeps it alive
+            else:
                 program.cache = None
-                continue
-            cache = self._caches.get(place) or self._cache(_FIRST_ROOM)
-            if cache.count == cache.room:
-                cache = self._larger(cache)
-            cache.next = 0
-            self._caches[place] = cache
-            program.cache = ctypes.pointer(cache)  # which keeps it alive
+
+    def _is_cached(self, place: _Place, content: bytes) -> bool:
+        """Return whether what is in a place has always been there."""
+        if self._contents.setdefault(place, content) != content:
+            self._contents[place] = _NOT_CACHED
+            dropped = self._caches.pop(place, ProgramCacheStruct())
+            self._free_bytes += dropped.room * _BYTES
+        return self._contents[place] != _NOT_CACHED
+
+    def _cache_of(self, place: _Place) -> ProgramCacheStruct:
+        """Return the cache of a place; with more room where the last run filled it."""
+        cache = self._caches.get(place)
+        if cache is None:
+            cache = self._cache(_FIRST_ROOM)
+        elif cache.count == cache.room:
+            cache = self._larger(cache)
+        self._caches[place] = cache
+        return cache
 
     def _larger(self, cache: ProgramCacheStruct) -> ProgramCacheStruct:
         """Return a cache with more room, and the values of one; the same where there is no room."""
@@ -69,14 +82,14 @@ class ProgramCaches:
         for name in ("t", "values"):
             ctypes.memmove(getattr(larger, name), getattr(cache, name), cache.count * DOUBLE)
         larger.count = cache.count
-        self._rest += cache.room * _BYTES
+        self._free_bytes += cache.room * _BYTES
         return larger
 
     def _cache(self, room: int) -> ProgramCacheStruct:
         """Return an empty cache; without room where that were too many bytes."""
-        if room * _BYTES > self._rest:
+        if room * _BYTES > self._free_bytes:
             return ProgramCacheStruct()
-        self._rest -= room * _BYTES
+        self._free_bytes -= room * _BYTES
         cache = ProgramCacheStruct(room)
         cache.arrays = (np.empty(room), np.empty(room))
         cache.t, cache.values = map(pointer, cache.arrays)
@@ -84,7 +97,7 @@ class ProgramCaches:
 
 
 def _programs(step: NativeStep) -> Iterator[ProgramStruct]:
-    """Yield the expressions in t alone of a compiled step, and of those inside it."""
+    """Yield the programs of a compiled step, and of those inside it."""
     for kept in step.keep:
         if isinstance(kept, NativeStep):
             yield from _programs(kept)

@@ -10,7 +10,6 @@ from contextlib import ExitStack
 from types import TracebackType
 from typing import Final, Self, final
 
-from cosim.core.recorders import error_text
 from cosim.errors import Interrupted
 from cosim.studies.contracts import (
     COMPLETE,
@@ -20,6 +19,7 @@ from cosim.studies.contracts import (
     StudyMember,
     StudySubject,
 )
+from cosim.studies.members.measuring import reason_of
 from cosim.studies.members.member_builder import MemberBuilder
 from cosim.studies.members.runner import open_runner
 
@@ -62,7 +62,7 @@ class TryingRunner:
         except Interrupted:
             raise
         except Exception as error:  # of a user's code, too
-            return MemberOutcome(TRIAL, FAILED, reason=error_text(error))
+            return MemberOutcome(TRIAL, FAILED, reason=reason_of(error))
         return MemberOutcome(TRIAL, COMPLETE)
 
     def _build(self, member: StudyMember) -> None:

@@ -4,29 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
-from time import perf_counter
 from types import TracebackType
 from typing import Self, final
 
-from cosim.core.passing_recorders import TwoRecorders
-from cosim.core.recording import Recorder, Recording
-from cosim.errors import ChangedFileError, Interrupted
-from cosim.report.summary import summarize
-from cosim.report.sweep import results_of
-from cosim.scenario.recordings.recording import Target, record
+from cosim.scenario.recordings.recording import Target
 from cosim.studies.contracts import (
-    COMPLETE,
-    FAILED,
     MemberOutcome,
     MetricValue,
     StudyMember,
     StudySubject,
 )
 from cosim.studies.dataset.log_files import unfinished_name
-from cosim.studies.members.measuring import MemberRecorder, reason_of
+from cosim.studies.members.measuring import MemberRecorder
 from cosim.studies.members.member_builder import MemberBuilder
+from cosim.studies.members.member_run import measure_beside, outcome_of
 from cosim.studies.metrics.metrics import parse_metrics
 from cosim.studies.metrics.recorder import MetricRecorder
 
@@ -52,7 +44,7 @@ class LoggingRunner:
     def __init__(self, subject: StudySubject) -> None:
         self._recorder = MetricRecorder(parse_metrics(subject.metrics))
         self._builder = MemberBuilder(subject)
-        self._with_results = subject.with_results
+        self._subject = subject
         self._folder = Path(subject.logs)
 
     def __enter__(self) -> Self:
@@ -68,36 +60,20 @@ class LoggingRunner:
 
     def run(self, member: StudyMember) -> MemberOutcome:
         """Run a member with a log; what it came to is as of :class:`SubjectRunner`."""
-        began = perf_counter()
         measured = MemberRecorder(self._recorder)
-        outcome = MemberOutcome(member.number, COMPLETE)
-        results: Mapping[str, MetricValue] = {}
-        try:
-            self._builder.sources.check(member)
-            with ExitStack() as resources:
-                recording = self._record(member, measured, resources)
-                if self._with_results:
-                    results = results_of(summarize(recording))
-            self._builder.sources.check(member)
-        except (Interrupted, ChangedFileError):
-            raise
-        except Exception as error:  # of a user's code, too: it costs this member, and no other
-            self._builder.sources.check(member)
-            return replace(outcome, status=FAILED, reason=reason_of(error), steps=measured.steps)
-        return replace(
-            outcome,
-            reason=measured.end.reason,
-            steps=measured.steps,
-            metrics={**results, **self._recorder.values()},
-            wall_time=perf_counter() - began,
+        outcome = outcome_of(
+            member.number,
+            lambda: self._run(member, measured),
+            measured,
+            metrics=self._subject.metrics,
         )
+        self._builder.sources.check(member)  # it may have read a file that changed meanwhile
+        return outcome
 
-    def _record(
-        self, member: StudyMember, measured: MemberRecorder, resources: ExitStack
-    ) -> Recording:
-        def beside(log: Recorder) -> Recorder:
-            return TwoRecorders(log, measured)
-
-        experiment = self._builder.experiment(member, resources)
+    def _run(self, member: StudyMember, measured: MemberRecorder) -> Mapping[str, MetricValue]:
+        self._builder.sources.check(member)
         target = Target(self._folder / unfinished_name(member.number), force=True)
-        return record(experiment, target, progress=None, beside=beside)
+        with ExitStack() as resources:
+            experiment = self._builder.experiment(member, resources)
+            with_results = self._subject.with_results
+            return measure_beside(target, experiment, measured, with_results=with_results)

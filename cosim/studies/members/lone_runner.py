@@ -12,22 +12,18 @@ from dataclasses import replace
 from types import TracebackType
 from typing import Self, final
 
-from cosim.errors import Interrupted
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.preparing import build_experiment
-from cosim.scenario.recordings.recording import run_rows
 from cosim.studies.contracts import (
-    COMPLETE,
-    FAILED,
     MemberOutcome,
     MetricValue,
     StudyMember,
     StudySubject,
 )
 from cosim.studies.document.scenario_of_study import load_scenario
-from cosim.studies.members.measuring import MemberRecorder, reason_of
+from cosim.studies.members.measuring import MemberRecorder
 from cosim.studies.members.member_builder import MemberBuilder
-from cosim.studies.members.runner import run_with_results
+from cosim.studies.members.member_run import measure, outcome_of
 from cosim.studies.metrics.metrics import parse_metrics
 from cosim.studies.metrics.recorder import MetricRecorder
 
@@ -65,17 +61,17 @@ class LoneRunner:
     def run(self, member: StudyMember) -> MemberOutcome:
         """Run a member; what fails is an outcome."""
         measured = MemberRecorder(MetricRecorder(self._metrics))
-        outcome = MemberOutcome(member.number, COMPLETE)
-        try:
-            with ExitStack() as resources:
-                values = self._measure(self._experiment(member, resources), measured)
-        except Interrupted:
-            raise
-        except Exception as error:  # of a user's code, too, as in the study
-            values = dict.fromkeys(self._subject.metrics)
-            outcome = replace(outcome, status=FAILED, reason=reason_of(error))
-            return replace(outcome, steps=measured.steps, metrics=values)
-        return replace(outcome, reason=measured.end.reason, steps=measured.steps, metrics=values)
+        return outcome_of(
+            member.number,
+            lambda: self._run(member, measured),
+            measured,
+            metrics=self._subject.metrics,
+        )
+
+    def _run(self, member: StudyMember, measured: MemberRecorder) -> Mapping[str, MetricValue]:
+        with ExitStack() as resources:
+            experiment = self._experiment(member, resources)
+            return measure(experiment, measured, with_results=self._subject.with_results)
 
     def _experiment(self, member: StudyMember, resources: ExitStack) -> Experiment:
         subject = self._subject
@@ -86,11 +82,3 @@ class LoneRunner:
         values = {**subject.set, **member.set}
         scenario = load_scenario(subject.scenario).edit(swap=swaps, map=subject.map, set=values)
         return build_experiment(scenario, resources, None)
-
-    def _measure(
-        self, experiment: Experiment, measured: MemberRecorder
-    ) -> Mapping[str, MetricValue]:
-        if self._subject.with_results:
-            return {**run_with_results(experiment, measured), **measured.sink.values()}
-        run_rows(measured, experiment)  # messages and verdicts are of a log
-        return measured.sink.values()

@@ -5,31 +5,23 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
-from time import perf_counter
 from types import TracebackType
 from typing import Final, Self, final
 
-from cosim.core.passing_recorders import TwoRecorders
-from cosim.core.recording import Recorder
-from cosim.errors import ChangedFileError, Interrupted
-from cosim.report.summary import summarize
-from cosim.report.sweep import results_of
 from cosim.scenario.building.common_designs import setting_designs, without
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.parsing import Scenario
-from cosim.scenario.recordings.recording import Target, record, run_rows
+from cosim.scenario.recordings.recording import run_rows
 from cosim.studies.contracts import (
-    COMPLETE,
-    FAILED,
     MemberOutcome,
-    MemberStatus,
     MetricValue,
     StudyMember,
     StudySubject,
 )
 from cosim.studies.members.designs import encode_designs, own_designs
-from cosim.studies.members.measuring import MemberRecorder, MetricSink, reason_of
+from cosim.studies.members.measuring import MemberRecorder, MetricSink
 from cosim.studies.members.member_builder import MemberBuilder
+from cosim.studies.members.member_run import measure, outcome_of
 from cosim.studies.members.sources import member_texts
 from cosim.studies.metrics.metrics import parse_metrics
 from cosim.studies.metrics.recorder import MetricRecorder
@@ -106,30 +98,16 @@ class SubjectRunner:
             If a file that it reads is another one than when the study was planned. All else that
             fails is an outcome.
         """
-        began = perf_counter()
         measured = MemberRecorder(self._sink_of())
-        values: Mapping[str, MetricValue] = dict.fromkeys(self._subject.metrics)
-        status: MemberStatus = COMPLETE
-        try:
-            self._builder.sources.check(member)
-            values = self._run(member, measured)
-            reason = measured.end.reason
-        except (Interrupted, ChangedFileError):
-            raise
-        except Exception as error:  # of a user's code, too: it costs this member, and no other
-            reason = reason_of(error)
-            status = FAILED
-        outcome = MemberOutcome(
+        outcome = outcome_of(
             member.number,
-            status,
-            reason=reason,
-            steps=measured.steps,
-            metrics=values,
-            wall_time=perf_counter() - began,
-            designs=self._own_designs(member, measured),
+            lambda: self._run(member, measured),
+            measured,
+            metrics=self._subject.metrics,
         )
+        designs = self._own_designs(member, measured)
         self._builder.sources.check(member)  # it may have read a file that changed meanwhile
-        return outcome
+        return replace(outcome, designs=designs)
 
     def _own_designs(self, member: StudyMember, measured: MemberRecorder) -> str:
         """Return what was designed for a member alone."""
@@ -141,6 +119,7 @@ class SubjectRunner:
 
     def _run(self, member: StudyMember, measured: MemberRecorder) -> Mapping[str, MetricValue]:
         """Run a member; return its metrics, and its results where they are asked for."""
+        self._builder.sources.check(member)
         is_as_before = bool(member.designs)  # which a whole build takes
         if not (member.recording or self._subject.with_results or is_as_before):
             swaps = self._builder.swaps(member)
@@ -151,16 +130,8 @@ class SubjectRunner:
             experiment = self._builder.experiment(member, resources)
             measured.setting_designs = setting_designs(experiment)
             measured.recorded = experiment.designs or {}
-            return self._measure(experiment, measured)
-
-    def _measure(
-        self, experiment: Experiment, measured: MemberRecorder
-    ) -> Mapping[str, MetricValue]:
-        """Run an experiment; return its metrics, and its results where they are asked for."""
-        if self._subject.with_results:
-            return {**run_with_results(experiment, measured), **measured.sink.values()}
-        run_rows(measured, experiment)
-        return measured.sink.values()
+            with_results = self._subject.with_results
+            return measure(experiment, measured, with_results=with_results)
 
     def _run_kept(self, scenario: Scenario, member: StudyMember, measured: MemberRecorder) -> bool:
         """Run a member in a graph that is kept; return False where it does not fit there."""
@@ -182,13 +153,3 @@ def _in_short_blocks(experiment: Experiment) -> Experiment:
         return experiment
     steps = max(1, BLOCK_BYTES // (8 * experiment.graph.layout.row_width))
     return replace(experiment, clock=replace(experiment.clock, block=steps))
-
-
-def run_with_results(experiment: Experiment, measured: MemberRecorder) -> Mapping[str, MetricValue]:
-    """Run an experiment, which is kept in memory, too; return what its result says."""
-
-    def beside(memory: Recorder) -> Recorder:
-        return TwoRecorders(memory, measured)
-
-    recording = record(experiment, Target(None), progress=None, beside=beside)
-    return results_of(summarize(recording))

@@ -11,8 +11,10 @@ from cosim.errors import CosimError, Interrupted, ScenarioError, UsageError
 from cosim.fmi.platforms import SUFFIX, folders
 from cosim.report.summary import summarize
 from cosim.report.sweep import results_of
+from cosim.studies.cluster.opening import TRIAL, open_trying_runner
 from cosim.studies.contracts import StudyMember, StudySubject
 from cosim.studies.members.logging_runner import open_logging_runner
+from cosim.studies.members.lone_runner import open_lone_runner
 from cosim.studies.members.runner import open_runner
 from tests.fmi.compiled import write_archive
 from tests.fmi.small import xml
@@ -211,8 +213,10 @@ def test_reasons_do_not_tell_where_an_fmu_was_unpacked(tmp_path):
         '[connections]\n"plant.u" = "u.y"\n'
     )
     reasons = set()
-    for opener in (open_runner, open_runner, open_logging_runner):
+    for opener in (open_runner, open_runner, open_logging_runner, open_lone_runner):
         with opener(StudySubject(str(scenario), logs=str(tmp_path))) as runner:
             reasons.add(runner.run(StudyMember(0)).reason)
+    with open_trying_runner(StudySubject(str(scenario))) as runner:
+        reasons.add(runner.run(StudyMember(TRIAL)).reason)
     [reason] = reasons
     assert f"cannot be used: binaries/{platform}/model{SUFFIX}: " in reason
