@@ -46,10 +46,6 @@ class StudyMember:
     recording: str | None = None
     designs: str = ""
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
-        return asdict(self)
-
 
 @dataclass(frozen=True, slots=True)
 class MemberOutcome:
@@ -82,10 +78,6 @@ class MemberOutcome:
     wall_time: float = 0.0
     designs: str = ""
     worker: str = ""
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
-        return asdict(self)
 
 
 @dataclass(frozen=True, slots=True)

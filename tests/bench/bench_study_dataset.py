@@ -81,7 +81,7 @@ def added(place: Path, count: int, identity: StudyIdentity) -> None:
     baseline = 0.0
     memory = []
     least = os.open(place.parent / "least.jsonl", os.O_WRONLY | os.O_CREAT | os.O_APPEND)
-    with StudyDataset.create(place, identity) as dataset:
+    with StudyDataset.open_or_create(place, identity) as dataset:
         for begin in range(0, count, CHUNK):
             pairs = members_of(begin, min(begin + CHUNK, count))
             began = time.process_time()

@@ -72,10 +72,10 @@ def test_another_component_with_the_same_expression_reads_nothing_of_it():
 
 def test_a_component_that_is_built_again_reads_what_its_expression_was():
     caches = ProgramCaches()
-    first = step_of("cos(t)", "0.5*t")
+    first = step_of("cos(t)", "exp(t)")
     caches.connect("u", first)
     values(first, [0.25, 0.5])
-    again = step_of("cos(t)", "0.5*t")
+    again = step_of("cos(t)", "exp(t)")
     caches.connect("u", again)
     assert spoil(again) == 4
     assert np.all(values(again, [0.25, 0.5]) == -7.0)
@@ -137,31 +137,38 @@ def test_a_longer_run_adds_its_values():
 
 def test_room_grows_with_the_runs_to_its_limit():
     t = np.arange(50_000) / 8
-    step = step_of("t + 1")
+    step = step_of("exp(-t)")
     plain = values(step, t)
     caches = ProgramCaches(most_bytes=2**21)
     counts = []
-    for _ in range(4):
+    for _ in range(5):
         caches.connect("u", step)
         assert same_bits(values(step, t), plain)
         counts.append(caches_of(step)[0].count)
-    assert counts == [2**14, 50_000, 50_000, 50_000]
-    small = ProgramCaches(most_bytes=2**18)
+    assert counts == [2**12, 2**14, 50_000, 50_000, 50_000]
+    small = ProgramCaches(most_bytes=2**16)
     for _ in range(3):
         small.connect("u", step)
         assert same_bits(values(step, t), plain)
-        assert caches_of(step)[0].count == 2**14
-    other = step_of("t + 2")
+        assert caches_of(step)[0].count == 2**12
+    other = step_of("cos(t)")
     small.connect("other", other)
-    assert values(other, [1.0]) == 3.0
+    assert values(other, [1.0]) == math.cos(1.0)
     assert spoil(other) == 0
+    small.connect("u", step_of("exp(t)"))  # in its place: it gives its room back
+    for _ in range(2):
+        small.connect("other", other)
+        assert values(other, [1.0]) == math.cos(1.0)
+    assert spoil(other) == 1
 
 
 def test_the_expressions_of_what_is_inside_a_step_are_found():
     """Factors of responses, and of a source whose outputs are multiplied."""
     t, numbers = compile_expression("cos(t)"), np.array([1.0])
     response = LinearResponse(factor=t, G=-np.eye(1), c=numbers, beta=numbers, element=0)
-    inner = linear_source_step([compile_expression("sin(t)"), compile_expression("t")], [response])
+    inner = linear_source_step(
+        [compile_expression("sin(t)"), compile_expression("exp(t)")], [response]
+    )
     step = modulated_step(inner, [0], [0])
     caches = ProgramCaches()
     u = np.ones((4, 1))
@@ -183,3 +190,27 @@ def test_a_step_may_outlive_the_caches_that_it_reads():
     gc.collect()
     np.empty(2**14)[:] = 0.0
     assert same_bits(values(step, [0.5, 1.0]), plain)
+
+
+def test_a_run_with_other_instants_takes_the_place_of_the_one_before():
+    """Where it goes on along its own, the next run reads those."""
+    caches = ProgramCaches()
+    step = step_of("exp(t)")
+    first = np.arange(100) / 8
+    second = np.concatenate([first[:10], first[10:] + 1 / 16])
+    for t in (first, second):
+        caches.connect("u", step)
+        values(step, t)
+    caches.connect("u", step)
+    kept = spoil(step)
+    again = values(step, second)[:, 0]
+    assert kept == 100 - 16
+    assert np.sum(again == -7.0) == kept
+
+
+@pytest.mark.parametrize("text", ["1.5", "2.0*t + 1.0", "max(t, abs(t))", "step(t - 1)*sqrt(t)"])
+def test_what_is_computed_as_fast_as_it_is_read_is_not_kept(text):
+    caches = ProgramCaches()
+    step = step_of(text)
+    caches.connect("u", step)
+    assert caches_of(step) == [None]

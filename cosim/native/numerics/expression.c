@@ -6,6 +6,8 @@
 
 /* How many instants of the run before are looked through for one: a state event has others. */
 #define INSTANTS_AHEAD 4
+/* After so many in vain this run has other instants, which take the place of those. */
+#define MOST_MISSES 16
 
 static double compute(const cosim_program *program, double t, const double *row)
 {
@@ -38,9 +40,12 @@ static double look_up(const cosim_program *program, double t)
     for (int64_t k = cache->next; k < end; ++k)
         if (memcmp(cache->t + k, &t, sizeof t) == 0) {
             cache->next = k + 1;
+            cache->misses = 0;
             return cache->values[k];
         }
     const double value = compute(program, t, NULL);
+    if (++cache->misses > MOST_MISSES)
+        cache->count = cache->next;
     if (cache->next == cache->count && cache->count < cache->room) {
         cache->t[cache->count] = t;
         cache->values[cache->count] = value;

@@ -7,6 +7,7 @@
 /* The values of an expression in t alone, in the order in which a run asks for them. */
 typedef struct {
     int64_t room, count, next; /* values at most; values; the one that is asked for next */
+    int64_t misses;            /* instants in a row that were not among the next ones */
     double *t, *values;        /* (room) */
 } cosim_program_cache;
 

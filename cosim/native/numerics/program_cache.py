@@ -14,16 +14,19 @@ from typing import Final, TypeAlias, final
 import numpy as np
 
 from cosim.native.library import pointer
-from cosim.native.numerics.expression import OPERATIONS
+from cosim.native.numerics.expression import FUNCTIONS, OPERATIONS
 from cosim.native.numerics.programs import ProgramCacheStruct, ProgramStruct
 from cosim.native.step import DOUBLE, NativeStep
 
-_Place: TypeAlias = tuple[str, int]  # a component, and the number of an expression in it
+_ProgramPlace: TypeAlias = tuple[str, int]  # a component, and the number of an expression in it
 
-MOST_BYTES: Final = 2**25  # of the caches of a graph
-_NOT_CACHED: Final = b""  # the content of what is no expression in t alone, or not always the same
+MOST_BYTES: Final = 2**24  # of the caches of a graph
+# content of what reads a row, is computed as fast as it is read, or is not always the same
+_NOT_CACHED: Final = b""
+_CHEAP: Final = frozenset({"sqrt", "abs", "sign", "step"})
+_COSTLY: Final = frozenset(map(OPERATIONS.index, {"power", *FUNCTIONS} - _CHEAP))
 _BYTES: Final = 2 * DOUBLE  # of an instant and its value
-_FIRST_ROOM: Final = 2**14  # values
+_FIRST_ROOM: Final = 2**12  # values
 _GROWTH: Final = 4
 
 
@@ -39,8 +42,8 @@ class ProgramCaches:
 
     def __init__(self, most_bytes: int = MOST_BYTES) -> None:
         self._free_bytes = most_bytes
-        self._contents: dict[_Place, bytes] = {}
-        self._caches: dict[_Place, ProgramCacheStruct] = {}
+        self._contents: dict[_ProgramPlace, bytes] = {}
+        self._caches: dict[_ProgramPlace, ProgramCacheStruct] = {}
 
     def connect(self, component: str, step: NativeStep) -> None:
         """Let a component's expressions read their caches from the start on: before every run.
@@ -52,11 +55,12 @@ class ProgramCaches:
             if self._is_cached(place, _content(program)):
                 cache = self._cache_of(place)
                 cache.next = 0
+                cache.misses = 0
                 program.cache = ctypes.pointer(cache)  # which keeps it alive
             else:
                 program.cache = None
 
-    def _is_cached(self, place: _Place, content: bytes) -> bool:
+    def _is_cached(self, place: _ProgramPlace, content: bytes) -> bool:
         """Return whether what is in a place has always been there."""
         if self._contents.setdefault(place, content) != content:
             self._contents[place] = _NOT_CACHED
@@ -64,7 +68,7 @@ class ProgramCaches:
             self._free_bytes += dropped.room * _BYTES
         return self._contents[place] != _NOT_CACHED
 
-    def _cache_of(self, place: _Place) -> ProgramCacheStruct:
+    def _cache_of(self, place: _ProgramPlace) -> ProgramCacheStruct:
         """Return the cache of a place; with more room where the last run filled it."""
         cache = self._caches.get(place)
         if cache is None:
@@ -76,7 +80,7 @@ class ProgramCaches:
 
     def _larger(self, cache: ProgramCacheStruct) -> ProgramCacheStruct:
         """Return a cache with more room, and the values of one; the same where there is no room."""
-        larger = self._cache(_GROWTH * cache.room)
+        larger = self._cache(max(_FIRST_ROOM, _GROWTH * cache.room))
         if not larger.room:
             return cache
         for name in ("t", "values"):
@@ -106,9 +110,10 @@ def _programs(step: NativeStep) -> Iterator[ProgramStruct]:
 
 
 def _content(program: ProgramStruct) -> bytes:
-    """Return the code and the constants of a program; empty: there are none, or it reads a row."""
-    code = np.frombuffer(ctypes.string_at(program.code or 0, 4 * program.length), np.int32)
-    if not code.size or code.min() < 0:
-        return b""
-    constants = max(0, int(code.max()) + 1 - len(OPERATIONS))
-    return code.tobytes() + ctypes.string_at(program.constants, constants * DOUBLE)
+    """Return the code and the constants of a program that is worth a cache, else nothing."""
+    text = ctypes.string_at(program.code or 0, 4 * program.length)
+    code = set(np.frombuffer(text, np.int32).tolist())
+    if _COSTLY.isdisjoint(code) or min(code) < 0:
+        return _NOT_CACHED
+    constants = max(0, max(code) + 1 - len(OPERATIONS))
+    return text + ctypes.string_at(program.constants, constants * DOUBLE)

@@ -24,7 +24,7 @@ class ProgramCacheStruct(ctypes.Structure):
     """
 
     _fields_ = (
-        *((name, c_int64) for name in ("room", "count", "next")),
+        *((name, c_int64) for name in ("room", "count", "next", "misses")),
         *((name, c_void_p) for name in ("t", "values")),
     )
     arrays: tuple[Vector, ...] = ()

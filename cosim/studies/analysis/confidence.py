@@ -15,12 +15,12 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.special import bdtr, ndtri, stdtrit
+from scipy.special import bdtr
 
 from cosim.arrays import Vector
 from cosim.studies.analysis.columns import NumberColumn
+from cosim.studies.analysis.interval_quantiles import NORMAL_QUANTILE, TAIL, student_quantile
 
-CONFIDENCE: Final = 0.95
 _LEAST_FOR_MEAN: Final = 10  # units: the skewness of fewer says little
 _COCHRAN: Final = 25.0  # units for each squared skewness
 _LEAST_FOR_DEVIATION: Final = 5  # values: the formula divides by n - 4 and by n - 1.96
@@ -63,7 +63,6 @@ def mean_interval(
     units: NumberColumn | None = None,
     *,
     variance_factor: float = 1.0,
-    confidence: float = CONFIDENCE,
 ) -> ConfidenceInterval:
     """Return Student's interval of a mean.
 
@@ -77,12 +76,11 @@ def mean_interval(
         The unit of each value; None: each is one.
     variance_factor : float
         Of the variance of the mean, over that of independent units.
-    confidence : float
     """
     variance, count = mean_variance(values, units)
     if count < 2:
         return NO_INTERVAL
-    quantile = float(stdtrit(count - 1, 0.5 + 0.5 * confidence))
+    quantile = student_quantile(count)
     half_width = quantile * math.sqrt(variance_factor * variance)
     mean = float(values.mean())
     return ConfidenceInterval(mean - half_width, mean + half_width)
@@ -138,9 +136,8 @@ def effective_count(values: Vector, units: NumberColumn | None, *, factor: float
     if number == count:
         return count / factor
     effective = count * independent / variance if variance > 0.0 else number
-    normal = _normal_quantile(CONFIDENCE)
-    student = float(stdtrit(number - 1, 0.5 + 0.5 * CONFIDENCE))
-    return float(min(effective, count)) * (normal / student) ** 2 / factor
+    spread = NORMAL_QUANTILE / student_quantile(number)
+    return float(min(effective, count)) * spread**2 / factor
 
 
 def deviation_interval(
@@ -148,7 +145,6 @@ def deviation_interval(
     units: NumberColumn | None = None,
     *,
     variance_factor: float = 1.0,
-    confidence: float = CONFIDENCE,
 ) -> ConfidenceInterval:
     """Return Bonett's interval of a standard deviation; the values need not be normal.
 
@@ -158,7 +154,7 @@ def deviation_interval(
 
     Parameters
     ----------
-    values, units, variance_factor, confidence
+    values, units, variance_factor
         As of :func:`mean_interval`.
     """
     from scipy.stats import trim_mean
@@ -170,7 +166,7 @@ def deviation_interval(
     total = float(squares.sum())
     if count < _LEAST_FOR_DEVIATION or total <= 0.0:
         return NO_INTERVAL
-    z = _normal_quantile(confidence)
+    z = NORMAL_QUANTILE
     correction = count / (count - z)
     center = float(trim_mean(values, 0.5 / math.sqrt(n - 4.0)))
     kurtosis = n * float(((values - center) ** 4).sum()) / total**2
@@ -187,7 +183,6 @@ def quantile_interval(
     probability: float,
     *,
     count: float | None = None,
-    confidence: float = CONFIDENCE,
 ) -> ConfidenceInterval:
     """Return an interval of a quantile between two of the values, whatever their distribution.
 
@@ -202,15 +197,13 @@ def quantile_interval(
         Of the quantile, in (0, 1).
     count : float, optional
         The effective count; None: the values are independent.
-    confidence : float
     """
     n = len(ordered)
     independent = n if count is None else int(count)
     if not n or not independent:
         return NO_INTERVAL
-    tail = 0.5 * (1.0 - confidence)
-    low = int(_below(independent, probability, tail))
-    high = independent + 1 - int(_below(independent, 1.0 - probability, tail))
+    low = int(_below(independent, probability, TAIL))
+    high = independent + 1 - int(_below(independent, 1.0 - probability, TAIL))
     scale = (n + 1.0) / (independent + 1.0)
     lower = None
     upper = None
@@ -221,9 +214,7 @@ def quantile_interval(
     return ConfidenceInterval(lower, upper)
 
 
-def proportion_interval(
-    passed: int, of: int, *, count: float | None = None, confidence: float = CONFIDENCE
-) -> ConfidenceInterval:
+def proportion_interval(passed: int, of: int, *, count: float | None = None) -> ConfidenceInterval:
     """Return Wilson's interval of a proportion.
 
     E. B. Wilson, "Probable inference, the law of succession, and statistical inference", Journal
@@ -234,13 +225,12 @@ def proportion_interval(
     passed, of : int
     count : float, optional
         The effective count; None: the members are independent.
-    confidence : float
     """
     n = float(of) if count is None else count
     if n < 1.0:
         return NO_INTERVAL
     share = passed / of
-    square = _normal_quantile(confidence) ** 2
+    square = NORMAL_QUANTILE**2
     center = (share + 0.5 * square / n) / (1.0 + square / n)
     inside = share * (1.0 - share) / n + 0.25 * square / n**2
     half_width = math.sqrt(square * inside) / (1.0 + square / n)
@@ -272,7 +262,3 @@ def _unit_sums(values: Vector, units: NumberColumn | None) -> tuple[Vector, int]
         _, index = np.unique(units, return_inverse=True)
         sums = np.bincount(index, weights=sums)
     return sums, len(sums)
-
-
-def _normal_quantile(confidence: float) -> float:
-    return float(ndtri(0.5 + 0.5 * confidence))

@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import stdtrit
 
 from cosim.arrays import Vector
 from cosim.errors import UsageError
 from cosim.studies.analysis.columns import MetricColumn, NumberColumn, exact_scale
-from cosim.studies.analysis.confidence import CONFIDENCE
 from cosim.studies.analysis.independence import Independence
+from cosim.studies.analysis.interval_quantiles import student_quantiles
 
 
 @dataclass(frozen=True)
@@ -57,7 +56,7 @@ def running_mean(column: MetricColumn, of_design: Independence) -> RunningMean:
     squares = np.cumsum(shifted**2) - number * mean**2
     with np.errstate(divide="ignore", invalid="ignore"):
         variance = np.maximum(squares, 0.0) / (number - 1.0)
-        half_widths = stdtrit(number - 1.0, 0.5 + 0.5 * CONFIDENCE) * np.sqrt(variance / number)
+        half_widths = student_quantiles(number) * np.sqrt(variance / number)
     if of_design.layout.kind == "latin-hypercube":
         with np.errstate(divide="ignore", invalid="ignore"):
             half_widths = half_widths * np.sqrt(number / (number - 1.0))

@@ -8,17 +8,17 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from scipy.special import ndtri, stdtrit
 
 from cosim.arrays import Vector
 from cosim.studies.analysis.columns import MemberColumns, NumberColumn, numbers_of
-from cosim.studies.analysis.confidence import CONFIDENCE, NO_INTERVAL, ConfidenceInterval
+from cosim.studies.analysis.confidence import NO_INTERVAL, ConfidenceInterval
 from cosim.studies.analysis.independence import (
     Independence,
     StudyLayout,
     drawn_members,
     independence_of,
 )
+from cosim.studies.analysis.interval_quantiles import NORMAL_QUANTILE, student_quantile
 from cosim.studies.analysis.ranks import Ranks, rank_correlation, rank_correlation_deviation
 
 LEAST_MEMBERS: Final = 10  # of fewer, chance alone makes strong correlations
@@ -133,10 +133,10 @@ def _largest_by_chance(
     if independent < LEAST_UNITS:
         return math.inf
     deviation = rank_correlation_deviation(*pair, value, units=units)
-    largest = float(stdtrit(independent - 1, 0.5 + 0.5 * CONFIDENCE)) * deviation
+    largest = student_quantile(independent) * deviation
     if layout.kind in ("grid", "cases"):  # whose parameters were not drawn
         return largest
-    return max(largest, _normal_quantile() / math.sqrt(independent - 1))
+    return max(largest, NORMAL_QUANTILE / math.sqrt(independent - 1))
 
 
 def strongest(correlations: Sequence[RankCorrelation], metric: str) -> list[RankCorrelation]:
@@ -163,10 +163,6 @@ def _interval(value: float, pair: tuple[Ranks, Ranks]) -> ConfidenceInterval:
         return NO_INTERVAL
     of_normal = math.sqrt((1.0 + 0.5 * value**2) / (count - 3.0))
     deviation = max(of_normal, rank_correlation_deviation(*pair, value) / (1.0 - value**2))
-    half_width = _normal_quantile() * deviation
+    half_width = NORMAL_QUANTILE * deviation
     middle = math.atanh(value)
     return ConfidenceInterval(math.tanh(middle - half_width), math.tanh(middle + half_width))
-
-
-def _normal_quantile() -> float:
-    return float(ndtri(0.5 + 0.5 * CONFIDENCE))

@@ -27,12 +27,9 @@ from cosim.studies.analysis.columns import (
     exact_scale,
     is_constant,
 )
-from cosim.studies.analysis.confidence import (
-    CONFIDENCE,
-    NO_INTERVAL,
-    ConfidenceInterval,
-)
+from cosim.studies.analysis.confidence import NO_INTERVAL, ConfidenceInterval
 from cosim.studies.analysis.independence import StudyLayout
+from cosim.studies.analysis.interval_quantiles import TAIL
 
 RESAMPLES: Final = 1000  # of the bootstrap
 _SEED: Final = 0  # of the bootstrap: the same study has the same intervals
@@ -194,7 +191,6 @@ def _matrices(columns: MemberColumns, layout: StudyLayout, metric: str) -> Matri
 
 
 def _percentiles(resampled: Matrix) -> tuple[ConfidenceInterval, ...]:
-    tail = 0.5 - 0.5 * CONFIDENCE
-    lower, upper = np.quantile(resampled, [tail, 1.0 - tail], axis=0)
+    lower, upper = np.quantile(resampled, [TAIL, 1.0 - TAIL], axis=0)
     pairs = zip(lower, upper, strict=True)
     return tuple(ConfidenceInterval(float(low), float(high)) for low, high in pairs)

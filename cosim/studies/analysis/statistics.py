@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -102,12 +102,7 @@ class MetricStatistics:
         }
 
 
-def study_statistics(
-    columns: MemberColumns,
-    layout: StudyLayout,
-    *,
-    probabilities: Sequence[float] = PROBABILITIES,
-) -> dict[str, MetricStatistics]:
+def study_statistics(columns: MemberColumns, layout: StudyLayout) -> dict[str, MetricStatistics]:
     """Return the statistics of every metric of a study, by its name.
 
     Of a Saltelli design they are of the members of its matrices A and B.
@@ -116,16 +111,11 @@ def study_statistics(
     drawn = drawn_members(columns, layout)
     found = {}
     for name, column in drawn.metrics.items():
-        found[name] = metric_statistics(column, of_design, probabilities=probabilities)
+        found[name] = metric_statistics(column, of_design)
     return found
 
 
-def metric_statistics(
-    column: MetricColumn,
-    of_design: Independence,
-    *,
-    probabilities: Sequence[float] = PROBABILITIES,
-) -> MetricStatistics:
+def metric_statistics(column: MetricColumn, of_design: Independence) -> MetricStatistics:
     """Return the statistics of one metric.
 
     Parameters
@@ -133,8 +123,6 @@ def metric_statistics(
     column : MetricColumn
     of_design : Independence
         What of the study was drawn independently.
-    probabilities : sequence of float
-        Of the quantiles, in (0, 1).
     """
     scale = exact_scale(column.values)
     values = column.values / scale
@@ -161,26 +149,24 @@ def metric_statistics(
         deviation_interval=of_deviation.scaled(scale),
         minimum=scale * float(values.min()) if count else None,
         maximum=scale * float(values.max()) if count else None,
-        quantiles=_quantiles(column, of_design, probabilities),
+        quantiles=_quantiles(column, of_design),
         basis=of_design.basis,
         texts=column.texts,
     )
 
 
-def _quantiles(
-    column: MetricColumn, of_design: Independence, probabilities: Sequence[float]
-) -> tuple[QuantileEstimate, ...]:
+def _quantiles(column: MetricColumn, of_design: Independence) -> tuple[QuantileEstimate, ...]:
     ordered = np.sort(column.values)
     if not len(ordered):
         return ()
     units = of_design.units_of(column.numbers)
     factor = of_design.variance_factor(column.numbers)
-    found = []
-    for probability, value in zip(probabilities, quantiles(ordered, probabilities), strict=True):
+    estimates = []
+    for probability, value in zip(PROBABILITIES, quantiles(ordered, PROBABILITIES), strict=True):
         interval = NO_INTERVAL
         if of_design.is_drawn:
             is_below = (column.values <= value).astype(np.float64)
             count = effective_count(is_below, units, factor=factor)
             interval = quantile_interval(ordered, probability, count=math.floor(count + 1e-9))
-        found.append(QuantileEstimate(probability, value, interval))
-    return tuple(found)
+        estimates.append(QuantileEstimate(probability, value, interval))
+    return tuple(estimates)

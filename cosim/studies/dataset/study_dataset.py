@@ -61,23 +61,6 @@ class StudyDataset:
         if is_writing:
             self._write_complete_parts()
 
-    @classmethod
-    def create(cls, place: str | Path, identity: StudyIdentity) -> Self:
-        """Make a new dataset, for writing.
-
-        Parameters
-        ----------
-        place : str or Path
-            A folder, or a URL of fsspec; it may be there, and hold other files.
-        identity : StudyIdentity
-
-        Raises
-        ------
-        DatasetError
-            If there is one already, or another process writes there.
-        """
-        return cls._for_writing(place, identity, None, new=False, may_exist=False)
-
     @staticmethod
     def is_at(place: str | Path) -> bool:
         """Return whether the description of a dataset is there.
@@ -148,7 +131,27 @@ class StudyDataset:
         DatasetError
             If another study's is there, it is damaged, or another process writes there.
         """
-        return cls._for_writing(place, identity, design, new=new)
+        pyarrow()
+        fresh = DatasetDescription.of(identity)
+        _ = fresh.columns  # two of one name are refused before anything is made
+        storage = open_storage(place)
+        storage.lock()
+        try:
+            if new:
+                check_is_dataset(storage.read(DESCRIPTION), storage.label(DESCRIPTION))
+                _remove(storage)
+            recorded = _description(storage)
+            if recorded is None:
+                _check_empty(storage)
+                description = fresh
+            else:
+                description = _grown(cls, storage, recorded, identity, design)
+            if description != recorded:
+                storage.write(DESCRIPTION, description.to_json())
+            return cls(storage, description, is_writing=True)
+        except BaseException:
+            storage.close()
+            raise
 
     @classmethod
     def check(
@@ -163,42 +166,6 @@ class StudyDataset:
         """
         dataset = cls.open(place)
         _grown(cls, dataset._storage, dataset._description, identity, design)
-
-    @classmethod
-    def _for_writing(
-        cls,
-        place: str | Path,
-        identity: StudyIdentity,
-        design: PlannedColumns | None,
-        *,
-        new: bool,
-        may_exist: bool = True,
-    ) -> Self:
-        pyarrow()
-        fresh = DatasetDescription.of(identity)
-        _ = fresh.columns  # two of one name are refused before anything is made
-        storage = open_storage(place)
-        storage.lock()
-        try:
-            if new:
-                check_is_dataset(storage.read(DESCRIPTION), storage.label(DESCRIPTION))
-                _remove(storage)
-            recorded = _description(storage)
-            if recorded is None:
-                _check_empty(storage)
-                description = fresh
-            elif may_exist:
-                description = _grown(cls, storage, recorded, identity, design)
-            else:
-                raise DatasetError(
-                    f"{storage.label()}: there is a dataset already; give another folder"
-                )
-            if description != recorded:
-                storage.write(DESCRIPTION, description.to_json())
-            return cls(storage, description, is_writing=True)
-        except BaseException:
-            storage.close()
-            raise
 
     def __enter__(self) -> Self:
         return self

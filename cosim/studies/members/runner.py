@@ -83,10 +83,6 @@ class SubjectRunner:
     ) -> None:
         self._builder.close()
 
-    def designs(self) -> str:
-        """Return the designs of what all members have in common, as text; empty: there are none."""
-        return encode_designs(self._builder.common.given)
-
     def run(self, member: StudyMember) -> MemberOutcome:
         """Run a member.
 

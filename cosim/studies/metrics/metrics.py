@@ -39,18 +39,10 @@ class Metrics:
             reductions += metric.reductions
         self.reductions = tuple(reductions)
 
-    def __len__(self) -> int:
-        return len(self._metrics)
-
     @property
     def names(self) -> tuple[str, ...]:
         """Their names, in their order."""
         return tuple(metric.name for metric in self._metrics)
-
-    @property
-    def texts(self) -> dict[str, str]:
-        """What they are, by name, as it was written."""
-        return {metric.name: metric.text for metric in self._metrics}
 
     @property
     def signals(self) -> tuple[str, ...]:

@@ -10,9 +10,9 @@ import numpy as np
 
 from cosim.report.plots.curves import COLORS, WIDTH
 from cosim.report.plots.picture import PictureOptions
-from cosim.studies.analysis.confidence import CONFIDENCE
 from cosim.studies.analysis.convergence import RunningMean, running_mean
 from cosim.studies.analysis.independence import independence_of
+from cosim.studies.analysis.interval_quantiles import CONFIDENCE
 from cosim.studies.analysis.results import StudyResults
 from cosim.studies.plots.panels import FAINT, MetricPanels
 from cosim.studies.plots.scales import check_drawable

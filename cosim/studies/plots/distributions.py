@@ -13,6 +13,7 @@ from cosim.arrays import Vector
 from cosim.report.plots.curves import COLORS, WIDTH
 from cosim.report.plots.picture import PictureOptions
 from cosim.studies.analysis.independence import independence_of
+from cosim.studies.analysis.interval_quantiles import CONFIDENCE
 from cosim.studies.analysis.results import StudyResults
 from cosim.studies.analysis.statistics import PROBABILITIES
 from cosim.studies.plots.panels import FAINT, MetricPanels
@@ -21,7 +22,6 @@ from cosim.studies.plots.scales import check_drawable, is_logarithmic
 _MOST_BINS: Final = 80
 _MOST_STEPS: Final = 2000  # of a curve: more would be on one dot of it
 _FAR: Final = 3.0  # times the range of 98 % of the values: beyond are none or single ones
-_CONFIDENCE: Final = 0.95
 _DRAWN_ALONE: Final = ("random", "grid", "cases")  # members of it, where they are drawn
 
 
@@ -79,7 +79,7 @@ def plot_distributions(
         )
         is_single = independence.units_of(column.numbers) is None
         if independence.is_drawn and is_single and results.layout.kind in _DRAWN_ALONE:
-            reach = math.sqrt(math.log(2.0 / (1.0 - _CONFIDENCE)) / (2.0 * len(column.values)))
+            reach = math.sqrt(math.log(2.0 / (1.0 - CONFIDENCE)) / (2.0 * len(column.values)))
             band = panel.fill_between(
                 values,
                 np.clip(shares - reach, 0.0, 1.0),

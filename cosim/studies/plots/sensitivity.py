@@ -14,7 +14,8 @@ from cosim.report.plots.curves import COLORS, shown_text
 from cosim.report.plots.fitting import broken
 from cosim.report.plots.picture import PictureOptions
 from cosim.studies.analysis.columns import count_text
-from cosim.studies.analysis.confidence import CONFIDENCE, NO_INTERVAL, ConfidenceInterval
+from cosim.studies.analysis.confidence import NO_INTERVAL, ConfidenceInterval
+from cosim.studies.analysis.interval_quantiles import CONFIDENCE
 from cosim.studies.analysis.results import StudyResults
 from cosim.studies.analysis.sensitivity import SobolIndices, check_has_indices, sobol_indices
 from cosim.studies.plots.panels import MOST_PANELS, shown_metrics, sized_picture

@@ -29,10 +29,10 @@ from typing import Any, Final
 import numpy as np
 
 from cosim.arrays import Matrix, Vector
+from cosim.studies.analysis.interval_quantiles import student_quantile
 from cosim.studies.tuning.space import DIGITS, BoundedKey, SearchSpace
 from cosim.studies.tuning.trials import Trials
 
-LEVEL: Final = 0.95
 _FIRST_STEP: Final = 1e-3  # of the range between the bounds
 _SHORTEST_STEP: Final = 1e-9
 _ROUNDS: Final = 10  # to find the steps
@@ -344,14 +344,12 @@ def _hardly_determined(space: SearchSpace, number: int, correlations: Vector) ->
 
 
 def _result(space: SearchSpace, curvature: _Curvature, samples: int) -> StandardErrors:
-    from scipy.stats import t
-
     free = samples - len(space.keys)
     variance = curvature.level / free
     scaled = 2.0 * variance * np.linalg.inv(curvature.hessian)
     deviations = np.sqrt(np.diag(scaled))
     correlation = scaled / np.outer(deviations, deviations)
-    wide = float(t.ppf(0.5 + LEVEL / 2.0, free))
+    wide = student_quantile(free + 1)
     errors = {}
     intervals = {}
     values = space.point(curvature.center)

@@ -85,11 +85,6 @@ class Trials:
         """All trials, in the order in which they were asked for."""
         return tuple(self._by_point.values())
 
-    @property
-    def failed(self) -> tuple[SearchTrial, ...]:
-        """The trials without an objective."""
-        return tuple(trial for trial in self.all if trial.objective is None)
-
     def known(self, point: Mapping[str, Any]) -> SearchTrial | None:
         """Return the trial of a point; None: it was not tried."""
         return self._by_point.get(point_name(point))

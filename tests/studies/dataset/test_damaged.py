@@ -61,7 +61,7 @@ def test_a_full_disk_ends_a_study_that_goes_on_later(tmp_path, monkeypatch, room
 
 def test_a_study_can_be_read_and_goes_on_after_a_write_that_failed(tmp_path, monkeypatch):
     """The member whose line could not be written has no outcome; the next try has room."""
-    with StudyDataset.create(tmp_path, identity(10)) as dataset:
+    with StudyDataset.open_or_create(tmp_path, identity(10)) as dataset:
         add(dataset, range(3))
         with monkeypatch.context() as patch:
             patch.setattr(local_storage.os, "write", FullDisk(20))
@@ -102,7 +102,7 @@ def test_a_limit_of_the_system_is_said(tmp_path):
 @pytest.fixture
 def folder(tmp_path):
     """Return a study with two parts and a journal."""
-    with StudyDataset.create(tmp_path, identity(30)) as dataset:
+    with StudyDataset.open_or_create(tmp_path, identity(30)) as dataset:
         add(dataset, range(25))
     return tmp_path
 
@@ -235,7 +235,7 @@ def test_a_folder_that_cannot_be_written_is_refused(tmp_path):
     """As the system says it."""
     tmp_path.chmod(0o500)
     with pytest.raises(DatasetError, match="Permission denied; needed a folder that can be writ"):
-        StudyDataset.create(tmp_path, identity(5))
+        StudyDataset.open_or_create(tmp_path, identity(5))
 
 
 def test_a_part_that_is_removed_while_it_is_read_is_named(folder):

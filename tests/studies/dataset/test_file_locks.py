@@ -24,7 +24,7 @@ def _without_locks(request, monkeypatch):
 def test_a_folder_without_locks_is_written_by_one(tmp_path):
     """Until that ends; a killed one is named, with what to do."""
     with (
-        StudyDataset.create(tmp_path, identity(30)),
+        StudyDataset.open_or_create(tmp_path, identity(30)),
         pytest.raises(
             DatasetError, match=rf"was killed \(process {os.getpid()} on .*\), which can"
         ),
@@ -44,7 +44,7 @@ def test_without_locks_the_temporary_files_of_others_stay(tmp_path):
     (tmp_path / "parts").mkdir()
     held = tmp_path / "parts" / "_part-0000000000-0000000009.parquet.00.tmp"
     held.touch()
-    with StudyDataset.create(tmp_path, identity(30)):
+    with StudyDataset.open_or_create(tmp_path, identity(30)):
         assert held.exists()
 
 

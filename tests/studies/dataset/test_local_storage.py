@@ -20,7 +20,7 @@ def lines(folder):
 def test_a_journal_has_no_more_than_twice_the_lines_that_count(tmp_path):
     """While parts are completed, with members of others under way."""
     longest = 0
-    with StudyDataset.create(tmp_path, identity(1000)) as dataset:
+    with StudyDataset.open_or_create(tmp_path, identity(1000)) as dataset:
         add(dataset, [990])  # a part that is open to the end
         for number in range(990):
             add(dataset, [number])
@@ -32,7 +32,7 @@ def test_a_journal_has_no_more_than_twice_the_lines_that_count(tmp_path):
 
 def test_a_journal_that_cannot_be_written_anew_stays_as_it_was(tmp_path, monkeypatch):
     """The part is there all the same, and no row twice; a later try goes on with the journal."""
-    dataset = StudyDataset.create(tmp_path, identity(30))
+    dataset = StudyDataset.open_or_create(tmp_path, identity(30))
     add(dataset, [25, *range(9)])
     replace = os.replace
 
@@ -54,7 +54,7 @@ def test_a_journal_that_cannot_be_written_anew_stays_as_it_was(tmp_path, monkeyp
 
 def test_nothing_is_appended_to_a_journal_that_was_replaced(tmp_path, monkeypatch):
     """Where it is interrupted just then, the next member is an error, not a loss."""
-    dataset = StudyDataset.create(tmp_path, identity(30))
+    dataset = StudyDataset.open_or_create(tmp_path, identity(30))
     add(dataset, [25, *range(9)])
     replace = os.replace
 
@@ -76,7 +76,7 @@ def test_nothing_is_appended_to_a_journal_that_was_replaced(tmp_path, monkeypatc
 
 def test_temporary_files_are_removed_but_those_that_are_being_written(tmp_path):
     """Who writes one holds a lock on it; the name says that it is no part yet."""
-    with StudyDataset.create(tmp_path, identity(30)) as dataset:
+    with StudyDataset.open_or_create(tmp_path, identity(30)) as dataset:
         add(dataset, range(10))
     left = tmp_path / "parts" / "_part-0000000010-0000000019.parquet.00.tmp"
     held = tmp_path / "parts" / "_part-0000000020-0000000029.parquet.00.tmp"

@@ -77,7 +77,7 @@ def place(request):
 
 def test_a_dataset_elsewhere_is_that_of_a_folder(place, tmp_path):
     """The same table; it goes on where it was, with its journal."""
-    with StudyDataset.create(tmp_path, identity(25)) as dataset:
+    with StudyDataset.open_or_create(tmp_path, identity(25)) as dataset:
         add(dataset, range(23))
     with StudyDataset.open_or_create(place, identity(25), design=design(25)) as dataset:
         add(dataset, [*range(13)])
@@ -94,7 +94,10 @@ def test_a_dataset_elsewhere_is_that_of_a_folder(place, tmp_path):
 def test_logs_are_put_whole_and_belong_to_the_dataset(place, tmp_path):
     """The file here is gone then; to begin anew removes the logs and what is known of them."""
     log = tmp_path / "_3.unfinished.mcap"
-    with StudyDataset.create(place, identity(25)) as dataset, closing(dataset.log_files()) as logs:
+    with (
+        StudyDataset.open_or_create(place, identity(25)) as dataset,
+        closing(dataset.log_files()) as logs,
+    ):
         for content in (b"one", b"two"):
             log.write_bytes(content)
             logs.put(3, log)
@@ -112,7 +115,7 @@ def test_logs_are_put_whole_and_belong_to_the_dataset(place, tmp_path):
 
 def test_tasks_write_parts_elsewhere(place):
     """Each opens the dataset by its URL; twice is once."""
-    with StudyDataset.create(place, identity(20)) as dataset:
+    with StudyDataset.open_or_create(place, identity(20)) as dataset:
         for first in (10, 10, 0):
             task = StudyDataset.open(place, sha256=dataset.sha256)
             numbers = range(first, first + 10)
@@ -124,7 +127,7 @@ def test_tasks_write_parts_elsewhere(place):
 
 def test_another_study_elsewhere_is_refused_and_can_be_begun_anew(place):
     """New removes the objects of a dataset only."""
-    with StudyDataset.create(place, identity(20)) as dataset:
+    with StudyDataset.open_or_create(place, identity(20)) as dataset:
         add(dataset, range(15))
     files, root = fsspec.core.url_to_fs(place)
     files.pipe_file(f"{root}/notes.txt", b"mine")
@@ -138,7 +141,7 @@ def test_another_study_elsewhere_is_refused_and_can_be_begun_anew(place):
 def test_polars_reads_the_parts_from_the_server(bucket, server):
     """By the same URL."""
     place = f"{bucket}/read"
-    with StudyDataset.create(place, identity(20)) as dataset:
+    with StudyDataset.open_or_create(place, identity(20)) as dataset:
         add(dataset, range(20))
     options = {"aws_endpoint_url": server, "aws_allow_http": "true"}
     frame = polars.read_parquet(f"{place}/parts/*.parquet", storage_options=options)
@@ -148,7 +151,7 @@ def test_polars_reads_the_parts_from_the_server(bucket, server):
 def test_storage_that_is_not_there_is_said(bucket, monkeypatch):
     """A bucket that is missing, a server that does not answer: at once, with its URL."""
     with pytest.raises(DatasetWriteError, match=r"s3://nowhere/x/study.json: .*bucket"):
-        StudyDataset.create("s3://nowhere/x", identity(5))
+        StudyDataset.open_or_create("s3://nowhere/x", identity(5))
     with socket.socket() as unused:
         unused.bind(("127.0.0.1", 0))
         port = unused.getsockname()[1]
@@ -168,7 +171,7 @@ def test_kinds_of_storage_that_are_unknown_are_refused(tmp_path, monkeypatch):
     with pytest.raises(DatasetError, match=problem):
         StudyDataset.open("s3://x")
     place = f"file://{tmp_path}/x%20y"
-    with StudyDataset.create(place, identity(5)) as dataset:
+    with StudyDataset.open_or_create(place, identity(5)) as dataset:
         add(dataset, range(5))
     assert len(StudyDataset.open(tmp_path / "x y")) == 5
 
@@ -180,7 +183,7 @@ def test_a_journal_elsewhere_is_put_now_and_then(memory, monkeypatch):
     puts = []
     put = PutJournal._put
     monkeypatch.setattr(PutJournal, "_put", lambda journal: (puts.append(clock[0]), put(journal)))
-    with StudyDataset.create(f"{memory}/x", identity(100, part_size=100)) as dataset:
+    with StudyDataset.open_or_create(f"{memory}/x", identity(100, part_size=100)) as dataset:
         for number in range(40):
             clock[0] = float(number)
             add(dataset, [number])

@@ -19,7 +19,7 @@ COUNT = 30
 @pytest.fixture
 def folder(tmp_path):
     """Return a study that is complete."""
-    with StudyDataset.create(tmp_path / "x", identity(COUNT)) as dataset:
+    with StudyDataset.open_or_create(tmp_path / "x", identity(COUNT)) as dataset:
         add(dataset, range(COUNT))
     return tmp_path / "x"
 
@@ -92,7 +92,7 @@ def test_a_study_becomes_frames(folder):
 
 def test_a_study_that_runs_is_read_as_it_was_when_it_was_opened(tmp_path):
     """What is added later is in the next study that is opened."""
-    with StudyDataset.create(tmp_path, identity(20)) as dataset:
+    with StudyDataset.open_or_create(tmp_path, identity(20)) as dataset:
         add(dataset, range(7))
         study = cosim.open_study(tmp_path)
         add(dataset, range(7, 15))
@@ -113,7 +113,7 @@ def test_studies_without_pyarrow_are_refused(tmp_path, monkeypatch):
     """Before anything is made."""
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(UsageError, match="studies need pyarrow, which is not installed: pip inst"):
-        StudyDataset.create(tmp_path / "x", identity(1))
+        StudyDataset.open_or_create(tmp_path / "x", identity(1))
     assert not (tmp_path / "x").exists()
 
 

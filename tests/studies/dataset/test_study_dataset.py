@@ -24,7 +24,7 @@ from tests.studies.dataset.outcomes import (
 
 def test_what_is_added_is_read_in_the_order_of_members(tmp_path):
     """From parts and from the journal alike, whatever the order in which members ended."""
-    with StudyDataset.create(tmp_path, identity(25)) as dataset:
+    with StudyDataset.open_or_create(tmp_path, identity(25)) as dataset:
         add(dataset, [*range(9, -1, -1), 23, 12, 20])
         table = dataset.read()
     numbers = [*range(10), 12, 20, 23]
@@ -56,7 +56,7 @@ def test_a_dataset_goes_on_where_it_was(tmp_path):
 
 def test_a_study_that_has_grown_keeps_the_parts_it_has(tmp_path):
     """A part ends where the study ended before; only what is new is missing."""
-    with StudyDataset.create(tmp_path, identity(25)) as dataset:
+    with StudyDataset.open_or_create(tmp_path, identity(25)) as dataset:
         add(dataset, range(25))
     before = StudyDataset.open(tmp_path).read()
     grown = identity(42, part_size=99)
@@ -71,7 +71,7 @@ def test_a_study_that_has_grown_keeps_the_parts_it_has(tmp_path):
 
 def test_a_study_that_was_planned_larger_than_it_went_can_end_before(tmp_path):
     """What is recorded stays in the plan; with a member beyond it the study is refused."""
-    with StudyDataset.create(tmp_path, identity(1000)) as dataset:
+    with StudyDataset.open_or_create(tmp_path, identity(1000)) as dataset:
         add(dataset, range(13))
     with StudyDataset.open_or_create(tmp_path, identity(15)) as dataset:
         add(dataset, [13, 14])
@@ -84,7 +84,7 @@ def test_a_study_that_was_planned_larger_than_it_went_can_end_before(tmp_path):
 
 def test_types_do_not_depend_on_values(tmp_path):
     """A part without any metric has the schema of the others; NaN is no value, infinity is one."""
-    with StudyDataset.create(tmp_path, identity(10, part_size=5)) as dataset:
+    with StudyDataset.open_or_create(tmp_path, identity(10, part_size=5)) as dataset:
         for number in range(5):
             dataset.add(member(number), MemberOutcome(number, "failed", "it crashed"))
         for number in range(5, 10):
@@ -138,7 +138,7 @@ def test_results_that_have_no_column_are_kept_as_json(tmp_path):
         ("identifier verdict", "string"),
     ]
     of = (parameter_column("noise.seed", [1]), *results)
-    with StudyDataset.create(tmp_path, identity(1, of=of)) as dataset:
+    with StudyDataset.open_or_create(tmp_path, identity(1, of=of)) as dataset:
         said = {"plant.y": "none", "identifier verdict": "identifiable", "other.z": 2.0}
         dataset.add(StudyMember(0, {"noise.seed": 1}), MemberOutcome(0, "complete", metrics=said))
         (row,) = dataset.read().to_pylist()
@@ -149,7 +149,7 @@ def test_results_that_have_no_column_are_kept_as_json(tmp_path):
 
 def test_a_part_that_a_task_writes_twice_is_there_once(tmp_path):
     """A task elsewhere needs no lock, and knows by the hash whose dataset it is."""
-    with StudyDataset.create(tmp_path, identity(15)) as dataset:
+    with StudyDataset.open_or_create(tmp_path, identity(15)) as dataset:
         for _ in range(2):
             task = StudyDataset.open(tmp_path, sha256=dataset.sha256)
             task.write_part(10, [(member(number), outcome(number)) for number in range(14, 9, -1)])
@@ -164,7 +164,7 @@ def test_a_part_that_a_task_writes_twice_is_there_once(tmp_path):
 
 def test_a_part_of_another_study_is_refused(tmp_path):
     """A task that was late writes into what another study has begun."""
-    with StudyDataset.create(tmp_path, identity(5)) as dataset:
+    with StudyDataset.open_or_create(tmp_path, identity(5)) as dataset:
         late = StudyDataset.open(tmp_path)
         add(dataset, range(5))
     with StudyDataset.open_or_create(tmp_path, identity(5, version="2"), new=True) as dataset:
@@ -176,7 +176,7 @@ def test_a_part_of_another_study_is_refused(tmp_path):
 
 def test_chosen_columns_and_members_are_read(tmp_path):
     """And the logs that are kept, which are made after the parts."""
-    with StudyDataset.create(tmp_path, identity(25)) as dataset:
+    with StudyDataset.open_or_create(tmp_path, identity(25)) as dataset:
         add(dataset, range(22))
         (tmp_path / "logs").mkdir()
         for number in (3, 21):
@@ -192,7 +192,7 @@ def test_chosen_columns_and_members_are_read(tmp_path):
 
 def test_another_study_is_refused_by_what_differs(tmp_path):
     """Everything that outcomes depend on; the way out is a new beginning."""
-    with StudyDataset.create(tmp_path, identity(5)) as dataset:
+    with StudyDataset.open_or_create(tmp_path, identity(5)) as dataset:
         add(dataset, range(5))
     (tmp_path / "notes.txt").touch()
     (tmp_path / "parts" / "mine.parquet").touch()
@@ -216,7 +216,7 @@ def test_another_study_is_refused_by_what_differs(tmp_path):
 
 def test_files_that_a_study_is_grown_by_are_no_difference(tmp_path):
     """As another plant among the values of the first key; from then on it belongs to it."""
-    with StudyDataset.create(tmp_path, identity(5)):
+    with StudyDataset.open_or_create(tmp_path, identity(5)):
         pass
     more = DIGESTS | {"FMU other.fmu": "12" * 32}
     with StudyDataset.open_or_create(tmp_path, identity(8, digests=more)) as dataset:
@@ -227,7 +227,7 @@ def test_files_that_a_study_is_grown_by_are_no_difference(tmp_path):
 
 def test_members_that_were_renumbered_are_refused_by_the_first(tmp_path):
     """Bit for bit: a zero of another sign is another value."""
-    with StudyDataset.create(tmp_path, identity(25)) as dataset:
+    with StudyDataset.open_or_create(tmp_path, identity(25)) as dataset:
         add(dataset, [*range(2, 12), 21])
     planned = design(25)
     planned["noise.seed"][21] = 4
@@ -252,7 +252,7 @@ def test_members_that_were_renumbered_are_refused_by_the_first(tmp_path):
 
 def test_two_studies_cannot_write_one_dataset_at_once(tmp_path):
     """The second is refused while the first writes; who reads is not."""
-    with StudyDataset.create(tmp_path, identity(5)) as dataset:
+    with StudyDataset.open_or_create(tmp_path, identity(5)) as dataset:
         add(dataset, [0])
         problem = (
             r"another study is writing there \(process \d+ on .*\); wait until it ends, or give"
@@ -266,18 +266,13 @@ def test_two_studies_cannot_write_one_dataset_at_once(tmp_path):
         assert len(dataset) == 1
 
 
-def test_a_dataset_that_is_there_is_not_made_again(tmp_path):
-    """And none is opened where there is none."""
+def test_a_dataset_needs_a_folder_and_to_be_read_its_description(tmp_path):
     with pytest.raises(DatasetError, match=r"there is no study.json; needed the dataset of a"):
         StudyDataset.open(tmp_path)
-    with StudyDataset.create(tmp_path, identity(5)):
-        pass
-    with pytest.raises(DatasetError, match="there is a dataset already; give another folder"):
-        StudyDataset.create(tmp_path, identity(5))
     file = tmp_path / "file"
     file.touch()
     with pytest.raises(DatasetError, match=r"file: .*; needed a folder that can be written"):
-        StudyDataset.create(file, identity(5))
+        StudyDataset.open_or_create(file, identity(5))
 
 
 @pytest.mark.parametrize("name", ["steps", "log", "noise.seed"])
@@ -285,5 +280,7 @@ def test_two_columns_of_one_name_are_refused(tmp_path, name):
     """A metric with the name of a parameter, or of a column that every dataset has."""
     problem = f"metric '{name}': a dataset has another column of that name; needed another name"
     with pytest.raises(DatasetError, match=problem):
-        StudyDataset.create(tmp_path / "x", identity(5, of=(*columns(), metric_column(name))))
+        StudyDataset.open_or_create(
+            tmp_path / "x", identity(5, of=(*columns(), metric_column(name)))
+        )
     assert not (tmp_path / "x").exists()

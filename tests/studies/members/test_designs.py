@@ -13,6 +13,7 @@ from cosim.scenario.running.execution import load
 from cosim.studies.contracts import StudyMember, StudySubject
 from cosim.studies.members.designs import decode_designs, encode_designs
 from cosim.studies.members.runner import open_runner
+from tests.studies.members.common import common_designs
 from tests.studies.members.sinks import Digest
 
 SUBJECT = StudySubject("academic", set={"scenario.stop": 1.0})
@@ -66,18 +67,18 @@ def of_another_machine(text):
 def test_a_machine_takes_the_designs_of_the_one_that_planned_the_study():
     """Those that a member's values do not change; and its metrics follow from them."""
     with open_runner(SUBJECT, sink_of=Digest) as runner:
-        planned = runner.designs()
         members = [
             StudyMember(0),
             StudyMember(1, {"plant.x_a0": [0.5, 2.0]}),
             StudyMember(2, {"observer.L": [3.0, 0.5]}),
         ]
         own = [runner.run(member) for member in members]
+    planned = common_designs(SUBJECT)
     with open_runner(replace(SUBJECT, designs=planned), sink_of=Digest) as runner:
         same = [runner.run(member) for member in members]
     other = of_another_machine(planned)
+    assert common_designs(replace(SUBJECT, designs=other)) == other
     with open_runner(replace(SUBJECT, designs=other), sink_of=Digest) as runner:
-        assert runner.designs() == other
         others = [runner.run(member) for member in members]
         again = [runner.run(member) for member in members]
     assert [o.metrics for o in same] == [o.metrics for o in own]

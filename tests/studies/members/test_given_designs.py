@@ -6,7 +6,7 @@ member which takes others shows that.
 
 import json
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import pytest
 
@@ -24,6 +24,7 @@ from cosim.studies.members.designs import decode_designs, encode_designs
 from cosim.studies.members.inspector import DESIGNS, open_inspector
 from cosim.studies.members.logging_runner import open_logging_runner, unfinished_name
 from cosim.studies.members.runner import open_runner
+from tests.studies.members.common import common_designs
 from tests.studies.members.sinks import Digest
 
 FILTERED = """
@@ -81,12 +82,6 @@ def write(tmp_path):
 def samples(path, number=0):
     """Return the swap of the plant by samples."""
     return {"plant": path.replace("filtered.toml", f"{number}.csv")}
-
-
-def planned(subject):
-    """Return the designs of a study, as it is planned on this machine."""
-    with open_runner(subject) as runner:
-        return runner.designs()
 
 
 def scaled(text, factor=1.0 + 2.0**-30):
@@ -173,7 +168,7 @@ def assert_follows(subject, member):
 def test_given_designs_are_taken(write, name, text):
     """With and without a loop, whose gain is computed of them, and where results are asked for."""
     subject = StudySubject(write(text))
-    subject = replace(subject, designs=scaled(planned(subject)))
+    subject = replace(subject, designs=scaled(common_designs(subject)))
     member = StudyMember(3, MEMBERS[name])
     plain = assert_follows(subject, member)
     with_results = assert_follows(replace(subject, with_results=True), member)
@@ -185,7 +180,7 @@ def test_given_designs_are_taken_by_members_with_swaps_of_their_own(write):
     path = write(FILTERED)
     for swap in ({}, samples(path, 1)):
         subject = StudySubject(path, swap=swap)
-        subject = replace(subject, designs=scaled(planned(subject)))
+        subject = replace(subject, designs=scaled(common_designs(subject)))
         for changes in ({}, {"filter.B": [[0.25]]}, {"scenario.stop": 0.4}):
             outcome = assert_follows(subject, StudyMember(0, changes, samples(path)))
             assert ("filter" in decode_designs(outcome.designs)) == ("filter.B" in changes)
@@ -194,7 +189,7 @@ def test_given_designs_are_taken_by_members_with_swaps_of_their_own(write):
 def test_given_designs_of_what_actions_set_are_taken(write):
     """Their designs are made of values in the table of the action, not of the component."""
     subject = StudySubject(write(FILTERED + SET))
-    subject = replace(subject, designs=scaled(planned(subject)))
+    subject = replace(subject, designs=scaled(common_designs(subject)))
     assert "200000000 plant" in decode_designs(subject.designs)
     assert assert_follows(subject, StudyMember(0)).designs == ""
     member = StudyMember(1, {"actions.0.set": {"plant.time_constant": 0.5}})
@@ -215,7 +210,7 @@ def logged(subject, member, folder):
 def test_given_designs_are_taken_where_a_member_runs_for_its_log(write, tmp_path, name):
     """And its own ones where it had others before: on another machine, then."""
     subject = StudySubject(write(FILTERED + SET), metrics=METRICS)
-    subject = replace(subject, designs=scaled(planned(subject)))
+    subject = replace(subject, designs=scaled(common_designs(subject)))
     member = StudyMember(3, MEMBERS[name])
     with open_runner(subject) as runner:
         outcome = runner.run(member)
@@ -270,7 +265,7 @@ def test_outcomes_do_not_depend_on_how_many_builds_are_kept(write, monkeypatch):
             texts = []
             for number in range(8):
                 assert outcomes[number].status == "complete", outcomes[number].reason
-                texts.append(replace(outcomes[number], wall_time=0.0).to_dict())
+                texts.append(asdict(replace(outcomes[number], wall_time=0.0)))
             found.add(json.dumps(texts))
             assert most < 4 or len(builds) == 5  # one without swaps, four with
     assert len(found) == 1

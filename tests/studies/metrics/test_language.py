@@ -128,4 +128,4 @@ def test_the_document_shows_every_reduction_as_it_is_written():
     functions = ("sqrt(", "min(a, b)", "max(a, b)")
     parse_metrics({t: t.replace("C", "t > 1") for t in others if not t.startswith(functions)})
     example = tomllib.loads(text.partition("```toml")[2].partition("```")[0])
-    assert len(parse_metrics(example["metrics"])) == 4
+    assert len(parse_metrics(example["metrics"]).names) == 4

@@ -66,7 +66,7 @@ def run(tmp_path):
 def test_members_are_chosen_by_the_columns_of_all_parts(tmp_path, keep, expected):
     """Three parts, the last one in the journal; a member without a value is none of the worst."""
     kept = read_keep(keep if isinstance(keep, str) else tuple(keep))
-    with StudyDataset.create(tmp_path, identity(30)) as dataset:
+    with StudyDataset.open_or_create(tmp_path, identity(30)) as dataset:
         add(dataset, range(25))
         assert chosen_members(kept, dataset).tolist() == list(expected)
 

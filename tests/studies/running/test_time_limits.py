@@ -10,7 +10,7 @@ from tests.studies.dataset.outcomes import add, identity, member, outcome
 
 def test_members_that_failed_have_their_time_and_the_others_much_more(tmp_path):
     """One that hangs again does not wait for an hour, and no log is cut short."""
-    with StudyDataset.create(tmp_path, identity(30)) as dataset:
+    with StudyDataset.open_or_create(tmp_path, identity(30)) as dataset:
         add(dataset, range(20))
         assert limit_again(dataset, None) == limit_again(dataset, 5.0) == 60.0
         assert limit_again(dataset, 100.0) == 100.0
@@ -27,7 +27,7 @@ def test_members_that_failed_have_their_time_and_the_others_much_more(tmp_path):
 
 def test_members_that_hung_have_their_time_and_do_not_lengthen_that_of_others(tmp_path):
     """They are waited for as long as before, not ten times."""
-    with StudyDataset.create(tmp_path, identity(3)) as dataset:
+    with StudyDataset.open_or_create(tmp_path, identity(3)) as dataset:
         dataset.add(member(0), outcome(0, wall_time=1.0))
         hung = replace(outcome(1), status="failed", reason="hangs: ...", wall_time=400.0)
         dataset.add(member(1), hung)

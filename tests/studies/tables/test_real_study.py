@@ -58,7 +58,7 @@ def ishigami(tmp_path_factory):
     columns.append(metric_column("made", "last(made.y)"))
     identity = StudyIdentity(study.name, STUDY, {}, tuple(columns), len(design))
     with (
-        StudyDataset.create(folder / "data", identity) as dataset,
+        StudyDataset.open_or_create(folder / "data", identity) as dataset,
         open_runner(study.subject) as runner,
     ):
         for member in design.members():
