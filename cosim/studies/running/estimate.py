@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from cosim.errors import UsageError
 from cosim.studies.contracts import FAILED, MemberOutcome, MetricValue
-from cosim.studies.dataset.columns import all_columns
+from cosim.studies.dataset.columns import RowMaker, all_columns
 from cosim.studies.running.keeping import LOGGING_RUNNER
 from cosim.studies.running.kept_members import kept_count
 from cosim.studies.running.plan import RUNNER, StudyPlan
@@ -99,14 +99,19 @@ def _timed(plan: StudyPlan) -> list[MemberOutcome]:
 
 
 def _row_bytes(plan: StudyPlan, outcome: MemberOutcome) -> int:
-    """Return about how many bytes a row has, before compression."""
-    metrics: Mapping[str, MetricValue] = outcome.metrics if plan.subject.with_results else {}
-    columns = all_columns(plan.identity(metrics).columns)
-    texts = [outcome.reason, outcome.worker, outcome.status, outcome.designs]
-    member = plan.design.member(len(plan.design) - 1)
-    texts += [str(value) for value in (*member.set.values(), *member.swap.values())]
-    # of a text the column has the length
-    return _NUMBER_BYTES * len(columns) + sum(len(text.encode()) for text in texts)
+    """Return how many bytes the row of a member has, before compression."""
+    results: Mapping[str, MetricValue] = outcome.metrics if plan.subject.with_results else {}
+    columns = all_columns(plan.identity(results).columns)
+    row = RowMaker(columns).row(plan.design.member(outcome.number), outcome)
+    return sum(map(_value_bytes, row))
+
+
+def _value_bytes(value: Any) -> int:
+    if isinstance(value, str):
+        return len(value.encode())
+    if isinstance(value, list | tuple):
+        return _NUMBER_BYTES * len(value)
+    return _NUMBER_BYTES
 
 
 def _kept_logs(plan: StudyPlan, number: int, workers: int) -> tuple[int | None, float]:

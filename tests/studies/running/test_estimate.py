@@ -66,3 +66,15 @@ def test_a_member_that_fails_is_no_measure(planned, tmp_path):
     (tmp_path / "x.toml").write_text(SCENARIO + 'v = { kind = "expression", y = "1/(t - 0.5)" }\n')
     with pytest.raises(UsageError, match="each of the first 7 members failed, so that the others"):
         estimate_study(planned(), 1)
+
+
+def test_the_dataset_takes_what_was_said_before_compression(planned, tmp_path):
+    """Texts their length; numbers, and what is empty, 8 bytes."""
+    plan = planned(results=True)
+    estimate = estimate_study(plan, 1)
+    table = cosim.study(plan.study, out=tmp_path / "out", workers=1).table().drop_columns(["log"])
+    total = 0
+    for row in table.to_pylist():
+        for value in row.values():
+            total += len(value.encode()) if isinstance(value, str) else 8
+    assert estimate.dataset_bytes == pytest.approx(total, rel=0.02)
