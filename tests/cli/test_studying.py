@@ -1,5 +1,6 @@
 """The command study: run, show, plot, and what it refuses."""
 
+import inspect
 import json
 import os
 import signal
@@ -9,7 +10,10 @@ import time
 
 import pytest
 
+import cosim
 from cosim.cli import main
+from cosim.cli.studying import run
+from cosim.studies.document.study_file import StudyFile
 
 STUDY = """
 [study]
@@ -167,3 +171,13 @@ def test_a_study_with_failed_members_exits_with_1(call, tmp_path):
     arguments = ["x.toml", "--vary", "scenario.stop=0.2,1.0", "--metric", "y=last(u.y)"]
     call("study", *arguments, code=1)
     assert "2 of 2 members done, 1 failed" in call("study", "show", "logs/x-study")
+
+
+def test_all_options_of_a_study_can_be_given_everywhere():
+    """In a file, to cosim.study and on the command line, under their names."""
+    of_file = set(inspect.signature(StudyFile.with_options).parameters) - {"self"}
+    of_function = set(inspect.signature(cosim.study).parameters)
+    of_command = set(inspect.signature(run).parameters)
+    assert of_file < of_function
+    renamed = {"metrics": "metric", "set": "changes", "swap": "swaps", "map": "maps"}
+    assert {renamed.get(name, name) for name in of_file} < of_command

@@ -156,15 +156,18 @@ def indices_of(values: Matrix, weights: Matrix) -> tuple[Matrix, Matrix]:
     weights : Matrix, shape (r, n)
         How often each base point counts, r times; each row sums to n.
     """
-    centered = values - values[:2].mean()
-    of_a, of_b, of_ab = centered[0], centered[1], centered[2:]
     count = values.shape[1]
+    centered = values - values[:2].mean()
+    of_a = centered[0]
+    of_b = centered[1]
+    differences = centered[2:] - of_a
     mean = weights @ (of_a + of_b) / (2.0 * count)
     variance = weights @ (of_a**2 + of_b**2) / (2.0 * count) - mean**2
-    first = weights @ (of_b * (of_ab - of_a)).T / count
-    total = 0.5 * (weights @ ((of_ab - of_a) ** 2).T) / count
+    column = variance[:, np.newaxis]
+    of_one = weights @ (of_b * differences).T / count
+    with_others = weights @ (differences**2).T / (2.0 * count)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return first / variance[:, np.newaxis], total / variance[:, np.newaxis]
+        return of_one / column, with_others / column
 
 
 def bootstrap(values: Matrix, *, resamples: int = RESAMPLES) -> tuple[Matrix, Matrix]:

@@ -98,5 +98,7 @@ def _values(
     """Return the objective of a member, and what was varied."""
     columns = results.columns
     (row,) = columns.rows_of(np.array([number]))
-    values = {key: column[row : row + 1].tolist()[0] for key, column in columns.parameters.items()}
+    values = {}
+    for key, column in columns.parameters.items():
+        values[key] = column[row : row + 1].tolist()[0]
     return float(columns.numeric(search.metric)[row]), values

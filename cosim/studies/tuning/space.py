@@ -47,7 +47,7 @@ class BoundedKey:
         if coordinate >= 1.0:
             return self.upper
         if self.logarithmic:
-            low, high = math.log(self.lower), math.log(self.upper)
+            low, high = self._logarithms
             value = math.exp(low + coordinate * (high - low))
         else:  # without the difference of the bounds, which may overflow
             value = (1.0 - coordinate) * self.lower + coordinate * self.upper
@@ -56,15 +56,23 @@ class BoundedKey:
     def coordinate(self, value: float) -> float:
         """Return the coordinate of a value between the bounds."""
         if self.logarithmic:
-            low, high = math.log(self.lower), math.log(self.upper)
+            low, high = self._logarithms
             return (math.log(value) - low) / (high - low)
-        return (value / 2 - self.lower / 2) / (self.upper / 2 - self.lower / 2)
+        half_lower = 0.5 * self.lower  # the difference of the bounds may overflow
+        half_width = 0.5 * self.upper - half_lower
+        return (0.5 * value - half_lower) / half_width
 
     def slope(self, value: float) -> float:
         """Return the derivative of the value with respect to its coordinate."""
         if self.logarithmic:
-            return value * (math.log(self.upper) - math.log(self.lower))
+            low, high = self._logarithms
+            return value * (high - low)
         return self.upper - self.lower
+
+    @property
+    def _logarithms(self) -> tuple[float, float]:
+        """Those of the bounds."""
+        return math.log(self.lower), math.log(self.upper)
 
 
 @dataclass(frozen=True, slots=True)
