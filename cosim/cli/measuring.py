@@ -8,7 +8,7 @@ from typing import Annotated, Final
 import typer
 
 from cosim.cli.options import JsonOption, LogArgument, print_notice
-from cosim.errors import UsageError
+from cosim.errors import CosimError, UsageError
 
 # NAME=EXPRESSION; an expression may have == and >= in it
 _NAMED: Final = re.compile(r"\s*([^()<>=!'\",]*[^()<>=!'\",\s])\s*=(?!=)(.*)", re.DOTALL)
@@ -40,7 +40,7 @@ def metrics(
     from cosim.studies.metrics.metrics import parse_metrics
     from cosim.studies.metrics.recorded import missing_rows
 
-    texts = {} if study is None else _metrics_of(study)
+    texts = {} if study is None else _metrics_of(study, str(log))
     for text in expressions or []:
         named = _NAMED.fullmatch(text)
         name, expression = (text, text) if named is None else named.groups()
@@ -65,12 +65,19 @@ def metrics(
     print_section("", shown)
 
 
-def _metrics_of(place: str) -> dict[str, str]:
-    """Return the metrics of a study by its dataset."""
+def _metrics_of(place: str, log: str) -> dict[str, str]:
+    """Return the metrics of a study by its dataset; notice a log that is none of its scenario."""
     from cosim.studies.dataset.study import open_study
+    from cosim.studies.design.recorded_base import check_is_of_scenario
+    from cosim.studies.document.scenario_of_study import load_scenario
     from cosim.studies.running.recorded_study import RecordedStudy
 
-    texts = dict(RecordedStudy.read(open_study(place).text).study.metrics)
+    study = RecordedStudy.read(open_study(place).text).study
+    texts = dict(study.metrics)
+    try:
+        check_is_of_scenario(log, load_scenario(study.scenario))
+    except CosimError as error:
+        print_notice(f"these may be no metrics of a member of {place}: {error}")
     if not texts:
         raise UsageError(
             f"--of {place}: this study has no metrics; its columns are what the result of a run "

@@ -134,6 +134,10 @@ def tune(
     from cosim.studies.tuning.tuning import tune as run_tuning
 
     check_out(out)
+    if quiet and out is None and not as_json:
+        raise UsageError(
+            "found --quiet without --out: nothing would be shown or kept; needed --out, or --json"
+        )
     with prints_to_stderr(), show_members(quiet or as_json) as progress:
         try:
             result = run_tuning(

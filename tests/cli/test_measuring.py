@@ -128,3 +128,12 @@ def test_what_is_no_log_is_refused(call, tmp_path):
     cosim.study("academic", set={"scenario.stop": 0.01}, out="x", workers=1)
     call("run", "academic", "--stop", "0.01", "--out", "a.mcap", "-q")
     assert "this study has no metrics" in call("metrics", "a.mcap", "--of", "x", code=2)
+
+
+def test_a_log_of_another_scenario_than_the_study_is_noticed(call, tmp_path):
+    folder = tmp_path / "study"
+    cosim.study(**plain(folder), out=folder, workers=1)
+    for scenario, is_noticed in (("academic-noisy", False), ("academic", True)):
+        cosim.run(scenario, set={"scenario.stop": 0.5}, out=tmp_path / f"{scenario}.mcap")
+        text = call("metrics", f"{scenario}.mcap", "--of", "study")
+        assert ("these may be no metrics of a member of study: " in text) == is_noticed

@@ -111,6 +111,10 @@ def test_a_tuning_that_is_interrupted_says_how_to_go_on(lag, tmp_path, capsys, m
             "--scheduler: the method 'cobyqa' tries one member after the other, so that a cluster "
             "would not be faster; needed --method global or optuna, or no scheduler",
         ),
+        (
+            [OBJECTIVE, VARY, "--quiet"],
+            "found --quiet without --out: nothing would be shown or kept",
+        ),
         ([OBJECTIVE, VARY, "--workers=0"], "--workers: found 0, needed 1 or more"),
         ([OBJECTIVE, VARY, "--replay=none.mcap"], "--replay: no file matches "),
         ([OBJECTIVE, VARY, "--members=0"], "--members: found 0, needed 1 or more"),

@@ -32,6 +32,7 @@ from cosim.studies.analysis.independence import StudyLayout
 from cosim.studies.analysis.interval_quantiles import TAIL
 
 RESAMPLES: Final = 1000  # of the bootstrap
+_SUM_TOLERANCE: Final = 0.1  # of sums of indices: those of additive functions are 1
 _SEED: Final = 0  # of the bootstrap: the same study has the same intervals
 _LEAST: Final = 8  # base points: of fewer the indices are chance
 _LEAST_FOR_INTERVALS: Final = 64  # base points: of fewer as few as 70 % of the intervals hold
@@ -68,6 +69,20 @@ class SobolIndices:
     base_points: int
     omitted: NumberColumn
 
+    @property
+    def remark(self) -> str:
+        """What shows that the base points are too few; empty: nothing does.
+
+        Of independent parameters total orders sum to 1 at least, first orders to 1 at most.
+        """
+        total = float(self.total_order.sum())
+        if total < 1.0 - _SUM_TOLERANCE:
+            return f"too few base points: total orders sum to {total:.2f}, which is below 1"
+        first = float(self.first_order.sum())
+        if first > 1.0 + _SUM_TOLERANCE:
+            return f"too few base points: first orders sum to {first:.2f}, which is above 1"
+        return ""
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
         rows = {}
@@ -82,6 +97,7 @@ class SobolIndices:
             "parameters": rows,
             "base_points": self.base_points,
             "omitted_base_points": self.omitted.tolist(),
+            "remark": self.remark,
         }
 
 

@@ -32,7 +32,7 @@ class ClusterWorkers:
     settings : mapping
         As of :class:`StudyPlugin`.
     notice : callable
-        Takes a sentence for each worker that is not used, and where there is none to use.
+        Takes a sentence for each worker that is not used or has gone, and where there is none.
     admitted : callable
         Called when it is known of a worker whether it is used, in any thread.
 
@@ -99,8 +99,10 @@ class ClusterWorkers:
         """Forget the workers that are not there any more."""
         for address in self._admissions.keys() - present.keys():
             self._admissions.pop(address).cancel()
-        for address in self.threads.keys() - present.keys():
+        for address in sorted(self.threads.keys() - present.keys()):
             del self.threads[address]
+            left = len(self.threads)
+            self._notice(f"worker {address} has gone; {left} {'is' if left == 1 else 'are'} left")
         for address in self._excluded.keys() - present.keys():
             del self._excluded[address]
 

@@ -79,6 +79,14 @@ class LocalStorage:
         except OSError as error:
             raise DatasetError(f"{self.label(folder)}: {error.strerror}") from error
 
+    def sizes(self, folder: str) -> dict[str, int]:
+        """Return how many bytes the files in a folder have, by name."""
+        sizes = {}
+        for name in self.names(folder):
+            with suppress(FileNotFoundError):
+                sizes[name] = (self._folder / folder / name).stat().st_size
+        return sizes
+
     def remove(self, names: Sequence[str], folders: Sequence[str]) -> None:
         """Remove files, and after them the folders that are empty."""
         try:

@@ -15,7 +15,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Final, final
 
@@ -43,17 +43,24 @@ class LogRecord:
         The run with the log came to what is recorded of the member: made again, it is the same.
     problem : str
         Why there is no log; empty: there is one.
+    size : int or None
+        Of the log [bytes]: one of another size was cut or replaced. None: a worker put it there.
     """
 
     member: int
     recording: str
     is_same: bool
     problem: str = ""
+    size: int | None = None
 
 
 def log_name(number: int) -> str:
     """Return the name of the log of a member."""
-    return f"{LOGS}/{number}.mcap"
+    return f"{LOGS}/{_name_in_folder(number)}"
+
+
+def _name_in_folder(number: int) -> str:
+    return f"{number}.mcap"
 
 
 def unfinished_name(number: int) -> str:
@@ -98,6 +105,7 @@ class LogFiles:
         self._storage = storage
         self._journal: DatasetJournal | None = None
         self.records = {record.member: record for record in _records(storage)}
+        self._sizes: dict[int, int] = {}  # of the logs that were put
 
     def close(self) -> None:
         """Write what is not written yet. Twice does no harm."""
@@ -113,6 +121,16 @@ class LogFiles:
         """Return the members that have a log."""
         return set(log_places(self._storage))
 
+    def changed(self) -> set[int]:
+        """Return the members whose log has another size than when it was put there."""
+        sizes = self._storage.sizes(LOGS)
+        changed = set()
+        for number, record in self.records.items():
+            size = sizes.get(_name_in_folder(number))
+            if None not in (size, record.size) and size != record.size:
+                changed.add(number)
+        return changed
+
     def put(self, number: int, log: Path) -> None:
         """Move a log that is whole to its name; nobody ever finds a part of it.
 
@@ -121,16 +139,18 @@ class LogFiles:
         DatasetWriteError
             If it cannot be written.
         """
+        self._sizes[number] = log.stat().st_size
         self._storage.put(log_name(number), log)
 
     def note(self, record: LogRecord) -> None:
-        """Record how a log came to be, or why there is none.
+        """Record how a log came to be, or why there is none; the size of one that was put.
 
         Raises
         ------
         DatasetWriteError
             If it cannot be written.
         """
+        record = replace(record, size=self._sizes.get(record.member))
         if self._journal is None:
             self._journal = self._storage.journal(LOG_RECORDS)
         self._journal.append((json.dumps(asdict(record)) + "\n").encode())

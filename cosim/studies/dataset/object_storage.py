@@ -82,15 +82,19 @@ class ObjectStorage:
 
     def names(self, folder: str) -> list[str]:
         """Return the names of the objects in a folder, in order."""
+        return sorted(self.sizes(folder))
+
+    def sizes(self, folder: str) -> dict[str, int]:
+        """Return how many bytes the objects in a folder have, by name."""
         path = self._path(folder)
         try:
             self._files.invalidate_cache()
-            found: list[str] = self._files.ls(path, detail=False)
+            objects = self._files.ls(path, detail=True)
         except FileNotFoundError:
-            return []
+            return {}
         except Exception as error:  # each kind of storage has errors of its own
             raise self._error(folder, error) from error
-        return sorted(name.rstrip("/").rpartition("/")[2] for name in found)
+        return {entry["name"].rstrip("/").rpartition("/")[2]: entry["size"] for entry in objects}
 
     def remove(self, names: Sequence[str], folders: Sequence[str]) -> None:
         """Remove objects; there are no folders."""

@@ -82,6 +82,10 @@ class Storage(Protocol):
         """Return the names of the files in a folder; none where there is no such folder."""
         ...
 
+    def sizes(self, folder: str) -> dict[str, int]:
+        """Return how many bytes the files in a folder have, by name."""
+        ...
+
     def remove(self, names: Sequence[str], folders: Sequence[str]) -> None:
         """Remove files, and after them the folders that are empty."""
         ...

@@ -53,8 +53,9 @@ def read_cases(path: Path) -> dict[str, ColumnValues]:
     for name, values in zip(names, columns, strict=True):
         key = _key(name)
         if not key or key in found:
-            problem = "two columns" if key else "a column without a name, beside"
-            raise UsageError(f"file {file} has {problem} {name!r}; needed a key for each column")
+            problem = f"two columns {name!r}" if key else "a column without a name"
+            hint = "" if key else " (of pandas: to_csv(..., index=False))"
+            raise UsageError(f"file {file} has {problem}; needed a key for each column{hint}")
         found[key] = _paths(key, values, path.parent, file)
     return found
 
@@ -75,8 +76,8 @@ def _paths(key: str, values: ColumnValues, folder: Path, file: str) -> ColumnVal
     for value in values if isinstance(values, list) else values.tolist():
         if value is not None and not isinstance(value, str):
             raise UsageError(
-                f"file {file}, column {key!r}: found {quoted(value)}; needed a path, or a key with "
-                "a dot for a parameter"
+                f"file {file}, column {key.removeprefix(SWAP)!r}: found {quoted(value)}; needed a "
+                "path, or a key with a dot for a parameter"
             )
         absolute.append(None if value is None else os.path.normpath(folder / value))
     return absolute

@@ -9,7 +9,6 @@ from cosim.scenario.parsing import Scenario
 from cosim.scenario.running.replay import Replays, replays_of
 from cosim.studies.contracts import StudyMember
 from cosim.studies.design.recorded_base import check_is_of_scenario
-from cosim.studies.document.scenario_of_study import is_log
 from cosim.studies.document.study_file import StudyFile
 
 
@@ -58,7 +57,7 @@ class RecordingCheck:
             return None
         is_of_other_tool = is_foreign(Path(path))
         if self._path != path:
-            if not (is_of_other_tool or is_log(self._study.scenario)):
+            if not is_of_other_tool:
                 check_is_of_scenario(path, self._scenario)
             self._path = path
             self._replays = None

@@ -94,7 +94,7 @@ def _draw(panel: Any, indices: SobolIndices) -> list[Any]:
     panel.invert_yaxis()
     panel.axvline(0.0, color="0.5", linewidth=1.0)
     panel.set_xlabel(f"share of the variance of {shown_text(indices.metric)}")
-    text = count_text(indices.base_points, "base point")
+    text = indices.remark or count_text(indices.base_points, "base point")
     if len(indices.omitted):
         text += f", {len(indices.omitted)} left out"
     if len(order) < len(indices.parameters):

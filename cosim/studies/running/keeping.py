@@ -134,11 +134,25 @@ class LogKeeper:
 
     def missing(self, chosen: Collection[int]) -> list[int]:
         """Return those of the chosen members whose logs are to be made, and count from there."""
-        present = self._logs.present()
+        present = self._logs.present().difference(self._changed(chosen))
         missing = [number for number in chosen if not self._is_settled(number, present)]
         self._total = len(chosen)
         self._done = len(chosen) - len(missing)
         return missing
+
+    def _changed(self, chosen: Collection[int]) -> set[int]:
+        """Return those of the chosen members whose logs are no longer what was put there.
+
+        A log that is the only one of its kind is left as it is.
+        """
+        changed = self._logs.changed().intersection(chosen)
+        changed = {number for number in changed if self._logs.records[number].is_same}
+        if changed:
+            self._notice(
+                f"the logs of {_members(sorted(changed))} are not as this study wrote them, cut "
+                "short or replaced: they are made again"
+            )
+        return changed
 
     def _is_settled(self, number: int, present: Collection[int]) -> bool:
         record = self._logs.records.get(number)

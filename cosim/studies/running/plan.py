@@ -6,10 +6,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
+import numpy as np
+
 from cosim.digests import digest_of
-from cosim.errors import UsageError, option
+from cosim.errors import UsageError, listing, option
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.recordings.replaying import texts_in
+from cosim.studies.analysis.columns import count_text
 from cosim.studies.analysis.independence import StudyLayout
 from cosim.studies.contracts import MetricValue, StudyMember, StudySubject
 from cosim.studies.dataset.columns import (
@@ -20,6 +23,7 @@ from cosim.studies.dataset.columns import (
 )
 from cosim.studies.dataset.identity import OF_METRICS, StudyIdentity
 from cosim.studies.design.checking import check_design
+from cosim.studies.design.columns import SampleColumn, plain_values
 from cosim.studies.design.planning import plan_design
 from cosim.studies.design.study_design import StudyDesign
 from cosim.studies.document.scenario_of_study import load_scenario
@@ -185,8 +189,28 @@ def plan_members(
         design,
         sources,
         inspection.trial,
-        (*map(str, checked.refused), *inspection.notices, *warnings),
+        (*map(str, checked.refused), *_empty_cells(design), *inspection.notices, *warnings),
     )
+
+
+def _empty_cells(design: StudyDesign) -> list[str]:
+    """Notice the empty cells of a table of cases."""
+    columns = [c.values for c in design.columns.values() if isinstance(c, SampleColumn)]
+    if design.kind != "cases" or all(isinstance(values, np.ndarray) for values in columns):
+        return []
+    rows = list(zip(*map(plain_values, columns), strict=True))
+    count = sum(value is None for row in rows for value in row)
+    if not count:
+        return []
+    empty = [number for number, row in enumerate(rows, 1) if all(value is None for value in row)]
+    text = (
+        f"file {str(design.study.settings.cases)!r}: {count_text(count, 'empty cell')}, where "
+        "members have the scenario's own value"
+    )
+    if empty:
+        are = "is row" if len(empty) == 1 else "are rows"
+        text += f"; all empty {are} {listing(list(map(str, empty)), 5)}"
+    return [text]
 
 
 def _is_edited_later(study: StudyFile) -> bool:

@@ -64,6 +64,8 @@ def _print_indices(indices: SobolIndices, results: StudyResults) -> None:
     basis = "rough, by a bootstrap over them" if has_intervals else "none, of so few"
     points = count_text(indices.base_points, "base point")
     print_line(f"of {points}; 95 % intervals: {basis}")
+    if indices.remark:
+        print_line(indices.remark)
     if len(indices.omitted):
         left_out = count_text(len(indices.omitted), "base point")
         print_line(

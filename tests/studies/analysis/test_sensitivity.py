@@ -1,5 +1,7 @@
 """Sobol indices: against closed forms and scipy."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -233,3 +235,18 @@ def test_the_indices_of_huge_and_tiny_values_are_those_of_others(factor):
     scaled = sobol_indices(columns_of({"y": values * factor}), layout_of(2, 64), "y")
     assert np.array_equal(found.first_order, scaled.first_order)
     assert found.total_intervals == scaled.total_intervals
+
+
+@pytest.mark.parametrize(("function", "dimension", "expected"), CLOSED)
+def test_sums_that_no_function_has_are_remarked(function, dimension, expected):
+    """Never where there are points enough; such sums come of few."""
+    rng = np.random.default_rng(3)
+    values = saltelli(function, dimension, 4096, rng)
+    whole = sobol_indices(columns_of({"y": values.ravel()}), layout_of(dimension, 4096), "y")
+    assert whole.remark == ""
+    first = whole.first_order * (1.2 / max(whole.first_order.sum(), 1e-9))
+    assert "first orders sum to 1.20, which is above 1" in replace(whole, first_order=first).remark
+    total = whole.total_order * (0.63 / whole.total_order.sum())
+    few = replace(whole, total_order=total)
+    assert few.remark == "too few base points: total orders sum to 0.63, which is below 1"
+    assert few.to_dict()["remark"] == few.remark

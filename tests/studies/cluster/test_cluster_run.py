@@ -103,15 +103,19 @@ def test_a_study_goes_on_with_what_is_missing(two_workers, tmp_path):
 
 
 def test_a_worker_killed_in_the_middle_costs_nothing(tmp_path):
-    """Every member is there once, with the content of the local run."""
+    """Every member is there once, with the content of the local run; who has gone is named."""
     design = CountedMembers(300, cost=0.01, marks=str(tmp_path))
+    notices = []
     with cluster(tmp_path / _made(tmp_path, "cluster")) as processes:
         victim = processes.workers[0]
         killer = threading.Thread(target=_kill_after, args=(victim, tmp_path, 60), daemon=True)
         killer.start()
-        found = run(processes.address, design, tmp_path / "a")
+        found = run(processes.address, design, tmp_path / "a", notice=notices.append)
         killer.join(LIMIT)
         assert victim.wait(LIMIT) == -signal.SIGKILL
+    assert [re.sub("tcp://[^ ]*", "X", text) for text in notices] == [
+        "worker X has gone; 1 is left"
+    ]
     assert found.column("member").to_pylist() == list(range(300))
     assert_same(found, local(design, tmp_path / "b"))
 

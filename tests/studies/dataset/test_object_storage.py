@@ -108,7 +108,7 @@ def test_logs_are_put_whole_and_belong_to_the_dataset(place, tmp_path):
     assert files.cat_file(f"{root}/logs/3.mcap") == b"two"
     opened = StudyDataset.open(place)
     assert opened.logs() == {3: f"{place}/logs/3.mcap"}
-    assert opened.log_files().records == {3: LogRecord(3, "signals", is_same=True)}
+    assert opened.log_files().records == {3: LogRecord(3, "signals", is_same=True, size=3)}
     with StudyDataset.open_or_create(place, identity(25), new=True) as dataset:
         assert dataset.log_files().records == dataset.logs() == {}
 

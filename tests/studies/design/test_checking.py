@@ -308,3 +308,14 @@ def test_a_number_that_is_none_is_named_by_its_row(tmp_path):
     path.write_text("u.rate\n1.0\nnan\n")
     with pytest.raises(UsageError, match=r"row 2: u.rate = nan: found nan; needed a finite"):
         check(cases=path)
+
+
+def test_the_logs_of_a_study_of_a_log_are_of_its_scenario(logs):
+    """Whatever was set in their runs."""
+    study = read_study(logs / "a-1.mcap")
+    scenario = load_scenario(study.scenario)
+    same = study.with_options(replay=str(logs / "a-*.mcap"))
+    check_design(plan_design(same, scenario), scenario)
+    other = study.with_options(replay=[str(logs / "a-1.mcap"), str(logs / "b.mcap")])
+    with pytest.raises(UsageError, match=r"b.mcap: found a log of 'closed-loop', and the study is"):
+        check_design(plan_design(other, scenario), scenario)

@@ -2,6 +2,7 @@
 
 from contextlib import closing
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -83,6 +84,19 @@ def test_the_folder_has_the_logs_of_the_members_that_are_kept_now(run, tmp_path)
     assert set(study.logs) == {0, 1}
     assert notices[1].startswith("keep does not name member 1, whose logs stay")
     assert set(run((1.0, 2.0, 3.0, 4.0))[0].logs) == {0, 1}
+
+
+def test_a_log_that_was_cut_short_is_made_again(run):
+    study, _ = run(keep=[0, 1])
+    whole = [Path(study.logs[n]).read_bytes() for n in (0, 1)]
+    Path(study.logs[1]).write_bytes(whole[1][:1000])
+    study, notices = run(keep=[0, 1])
+    assert notices == [
+        "the logs of member 1 are not as this study wrote them, cut short or replaced: they are "
+        "made again"
+    ]
+    assert len(cosim.open_log(study.logs[1])["u.y"]) == len(cosim.open_log(study.logs[0])["u.y"])
+    assert run(keep=[0, 1])[1] == []
 
 
 def test_a_log_that_differs_from_the_recorded_run_is_never_removed(run):

@@ -374,3 +374,21 @@ def test_what_all_replays_have_belongs_to_the_dataset(tmp_path, changed):
     cosim.study("academic", **given)
     with pytest.raises(DatasetError, match="what all members have changed"):
         cosim.study("academic", **{**given, **changed})
+
+
+def test_empty_cells_of_a_table_of_cases_are_noticed(tmp_path):
+    """Each is a value of the scenario's own, and a row of commas a member of the scenario."""
+    (tmp_path / "x.toml").write_text(
+        'scenario = { name = "x", stop = 1.0, step = 0.1 }\n[components]\n'
+        'u = { kind = "sine", amplitude = 1.0, rate = 1.0 }\n'
+    )
+    (tmp_path / "cases.csv").write_text("u.amplitude,u.rate\n1.5,0.5\n,\n2.5,\n")
+    notices = []
+    given = {"metrics": {"y": "max(u.y)"}, "workers": 1, "notice": notices.append}
+    cosim.study(tmp_path / "x.toml", cases=tmp_path / "cases.csv", out=tmp_path / "a", **given)
+    [text] = notices
+    assert "cases.csv': 3 empty cells, where members have the scenario's own value; all" in text
+    assert text.endswith("all empty is row 2")
+    (tmp_path / "cases.csv").write_text("u.amplitude,u.rate\n1.5,0.5\n2.5,1\n")
+    cosim.study(tmp_path / "x.toml", cases=tmp_path / "cases.csv", out=tmp_path / "b", **given)
+    assert len(notices) == 1
