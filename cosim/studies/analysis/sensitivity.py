@@ -75,12 +75,15 @@ class SobolIndices:
 
         Of independent parameters total orders sum to 1 at least, first orders to 1 at most.
         """
+        cause = "too few base points"
+        if len(self.omitted):
+            cause += ", or those that were left out"
         total = float(self.total_order.sum())
         if total < 1.0 - _SUM_TOLERANCE:
-            return f"too few base points: total orders sum to {total:.2f}, which is below 1"
+            return f"{cause}: total orders sum to {total:.2f}, which is below 1"
         first = float(self.first_order.sum())
         if first > 1.0 + _SUM_TOLERANCE:
-            return f"too few base points: first orders sum to {first:.2f}, which is above 1"
+            return f"{cause}: first orders sum to {first:.2f}, which is above 1"
         return ""
 
     def to_dict(self) -> dict[str, Any]:

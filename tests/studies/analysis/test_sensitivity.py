@@ -250,3 +250,5 @@ def test_sums_that_no_function_has_are_remarked(function, dimension, expected):
     few = replace(whole, total_order=total)
     assert few.remark == "too few base points: total orders sum to 0.63, which is below 1"
     assert few.to_dict()["remark"] == few.remark
+    omitted = replace(few, omitted=np.array([3]))
+    assert omitted.remark.startswith("too few base points, or those that were left out: total")
