@@ -156,21 +156,21 @@ class _DesignCheck:
         The keys after it are checked beside one that is taken.
         """
         built = _some(values)
-        taken: list[StudyMember] = []
+        accepted: StudyMember | None = None
         problems: list[str] = []
         for number, value in enumerate(values):
             member = _with_value(self._member, name, value)
             problem = self._check.problem(member, is_built=number in built)
             if not problem:
-                taken.append(member)
+                accepted = accepted or member
                 continue
             if name != RECORDING or not problem.startswith(str(value)):
                 problem = f"{name} = {quoted(value)}: {without_key(problem, name)}"
             problems.append(f"{self._place(name, value)}{problem}")
             if len(problems) == MOST_NAMED:
                 break
-        if problems and taken:
-            self._member = taken[0]
+        if problems and accepted is not None:
+            self._member = accepted
         return problems
 
     def _place(self, name: str, value: Any) -> str:

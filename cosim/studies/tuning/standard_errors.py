@@ -29,7 +29,6 @@ from typing import Any, Final
 import numpy as np
 
 from cosim.arrays import Matrix, Vector
-from cosim.studies.analysis.interval_quantiles import student_quantile
 from cosim.studies.tuning.space import DIGITS, BoundedKey, SearchSpace
 from cosim.studies.tuning.trials import Trials
 
@@ -344,6 +343,8 @@ def _hardly_determined(space: SearchSpace, number: int, correlations: Vector) ->
 
 
 def _result(space: SearchSpace, curvature: _Curvature, samples: int) -> StandardErrors:
+    from cosim.studies.analysis.interval_quantiles import student_quantile
+
     free = samples - len(space.keys)
     variance = curvature.level / free
     scaled = 2.0 * variance * np.linalg.inv(curvature.hessian)
