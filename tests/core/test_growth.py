@@ -192,7 +192,7 @@ def test_the_cost_of_a_signal_does_not_grow(cost):
     """In a component of many signals each is found as fast as in one of few."""
     ratio = np.inf
     for _ in range(ATTEMPTS):
-        base = min(cost(200) for _ in range(2))
+        base = np.mean([cost(200) for _ in range(10)])  # the same work, and as many collections
         ratio = min(ratio, cost(2000) / base)
         if ratio <= LARGEST_RATIO:
             return
