@@ -413,8 +413,8 @@ def plot(
     kind: Annotated[
         str | None,
         typer.Option(
-            help="histogram, distribution, convergence, line, map, scatter or sobol; default: what "
-            "fits the design."
+            help="histogram, distribution, convergence, line, map, scatter, sobol or search; "
+            "default: what fits the design."
         ),
     ] = None,
     metrics: Annotated[
@@ -438,7 +438,15 @@ def plot(
     from cosim.studies.running.recorded_study import RecordedStudy
 
     opened = open_study(place)
-    results = results_of_study(opened, RecordedStudy.read(opened.text).layout)
-    options = PictureOptions(read_size(size), title=title)
-    plot_study(results, out, kind=kind, metrics=metrics or (), keys=keys or (), options=options)
+    recorded = RecordedStudy.read(opened.text)
+    results = results_of_study(opened, recorded.layout)
+    plot_study(
+        results,
+        out,
+        kind=kind,
+        metrics=metrics or (),
+        keys=keys or (),
+        options=PictureOptions(read_size(size), title=title),
+        search=recorded.search,
+    )
     typer.echo(printable(str(out)))

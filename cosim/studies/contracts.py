@@ -68,6 +68,8 @@ class MemberOutcome:
         nothing was.
     worker : str
         Where it ran.
+    details : mapping of name to value
+        What its runner answers besides; it is not recorded.
     """
 
     number: int
@@ -78,6 +80,7 @@ class MemberOutcome:
     wall_time: float = 0.0
     designs: str = ""
     worker: str = ""
+    details: Mapping[str, MetricValue] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -62,7 +62,7 @@ def open_storing_runner(subject: StudySubject) -> TryingRunner:
 class StoringRunner:
     """Runs members, and puts their logs where the dataset is.
 
-    An outcome has, as the metric ``log``, whether its log was put; nothing of that where who
+    The details of an outcome say, as ``log``, whether its log was put; nothing of that where who
     planned the study finds it in a folder.
 
     Parameters
@@ -101,7 +101,7 @@ class StoringRunner:
         log = self._log_of(outcome)
         if log is not None:
             self._storage.put(log_name(member.number), log)
-        return replace(outcome, metrics={**outcome.metrics, LOG: float(log is not None)})
+        return replace(outcome, details={LOG: float(log is not None)})
 
     def _log_of(self, outcome: MemberOutcome) -> Path | None:
         path = self._folder / unfinished_name(outcome.number)

@@ -130,4 +130,5 @@ def plain_outcome(outcome: MemberOutcome) -> tuple[Any, ...]:
         outcome.wall_time,
         outcome.designs,
         outcome.worker,
+        dict(outcome.details),
     )

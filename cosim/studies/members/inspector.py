@@ -30,7 +30,7 @@ def open_inspector(subject: StudySubject) -> MemberInspector:
 
 @final
 class MemberInspector:
-    """Builds members; an outcome says what a member reads, in place of metrics.
+    """Builds members; the details of an outcome say what a member reads.
 
     Parameters
     ----------
@@ -71,10 +71,10 @@ class MemberInspector:
                 self._metrics.check(channels)
                 read = self._sources(experiment)
         except UsageError as error:
-            return MemberOutcome(member.number, COMPLETE, metrics={REFUSED: str(error)})
+            return MemberOutcome(member.number, COMPLETE, details={REFUSED: str(error)})
         read[DESIGNS] = self._designs(member)
         self._builder.sources.check(member)
-        return MemberOutcome(member.number, COMPLETE, metrics=dict(read))
+        return MemberOutcome(member.number, COMPLETE, details=dict(read))
 
     def _designs(self, member: StudyMember) -> str:
         """Return the designs that members have in common: all of them, or those of one log."""

@@ -2,8 +2,8 @@
 
 * ``study_plot``: the kinds of pictures, and which one a study has by default.
 * ``panels``: a panel for each metric. ``scales``: axes, logarithmic where values are spread so.
-* ``distributions``, ``convergence``, ``over_key``, ``heat_map``, ``scatter``, ``sensitivity``:
-  the pictures.
+* ``distributions``, ``convergence``, ``over_key``, ``heat_map``, ``scatter``, ``sensitivity``,
+  ``search_history``: the pictures.
 """
 
 from __future__ import annotations

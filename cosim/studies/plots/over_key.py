@@ -13,12 +13,19 @@ from cosim.report.plots.curves import COLORS, WIDTH, shown_text
 from cosim.report.plots.picture import PictureOptions
 from cosim.studies.analysis.columns import NumberColumn
 from cosim.studies.analysis.results import StudyResults
-from cosim.studies.plots.panels import FAILED_COLOR, FAINT, MetricPanels, placed
+from cosim.studies.plots.panels import (
+    FAILED,
+    FAILED_COLOR,
+    FAINT,
+    MetricPanels,
+    draw_members,
+    mark_failed,
+    placed,
+)
 from cosim.studies.plots.scales import Scale, check_drawable, is_logarithmic
 
 _COLORS: Final = tuple(color for color in COLORS if color != FAILED_COLOR)
 _MOST_POINTS: Final = 3000  # single members that are drawn
-_MOST_MARKS: Final = 300  # of members that failed; more of a panel cannot be told apart
 _MOST_LINES: Final = len(_COLORS)
 _BAR: Final = 12.0  # width [points]
 _MOST_MARKED: Final = 25  # places of a line that have a mark each
@@ -26,9 +33,7 @@ _MOST_PLACES: Final = 100  # values of a key that each have a place; more are pu
 _MOST_BINS: Final = 40  # that they are put together in
 _IN_BIN: Final = 20  # members; fewer than these have fewer bins
 _SIDE_BY_SIDE: Final = 0.7  # of the room of a name, for all lines
-_ABOVE: Final = 1.025  # of the height of a panel: above its frame, where no values are
 _BAND: Final = "5 % to 95 % of the members"
-_FAILED: Final = "members that failed"
 
 
 def plot_over_key(
@@ -70,7 +75,7 @@ def plot_over_key(
                 handles += _draw_bins(panel, x, values, color=color, name=name)
             else:
                 handles += _draw_places(panel, x, values, is_line=is_line, color=color, name=name)
-        handles += _draw_failed(panel, scale, columns.rows_of(column.failed))
+        handles += mark_failed(panel, scale.positions[columns.rows_of(column.failed)])
         scale.apply(panel, "x")
         if is_logarithmic(column.values):
             panel.set_yscale("log")
@@ -102,7 +107,7 @@ def _in_order(handles: Sequence[Any], lines: int) -> list[Any]:
     from matplotlib.patches import Patch
 
     bands = [handle for handle in handles if handle.get_label() == _BAND]
-    marks = [handle for handle in handles if handle.get_label() == _FAILED]
+    marks = [handle for handle in handles if handle.get_label() == FAILED]
     named = [handle for handle in handles if handle not in bands and handle not in marks]
     if bands and lines > 1:
         bands = [Patch(color="0.8", label=_BAND)]
@@ -133,7 +138,7 @@ def _draw_places(
     if is_single:
         return handles
     if len(values) <= _MOST_POINTS:
-        _draw_members(panel, x, values, color)
+        draw_members(panel, x, values, color)
     lower = [float(np.quantile(group, 0.05)) for group in groups]
     upper = [float(np.quantile(group, 0.95)) for group in groups]
     faint = {"color": color, "alpha": FAINT, "label": _BAND}
@@ -160,7 +165,7 @@ def _draw_bins(panel: Any, x: Vector, values: Vector, *, color: str, name: str) 
         panel.stairs(medians, edges, baseline=None, color=color, linewidth=WIDTH, label=label)
     ]
     if len(values) <= _MOST_POINTS:
-        _draw_members(panel, x, values, color)
+        draw_members(panel, x, values, color)
         return handles
     lower = np.full(len(medians), np.nan)
     upper = np.full(len(medians), np.nan)
@@ -178,10 +183,6 @@ def _draw_bins(panel: Any, x: Vector, values: Vector, *, color: str, name: str) 
     return [*handles, band]
 
 
-def _draw_members(panel: Any, x: Vector, values: Vector, color: str) -> None:
-    panel.plot(x, values, ".", color=color, markersize=4.0, alpha=0.5, markeredgewidth=0.0)
-
-
 def _groups(values: Vector, index: NumberColumn) -> list[Vector]:
     """Return the values of each place."""
     order = np.argsort(index, kind="stable")
@@ -193,24 +194,3 @@ def _bin_edges(x: Vector) -> Vector:
     count = min(max(len(x) // _IN_BIN, 1), _MOST_BINS)
     edges: Vector = np.unique(np.quantile(x, np.linspace(0.0, 1.0, count + 1)))
     return edges if len(edges) > 1 else np.concatenate([edges, edges])
-
-
-def _draw_failed(panel: Any, scale: Scale, rows: NumberColumn) -> list[Any]:
-    """Mark above the frame of a panel where members failed: they have no value."""
-    if not len(rows):
-        return []
-    places = np.unique(scale.positions[rows])
-    if len(places) > _MOST_MARKS:
-        places = places[np.linspace(0, len(places) - 1, _MOST_MARKS).astype(np.int64)]
-    marks: list[Any] = panel.plot(
-        places,
-        np.full(len(places), _ABOVE),
-        "x",
-        color=FAILED_COLOR,
-        markersize=5.0,
-        transform=panel.get_xaxis_transform(),
-        clip_on=False,
-        label=_FAILED,
-    )
-    panel.set_title(panel.get_title(), fontsize="small", color="0.3", pad=11.0)
-    return marks

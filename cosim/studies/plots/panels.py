@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from cosim.arrays import Vector
 from cosim.errors import UsageError
 from cosim.report.plots.curves import shown_text
 from cosim.report.plots.picture import LARGEST, Picture, PictureOptions
@@ -18,7 +19,10 @@ from cosim.studies.plots.scales import Scale
 
 MOST_PANELS: Final = 12
 FAILED_COLOR: Final = "#D55E00"
+FAILED: Final = "members that failed"
 FAINT: Final = 0.25  # opacity of a band
+_MOST_MARKS: Final = 300  # of members that failed; more of a panel cannot be told apart
+_ABOVE: Final = 1.025  # of the height of a panel: above its frame, where no values are
 _WIDTH: Final = 11.0  # cm of a panel
 _HEIGHT: Final = 7.5
 
@@ -75,6 +79,33 @@ class MetricPanels:
     def save(self, out: Path, what: str) -> None:
         """Write the picture to a file; its title is that of the study and ``what``."""
         self._picture.save(out, title=shown_text(f"{self._title}: {what}"))
+
+
+def draw_members(panel: Any, x: Vector, values: Vector, color: str, *, label: str = "") -> None:
+    """Draw a dot for each of some members."""
+    style = {"color": color, "markersize": 4.0, "alpha": 0.5, "markeredgewidth": 0.0}
+    panel.plot(x, values, ".", label=label, **style)
+
+
+def mark_failed(panel: Any, places: Vector) -> list[Any]:
+    """Mark above the frame of a panel where members failed: they have no value."""
+    if not len(places):
+        return []
+    places = np.unique(places)
+    if len(places) > _MOST_MARKS:
+        places = places[np.linspace(0, len(places) - 1, _MOST_MARKS).astype(np.int64)]
+    marks: list[Any] = panel.plot(
+        places,
+        np.full(len(places), _ABOVE),
+        "x",
+        color=FAILED_COLOR,
+        markersize=5.0,
+        transform=panel.get_xaxis_transform(),
+        clip_on=False,
+        label=FAILED,
+    )
+    panel.set_title(panel.get_title(), fontsize="small", color="0.3", pad=11.0)
+    return marks
 
 
 def placed(results: StudyResults, keys: Sequence[str]) -> tuple[StudyResults, str]:

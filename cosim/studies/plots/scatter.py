@@ -16,7 +16,7 @@ from cosim.report.plots.picture import PictureOptions
 from cosim.studies.analysis.columns import NumberColumn, count_text
 from cosim.studies.analysis.correlation import LEAST_MEMBERS, spearman
 from cosim.studies.analysis.results import StudyResults
-from cosim.studies.plots.panels import FAILED_COLOR, shown_metrics, sized_picture
+from cosim.studies.plots.panels import FAILED, FAILED_COLOR, shown_metrics, sized_picture
 from cosim.studies.plots.scales import Scale, cell_edges, check_drawable, even_edges, is_logarithmic
 
 _MOST: Final = 7  # rows and columns
@@ -171,7 +171,7 @@ def _edges(scale: Scale, values: Vector) -> Vector:
 
 def _draw_failed(panel: Any, x: _Quantity, y: _Quantity, failed: NumberColumn) -> list[Any]:
     """Mark members that failed, of many some that are spread over the study."""
-    label = "members that failed"
+    label = FAILED
     rows = failed
     if len(failed) > _MOST_MARKS:
         rows = failed[np.linspace(0, len(failed) - 1, _MOST_MARKS).astype(np.int64)]

@@ -18,7 +18,9 @@ from cosim.studies.plots.distributions import plot_distributions, plot_histogram
 from cosim.studies.plots.heat_map import plot_heat_maps
 from cosim.studies.plots.over_key import plot_over_key
 from cosim.studies.plots.scatter import plot_scatter
+from cosim.studies.plots.search_history import plot_search
 from cosim.studies.plots.sensitivity import plot_sobol
+from cosim.studies.running.recorded_study import RecordedSearch
 
 KINDS: Final = {
     "histogram": "how the values of metrics are distributed, with mean and quantiles",
@@ -28,6 +30,7 @@ KINDS: Final = {
     "map": "metrics over two varied keys",
     "scatter": "every parameter and metric over every other one",
     "sobol": "Sobol indices, of a Saltelli design",
+    "search": "the objective of each member of a tuning, and the best one so far",
 }
 _STANDARD = PictureOptions()
 
@@ -40,6 +43,7 @@ def plot_study(
     metrics: Sequence[str] = (),
     keys: Sequence[str] = (),
     options: PictureOptions = _STANDARD,
+    search: RecordedSearch | None = None,
 ) -> None:
     """Draw a picture of a study.
 
@@ -48,8 +52,8 @@ def plot_study(
     results : StudyResults
     out : Path
     kind : str, optional
-        One of ``KINDS``; None: ``line`` or ``map`` of a grid, ``sobol`` of a Saltelli design, else
-        ``histogram``.
+        One of ``KINDS``; None: ``search`` of a tuning, ``line`` or ``map`` of a grid, ``sobol`` of
+        a Saltelli design, else ``histogram``.
     metrics : sequence of str
         Empty: all that have values.
     keys : sequence of str
@@ -57,6 +61,8 @@ def plot_study(
         first ones with several values.
     options : PictureOptions
         Their times have no meaning here.
+    search : RecordedSearch, optional
+        That chose the members.
 
     Raises
     ------
@@ -69,10 +75,8 @@ def plot_study(
     if kind is not None and kind not in KINDS:
         raise UsageError(f"kind of picture: found {kind!r}; {nearest(kind, KINDS)}")
     varied = _varied(results)
-    for key in keys:
-        if key not in results.columns.parameters:
-            raise UsageError(f"the study does not vary {key!r}; {nearest(key, varied)}")
-    chosen = kind or _standard_kind(results, list(keys) or varied)
+    _check_known(keys, results, varied)
+    chosen = kind or ("search" if search else _standard_kind(results, list(keys) or varied))
     shown = list(keys) or varied
     match chosen:
         case "histogram":
@@ -82,15 +86,26 @@ def plot_study(
         case "convergence":
             plot_convergence(drawn, out, metrics, options)
         case "line":
-            _check_keys(chosen, shown, 1)
+            _check_count(chosen, shown, 1)
             plot_over_key(drawn, out, metrics, shown[:2], options)
         case "map":
-            _check_keys(chosen, shown, 2)
+            _check_count(chosen, shown, 2)
             plot_heat_maps(drawn, out, metrics, shown[:2], options)
         case "scatter":
             plot_scatter(drawn, out, metrics, shown, options)
-        case _:
+        case "sobol":
             plot_sobol(results, out, metrics, options)
+        case _:
+            plot_search(results, out, metrics, options, search=_needed(search))
+
+
+def _needed(search: RecordedSearch | None) -> RecordedSearch:
+    if search is None:
+        raise UsageError(
+            "a picture of kind 'search': found a study that was planned, needed one whose members "
+            "a search chose, as those of a tuning"
+        )
+    return search
 
 
 def _varied(results: StudyResults) -> list[str]:
@@ -112,7 +127,13 @@ def _standard_kind(results: StudyResults, keys: Sequence[str]) -> str:
     return "histogram"
 
 
-def _check_keys(kind: str, keys: Sequence[str], count: int) -> None:
+def _check_known(keys: Sequence[str], results: StudyResults, varied: Sequence[str]) -> None:
+    for key in keys:
+        if key not in results.columns.parameters:
+            raise UsageError(f"the study does not vary {key!r}; {nearest(key, varied)}")
+
+
+def _check_count(kind: str, keys: Sequence[str], count: int) -> None:
     if len(keys) < count:
         found = f"{len(keys)} varied key{'' if len(keys) == 1 else 's'}"
         raise UsageError(

@@ -51,11 +51,11 @@ def inspect_members(
     notices = []
     for member in members:
         others = _with_other_draws(design, member)
-        if not others or REFUSED not in outcomes[member.number].metrics:
+        if not others or REFUSED not in outcomes[member.number].details:
             continue
         for outcome in _inspect(study, scenario, others):
-            if REFUSED not in outcome.metrics:
-                reason = outcomes[member.number].metrics[REFUSED]
+            if REFUSED not in outcome.details:
+                reason = outcomes[member.number].details[REFUSED]
                 notices.append(f"{_refusal_of(design, member)}: {reason}")
                 outcomes[member.number] = replace(outcome, number=member.number)
                 trial = others[outcome.number] if member is members[0] else trial

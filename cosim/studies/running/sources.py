@@ -179,9 +179,9 @@ def _answers(
     """
     if outcome.status == FAILED:
         return {}
-    if REFUSED in outcome.metrics:
-        raise UsageError(refused(member, str(outcome.metrics[REFUSED])))
-    return {name: str(digest) for name, digest in outcome.metrics.items()}
+    if REFUSED in outcome.details:
+        raise UsageError(refused(member, str(outcome.details[REFUSED])))
+    return {name: str(digest) for name, digest in outcome.details.items()}
 
 
 def _add(files: dict[str, str], path: str, digest: str) -> None:

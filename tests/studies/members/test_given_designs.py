@@ -282,7 +282,7 @@ def test_given_designs_are_taken_by_replays(write, tmp_path):
     with open_runner(subject) as runner:  # nothing is given
         computed = [runner.run(member) for member in (plain, own)]
     with open_inspector(subject) as inspector:
-        given = inspector.run(plain).metrics[DESIGNS]
+        given = inspector.run(plain).details[DESIGNS]
     assert computed[0].designs == given
     assert list(decode_designs(given)) == ["filter"]
     same = replace(subject, replay_designs=[[log, given]])

@@ -15,6 +15,8 @@ from cosim.studies.analysis.results import results_of_study
 from cosim.studies.plots import KINDS, plot_study
 from cosim.studies.plots.heat_map import cell_means
 from cosim.studies.plots.scales import Scale, cell_edges, even_edges, is_logarithmic, short_names
+from cosim.studies.plots.search_history import best_so_far
+from cosim.studies.running.recorded_study import RecordedSearch
 from tests.studies.tables.made import MadeStudy, tolerances
 from tests.studies.tables.test_tables import saltelli_study
 
@@ -117,6 +119,7 @@ def test_metrics_and_title_can_be_chosen(tmp_path):
             {"keys": ["plant.mas"]},
             r"the study does not vary 'plant.mas'; did you mean 'plant.mass'",
         ),
+        ({"kind": "search"}, r"'search': found a study that was planned, needed one whose members"),
         ({"kind": "sobol"}, r"Sobol indices: found the design 'random', needed 'saltelli'"),
         (
             {"kind": "map", "keys": ["plant.mass"]},
@@ -129,6 +132,36 @@ def test_a_picture_that_cannot_be_drawn_says_why(options, message, tmp_path):
     with pytest.raises(UsageError, match=message):
         plot_study(tolerances()[1], tmp_path / "a.svg", **options)
     assert not (tmp_path / "a.svg").exists()
+
+
+@pytest.mark.parametrize("maximize", [False, True])
+def test_of_a_tuning_the_best_value_so_far_is_drawn(maximize, tmp_path):
+    """From the first member with a value to the last; members that failed are marked."""
+    objective = np.array([np.nan, 3.0, 5.0, 2.0, 2.0, 4.0, np.nan])
+    status = ["complete" if np.isfinite(value) else "failed" for value in objective]
+    columns = {"gain": np.arange(7.0), "objective": objective, "status": status}
+    results = results_of_study(
+        MadeStudy(columns, ("gain",), ("objective",)), StudyLayout("cases", samples=9)
+    )
+    search = RecordedSearch("objective", "rms(a.y)", maximize=maximize, method="cobyqa")
+    plot_study(results, tmp_path / "a.svg", search=search)
+    shown = texts(tmp_path / "a.svg")
+    goal = "maximize" if maximize else "minimize"
+    assert f"tolerances: cobyqa, {goal} rms(a.y)" in shown
+    assert {"member", "objective", "members that failed", "best so far"} <= set(shown)
+    assert f"best: member {2 if maximize else 3}" in shown
+    assert "5 members, 2 failed" in shown
+    with pytest.raises(UsageError, match=r"found the metric 'samples', needed 'objective'"):
+        plot_study(results, tmp_path / "b.svg", search=search, metrics=["samples"])
+    plot_study(results, tmp_path / "b.svg", search=search, kind="histogram")
+    assert "tolerances: histograms" in texts(tmp_path / "b.svg")
+
+
+@pytest.mark.parametrize("maximize", [False, True])
+def test_the_best_so_far_never_gets_worse(maximize):
+    values = np.array([3.0, 5.0, 2.0, 2.0, 7.0])
+    best = [3.0, 5.0, 5.0, 5.0, 7.0] if maximize else [3.0, 3.0, 2.0, 2.0, 2.0]
+    assert best_so_far(values, maximize=maximize).tolist() == best
 
 
 def test_a_study_without_values_has_no_picture(tmp_path):
@@ -206,7 +239,7 @@ def test_cells_hold_their_centers():
 
 def test_every_kind_is_described():
     """For the command line."""
-    assert set(DRAWN) | {"sobol"} == set(KINDS)
+    assert set(DRAWN) | {"sobol", "search"} == set(KINDS)
 
 
 def test_the_scatter_matrix_writes_rank_correlations_beside_its_panels(tmp_path):

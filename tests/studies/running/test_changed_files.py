@@ -38,7 +38,7 @@ def exit_code(arguments):
 
 def test_a_file_that_changes_while_a_study_is_planned_is_named():
     """Nothing has begun that could go on."""
-    outcome = MemberOutcome(0, COMPLETE, metrics={f"{FILE}/u.csv": "ab"})
+    outcome = MemberOutcome(0, COMPLETE, details={f"{FILE}/u.csv": "ab"})
     members = {0: StudyMember(0)}
     text = "^/u.csv has changed while the study was planned; plan it again$"
     with pytest.raises(RunError, match=text):
