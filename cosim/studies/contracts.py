@@ -83,6 +83,9 @@ class MemberOutcome:
     details: Mapping[str, MetricValue] = field(default_factory=dict)
 
 
+MemberResult: TypeAlias = tuple[StudyMember, MemberOutcome]
+
+
 @dataclass(frozen=True, slots=True)
 class StudySubject:
     """What all members of a study have in common.

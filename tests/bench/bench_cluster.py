@@ -120,8 +120,8 @@ def local_times(place, design):
         def run(progress):
             members = design.members()
             with WorkerPool(OPENER, SUBJECT, WORKERS) as pool:
-                for outcome in pool.run(members):
-                    dataset.add(members[outcome.number], outcome)
+                for result in pool.run(members):
+                    dataset.add(*result)
                     progress(len(dataset))
 
         return times_of(dataset, run, len(design))

@@ -79,7 +79,7 @@ def run_loops() -> None:
 def run_workers() -> None:
     """Run all of them in two workers."""
     with WorkerPool(OPENER, SUBJECT, PROCESSES) as pool:
-        outcomes = list(pool.run(members(0, MEMBERS)))
+        outcomes = [outcome for _, outcome in pool.run(members(0, MEMBERS))]
     assert len(outcomes) == MEMBERS
     assert all(outcome.status == "complete" for outcome in outcomes)
 
@@ -146,7 +146,7 @@ def count_losses() -> None:
     bad = {number: BAD[number // 7 % len(BAD)] for number in range(3, 1000, 70)}
     given = [StudyMember(n, set={"does": bad.get(n, "nothing")}) for n in range(1000)]
     with WorkerPool(TRIVIAL, SUBJECT, PROCESSES, timeout=2.0) as pool:
-        outcomes = list(pool.run(given))
+        outcomes = [outcome for _, outcome in pool.run(given)]
     failed = {outcome.number: outcome.reason for outcome in outcomes if outcome.status == FAILED}
     assert sorted(outcome.number for outcome in outcomes) == list(range(1000))
     assert sorted(failed) == sorted(bad)

@@ -30,7 +30,7 @@ from cosim.interrupts import uninterrupted
 from cosim.studies.cluster.connection import check_scheduler, connect, distributed, lost
 from cosim.studies.cluster.file_copies import named_files
 from cosim.studies.cluster.opening import OPENER
-from cosim.studies.cluster.planned_members import OutcomesByNumber, PlannedMembers
+from cosim.studies.cluster.planned_members import OutcomeSink, PlannedMembers
 from cosim.studies.cluster.tasks import MemberTask, RemainingTasks
 from cosim.studies.contracts import MemberOutcome, StudyMember, StudySubject
 from cosim.studies.dataset.storage import open_storage
@@ -128,7 +128,7 @@ def open_cluster_run(
     client: Client,
     subject: StudySubject,
     first: StudyMember,
-    dataset: OutcomesByNumber,
+    dataset: OutcomeSink,
     place: str,
     *,
     files: Mapping[str, str],
@@ -180,7 +180,7 @@ class ClusterRun:
         self,
         client: Client,
         settings: Mapping[str, Any],
-        dataset: OutcomesByNumber,
+        dataset: OutcomeSink,
         *,
         notice: Callable[[str], None],
     ) -> None:

@@ -79,7 +79,7 @@ class MemberExecutor:
 
     def _outcomes(self, pool: WorkerPool, members: Sequence[StudyMember]) -> Outcomes:
         outcomes = []
-        for outcome in pool.run(members):
+        for _, outcome in pool.run(members):
             outcomes.append(outcome)
             if self._is_shut_down.is_set() and len(outcomes) < len(members):
                 raise _shut_down()

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from typing import Protocol
 
-from cosim.studies.contracts import MemberOutcome, StudyMember
+from cosim.studies.contracts import MemberOutcome, MemberResult, StudyMember
 
 
-class OutcomesByNumber(Protocol):
+class OutcomeSink(Protocol):
     """Where outcomes are recorded, such as the dataset of a study."""
 
     @property
@@ -35,7 +35,7 @@ class OutcomesByNumber(Protocol):
         """Record an outcome."""
         ...
 
-    def write_part(self, first: int, outcomes: Sequence[tuple[StudyMember, MemberOutcome]]) -> None:
+    def write_part(self, first: int, results: Iterable[MemberResult]) -> None:
         """Write a whole part."""
         ...
 

@@ -24,7 +24,7 @@ from typing import Any, Self, final
 import numpy as np
 
 from cosim.errors import DatasetError, command, flag
-from cosim.studies.contracts import FAILED, MemberOutcome, StudyMember
+from cosim.studies.contracts import FAILED, MemberOutcome, MemberResult, StudyMember
 from cosim.studies.dataset.columns import MEMBER, RowMaker, StudyColumn, pyarrow
 from cosim.studies.dataset.contents import DatasetContents, recorded_files
 from cosim.studies.dataset.design_check import PlannedColumns, check_part
@@ -261,14 +261,14 @@ class StudyDataset:
         if count == len(part):
             self._write(part)
 
-    def write_part(self, first: int, outcomes: Iterable[tuple[StudyMember, MemberOutcome]]) -> None:
+    def write_part(self, first: int, results: Iterable[MemberResult]) -> None:
         """Write a part of which a task has run all members; done twice it replaces itself.
 
         Parameters
         ----------
         first : int
             Its first member.
-        outcomes : iterable of (StudyMember, MemberOutcome)
+        results : iterable of (StudyMember, MemberOutcome)
             One of each member of the part, in any order.
 
         Raises
@@ -277,7 +277,7 @@ class StudyDataset:
             If it cannot be written.
         """
         part = self._layout.part_of(first)
-        rows = {member.number: self._maker.row(member, outcome) for member, outcome in outcomes}
+        rows = {member.number: self._maker.row(member, outcome) for member, outcome in results}
         assert sorted(rows) == list(part)
         self._contents.files.write(part, [rows[number] for number in part])
         self.note_part(first)

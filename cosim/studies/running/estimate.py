@@ -83,7 +83,7 @@ def _timed(plan: StudyPlan) -> list[MemberOutcome]:
     completed: list[MemberOutcome] = []
     failed: list[MemberOutcome] = []
     with WorkerPool(RUNNER, plan.subject, 1, timeout=plan.study.settings.timeout) as pool:
-        for outcome in pool.run(members):
+        for _, outcome in pool.run(members):
             (failed if outcome.status == FAILED else completed).append(outcome)
             if len(completed) == TIMED:
                 break
@@ -126,6 +126,6 @@ def _kept_logs(plan: StudyPlan, number: int, workers: int) -> tuple[int | None, 
         subject = replace(plan.subject, logs=str(folder))
         # without the timeout of the study: the end of a log may take longer than a run
         with WorkerPool(LOGGING_RUNNER, subject, 1) as pool:
-            (outcome,) = pool.run([plan.design.member(number)])
+            ((_, outcome),) = pool.run([plan.design.member(number)])
         size = sum(path.stat().st_size for path in folder.glob("*.mcap"))
         return count * size, -(-count // workers) * outcome.wall_time

@@ -92,7 +92,8 @@ def _inspect(
             yield from map(inspector.run, members)
         return
     with WorkerPool(INSPECTOR, study.subject, 1, timeout=study.settings.timeout) as pool:
-        yield from pool.run(members)
+        for _, outcome in pool.run(members):
+            yield outcome
 
 
 def _with_other_draws(design: StudyDesign, member: StudyMember) -> list[StudyMember]:

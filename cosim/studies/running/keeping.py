@@ -238,8 +238,8 @@ def _log_here(
         subject = replace(plan.subject, logs=str(folder))
         count = min(workers, len(numbers))
         pool = resources.enter_context(WorkerPool(LOGGING_RUNNER, subject, count, timeout=limit))
-        for outcome in pool.run(_again(plan, dataset, numbers, rows)):
-            keeper.take(outcome, rows.pop(outcome.number), folder)
+        for member, outcome in pool.run(_again(plan, dataset, numbers, rows)):
+            keeper.take(outcome, rows.pop(member.number), folder)
 
 
 def _again(

@@ -45,24 +45,19 @@ def run_locally(
     total = len(plan.design)
     if not left:
         return
-    given: dict[int, StudyMember] = {}
     failed = dataset.failed
     timeout = plan.study.settings.timeout
     with WorkerPool(RUNNER, plan.subject, min(workers, left), timeout=timeout) as pool:
-        for outcome in pool.run(_taken(plan, missing, given)):
-            dataset.add(given.pop(outcome.number), outcome)
+        for member, outcome in pool.run(_members(plan, missing)):
+            dataset.add(member, outcome)
             left -= 1
             failed += outcome.status == FAILED
             if progress is not None:
                 progress(total - left, total, failed)
 
 
-def _taken(
-    plan: StudyPlan, missing: Sequence[range], given: dict[int, StudyMember]
-) -> Iterator[StudyMember]:
-    """Yield missing members as they are taken, and keep them until they have an outcome."""
+def _members(plan: StudyPlan, missing: Sequence[range]) -> Iterator[StudyMember]:
+    """Yield missing members, planned as they are taken."""
     for numbers in missing:
         for begin in range(numbers.start, numbers.stop, _CHUNK):
-            for member in plan.design.members(begin, min(begin + _CHUNK, numbers.stop)):
-                given[member.number] = member
-                yield member
+            yield from plan.design.members(begin, min(begin + _CHUNK, numbers.stop))

@@ -207,7 +207,7 @@ def _example_results(plan: StudyPlan) -> Mapping[str, MetricValue]:
     tried = plan.design.members(0, MOST_TRIED)
     reasons = []
     with WorkerPool(RUNNER, plan.subject, 1, timeout=plan.study.settings.timeout) as pool:
-        for outcome in pool.run(tried):
+        for _, outcome in pool.run(tried):
             if outcome.status == COMPLETE:
                 return outcome.metrics
             reasons.append(f"member {outcome.number}: {outcome.reason}")

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.errors import DatasetError, UsageError, command, option
-from cosim.studies.contracts import MemberOutcome, StudyMember
+from cosim.studies.contracts import MemberResult, StudyMember
 from cosim.studies.dataset.identity import OF_METRICS, differences
 from cosim.studies.dataset.study import Study
 from cosim.studies.dataset.study_dataset import StudyDataset
@@ -126,14 +126,13 @@ def verify_study(
     for row in dataset.read(members=numbers).to_pylist():
         rows[row["member"]] = row
     study = Study(dataset)
-    again = {member.number: member for member in study.members(numbers)}
     names = [column.name for column in dataset.columns if column.role == "metric"]
     found: list[VerifiedDifference] = []
     limit = limit_again(dataset, recorded.study.settings.timeout)
-    outcomes = _outcomes(recorded, list(again.values()), workers, limit)
-    for count, outcome in enumerate(outcomes, 1):
-        now = dataset.row_of(again[outcome.number], outcome)
-        found += _differences(rows[outcome.number], now, [*names, *_COMPARED])
+    results = _results(recorded, study.members(numbers), workers, limit)
+    for count, (member, outcome) in enumerate(results, 1):
+        now = dataset.row_of(member, outcome)
+        found += _differences(rows[member.number], now, [*names, *_COMPARED])
         if progress is not None:
             progress(count, len(numbers), len({item.member for item in found}))
     if found:
@@ -205,10 +204,10 @@ def _check_unchanged(dataset: StudyDataset, recorded: RecordedStudy) -> None:
         )
 
 
-def _outcomes(
+def _results(
     recorded: RecordedStudy, members: Sequence[StudyMember], workers: int, limit: float
-) -> Iterator[MemberOutcome]:
-    """Yield the outcomes of members, each of a process of its own."""
+) -> Iterator[MemberResult]:
+    """Yield members with their outcomes, each of a process of its own."""
     subject = recorded.study.subject
     count = min(workers, len(members))
     with WorkerPool(LONE_RUNNER, subject, count, timeout=limit, members_per_worker=1) as pool:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Final, final
 
 from cosim.errors import UsageError, option
 from cosim.studies.cluster.cluster_run import ClusterRun, open_cluster_run
 from cosim.studies.cluster.connection import connect
-from cosim.studies.contracts import COMPLETE, MemberOutcome, StudyMember
+from cosim.studies.contracts import COMPLETE, MemberOutcome, MemberResult, StudyMember
 from cosim.studies.tuning.members import TakeOutcome
 from cosim.studies.tuning.planning import TuningPlan
 from cosim.temporary import TemporaryFolder
@@ -160,9 +160,9 @@ class TrialBatch:
         self.failed += outcome.status != COMPLETE
         self._take(member, outcome)
 
-    def write_part(self, first: int, outcomes: Sequence[tuple[StudyMember, MemberOutcome]]) -> None:
+    def write_part(self, first: int, results: Iterable[MemberResult]) -> None:
         """Hand on outcomes."""
-        for member, outcome in outcomes:
+        for member, outcome in results:
             self.add(member, outcome)
 
     def note_part(self, first: int) -> None:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, Protocol, TypeAlias, final
 
 from cosim.errors import UsageError, option
-from cosim.studies.contracts import COMPLETE, MemberOutcome, StudyMember
+from cosim.studies.contracts import COMPLETE, MemberOutcome, MemberResult, StudyMember
 from cosim.studies.running.local import MembersDone
 from cosim.studies.tuning.points import point_name
 from cosim.studies.tuning.recorded import TuningDataset
@@ -33,8 +33,8 @@ class RunTrials(Protocol):
 class MemberPool(Protocol):
     """What a worker pool does."""
 
-    def run(self, members: Iterable[StudyMember]) -> Iterator[MemberOutcome]:
-        """Yield outcomes, as they come."""
+    def run(self, members: Iterable[StudyMember]) -> Iterator[MemberResult]:
+        """Yield members with their outcomes, as they come."""
         ...
 
 
@@ -42,9 +42,8 @@ def in_pool(pool: MemberPool) -> RunTrials:
     """Return what runs trials in a pool."""
 
     def run(members: Sequence[StudyMember], take: TakeOutcome) -> None:
-        by_number = {member.number: member for member in members}
-        for outcome in pool.run(members):
-            take(by_number[outcome.number], outcome)
+        for member, outcome in pool.run(members):
+            take(member, outcome)
 
     return run
 

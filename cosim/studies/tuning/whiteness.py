@@ -114,7 +114,7 @@ def residual_check(
         return None
     try:
         with WorkerPool(_OPENER, subject, 1, timeout=timeout) as pool:
-            (outcome,) = pool.run([member])
+            ((_, outcome),) = pool.run([member])
     except RunError:  # such as a file that has changed: the result of the search stays
         return None
     found = {name: value for name, value in outcome.metrics.items() if name in _FIELDS}

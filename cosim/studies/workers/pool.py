@@ -7,7 +7,7 @@
         wait until a worker replies, ends, or exceeds its time
         replace one that is lost: its first member failed, the others go to the next worker
         give members
-        yield the outcomes
+        yield members with their outcomes
 
 A worker runs its members in the order in which it was given them and hands over each outcome before
 it begins the next, so the one that it is lost with is the first of those that it has. Members wait
@@ -36,19 +36,19 @@ from cosim.studies.contracts import (
     FAILED,
     HANGS,
     MemberOutcome,
+    MemberResult,
     StudyMember,
     StudySubject,
 )
 from cosim.studies.workers.member_times import MemberTimes
 from cosim.studies.workers.messages import (
-    WorkerAnswer,
     WorkerOpening,
     WorkerReady,
     WorkerRefusal,
     encode_opening,
 )
 from cosim.studies.workers.remaining_members import RemainingMembers
-from cosim.studies.workers.worker_process import WorkerProcess
+from cosim.studies.workers.worker_process import MemberAnswer, WorkerProcess
 from cosim.temporary import TemporaryFolder
 
 OPENING_LIMIT: Final = 300.0  # [s] to open a runner; models may be compiled
@@ -139,8 +139,8 @@ class WorkerPool:
                 if self._folder is not None:
                     self._folder.remove()
 
-    def run(self, members: Iterable[StudyMember]) -> Iterator[MemberOutcome]:
-        """Yield the outcomes of members, as they come.
+    def run(self, members: Iterable[StudyMember]) -> Iterator[MemberResult]:
+        """Yield members with their outcomes, as they come.
 
         Members are taken as workers need them. Where the iterator is closed before its end, members
         that were begun are lost.
@@ -160,10 +160,10 @@ class WorkerPool:
         try:
             self._give(remaining)
             while not remaining.is_empty or any(worker.queue for worker in self._workers.values()):
-                outcomes = self._wait(remaining)
+                results = self._wait(remaining)
                 if self._refusal is None:
-                    self._give(remaining)  # first, as others take their time with the outcomes
-                yield from outcomes
+                    self._give(remaining)  # first, as others take their time with the results
+                yield from results
                 if self._refusal is not None:
                     raise self._refusal
         finally:
@@ -211,28 +211,28 @@ class WorkerPool:
             self._full.remove(worker.members)
             self._selector.unregister(worker.members)
 
-    def _wait(self, remaining: RemainingMembers) -> list[MemberOutcome]:
-        """Wait until something happens to a worker; return the outcomes that came with it."""
-        outcomes: list[MemberOutcome] = []
+    def _wait(self, remaining: RemainingMembers) -> list[MemberResult]:
+        """Wait until something happens to a worker; return the results that came with it."""
+        results: list[MemberResult] = []
         silent = dict(self._workers)
         for key, _ in self._selector.select(LOOK):
             worker: WorkerProcess = key.data
             silent.pop(worker.replies, None)
             if key.fd == worker.replies:
-                outcomes += self._receive(worker, remaining)
+                results += self._receive(worker, remaining)
             elif worker.replies in self._workers:
                 worker.write_rest()
                 self._watch(worker)
         # The others have nothing to say, though this process may come late to ask them.
         if monotonic() >= self._next_look:
             for worker in silent.values():
-                outcomes += self._look_at(worker, remaining)
+                results += self._look_at(worker, remaining)
             self._next_look = monotonic() + LOOK
-        return outcomes
+        return results
 
-    def _receive(self, worker: WorkerProcess, remaining: RemainingMembers) -> list[MemberOutcome]:
-        """Take the replies of a worker; return outcomes, also of a member that it is lost with."""
-        outcomes: list[MemberOutcome] = []
+    def _receive(self, worker: WorkerProcess, remaining: RemainingMembers) -> list[MemberResult]:
+        """Take the replies of a worker; return results, also of a member that it is lost with."""
+        results: list[MemberResult] = []
         replies, is_open = worker.receive()
         for reply in replies:
             match reply:
@@ -240,19 +240,19 @@ class WorkerPool:
                     self._lost_openings = 0
                 case WorkerRefusal():
                     self._refusal = self._refused(reply)
-                    return outcomes
-                case WorkerAnswer():
-                    outcomes.append(reply.outcome)
+                    return results
+                case MemberAnswer():
+                    results.append((reply.member, reply.outcome))
                     is_complete = reply.outcome.status == COMPLETE
                     self._times.note(reply.seconds, is_complete=is_complete)
         if worker.is_last:
             remaining.give_back(worker.take_back())
         if not is_open:
-            outcomes += self._replace(worker, worker.wait_for_end(), remaining)
-        return outcomes
+            results += self._replace(worker, worker.wait_for_end(), remaining)
+        return results
 
-    def _look_at(self, worker: WorkerProcess, remaining: RemainingMembers) -> list[MemberOutcome]:
-        """Replace a silent worker that hangs or has ended; return the outcome of its member."""
+    def _look_at(self, worker: WorkerProcess, remaining: RemainingMembers) -> list[MemberResult]:
+        """Replace a silent worker that hangs or has ended; return the result of its member."""
         if worker.has_ended():
             return self._replace(worker, worker.wait_for_end(), remaining)
         limit = self._time_limit(worker)
@@ -281,8 +281,8 @@ class WorkerPool:
         remaining: RemainingMembers,
         *,
         hangs: bool = False,
-    ) -> list[MemberOutcome]:
-        """End a worker that is lost, so that another is started; return the outcome of its member.
+    ) -> list[MemberResult]:
+        """End a worker that is lost, so that another is started; return the result of its member.
 
         There is none where it ran no member, or where others may be the cause.
         """
@@ -295,15 +295,15 @@ class WorkerPool:
             return []
         if not members:
             return []
-        remaining.give_back(members[1:])
+        member, *others = members
+        remaining.give_back(others)
         if worker.answered and not hangs:
-            remaining.retry(members[0])
+            remaining.retry(member)
             return []
-        number = members[0].number
         outcome = MemberOutcome(
-            number, FAILED, reason=reason, wall_time=wall_time, worker=worker.name
+            member.number, FAILED, reason=reason, wall_time=wall_time, worker=worker.name
         )
-        return [outcome]
+        return [(member, outcome)]
 
     def _count_opening(self, reason: str) -> None:
         """Refuse to go on where the last ones were lost while they opened their runner."""

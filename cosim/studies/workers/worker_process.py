@@ -10,13 +10,14 @@ from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from time import monotonic
-from typing import Final, final
+from typing import Final, NamedTuple, TypeAlias, final
 
 from cosim.processes import child_environment, describe_exit, kill, with_one_thread
-from cosim.studies.contracts import StudyMember
+from cosim.studies.contracts import MemberOutcome, StudyMember
 from cosim.studies.workers.messages import (
     WorkerAnswer,
     WorkerReady,
+    WorkerRefusal,
     WorkerReply,
     decode_reply,
     encode_member,
@@ -27,6 +28,17 @@ WORKER: Final = "cosim.studies.workers.worker"
 WORKER_VARIABLE: Final = "COSIM_WORKER"
 _CHUNK: Final = 65536  # bytes that are read at once: what a pipe holds
 _ENDING: Final = 1.0  # [s] that a process may take to end once its pipe is closed
+
+
+class MemberAnswer(NamedTuple):
+    """What a worker answered for one of its members, and how long that took [s]."""
+
+    member: StudyMember
+    outcome: MemberOutcome
+    seconds: float
+
+
+ReceivedReply: TypeAlias = WorkerReady | WorkerRefusal | MemberAnswer
 
 
 @final
@@ -95,22 +107,20 @@ class WorkerProcess:
         except BrokenPipeError:  # it has ended; the other pipe will say so
             self._unsent.clear()
 
-    def receive(self) -> tuple[list[WorkerReply], bool]:
+    def receive(self) -> tuple[list[ReceivedReply], bool]:
         """Return the replies that have come, and whether more can come."""
         try:
             chunk = os.read(self.replies, _CHUNK)
         except BlockingIOError:
             return [], True
         *lines, self._received = (self._received + chunk).split(b"\n")
-        replies: list[WorkerReply] = []
+        replies: list[ReceivedReply] = []
         for line in lines:
             try:
-                reply = decode_reply(line)
-                self._note(reply)
+                replies.append(self._taken(decode_reply(line)))
             except ValueError:
                 self._is_garbled = True
                 return replies, False
-            replies.append(reply)
         return replies, bool(chunk)
 
     def let_end(self) -> None:
@@ -149,8 +159,8 @@ class WorkerProcess:
             return "closes the pipe of its worker process"
         return describe_exit(exit_code)
 
-    def _note(self, reply: WorkerReply) -> None:
-        """Follow what it does now.
+    def _taken(self, reply: WorkerReply) -> ReceivedReply:
+        """Follow what it does now; return its reply, with the member that it is about.
 
         Raises
         ------
@@ -159,12 +169,13 @@ class WorkerProcess:
         """
         self.since = monotonic()
         self.is_ready = self.is_ready or isinstance(reply, WorkerReady)
-        if isinstance(reply, WorkerAnswer):
-            if not self.queue or self.queue[0].number != reply.outcome.number:
-                raise ValueError("an answer to nothing")
-            self.queue.popleft()
-            self.answered += 1
-            self.is_last = reply.retires
+        if not isinstance(reply, WorkerAnswer):
+            return reply
+        if not self.queue or self.queue[0].number != reply.outcome.number:
+            raise ValueError("an answer to nothing")
+        self.answered += 1
+        self.is_last = reply.retires
+        return MemberAnswer(self.queue.popleft(), reply.outcome, reply.seconds)
 
     def _write(self, data: bytes) -> None:
         self._unsent += data

@@ -46,8 +46,8 @@ def local(design, place):
         StudyDataset.open_or_create(place, identity(len(design))) as dataset,
         WorkerPool(OPENER, SUBJECT, 1) as pool,
     ):
-        for outcome in pool.run(design.members()):
-            dataset.add(design.members(outcome.number, outcome.number + 1)[0], outcome)
+        for result in pool.run(design.members()):
+            dataset.add(*result)
         return dataset.read()
 
 
@@ -92,8 +92,8 @@ def test_a_study_goes_on_with_what_is_missing(two_workers, tmp_path):
     place = tmp_path / "a"
     with StudyDataset.open_or_create(place, identity(100)) as dataset:
         with WorkerPool(OPENER, SUBJECT, 1) as pool:
-            for outcome in pool.run(design.members(0, 50)):
-                dataset.add(design.members(outcome.number, outcome.number + 1)[0], outcome)
+            for result in pool.run(design.members(0, 50)):
+                dataset.add(*result)
         run_on_cluster(
             two_workers.address, SUBJECT, design, dataset, str(place), files={}, opener=OPENER
         )

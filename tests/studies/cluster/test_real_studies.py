@@ -102,8 +102,8 @@ def test_files_are_sent_and_outcomes_name_those_of_the_planner(workers, tmp_path
         StudyDataset.open_or_create(tmp_path / "b", identity(12)) as dataset,
         WorkerPool(RUNNER, subject, 1) as pool,
     ):
-        for outcome in pool.run(design.members()):
-            dataset.add(design.members()[outcome.number], outcome)
+        for result in pool.run(design.members()):
+            dataset.add(*result)
         needed = dataset.read()
     assert_same(found, needed)
     reasons = found.column("reason").to_pylist()

@@ -67,10 +67,10 @@ def test_a_pool_ends_with_what_its_worker_found(subject, tmp_path):
     members = [*map(StudyMember, range(3)), swapped(tmp_path, 3, "b")]
     (tmp_path / "b.fmu").write_bytes(b"another")
     with WorkerPool(RUNNER, subject, 1, members_per_worker=3) as pool:
-        outcomes = pool.run(members)
-        assert [next(outcomes).number for _ in range(3)] == [0, 1, 2]
+        results = pool.run(members)
+        assert [next(results)[0].number for _ in range(3)] == [0, 1, 2]
         with pytest.raises(ChangedFileError, match=CHANGED.format(r"b\.fmu")):
-            next(outcomes)
+            next(results)
         (tmp_path / "a.fmu").write_bytes(b"another")
         with pytest.raises(ChangedFileError, match=CHANGED.format(r"a\.fmu")):
             next(pool.run(members))

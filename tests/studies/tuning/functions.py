@@ -47,13 +47,13 @@ class CountingPool:
         self.ran = []
 
     def run(self, members):
-        """Yield outcomes, the last of a batch first."""
+        """Yield members with their outcomes, the last of a batch first."""
         for member in reversed(list(members)):
             if len(self.ran) == self.most:
                 raise KeyboardInterrupt
             self.ran.append(member)
             metrics = {"objective": self.function(member.set)}
-            yield MemberOutcome(member.number, COMPLETE, metrics=metrics)
+            yield member, MemberOutcome(member.number, COMPLETE, metrics=metrics)
 
 
 def tried(place, columns, ask, function=lambda point: float(len(repr(point))), *, most=math.inf):

@@ -33,7 +33,7 @@ def test_each_bad_fmu_costs_the_members_that_have_it(tmp_path, capfd):
     subject = StudySubject(str(scenario), metrics={"y": "last(plant.y)"})
     opener = "cosim.studies.members.runner:open_runner"
     with WorkerPool(opener, subject, 2, timeout=2.0) as pool:
-        outcomes = list(pool.run(members))
+        outcomes = [outcome for _, outcome in pool.run(members)]
     failures = {o.number: o.reason for o in outcomes if o.status == FAILED}
     assert sorted(outcome.number for outcome in outcomes) == list(range(20))
     assert failures.keys() == bad.keys()

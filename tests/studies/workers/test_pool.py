@@ -32,9 +32,10 @@ def open_pool(count=2, opener="open_doing", scenario="a.toml", subject=None, **o
 def outcomes_of(members, count=2, **options):
     """Run members; return outcomes by number, each of which comes once."""
     with open_pool(count, **options) as workers:
-        outcomes = list(workers.run(members))
-    by_number = {outcome.number: outcome for outcome in outcomes}
-    assert len(by_number) == len(outcomes)
+        results = list(workers.run(members))
+    by_number = {outcome.number: outcome for _, outcome in results}
+    assert len(by_number) == len(results)
+    assert [member.number for member, _ in results] == list(by_number)
     return by_number
 
 
@@ -97,15 +98,15 @@ def test_a_caller_that_comes_late_takes_no_member_for_one_that_hangs(tmp_path, m
     members = [doing(number) for number in range(300)]
     members += [doing(number, "wait", until=str(tmp_path / str(number))) for number in (300, 301)]
     with open_pool(1, timeout=60.0) as workers:
-        outcomes = workers.run([*members, doing(302)])
-        for outcome in outcomes:
-            if outcome.number == 299:
+        results = workers.run([*members, doing(302)])
+        for member, _ in results:
+            if member.number == 299:
                 break
         (tmp_path / "300").touch()
         wait_for_reply(workers)
         late = 1000.0
         (tmp_path / "301").touch()
-        assert failures({outcome.number: outcome for outcome in outcomes}) == {}
+        assert failures({member.number: outcome for member, outcome in results}) == {}
 
 
 def wait_for_reply(workers):
@@ -223,8 +224,8 @@ def test_no_worker_is_started_for_nothing(tmp_path):
 def test_workers_are_kept_for_more_members():
     """A second call runs in the processes of the first."""
     with open_pool(1) as workers:
-        (first,) = workers.run([doing(0)])
-        (second,) = workers.run([doing(0)])
+        ((_, first),) = workers.run([doing(0)])
+        ((_, second),) = workers.run([doing(0)])
     assert first.worker == second.worker
 
 
@@ -248,7 +249,7 @@ def test_what_members_start_ends_with_their_worker():
     """Also where the worker itself is not lost."""
     members = [doing(number, "starts a process") for number in range(2)]
     with open_pool(1) as workers:
-        pids = {int(outcome.metrics["pid"]) for outcome in workers.run(members)}
+        pids = {int(outcome.metrics["pid"]) for _, outcome in workers.run(members)}
         (pid,) = pids
         assert groups().count(pid) == 3
     limit = time.monotonic() + 60.0
@@ -275,9 +276,9 @@ def test_an_iterator_that_is_closed_ends_what_runs():
     """The pool goes on with other members."""
     with open_pool(2) as workers:
         iterator = workers.run([doing(0), doing(1, "sleep")])
-        assert next(iterator).number == 0
+        assert next(iterator)[0].number == 0
         iterator.close()
-        assert [outcome.number for outcome in workers.run([doing(2)])] == [2]
+        assert [member.number for member, _ in workers.run([doing(2)])] == [2]
 
 
 def test_an_error_of_the_members_reaches_the_caller():
