@@ -88,7 +88,7 @@ class StudyPlan:
         layout = StudyLayout.of(self.design)
         recorded = RecordedStudy(self.study, layout, warnings=self.sources.warnings)
         digests = {
-            "the scenario": digest_of(_base(self.scenario, with_record=self.subject.with_results)),
+            **_scenario_digests(_base(self.scenario, with_record=self.subject.with_results)),
             OF_METRICS: digest_of([dict(self.study.metrics), self.subject.with_results]),
         }
         if _is_edited_later(self.study):
@@ -254,6 +254,17 @@ def _base(scenario: Scenario, *, with_record: bool) -> dict[str, Any]:
     """Return the tables of a scenario that outcomes rest on: results do on what is recorded."""
     others = {STUDY} if with_record else {STUDY, RECORD}
     return {name: table for name, table in scenario.tree.items() if name not in others}
+
+
+def _scenario_digests(tables: Mapping[str, Any]) -> dict[str, str]:
+    """Return the SHA-256 of each key of each table, by its dotted name, and of all these names."""
+    digests = {}
+    for name, table in tables.items():
+        if isinstance(table, Mapping) and table:
+            digests |= {f"{name}.{key}": digest_of(value) for key, value in table.items()}
+        else:
+            digests[name] = digest_of(table)
+    return {"the set of keys of the scenario": digest_of(sorted(digests)), **digests}
 
 
 def _own_edits(subject: StudySubject) -> dict[str, Any]:

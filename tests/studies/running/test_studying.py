@@ -70,7 +70,12 @@ def test_a_study_that_is_done_runs_nothing_again(grid, tmp_path):
     ("changed", "text"),
     [
         ({"metrics": {"error": "rms(plant.y)"}}, "the metrics changed"),
-        ({"set": {"scenario.stop": 0.4}}, "the scenario changed"),
+        ({"set": {"scenario.stop": 0.4}}, "scenario.stop changed"),
+        ({"set": {**SHORT, "observer.L": [3.0, 0.5]}}, "study: components.observer changed;"),
+        (
+            {"set": {**SHORT, "scenario.until": "t > 0.2"}},
+            "the set of keys of the scenario changed; give",
+        ),
         (
             {"vary": {"observer.filter_rate": {"log": [10.0, 1e4], "points": 6}}},
             "member 1 was observer.filter_rate",
