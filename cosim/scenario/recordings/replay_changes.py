@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from cosim.core.port import Port
 from cosim.core.recording import CompleteRecording
-from cosim.errors import UsageError, flag, option
+from cosim.errors import UsageError, command, flag, option
 from cosim.scenario.building.build import parse
 from cosim.scenario.building.experiment import Experiment
 from cosim.scenario.document.document import Document
@@ -187,8 +187,12 @@ def _remedy(spec: Kind) -> str:
         return "choose it, too, as a component to compute"
     if spec.code is not None:
         return f"run the scenario to change it, or allow its code to run with {flag('allow_code')}"
-    again = f", or compute it, too: {flag('rerun')}" if spec.is_rerun else ""
-    return f"run the scenario to change it{again}"
+    if not spec.is_rerun:
+        return "run the scenario to change it"
+    return (
+        f"run the scenario to change it, or compute it, too: {command('replay')} with "
+        f"{flag('rerun')}"
+    )
 
 
 def _changed_tables(before: Mapping[str, Any], after: Mapping[str, Any]) -> set[str]:

@@ -215,7 +215,7 @@ def test_what_drives_a_plant_can_be_changed_in_a_rerun(folder):
     """As in a run: nothing of it is taken from the log."""
     log = run(folder, embed=True)
     changes = {"u.amplitude": 2.0}
-    message = "run the scenario to change it, or compute it, too: rerun=True"
+    message = "run the scenario to change it, or compute it, too: cosim.replay with rerun=True"
     with pytest.raises(UsageError, match=message):
         cosim.replay(log, set=changes)
     again = cosim.replay(log, set=changes, **BOTH)
