@@ -32,8 +32,8 @@ class StudyIdentity:
         The study as it was written, for readers; it may change.
     digests : mapping of str to str
         SHA-256 of everything that outcomes depend on, by a name for messages: ``scenario.stop``,
-        ``components.plant``, ``FMU plant.fmu``, ``table cases.csv``, ``the metrics``. Those of what a study is grown by
-        may come in addition.
+        ``components.plant``, ``FMU plant.fmu``, ``table cases.csv``, ``the metrics``. Those of what
+        a study is grown by may come in addition.
     columns : tuple of StudyColumn
         Its parameters and metrics.
     members : int
