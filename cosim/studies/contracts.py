@@ -69,7 +69,7 @@ class MemberOutcome:
     worker : str
         Where it ran.
     details : mapping of name to value
-        What its runner answers besides; it is not recorded.
+        What its runner says of it besides; that is not recorded.
     """
 
     number: int
@@ -83,7 +83,7 @@ class MemberOutcome:
     details: Mapping[str, MetricValue] = field(default_factory=dict)
 
 
-MemberResult: TypeAlias = tuple[StudyMember, MemberOutcome]
+MemberResult: TypeAlias = tuple[StudyMember, MemberOutcome]  # what was run, and what it came to
 
 
 @dataclass(frozen=True, slots=True)

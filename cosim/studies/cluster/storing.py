@@ -101,7 +101,7 @@ class StoringRunner:
         log = self._log_of(outcome)
         if log is not None:
             self._storage.put(log_name(member.number), log)
-        return replace(outcome, details={LOG: float(log is not None)})
+        return replace(outcome, details={**outcome.details, LOG: log is not None})
 
     def _log_of(self, outcome: MemberOutcome) -> Path | None:
         path = self._folder / unfinished_name(outcome.number)

@@ -116,6 +116,7 @@ class StudyPlugin(WorkerPlugin):  # type: ignore[misc]
         DatasetWriteError
             If it cannot be written.
         """
+        # what was run here has paths of this machine: the part has the members as planned
         by_number = {outcome.number: outcome for outcome in outcomes}
         pairs = [(member, by_number[member.number]) for member in members]
         with self._lock:

@@ -17,8 +17,10 @@ from cosim.version import __version__
 FORMAT: Final = 1
 PART_SIZE: Final = 1000
 DESCRIPTION: Final = "study.json"
+OF_KEY: Final = "key "  # begins what the digest of a key of the scenario is named
 OF_METRICS: Final = "the metrics"  # what the digest of the metrics is named
 _CHECKSUM: Final = "checksum"
+_SHOWN: Final = 8  # differences
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,9 +33,9 @@ class StudyIdentity:
     text : str
         The study as it was written, for readers; it may change.
     digests : mapping of str to str
-        SHA-256 of everything that outcomes depend on, by a name for messages: ``scenario.stop``,
-        ``components.plant``, ``FMU plant.fmu``, ``table cases.csv``, ``the metrics``. Those of what
-        a study is grown by may come in addition.
+        SHA-256 of everything that outcomes depend on, by a name for messages: those of
+        :func:`scenario_digests`, ``FMU plant.fmu``, ``table cases.csv``, ``the metrics``. Those of
+        files that a study is grown by may come in addition.
     columns : tuple of StudyColumn
         Its parameters and metrics.
     members : int
@@ -173,18 +175,54 @@ class DatasetDescription:
         return cls(identity, content["sha256"], layout)
 
 
-def differences(recorded: StudyIdentity, planned: StudyIdentity) -> list[str]:
-    """Return what makes two studies different ones; one that has grown is the same."""
+def scenario_digests(tables: Mapping[str, Any]) -> dict[str, str]:
+    """Return the SHA-256 of the value of each key in the tables of a scenario.
+
+    They are named ``key components.plant``, ``key scenario.stop``; a table without keys, and a
+    list, as a whole.
+    """
+    digests = {}
+    for name, table in tables.items():
+        if not isinstance(table, Mapping) or not table:
+            digests[f"{OF_KEY}{name}"] = digest_of(table)
+            continue
+        for key, value in table.items():
+            digests[f"{OF_KEY}{name}.{key}"] = digest_of(value)
+    return digests
+
+
+def differences(recorded: StudyIdentity, planned: StudyIdentity) -> str:
+    """Return what makes two studies different ones, the first of it; empty: they are one.
+
+    One that has grown is the same.
+    """
     found = []
     if recorded.version != planned.version:
         found.append(f"it was made by cosim {recorded.version}, this is {planned.version}")
-    for name, digest in recorded.digests.items():
-        if name not in planned.digests:
+    found += _other_digests(recorded.digests, planned.digests)
+    found += _other_parameters(_parameters(recorded), _parameters(planned))
+    more = len(found) - _SHOWN
+    if more > 0:
+        found = [*found[:_SHOWN], f"and {more} other differences"]
+    return "; ".join(found)
+
+
+def _other_digests(recorded: Mapping[str, str], planned: Mapping[str, str]) -> list[str]:
+    found = []
+    for name, digest in recorded.items():
+        if name not in planned:
             found.append(f"{name} is no longer part of it")
-        elif planned.digests[name] != digest:
+        elif planned[name] != digest:
             found.append(f"{name} changed")
-    before = _parameters(recorded)
-    after = _parameters(planned)
+    for name in planned:
+        if name.startswith(OF_KEY) and name not in recorded:
+            found.append(f"{name} is new")
+    return found
+
+
+def _other_parameters(before: Mapping[str, str], after: Mapping[str, str]) -> list[str]:
+    """Return which parameters differ, given the types of their columns."""
+    found = []
     for name in sorted(before.keys() - after.keys()):
         found.append(f"{name} is no longer varied")
     for name in sorted(after.keys() - before.keys()):

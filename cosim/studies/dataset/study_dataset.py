@@ -409,7 +409,7 @@ def _grown(
     found = differences(recorded.identity, identity)
     if found:
         raise DatasetError(
-            f"{storage.label()} holds the dataset of another study: {'; '.join(found)}; give "
+            f"{storage.label()} holds the dataset of another study: {found}; give "
             f"another folder, or {flag('new')}, which removes it and begins anew"
         )
     DatasetContents(storage, recorded).check_total(identity.members)

@@ -1,10 +1,10 @@
-"""The objective of each trial of a search, and the best one so far."""
+"""The objective of each member of a search, and the best one so far."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from cosim.arrays import Vector
 from cosim.errors import UsageError, quoted
 from cosim.report.plots.curves import COLORS, WIDTH
 from cosim.report.plots.picture import PictureOptions
+from cosim.studies.analysis.columns import MetricColumn
 from cosim.studies.analysis.results import StudyResults
 from cosim.studies.plots.panels import MetricPanels, draw_members, mark_failed
 from cosim.studies.plots.scales import check_drawable, is_logarithmic
@@ -35,6 +36,7 @@ def plot_search(
     results, out, metrics, options
         As of :func:`plot_study`.
     search : RecordedSearch
+        That chose the members.
 
     Raises
     ------
@@ -45,35 +47,14 @@ def plot_search(
         if name != search.metric:
             raise UsageError(
                 f"a picture of kind 'search': found the metric {quoted(name)}, needed "
-                f"{quoted(search.metric)}, which is what is searched by"
+                f"{quoted(search.metric)}, by which is searched; other kinds show other metrics"
             )
     picture = MetricPanels(results, [search.metric], options)
     (panel,) = picture.panels
     (column,) = picture.columns
     check_drawable(column.name, column.values)
     label = picture.label(panel, column)
-    numbers = column.numbers.astype(np.float64)
-    draw_members(panel, numbers, column.values, "black", label="members")
-    best = best_so_far(column.values, maximize=search.maximize)
-    until = float(results.columns.numbers[-1])  # the last may have failed
-    panel.plot(
-        np.append(numbers, until),
-        np.append(best, best[-1]),
-        drawstyle="steps-post",
-        color=_BEST,
-        linewidth=WIDTH,
-        label="best so far",
-    )
-    first = int(np.flatnonzero(column.values == best[-1])[0])
-    panel.plot(
-        numbers[first],
-        best[first],
-        "o",
-        color=_BEST,
-        markersize=6.0,
-        label=f"best: member {column.numbers[first]}",
-    )
-    mark_failed(panel, column.failed.astype(np.float64))
+    _draw(panel, column, int(results.columns.numbers[-1]), maximize=search.maximize)
     if is_logarithmic(column.values):
         panel.set_yscale("log")
     panel.xaxis.get_major_locator().set_params(integer=True, min_n_ticks=1)
@@ -83,7 +64,30 @@ def plot_search(
     picture.save(out, f"{search.method}, {search.goal}")
 
 
-def best_so_far(values: Vector, *, maximize: bool) -> Vector:
-    """Return the best of the values up to each."""
-    best: Vector = (np.maximum if maximize else np.minimum).accumulate(values)
-    return best
+def best_so_far(column: MetricColumn, last: int, *, maximize: bool) -> tuple[Vector, Vector]:
+    """Return the numbers of members, and the best value up to each.
+
+    From the first that has a value to the last of all, which may have failed.
+    """
+    accumulate = (np.maximum if maximize else np.minimum).accumulate
+    best = accumulate(column.values)
+    return np.append(column.numbers.astype(np.float64), last), np.append(best, best[-1])
+
+
+def _draw(panel: Any, column: MetricColumn, last: int, *, maximize: bool) -> None:
+    """Draw members, those that failed, the best value so far, and whose the best of all is."""
+    numbers, best = best_so_far(column, last, maximize=maximize)
+    draw_members(panel, numbers[:-1], column.values, "black", label="members")
+    panel.plot(
+        numbers,
+        best,
+        drawstyle="steps-post",
+        color=_BEST,
+        linewidth=WIDTH,
+        label="best so far",
+    )
+    row = int(column.values.argmax() if maximize else column.values.argmin())
+    number = int(column.numbers[row])
+    label = f"best: member {number}"
+    panel.plot(number, best[-1], "o", color=_BEST, markersize=6.0, label=label)
+    mark_failed(panel, column.failed.astype(np.float64))

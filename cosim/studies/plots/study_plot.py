@@ -52,13 +52,13 @@ def plot_study(
     results : StudyResults
     out : Path
     kind : str, optional
-        One of ``KINDS``; None: ``search`` of a tuning, ``line`` or ``map`` of a grid, ``sobol`` of
-        a Saltelli design, else ``histogram``.
+        One of ``KINDS``; None: ``search`` of a tuning, unless other metrics or keys are named;
+        ``line`` or ``map`` of a grid, ``sobol`` of a Saltelli design, else ``histogram``.
     metrics : sequence of str
-        Empty: all that have values.
+        Empty: all that have values; ``search`` shows the objective alone.
     keys : sequence of str
-        What is varied: the one or two of ``line`` and ``map``, those of ``scatter``. Empty: the
-        first ones with several values.
+        What is varied: the one or two of ``line`` and ``map``, those of ``scatter``; ``search``
+        has none. Empty: the first ones with several values.
     options : PictureOptions
         Their times have no meaning here.
     search : RecordedSearch, optional
@@ -67,8 +67,8 @@ def plot_study(
     Raises
     ------
     UsageError
-        If there is no matplotlib, the format of ``out`` is unknown, there is no such kind, metric
-        or key, or there is nothing to show.
+        If there is no matplotlib, the format of ``out`` is unknown, there is no such kind, metric,
+        key or search, or there is nothing to show.
     """
     need_plot(out)
     drawn = replace(results, columns=drawn_members(results.columns, results.layout))
@@ -76,7 +76,9 @@ def plot_study(
         raise UsageError(f"kind of picture: found {kind!r}; {nearest(kind, KINDS)}")
     varied = _varied(results)
     _check_known(keys, results, varied)
-    chosen = kind or ("search" if search else _standard_kind(results, list(keys) or varied))
+    if kind is None and search is not None and not keys and set(metrics) <= {search.metric}:
+        kind = "search"
+    chosen = kind or _standard_kind(results, list(keys) or varied)
     shown = list(keys) or varied
     match chosen:
         case "histogram":
@@ -96,14 +98,19 @@ def plot_study(
         case "sobol":
             plot_sobol(results, out, metrics, options)
         case _:
-            plot_search(results, out, metrics, options, search=_needed(search))
+            plot_search(results, out, metrics, options, search=_needed(search, keys))
 
 
-def _needed(search: RecordedSearch | None) -> RecordedSearch:
+def _needed(search: RecordedSearch | None, keys: Sequence[str]) -> RecordedSearch:
     if search is None:
         raise UsageError(
             "a picture of kind 'search': found a study that was planned, needed one whose members "
             "a search chose, as those of a tuning"
+        )
+    if keys:
+        raise UsageError(
+            f"a picture of kind 'search': found the key {keys[0]!r}, needed none; kind 'scatter' "
+            "shows what was varied"
         )
     return search
 

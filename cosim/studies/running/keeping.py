@@ -197,7 +197,7 @@ class LogKeeper:
     def _take_log(self, outcome: MemberOutcome, folder: Path | None) -> tuple[bool, str]:
         """Return whether a log has the end of its run, and why there is none."""
         if LOG in outcome.details:  # the worker has put what there was
-            is_there = bool(outcome.details[LOG])
+            is_there = outcome.details[LOG] is True
             return is_there, "" if is_there else _without_row(outcome)
         if folder is None:
             return False, f"{outcome.reason}, and what it left of a log is lost with its process"

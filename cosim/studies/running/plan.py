@@ -21,7 +21,7 @@ from cosim.studies.dataset.columns import (
     parameter_column,
     result_columns,
 )
-from cosim.studies.dataset.identity import OF_METRICS, StudyIdentity
+from cosim.studies.dataset.identity import OF_METRICS, StudyIdentity, scenario_digests
 from cosim.studies.design.checking import check_design
 from cosim.studies.design.columns import SampleColumn, plain_values
 from cosim.studies.design.planning import plan_design
@@ -88,7 +88,7 @@ class StudyPlan:
         layout = StudyLayout.of(self.design)
         recorded = RecordedStudy(self.study, layout, warnings=self.sources.warnings)
         digests = {
-            **_scenario_digests(_base(self.scenario, with_record=self.subject.with_results)),
+            **scenario_digests(_base(self.scenario, with_record=self.subject.with_results)),
             OF_METRICS: digest_of([dict(self.study.metrics), self.subject.with_results]),
         }
         if _is_edited_later(self.study):
@@ -254,17 +254,6 @@ def _base(scenario: Scenario, *, with_record: bool) -> dict[str, Any]:
     """Return the tables of a scenario that outcomes rest on: results do on what is recorded."""
     others = {STUDY} if with_record else {STUDY, RECORD}
     return {name: table for name, table in scenario.tree.items() if name not in others}
-
-
-def _scenario_digests(tables: Mapping[str, Any]) -> dict[str, str]:
-    """Return the SHA-256 of each key of each table, by its dotted name, and of all these names."""
-    digests = {}
-    for name, table in tables.items():
-        if isinstance(table, Mapping) and table:
-            digests |= {f"{name}.{key}": digest_of(value) for key, value in table.items()}
-        else:
-            digests[name] = digest_of(table)
-    return {"the set of keys of the scenario": digest_of(sorted(digests)), **digests}
 
 
 def _own_edits(subject: StudySubject) -> dict[str, Any]:

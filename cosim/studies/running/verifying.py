@@ -199,7 +199,7 @@ def _check_unchanged(dataset: StudyDataset, recorded: RecordedStudy) -> None:
     found = differences(dataset.identity, planned)
     if found:
         raise DatasetError(
-            f"{dataset.label}: {'; '.join(found)} (by their SHA-256), so that its members cannot "
+            f"{dataset.label}: {found} (by their SHA-256), so that its members cannot "
             "be run again; needed what they were run with"
         )
 

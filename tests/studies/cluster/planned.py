@@ -81,7 +81,7 @@ def identity(members, part_size=20):
     return StudyIdentity(
         name="counted",
         text="",
-        digests={"the scenario": "ab" * 32},
+        digests={"key scenario.stop": "ab" * 32},
         columns=columns,
         members=members,
         part_size=part_size,

@@ -3,6 +3,7 @@
 import hashlib
 import threading
 import zipfile
+from dataclasses import astuple
 
 import pytest
 
@@ -16,6 +17,7 @@ from cosim.studies.cluster import (
 )
 from cosim.studies.cluster.cluster_run import run_on_cluster
 from cosim.studies.cluster.study_plugin import StudyPlugin
+from cosim.studies.contracts import MemberOutcome
 from cosim.studies.dataset.study_dataset import StudyDataset
 from tests.studies.cluster.planned import OPENER, SUBJECT, CountedMembers, identity
 
@@ -63,6 +65,12 @@ def run(client, place, *, count=6, files=None, **options):
             **options,
         )
         return len(dataset)
+
+
+def test_an_outcome_comes_back_with_all_that_it_has():
+    values = (3, "failed", "it is lost", 5, {"y": 1.0}, 0.5, "{}", "a worker", {"log": True})
+    outcome = MemberOutcome(*values)
+    assert values == astuple(outcome) == worker_functions.plain_outcome(outcome)
 
 
 def test_a_worker_that_comes_does_not_hold_up_the_others(client, local, tmp_path, monkeypatch):

@@ -6,7 +6,7 @@ from cosim.studies.contracts import MemberOutcome, StudyMember
 from cosim.studies.dataset.columns import metric_column, parameter_column
 from cosim.studies.dataset.identity import StudyIdentity
 
-DIGESTS = {"the scenario": "ab" * 32, "FMU plant.fmu": "cd" * 32, "the metrics": "ef" * 32}
+DIGESTS = {"key scenario.stop": "ab" * 32, "FMU plant.fmu": "cd" * 32, "the metrics": "ef" * 32}
 
 
 def rates(count):

@@ -1,6 +1,7 @@
 """The dataset of a study: what is added is there, once, in whole parts or in the journal."""
 
 import math
+from dataclasses import replace
 
 import pyarrow
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from cosim.errors import DatasetError
 from cosim.studies.contracts import MemberOutcome, StudyMember
 from cosim.studies.dataset.columns import metric_column, parameter_column, result_columns
+from cosim.studies.dataset.identity import differences, scenario_digests
 from cosim.studies.dataset.study_dataset import StudyDataset
 from tests.studies.dataset.outcomes import (
     DIGESTS,
@@ -190,20 +192,61 @@ def test_chosen_columns_and_members_are_read(tmp_path):
         dataset.read(["noise.sed"])
 
 
+SCENARIO = {
+    "scenario": {"stop": 1.0, "step": 0.1},
+    "components": {"a": {"kind": "lag"}, "b": {"kind": "sine"}},
+    "connections": {"a.u": "b.y"},
+    "actions": [{"at": 1.0}],
+    "record": {},
+}
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({}, ""),
+        ({"components": {"b": {"kind": "sine"}, "a": {"kind": "lag"}}}, ""),
+        ({"scenario": {"stop": 2.0, "step": 0.1}}, "key scenario.stop changed"),
+        ({"scenario": {"stop": 1, "step": 0.1}}, "key scenario.stop changed"),
+        ({"scenario": {"stop": 1.0}}, "key scenario.step is no longer part of it"),
+        ({"scenario": {"stop": 1.0, "step": 0.1, "until": "t > 1"}}, "key scenario.until is new"),
+        ({"connections": {"a": {"u": "b.y"}}}, "key connections.a.u is no longer part of it; "),
+        ({"actions": []}, "key actions changed"),
+        ({"record": {"every": 2}}, "key record is no longer part of it; key record.every is new"),
+        ({"components": {f"c{i}": {} for i in range(20)}}, "; and 14 other differences"),
+    ],
+)
+def test_every_key_of_a_scenario_tells_studies_apart(changes, text):
+    """Whatever their order; those that differ are named, or counted where they are many."""
+    before = identity(5, digests=scenario_digests(SCENARIO))
+    after = identity(5, digests=scenario_digests(SCENARIO | changes))
+    found = differences(before, after)
+    assert text in found
+    assert bool(text) == bool(found) == (before.sha256 != after.sha256)
+
+
+def test_details_of_an_outcome_are_not_recorded(tmp_path):
+    """They are for who asked; all else is a row."""
+    with StudyDataset.open_or_create(tmp_path, identity(5)) as dataset:
+        outcome = MemberOutcome(0, "complete", metrics={"root": 1.0})
+        row = dataset.row_of(member(0), outcome)
+        assert dataset.row_of(member(0), replace(outcome, details={"log": "yes"})) == row
+
+
 def test_another_study_is_refused_by_what_differs(tmp_path):
     """Everything that outcomes depend on; the way out is a new beginning."""
     with StudyDataset.open_or_create(tmp_path, identity(5)) as dataset:
         add(dataset, range(5))
     (tmp_path / "notes.txt").touch()
     (tmp_path / "parts" / "mine.parquet").touch()
-    digests = {"the scenario": "00" * 32, "the metrics": "00" * 32}
+    digests = {"key scenario.stop": "00" * 32, "the metrics": "00" * 32}
     of = (parameter_column("noise.seed", [0.5]), *columns()[2:])
     other = identity(5, digests=digests, version="2.0", of=of)
     with pytest.raises(DatasetError) as caught:
         StudyDataset.open_or_create(tmp_path, other)
     assert str(caught.value) == (
         f"{tmp_path} holds the dataset of another study: it was made by cosim 1.0, this is 2.0; "
-        "the scenario changed; FMU plant.fmu is no longer part of it; the metrics changed; "
+        "key scenario.stop changed; FMU plant.fmu is no longer part of it; the metrics changed; "
         "observer.filter_rate is no longer varied; the values of noise.seed were of type int64, "
         "are double; give another folder, or new=True, which removes it and begins anew"
     )

@@ -134,16 +134,19 @@ def test_a_picture_that_cannot_be_drawn_says_why(options, message, tmp_path):
     assert not (tmp_path / "a.svg").exists()
 
 
-@pytest.mark.parametrize("maximize", [False, True])
-def test_of_a_tuning_the_best_value_so_far_is_drawn(maximize, tmp_path):
-    """From the first member with a value to the last; members that failed are marked."""
+def tuning(maximize=False):
+    """Return a tuning whose first and last members failed, and its search."""
     objective = np.array([np.nan, 3.0, 5.0, 2.0, 2.0, 4.0, np.nan])
     status = ["complete" if np.isfinite(value) else "failed" for value in objective]
-    columns = {"gain": np.arange(7.0), "objective": objective, "status": status}
-    results = results_of_study(
-        MadeStudy(columns, ("gain",), ("objective",)), StudyLayout("cases", samples=9)
-    )
+    columns = {"gain": np.arange(7.0), "objective": objective, "samples": np.full(7, 9.0)}
+    study = MadeStudy(columns | {"status": status}, ("gain",), ("objective", "samples"))
     search = RecordedSearch("objective", "rms(a.y)", maximize=maximize, method="cobyqa")
+    return results_of_study(study, StudyLayout("cases", samples=9)), search
+
+
+@pytest.mark.parametrize("maximize", [False, True])
+def test_the_picture_of_a_tuning_names_goal_best_member_and_failures(maximize, tmp_path):
+    results, search = tuning(maximize)
     plot_study(results, tmp_path / "a.svg", search=search)
     shown = texts(tmp_path / "a.svg")
     goal = "maximize" if maximize else "minimize"
@@ -151,17 +154,28 @@ def test_of_a_tuning_the_best_value_so_far_is_drawn(maximize, tmp_path):
     assert {"member", "objective", "members that failed", "best so far"} <= set(shown)
     assert f"best: member {2 if maximize else 3}" in shown
     assert "5 members, 2 failed" in shown
-    with pytest.raises(UsageError, match=r"found the metric 'samples', needed 'objective'"):
-        plot_study(results, tmp_path / "b.svg", search=search, metrics=["samples"])
-    plot_study(results, tmp_path / "b.svg", search=search, kind="histogram")
-    assert "tolerances: histograms" in texts(tmp_path / "b.svg")
 
 
 @pytest.mark.parametrize("maximize", [False, True])
-def test_the_best_so_far_never_gets_worse(maximize):
-    values = np.array([3.0, 5.0, 2.0, 2.0, 7.0])
-    best = [3.0, 5.0, 5.0, 5.0, 7.0] if maximize else [3.0, 3.0, 2.0, 2.0, 2.0]
-    assert best_so_far(values, maximize=maximize).tolist() == best
+def test_the_best_so_far_begins_at_the_first_value_and_goes_to_the_last_member(maximize):
+    results, _ = tuning()
+    numbers, best = best_so_far(results.columns.metric("objective"), 6, maximize=maximize)
+    assert numbers.tolist() == [1, 2, 3, 4, 5, 6]
+    assert best.tolist() == ([3, 5, 5, 5, 5, 5] if maximize else [3, 3, 2, 2, 2, 2])
+
+
+def test_other_pictures_of_a_tuning_show_other_metrics_and_keys(tmp_path):
+    """They are drawn where these are named; a picture of the search refuses them."""
+    results, search = tuning()
+    for options in ({"kind": "histogram"}, {"metrics": ["samples"]}, {"keys": ["gain"]}):
+        plot_study(results, tmp_path / "a.svg", search=search, **options)
+        assert "tolerances: histograms" in texts(tmp_path / "a.svg")
+    for options, message in [
+        ({"metrics": ["samples"]}, r"found the metric 'samples', needed 'objective'"),
+        ({"keys": ["gain"]}, r"found the key 'gain', needed none"),
+    ]:
+        with pytest.raises(UsageError, match=message):
+            plot_study(results, tmp_path / "b.svg", search=search, kind="search", **options)
 
 
 def test_a_study_without_values_has_no_picture(tmp_path):

@@ -70,11 +70,14 @@ def test_a_study_that_is_done_runs_nothing_again(grid, tmp_path):
     ("changed", "text"),
     [
         ({"metrics": {"error": "rms(plant.y)"}}, "the metrics changed"),
-        ({"set": {"scenario.stop": 0.4}}, "scenario.stop changed"),
-        ({"set": {**SHORT, "observer.L": [3.0, 0.5]}}, "study: components.observer changed;"),
+        ({"set": {"scenario.stop": 0.4}}, "study: key scenario.stop changed; give"),
+        (
+            {"set": {**SHORT, "observer.L": [3.0, 0.5]}},
+            "study: key components.observer changed; give",
+        ),
         (
             {"set": {**SHORT, "scenario.until": "t > 0.2"}},
-            "the set of keys of the scenario changed; give",
+            "study: key scenario.until is new; give",
         ),
         (
             {"vary": {"observer.filter_rate": {"log": [10.0, 1e4], "points": 6}}},

@@ -217,7 +217,10 @@ def test_another_search_does_not_go_on_in_a_dataset(lag, tmp_path):
             "the search (its keys, bounds, method, starts and seed)",
         ),
         (lag_task(lag, "last(plant.y)", members=3), "the objective changed"),
-        (replace(lag_task(lag, members=3), set={"scenario.stop": 1.0}), "scenario.stop changed"),
+        (
+            replace(lag_task(lag, members=3), set={"scenario.stop": 1.0}),
+            "key scenario.stop changed",
+        ),
     ]:
         with pytest.raises(CosimError) as caught:
             tune_task(other, out=tmp_path / "d", workers=1)
