@@ -175,13 +175,14 @@ class _DesignCheck:
 
     def _place(self, name: str, value: Any) -> str:
         """Return where a value stands in the table of cases, before a message; empty: nowhere."""
+        cases = self._design.study.settings.cases
         column = self._design.columns[name]
-        if self._design.kind != "cases" or not isinstance(column, SampleColumn):
+        if cases is None or not isinstance(column, SampleColumn):
             return ""
         row = next(
             row for row, other in enumerate(plain_values(column.values), 1) if _same(other, value)
         )
-        return f"file {str(self._design.study.settings.cases)!r}, row {row}: "
+        return f"file {str(cases)!r}, row {row}: "
 
 
 def _same(one: Any, other: Any) -> bool:

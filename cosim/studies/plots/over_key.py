@@ -18,7 +18,6 @@ from cosim.studies.plots.panels import (
     FAILED_COLOR,
     FAINT,
     MetricPanels,
-    draw_members,
     mark_failed,
     placed,
 )
@@ -138,7 +137,7 @@ def _draw_places(
     if is_single:
         return handles
     if len(values) <= _MOST_POINTS:
-        draw_members(panel, x, values, color)
+        _draw_members(panel, x, values, color)
     lower = [float(np.quantile(group, 0.05)) for group in groups]
     upper = [float(np.quantile(group, 0.95)) for group in groups]
     faint = {"color": color, "alpha": FAINT, "label": _BAND}
@@ -165,7 +164,7 @@ def _draw_bins(panel: Any, x: Vector, values: Vector, *, color: str, name: str) 
         panel.stairs(medians, edges, baseline=None, color=color, linewidth=WIDTH, label=label)
     ]
     if len(values) <= _MOST_POINTS:
-        draw_members(panel, x, values, color)
+        _draw_members(panel, x, values, color)
         return handles
     lower = np.full(len(medians), np.nan)
     upper = np.full(len(medians), np.nan)
@@ -181,6 +180,10 @@ def _draw_bins(panel: Any, x: Vector, values: Vector, *, color: str, name: str) 
         label=_BAND,
     )
     return [*handles, band]
+
+
+def _draw_members(panel: Any, x: Vector, values: Vector, color: str) -> None:
+    panel.plot(x, values, ".", color=color, markersize=4.0, alpha=0.5, markeredgewidth=0.0)
 
 
 def _groups(values: Vector, index: NumberColumn) -> list[Vector]:

@@ -81,13 +81,7 @@ class MetricPanels:
         self._picture.save(out, title=shown_text(f"{self._title}: {what}"))
 
 
-def draw_members(panel: Any, x: Vector, values: Vector, color: str, *, label: str = "") -> None:
-    """Draw a dot for each of some members."""
-    style = {"color": color, "markersize": 4.0, "alpha": 0.5, "markeredgewidth": 0.0}
-    panel.plot(x, values, ".", label=label, **style)
-
-
-def mark_failed(panel: Any, places: Vector) -> list[Any]:
+def mark_failed(panel: Any, places: Vector, *, label: str = FAILED) -> list[Any]:
     """Mark above the frame of a panel where members failed: they have no value."""
     if not len(places):
         return []
@@ -102,7 +96,7 @@ def mark_failed(panel: Any, places: Vector) -> list[Any]:
         markersize=5.0,
         transform=panel.get_xaxis_transform(),
         clip_on=False,
-        label=FAILED,
+        label=label,
     )
     panel.set_title(panel.get_title(), fontsize="small", color="0.3", pad=11.0)
     return marks

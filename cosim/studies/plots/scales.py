@@ -118,6 +118,19 @@ def is_logarithmic(values: Vector) -> bool:
     return bool(high > _SPREAD * low)
 
 
+def zero_width(values: Vector) -> float | None:
+    """Return how far from zero an axis should be linear, so that small values of both signs show.
+
+    None: it may be linear everywhere, as nine of ten values that are not zero are within a factor
+    of 900.
+    """
+    sizes = np.abs(values[np.isfinite(values) & (values != 0.0)])
+    if len(sizes) < 3:
+        return None
+    low, high = np.quantile(sizes, [0.05, 0.95])
+    return float(low) if high > _SPREAD**2 * low else None
+
+
 def is_even_in_logarithms(values: Vector) -> bool:
     """Return whether values that someone chose were chosen by factors, such as 10, 30 and 100.
 

@@ -12,13 +12,15 @@ from cosim.arrays import Vector
 from cosim.errors import UsageError, quoted
 from cosim.report.plots.curves import COLORS, WIDTH
 from cosim.report.plots.picture import PictureOptions
-from cosim.studies.analysis.columns import MetricColumn
+from cosim.studies.analysis.columns import MetricColumn, count_text
 from cosim.studies.analysis.results import StudyResults
-from cosim.studies.plots.panels import MetricPanels, draw_members, mark_failed
-from cosim.studies.plots.scales import check_drawable, is_logarithmic
+from cosim.studies.plots.panels import FAILED, MetricPanels, mark_failed
+from cosim.studies.plots.scales import check_drawable, is_logarithmic, zero_width
 from cosim.studies.running.recorded_study import RecordedSearch
 
 _BEST: Final = COLORS[0]
+_TOLD_APART: Final = 1e-5  # of a value: numbers at an axis have six digits
+_WITHOUT_VALUE: Final = "members that failed, or have no finite value"
 
 
 def plot_search(
@@ -55,13 +57,13 @@ def plot_search(
     check_drawable(column.name, column.values)
     label = picture.label(panel, column)
     _draw(panel, column, int(results.columns.numbers[-1]), maximize=search.maximize)
-    if is_logarithmic(column.values):
-        panel.set_yscale("log")
+    _scale(panel, column.values)
     panel.xaxis.get_major_locator().set_params(integer=True, min_n_ticks=1)
     panel.set_xlabel("member")
     panel.set_ylabel(label)
     picture.legend(panel.get_lines())
-    picture.save(out, f"{search.method}, {search.goal}")
+    count = f"{count_text(results.done)} of at most {results.planned}"
+    picture.save(out, f"{search.method}, {search.goal}; {count}")
 
 
 def best_so_far(column: MetricColumn, last: int, *, maximize: bool) -> tuple[Vector, Vector]:
@@ -77,7 +79,6 @@ def best_so_far(column: MetricColumn, last: int, *, maximize: bool) -> tuple[Vec
 def _draw(panel: Any, column: MetricColumn, last: int, *, maximize: bool) -> None:
     """Draw members, those that failed, the best value so far, and whose the best of all is."""
     numbers, best = best_so_far(column, last, maximize=maximize)
-    draw_members(panel, numbers[:-1], column.values, "black", label="members")
     panel.plot(
         numbers,
         best,
@@ -86,8 +87,26 @@ def _draw(panel: Any, column: MetricColumn, last: int, *, maximize: bool) -> Non
         linewidth=WIDTH,
         label="best so far",
     )
+    panel.plot(numbers[:-1], column.values, "o", color="0.4", markersize=3.0, label="members")
     row = int(column.values.argmax() if maximize else column.values.argmin())
     number = int(column.numbers[row])
     label = f"best: member {number}"
     panel.plot(number, best[-1], "o", color=_BEST, markersize=6.0, label=label)
-    mark_failed(panel, column.failed.astype(np.float64))
+    others = np.concatenate([column.without_value, column.infinite])
+    places = np.concatenate([column.failed, others]).astype(np.float64)
+    mark_failed(panel, places, label=_WITHOUT_VALUE if len(others) else FAILED)
+
+
+def _scale(panel: Any, values: Vector) -> None:
+    """Show small values beside large ones; write numbers out: above the frame are marks."""
+    width = zero_width(values)
+    if is_logarithmic(values):
+        panel.set_yscale("log")
+    elif width is not None:
+        panel.set_yscale("symlog", linthresh=width)
+    else:
+        panel.yaxis.set_major_formatter("{x:g}")
+        middle = float(np.median(values))
+        if np.ptp(values) <= _TOLD_APART * abs(middle):
+            reach = 0.05 * abs(middle) or 0.5
+            panel.set_ylim(middle - reach, middle + reach)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from cosim.report.tables.console import new_table, print_json, print_line, print_table
+from cosim.studies.analysis.columns import count_text
 from cosim.studies.analysis.extremes import best_members, worst_members
 from cosim.studies.analysis.results import StudyResults
 from cosim.studies.contracts import RECORDING
@@ -53,7 +54,7 @@ def print_search(
         return
     failed = f"{results.failed} failed" if results.failed else "none failed"
     print_line(
-        f"{results.name}: {search.method}, {search.goal}; {results.done} members of at most "
+        f"{results.name}: {search.method}, {search.goal}; {count_text(results.done)} of at most "
         f"{results.planned}, {failed}"
     )
     if results.done:
@@ -69,6 +70,8 @@ def print_search(
         table.add_row(str(number), number_text(objective), *cells)
     if table.row_count:
         print_table(table)
+    elif results.done > results.failed:
+        print_line(f"{search.metric}: no member has a finite value")
     print_failures(results, command_of)
     if best:
         print_line(f"member {best[0]} alone: {command_of(best[0])}")

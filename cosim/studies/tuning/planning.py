@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from cosim.digests import digest_of
 from cosim.errors import UsageError, listing, option, quoted
@@ -30,8 +30,6 @@ from cosim.studies.running.sources import scenario_digest
 from cosim.studies.tuning.searching import TuningSearch, check_search
 from cosim.studies.tuning.space import BoundedKey, ChoiceKey, SearchSpace
 from cosim.studies.tuning.task import OBJECTIVE, TuningTask, is_rms
-
-_SEARCH: Final = "the search (its keys, bounds, method, starts and seed)"
 
 
 @dataclass(frozen=True)
@@ -71,20 +69,13 @@ class TuningPlan:
     def identity(self) -> StudyIdentity:
         """Return whose dataset it is: that of the same search, however many members it may have."""
         search = self.search
-        space = search.space
-        asked = [
-            [asdict(key) for key in space.keys],
-            search.method,
-            search.maximize,
-            search.starts,
-            search.seed,
-        ]
+        keys = search.space.keys
         planned = self.study.identity({})
         digests = {name: digest for name, digest in planned.digests.items() if name != OF_METRICS}
         digests["the objective"] = digest_of(self.task.expression)
-        digests[_SEARCH] = digest_of(asked)
+        digests |= _search_digests(search)
         columns = [] if self.recording is None else [parameter_column(RECORDING, [self.recording])]
-        columns += [parameter_column(key.key, _typical(key)) for key in space.keys]
+        columns += [parameter_column(key.key, _typical(key)) for key in keys]
         columns += [metric_column(name, text) for name, text in self.task.metrics.items()]
         return StudyIdentity(
             name=f"tuning of {self.study.scenario.name}",
@@ -195,6 +186,21 @@ def _check_bounds(space: SearchSpace, study: StudyFile, scenario: Scenario) -> N
                 edited_scenario(study, scenario, {}, {key.key: value})
             except UsageError as error:
                 raise UsageError(f"{key.key} = {quoted(value)}: {error}") from error
+
+
+def _search_digests(search: TuningSearch) -> dict[str, str]:
+    """Return the SHA-256 of what a search rests on, by names for messages."""
+    keys = search.space.keys
+    digests = {
+        "whether it is minimized or maximized": digest_of(search.maximize),
+        "the method": digest_of(search.method),
+        "the starts": digest_of(search.starts),
+        "the seed": digest_of(search.seed),
+        "the order of the keys": digest_of([key.key for key in keys]),
+    }
+    for key in keys:
+        digests[f"the range of {key.key}"] = digest_of(asdict(key))
+    return digests
 
 
 def _checked_points(study: StudyFile, search: TuningSearch, recording: str | None) -> StudyDesign:

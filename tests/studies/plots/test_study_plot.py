@@ -14,7 +14,14 @@ from cosim.studies.analysis.independence import StudyLayout
 from cosim.studies.analysis.results import results_of_study
 from cosim.studies.plots import KINDS, plot_study
 from cosim.studies.plots.heat_map import cell_means
-from cosim.studies.plots.scales import Scale, cell_edges, even_edges, is_logarithmic, short_names
+from cosim.studies.plots.scales import (
+    Scale,
+    cell_edges,
+    even_edges,
+    is_logarithmic,
+    short_names,
+    zero_width,
+)
 from cosim.studies.plots.search_history import best_so_far
 from cosim.studies.running.recorded_study import RecordedSearch
 from tests.studies.tables.made import MadeStudy, tolerances
@@ -150,7 +157,7 @@ def test_the_picture_of_a_tuning_names_goal_best_member_and_failures(maximize, t
     plot_study(results, tmp_path / "a.svg", search=search)
     shown = texts(tmp_path / "a.svg")
     goal = "maximize" if maximize else "minimize"
-    assert f"tolerances: cobyqa, {goal} rms(a.y)" in shown
+    assert f"tolerances: cobyqa, {goal} rms(a.y); 7 members of at most 9" in shown
     assert {"member", "objective", "members that failed", "best so far"} <= set(shown)
     assert f"best: member {2 if maximize else 3}" in shown
     assert "5 members, 2 failed" in shown
@@ -162,6 +169,33 @@ def test_the_best_so_far_begins_at_the_first_value_and_goes_to_the_last_member(m
     numbers, best = best_so_far(results.columns.metric("objective"), 6, maximize=maximize)
     assert numbers.tolist() == [1, 2, 3, 4, 5, 6]
     assert best.tolist() == ([3, 5, 5, 5, 5, 5] if maximize else [3, 3, 2, 2, 2, 2])
+
+
+def test_a_search_marks_members_without_a_value_too(tmp_path):
+    """Whether they failed, have none, or an infinite one."""
+    objective = np.array([1.0, 2.0, np.inf, 3.0])
+    study = MadeStudy({"gain": np.arange(4.0), "objective": objective}, ("gain",), ("objective",))
+    results = results_of_study(study, StudyLayout("cases", samples=4))
+    plot_study(results, tmp_path / "a.svg", search=tuning()[1])
+    shown = texts(tmp_path / "a.svg")
+    assert "members that failed, or have no finite value" in shown
+    assert "3 members, 1 infinite" in shown
+
+
+@pytest.mark.parametrize(
+    ("values", "width"),
+    [
+        ([1.0, 2.0, 3.0, -4.0], None),
+        ([0.0, 0.0, 0.0, 1.0], None),
+        ([0.0, 1.0, 10.0, 1e9], 1.45),
+        ([-1.0, -10.0, -1e9, np.nan], -1.9),
+        ([1.0, 1.0 + 1e-12, 1.0], None),
+    ],
+)
+def test_an_axis_is_linear_near_zero_where_values_are_spread_widely(values, width):
+    """The width is the 5 % quantile of their sizes; signs do not matter."""
+    found = zero_width(np.array(values))
+    assert found == (None if width is None else pytest.approx(abs(width), rel=0.4))
 
 
 def test_other_pictures_of_a_tuning_show_other_metrics_and_keys(tmp_path):

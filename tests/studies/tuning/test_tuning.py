@@ -214,7 +214,7 @@ def test_another_search_does_not_go_on_in_a_dataset(lag, tmp_path):
     for other, what in [
         (
             lag_task(lag, members=3, seed=2),
-            "the search (its keys, bounds, method, starts and seed)",
+            "another study: the seed changed; give",
         ),
         (lag_task(lag, "last(plant.y)", members=3), "the objective changed"),
         (
