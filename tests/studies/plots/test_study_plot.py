@@ -146,7 +146,8 @@ def tuning(maximize=False):
     objective = np.array([np.nan, 3.0, 5.0, 2.0, 2.0, 4.0, np.nan])
     status = ["complete" if np.isfinite(value) else "failed" for value in objective]
     columns = {"gain": np.arange(7.0), "objective": objective, "samples": np.full(7, 9.0)}
-    study = MadeStudy(columns | {"status": status}, ("gain",), ("objective", "samples"))
+    columns["status"] = status
+    study = MadeStudy(columns, ("gain",), ("objective", "samples"), planned=9)
     search = RecordedSearch("objective", "rms(a.y)", maximize=maximize, method="cobyqa")
     return results_of_study(study, StudyLayout("cases", samples=9)), search
 
@@ -157,7 +158,8 @@ def test_the_picture_of_a_tuning_names_goal_best_member_and_failures(maximize, t
     plot_study(results, tmp_path / "a.svg", search=search)
     shown = texts(tmp_path / "a.svg")
     goal = "maximize" if maximize else "minimize"
-    assert f"tolerances: cobyqa, {goal} rms(a.y); 7 members of at most 9" in shown
+    title = f"tolerances: cobyqa, {goal} rms(a.y); 7 members of at most 9"
+    assert title in " ".join(shown)
     assert {"member", "objective", "members that failed", "best so far"} <= set(shown)
     assert f"best: member {2 if maximize else 3}" in shown
     assert "5 members, 2 failed" in shown

@@ -228,6 +228,14 @@ def test_another_search_does_not_go_on_in_a_dataset(lag, tmp_path):
     tune_task(other, out=tmp_path / "d", new=True, workers=1)
 
 
+def test_a_first_point_that_is_refused_is_named_by_its_key(lag):
+    """There is no table of cases in which it could stand."""
+    search = TuningSearch(SearchSpace((BoundedKey("plant.time_constant", -2.0, -1.0),)), "")
+    with pytest.raises(UsageError) as caught:
+        tune_task(TuningTask(str(lag), "last(plant.y)", search), workers=1)
+    assert str(caught.value).startswith("plant.time_constant = -1.5: components.plant: ")
+
+
 @pytest.mark.parametrize(
     ("expression", "key", "message"),
     [
