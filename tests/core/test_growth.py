@@ -25,7 +25,7 @@ from tests.core.parts import integrator
 pytestmark = pytest.mark.usefixtures("frozen_heap")
 
 LARGEST_RATIO = 1.5
-ATTEMPTS = 5  # the smallest cost counts: another process can only add time
+ATTEMPTS = 5  # the smallest ratio, or cost, counts: another process can only add time
 
 
 def chain(n):

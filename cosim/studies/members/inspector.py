@@ -74,7 +74,7 @@ class MemberInspector:
             return MemberOutcome(member.number, COMPLETE, details={REFUSED: str(error)})
         read[DESIGNS] = self._designs(member)
         self._builder.sources.check(member)
-        return MemberOutcome(member.number, COMPLETE, details=dict(read))
+        return MemberOutcome(member.number, COMPLETE, details=read)
 
     def _designs(self, member: StudyMember) -> str:
         """Return the designs that members have in common: all of them, or those of one log."""

@@ -16,8 +16,8 @@ from cosim.studies.analysis.independence import independence_of
 from cosim.studies.analysis.interval_quantiles import CONFIDENCE
 from cosim.studies.analysis.results import StudyResults
 from cosim.studies.analysis.statistics import PROBABILITIES
-from cosim.studies.plots.panels import FAINT, MetricPanels
-from cosim.studies.plots.scales import check_drawable, is_logarithmic
+from cosim.studies.plots.panels import FAINT, MetricPanels, spread_rows
+from cosim.studies.plots.scales import check_drawable, is_logarithmic, reach_beside
 
 _MOST_BINS: Final = 80
 _MOST_STEPS: Final = 2000  # of a curve: more would be on one dot of it
@@ -131,7 +131,7 @@ def _bins(values: Vector) -> Vector:
 def _bins_of(values: Vector) -> Vector:
     low, high = float(values.min()), float(values.max())
     if low == high:
-        reach = 0.05 * abs(low) or 0.5
+        reach = reach_beside(low)
         return np.linspace(low - reach, high + reach, 12)
     lower, upper = np.quantile(values, [0.25, 0.75])
     width = 2.0 * float(upper - lower) / len(values) ** (1.0 / 3.0)
@@ -144,7 +144,6 @@ def _steps(values: Vector) -> tuple[Vector, Vector]:
     """Return the values, ascending, and the share of members up to each; thinned out if many."""
     ordered = np.sort(values)
     shares = np.arange(1.0, len(ordered) + 1.0) / len(ordered)
-    if len(ordered) > _MOST_STEPS:
-        rows = np.unique(np.linspace(0, len(ordered) - 1, _MOST_STEPS).astype(np.int64))
-        ordered, shares = ordered[rows], shares[rows]
-    return np.concatenate([ordered[:1], ordered]), np.concatenate([[0.0], shares])
+    rows = spread_rows(len(ordered), _MOST_STEPS)
+    steps = np.insert(ordered[rows], 0, ordered[0])
+    return steps, np.insert(shares[rows], 0, 0.0)

@@ -13,7 +13,7 @@ from cosim.arrays import Vector
 from cosim.report.plots.picture import PictureOptions
 from cosim.studies.analysis.columns import NumberColumn
 from cosim.studies.analysis.results import StudyResults
-from cosim.studies.plots.panels import FAILED_COLOR, MetricPanels, placed
+from cosim.studies.plots.panels import FAILED, FAILED_COLOR, MetricPanels, placed
 from cosim.studies.plots.scales import (
     Scale,
     cell_edges,
@@ -122,6 +122,6 @@ def _draw_failed(panel: Any, places: Sequence[Vector], edges: Sequence[Vector]) 
         color=FAILED_COLOR,
         markersize=min(_MARK, _AXIS / most),
         clip_on=False,
-        label="members that failed",
+        label=FAILED,
     )
     return marks

@@ -13,7 +13,7 @@ from cosim.arrays import Vector
 from cosim.errors import UsageError
 from cosim.report.plots.curves import shown_text
 from cosim.report.plots.picture import LARGEST, Picture, PictureOptions
-from cosim.studies.analysis.columns import MetricColumn, count_text
+from cosim.studies.analysis.columns import MetricColumn, NumberColumn, count_text
 from cosim.studies.analysis.results import StudyResults
 from cosim.studies.plots.scales import Scale
 
@@ -21,7 +21,7 @@ MOST_PANELS: Final = 12
 FAILED_COLOR: Final = "#D55E00"
 FAILED: Final = "members that failed"
 FAINT: Final = 0.25  # opacity of a band
-_MOST_MARKS: Final = 300  # of members that failed; more of a panel cannot be told apart
+MOST_MARKS: Final = 300  # of members that failed; more cannot be told apart, and hide others
 _ABOVE: Final = 1.025  # of the height of a panel: above its frame, where no values are
 _WIDTH: Final = 11.0  # cm of a panel
 _HEIGHT: Final = 7.5
@@ -86,8 +86,7 @@ def mark_failed(panel: Any, places: Vector, *, label: str = FAILED) -> list[Any]
     if not len(places):
         return []
     places = np.unique(places)
-    if len(places) > _MOST_MARKS:
-        places = places[np.linspace(0, len(places) - 1, _MOST_MARKS).astype(np.int64)]
+    places = places[spread_rows(len(places), MOST_MARKS)]
     marks: list[Any] = panel.plot(
         places,
         np.full(len(places), _ABOVE),
@@ -100,6 +99,11 @@ def mark_failed(panel: Any, places: Vector, *, label: str = FAILED) -> list[Any]
     )
     panel.set_title(panel.get_title(), fontsize="small", color="0.3", pad=11.0)
     return marks
+
+
+def spread_rows(count: int, most: int) -> NumberColumn:
+    """Return which of so many rows are drawn: all, or as many as may be, spread over them."""
+    return np.linspace(0, count - 1, min(count, most)).astype(np.int64)
 
 
 def placed(results: StudyResults, keys: Sequence[str]) -> tuple[StudyResults, str]:

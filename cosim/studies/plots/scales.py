@@ -118,6 +118,11 @@ def is_logarithmic(values: Vector) -> bool:
     return bool(high > _SPREAD * low)
 
 
+def reach_beside(value: float) -> float:
+    """Return how far an axis reaches on both sides of a value that is the only one."""
+    return 0.05 * abs(value) or 0.5
+
+
 def zero_width(values: Vector) -> float | None:
     """Return how far from zero an axis should be linear, so that small values of both signs show.
 

@@ -16,7 +16,14 @@ from cosim.report.plots.picture import PictureOptions
 from cosim.studies.analysis.columns import NumberColumn, count_text
 from cosim.studies.analysis.correlation import LEAST_MEMBERS, spearman
 from cosim.studies.analysis.results import StudyResults
-from cosim.studies.plots.panels import FAILED, FAILED_COLOR, shown_metrics, sized_picture
+from cosim.studies.plots.panels import (
+    FAILED,
+    FAILED_COLOR,
+    MOST_MARKS,
+    shown_metrics,
+    sized_picture,
+    spread_rows,
+)
 from cosim.studies.plots.scales import Scale, cell_edges, check_drawable, even_edges, is_logarithmic
 
 _MOST: Final = 7  # rows and columns
@@ -25,7 +32,6 @@ _MARGIN: Final = 2.0  # cm, for names and numbers
 _TEXT: Final = 9.0  # [points]; a picture of all rows is made smaller to fit a page
 _TICKS: Final = 3  # intervals of a linear axis, at most
 _MOST_POINTS: Final = 4000  # that are drawn one by one
-_MOST_MARKS: Final = 300  # of failed members; more would hide the others
 _CELLS: Final = 50
 _FAINTEST: Final = 0.5  # members of a cell that would be white: one is not
 _BINS: Final = 24
@@ -171,11 +177,10 @@ def _edges(scale: Scale, values: Vector) -> Vector:
 
 def _draw_failed(panel: Any, x: _Quantity, y: _Quantity, failed: NumberColumn) -> list[Any]:
     """Mark members that failed, of many some that are spread over the study."""
+    rows = failed[spread_rows(len(failed), MOST_MARKS)]
     label = FAILED
-    rows = failed
-    if len(failed) > _MOST_MARKS:
-        rows = failed[np.linspace(0, len(failed) - 1, _MOST_MARKS).astype(np.int64)]
-        label = f"{_MOST_MARKS} of the {len(failed)} members that failed"
+    if len(rows) < len(failed):
+        label = f"{len(rows)} of the {len(failed)} {FAILED}"
     marks: list[Any] = panel.plot(
         x.scale.positions[rows],
         y.scale.positions[rows],

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from cosim.arrays import Vector
-from cosim.errors import UsageError, quoted
 from cosim.report.plots.curves import COLORS, WIDTH
 from cosim.report.plots.picture import PictureOptions
 from cosim.studies.analysis.columns import MetricColumn, count_text
 from cosim.studies.analysis.results import StudyResults
 from cosim.studies.plots.panels import FAILED, MetricPanels, mark_failed
-from cosim.studies.plots.scales import check_drawable, is_logarithmic, zero_width
+from cosim.studies.plots.scales import check_drawable, is_logarithmic, reach_beside, zero_width
 from cosim.studies.running.recorded_study import RecordedSearch
 
 _BEST: Final = COLORS[0]
@@ -26,7 +24,6 @@ _WITHOUT_VALUE: Final = "members that failed, or have no finite value"
 def plot_search(
     results: StudyResults,
     out: Path,
-    metrics: Sequence[str],
     options: PictureOptions,
     *,
     search: RecordedSearch,
@@ -35,22 +32,11 @@ def plot_search(
 
     Parameters
     ----------
-    results, out, metrics, options
+    results, out, options
         As of :func:`plot_study`.
     search : RecordedSearch
         That chose the members.
-
-    Raises
-    ------
-    UsageError
-        If another metric than the objective is named.
     """
-    for name in metrics:
-        if name != search.metric:
-            raise UsageError(
-                f"a picture of kind 'search': found the metric {quoted(name)}, needed "
-                f"{quoted(search.metric)}, by which is searched; other kinds show other metrics"
-            )
     picture = MetricPanels(results, [search.metric], options)
     (panel,) = picture.panels
     (column,) = picture.columns
@@ -99,14 +85,15 @@ def _draw(panel: Any, column: MetricColumn, last: int, *, maximize: bool) -> Non
 
 def _scale(panel: Any, values: Vector) -> None:
     """Show small values beside large ones; write numbers out: above the frame are marks."""
-    width = zero_width(values)
     if is_logarithmic(values):
         panel.set_yscale("log")
-    elif width is not None:
+        return
+    width = zero_width(values)
+    if width is not None:
         panel.set_yscale("symlog", linthresh=width)
-    else:
-        panel.yaxis.set_major_formatter("{x:g}")
-        middle = float(np.median(values))
-        if np.ptp(values) <= _TOLD_APART * abs(middle):
-            reach = 0.05 * abs(middle) or 0.5
-            panel.set_ylim(middle - reach, middle + reach)
+        return
+    panel.yaxis.set_major_formatter("{x:g}")
+    middle = float(np.median(values))
+    if np.ptp(values) <= _TOLD_APART * abs(middle):
+        reach = reach_beside(middle)
+        panel.set_ylim(middle - reach, middle + reach)

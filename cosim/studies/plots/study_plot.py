@@ -98,10 +98,13 @@ def plot_study(
         case "sobol":
             plot_sobol(results, out, metrics, options)
         case _:
-            plot_search(results, out, metrics, options, search=_needed(search, keys))
+            plot_search(results, out, options, search=_checked_search(search, metrics, keys))
 
 
-def _needed(search: RecordedSearch | None, keys: Sequence[str]) -> RecordedSearch:
+def _checked_search(
+    search: RecordedSearch | None, metrics: Sequence[str], keys: Sequence[str]
+) -> RecordedSearch:
+    """Return the search that is drawn; it has one metric, and shows no key."""
     if search is None:
         raise UsageError(
             "a picture of kind 'search': found a study that was planned, needed one whose members "
@@ -112,6 +115,12 @@ def _needed(search: RecordedSearch | None, keys: Sequence[str]) -> RecordedSearc
             f"a picture of kind 'search': found the key {keys[0]!r}, needed none; kind 'scatter' "
             "shows what was varied"
         )
+    for name in metrics:
+        if name != search.metric:
+            raise UsageError(
+                f"a picture of kind 'search': found the metric {name!r}, needed "
+                f"{search.metric!r}, by which is searched; other kinds show other metrics"
+            )
     return search
 
 
