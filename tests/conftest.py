@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import compileall
 import gc
 import hashlib
 import json
@@ -56,6 +57,15 @@ OF_ONE_WORKER = frozenset(
 
 HERE = Path(__file__).parent
 REFERENCE = HERE / "reference" / "cases.json"
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Compile the package for the processes that tests start.
+
+    Where ``PYTHONDONTWRITEBYTECODE`` is set, each of them would compile what it imports anew.
+    """
+    if sys.dont_write_bytecode and not hasattr(config, "workerinput"):
+        compileall.compile_dir(HERE.parent / "cosim", quiet=2)
 
 
 @pytest.hookimpl(optionalhook=True)
