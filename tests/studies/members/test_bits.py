@@ -5,7 +5,6 @@ import tempfile
 import tracemalloc
 from functools import cache
 
-import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
