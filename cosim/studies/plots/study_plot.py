@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from cosim.errors import UsageError, nearest
+from cosim.errors import UsageError, nearest, quoted
 from cosim.report.plots.picture import PictureOptions, need_plot
 from cosim.studies.analysis.independence import drawn_members
 from cosim.studies.analysis.results import StudyResults
@@ -112,14 +112,14 @@ def _checked_search(
         )
     if keys:
         raise UsageError(
-            f"a picture of kind 'search': found the key {keys[0]!r}, needed none; kind 'scatter' "
-            "shows what was varied"
+            f"a picture of kind 'search': found the key {quoted(keys[0])}, needed none; "
+            "kind 'scatter' shows what was varied"
         )
     for name in metrics:
         if name != search.metric:
             raise UsageError(
-                f"a picture of kind 'search': found the metric {name!r}, needed "
-                f"{search.metric!r}, by which is searched; other kinds show other metrics"
+                f"a picture of kind 'search': found the metric {quoted(name)}, needed "
+                f"{quoted(search.metric)}, by which is searched; other kinds show other metrics"
             )
     return search
 
