@@ -23,7 +23,6 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Iterable, Iterator
-from pathlib import Path
 from selectors import EVENT_READ, EVENT_WRITE, DefaultSelector
 from time import monotonic
 from types import TracebackType
@@ -62,9 +61,10 @@ class WorkerPool:
     """Child processes that run members of one study; a context manager that ends them.
 
     A member that crashes, hangs or ends its process is an outcome that says so; its worker is
-    replaced, and no other member is lost. Each worker leads a session of its own, keeps temporary
-    files in a folder of the pool, and ends with this process, however that ends; on Linux with the
-    thread that started it, so that a pool belongs to one thread.
+    replaced, and no other member is lost. What members print is discarded. Each worker leads a
+    session of its own, keeps temporary files in a folder of the pool, and ends with this process,
+    however that ends; on Linux with the thread that started it, so that a pool belongs to one
+    thread.
 
     Parameters
     ----------
@@ -79,8 +79,6 @@ class WorkerPool:
     members_per_worker : int or None
         After so many a worker is replaced: a process grows with an FMU that leaves memory behind.
         None: never.
-    output : Path or None
-        The file to which is added what FMUs print; None: it is discarded.
 
     Raises
     ------
@@ -96,7 +94,6 @@ class WorkerPool:
         *,
         timeout: float | None = None,
         members_per_worker: int | None = None,
-        output: Path | None = None,
     ) -> None:
         _check_platform()
         _check_positive("workers", count)
@@ -109,7 +106,6 @@ class WorkerPool:
         self._scenario = subject.scenario
         self._count = count
         self._times = MemberTimes(timeout)
-        self._output = output
         self._refusal: CosimError | None = None
         self._lost_openings = 0  # in a row
         self._next_look = 0.0
@@ -197,7 +193,7 @@ class WorkerPool:
     def _start(self) -> WorkerProcess:
         assert self._folder is not None, "a pool runs members within its 'with' block"
         with uninterrupted():
-            worker = WorkerProcess(self._opening, self._folder.path, self._output)
+            worker = WorkerProcess(self._opening, self._folder.path)
             self._workers[worker.replies] = worker
             self._selector.register(worker.replies, EVENT_READ, worker)
         return worker

@@ -184,8 +184,6 @@ def main(arguments: Sequence[str]) -> NoReturn:
         except ChangedFileError as error:
             replies.write(encode_reply(refusal_of(error)))
             os._exit(1)
-    with suppress(OSError, ValueError):
-        sys.stdout.flush()
     os._exit(0)
 
 

@@ -63,7 +63,7 @@ class WorkerProcess:
         Descriptors of the pipes to it and from it.
     """
 
-    def __init__(self, opening: bytes, folder: Path, output: Path | None) -> None:
+    def __init__(self, opening: bytes, folder: Path) -> None:
         self.queue: deque[StudyMember] = deque()
         self.since = monotonic()
         self.is_ready = False
@@ -74,7 +74,7 @@ class WorkerProcess:
         self._received = b""
         self._is_garbled = False
         self._is_killed = False
-        self._child, self.members, self.replies = _start(folder, output)
+        self._child, self.members, self.replies = _start(folder)
         self.name = worker_name(self._child.pid)
         self._write(opening)
 
@@ -187,10 +187,10 @@ class WorkerProcess:
             kill(self._child)
 
 
-def _start(folder: Path, output: Path | None) -> tuple[subprocess.Popen[bytes], int, int]:
+def _start(folder: Path) -> tuple[subprocess.Popen[bytes], int, int]:
     """Start a worker; return it, and the ends of the pipes to it and from it.
 
-    What it and its FMUs print is added to the file ``output``.
+    What it and its FMUs print is discarded.
     """
     with ExitStack() as opened, ExitStack() as on_error:
         members, to_members = os.pipe()
@@ -199,16 +199,13 @@ def _start(folder: Path, output: Path | None) -> tuple[subprocess.Popen[bytes], 
         from_replies, replies = os.pipe()
         opened.callback(os.close, replies)
         on_error.callback(os.close, from_replies)
-        printed = subprocess.DEVNULL
-        if output is not None:
-            printed = opened.enter_context(open(output, "ab")).fileno()
         child = subprocess.Popen(
             # -P: the parent says from which folders modules are imported, not this one
             [sys.executable, "-P", "-m", WORKER, str(members), str(replies)],
             env=with_one_thread(child_environment(folder, WORKER_VARIABLE)),
             stdin=subprocess.DEVNULL,
-            stdout=printed,
-            stderr=printed,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
             pass_fds=(members, replies),
             start_new_session=True,
         )
