@@ -23,6 +23,7 @@ from threading import Lock
 from typing import TYPE_CHECKING, Any, Final, final
 
 from cosim.errors import CosimError, UsageError, listing
+from cosim.studies.cluster.cluster_study import ClusterStudy
 from cosim.studies.cluster.environment import (
     binary_folders,
     describe_environment,
@@ -30,14 +31,12 @@ from cosim.studies.cluster.environment import (
     without_binary,
 )
 from cosim.studies.cluster.member_executor import MemberExecutor
-from cosim.studies.cluster.opening import TRIAL
 from cosim.studies.cluster.worker_functions import (
     close_study,
     describe_worker,
     open_study,
     store_file,
 )
-from cosim.studies.contracts import StudyMember, StudySubject
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -70,16 +69,14 @@ class Admission:
     Parameters
     ----------
     client : Client
-    settings : mapping
-        As of :class:`StudyPlugin`.
+    study : ClusterStudy
     """
 
-    def __init__(self, client: Client, settings: Mapping[str, Any]) -> None:
+    def __init__(self, client: Client, study: ClusterStudy) -> None:
         self._client = client
-        self._settings = settings
-        self._files: Mapping[str, str] = settings["files"]
+        self._study = study
         self._own = describe_environment()
-        self._folders = binary_folders(self._files)
+        self._folders = binary_folders(study.files)
         self._sending = asyncio.Semaphore(SENDING)
         self._lock = Lock()
         self._own_problem: str | None = None
@@ -99,17 +96,17 @@ class Admission:
             return Admitted(text)
 
     async def _admitted(self, address: str) -> Admitted:
-        found = await self._run(describe_worker, self._files, worker=address)
+        found = await self._run(describe_worker, self._study.files, worker=address)
         problem = self._unfit(found["environment"])
         if problem:
             return Admitted(problem)
         for digest in found["missing"]:
             async with self._sending:
                 await self._send(address, digest)
-        answer = await self._run(open_study, self._settings, worker=address)
+        answer = await self._run(open_study, self._study.to_dict(), worker=address)
         problem = answer["problem"]
         if problem and problem != await asyncio.to_thread(self._problem_here):
-            await self._run(close_study, self._settings["name"], worker=address)
+            await self._run(close_study, self._study.name, worker=address)
             return Admitted(problem)
         return Admitted("", answer["writes"])
 
@@ -143,7 +140,7 @@ class Admission:
         UsageError
             If the file has changed, or is too large to pass through the scheduler.
         """
-        path = next(path for path, other in self._files.items() if other == digest)
+        path = next(path for path, other in self._study.files.items() if other == digest)
         is_direct = await self._reaches(address)
         size = Path(path).stat().st_size
         if not is_direct and size > MOST_RELAYED:
@@ -176,20 +173,14 @@ class Admission:
         """Return what is wrong with the first member where the study is planned."""
         with self._lock:
             if self._own_problem is None:
-                self._own_problem = _problem(self._settings)
+                self._own_problem = _problem(self._study)
             return self._own_problem
 
 
-def first_member(member: StudyMember) -> tuple[Any, ...]:
-    """Return the values of a member that is tried."""
-    return TRIAL, dict(member.set), dict(member.swap), member.recording
-
-
-def _problem(settings: Mapping[str, Any]) -> str:
-    subject = StudySubject(**settings["subject"])
-    executor = MemberExecutor(settings["opener"], subject, timeout=settings["timeout"])
+def _problem(study: ClusterStudy) -> str:
+    executor = MemberExecutor(study.opener, study.subject, timeout=study.timeout)
     try:
-        (outcome,) = executor.submit([StudyMember(*settings["first"])]).result()
+        (outcome,) = executor.submit([study.trial]).result()
     except CosimError as error:
         return str(error)
     finally:

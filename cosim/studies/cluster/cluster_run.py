@@ -16,8 +16,6 @@ died is given to another by dask. Dask gives up a task with which several worker
 
 from __future__ import annotations
 
-import os
-import secrets
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -27,15 +25,14 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 from cosim.errors import CosimError, RunError, listing
 from cosim.interrupts import uninterrupted
+from cosim.studies.cluster.cluster_study import ClusterStudy
 from cosim.studies.cluster.connection import check_scheduler, connect, distributed, lost
-from cosim.studies.cluster.file_copies import named_files
 from cosim.studies.cluster.opening import OPENER
 from cosim.studies.cluster.planned_members import OutcomeSink, PlannedMembers
 from cosim.studies.cluster.tasks import MemberTask, RemainingTasks
 from cosim.studies.contracts import MemberOutcome, StudyMember, StudySubject
 from cosim.studies.dataset.storage import open_storage
 from cosim.studies.dataset.study_dataset import StudyDataset
-from cosim.studies.document.scenario_of_study import is_log, load_scenario
 from cosim.studies.workers.messages import encode_member
 
 if TYPE_CHECKING:
@@ -143,33 +140,25 @@ def open_cluster_run(
     first : StudyMember
         That is built on each worker before it is used.
     """
-    from cosim.studies.cluster.admission import first_member
-
     check_scheduler(client)
-    if "://" not in place:
-        place = os.path.abspath(place)
-    storage = open_storage(place)
-    name = f"cosim-study-{secrets.token_hex(6)}"
-    probe = (f"_{name}", secrets.token_bytes(16))
-    settings = {
-        "name": name,
-        "subject": _plain({**subject.to_dict(), "scenario": _scenario(subject, files)}),
-        "files": dict(files),
-        "named": _named(subject, files),
-        "first": first_member(first),
-        "timeout": timeout,
-        "place": place,
-        "sha256": dataset.sha256,
-        "probe": probe,
-        "opener": opener,
-    }
-    run = ClusterRun(client, settings, dataset, notice=notice or _ignore)
-    storage.write(*probe)
+    study = ClusterStudy.planned(
+        subject,
+        first,
+        files=files,
+        timeout=timeout,
+        place=place,
+        sha256=dataset.sha256,
+        opener=opener,
+    )
+    storage = open_storage(study.place)
+    run = ClusterRun(client, study, dataset, notice=notice or _ignore)
+    probe = study.probe
+    storage.write(probe.name, probe.content)
     try:
         yield run
     finally:
         run.close()
-        storage.remove([probe[0]], [])
+        storage.remove([probe.name], [])
 
 
 @final
@@ -179,7 +168,7 @@ class ClusterRun:
     def __init__(
         self,
         client: Client,
-        settings: Mapping[str, Any],
+        study: ClusterStudy,
         dataset: OutcomeSink,
         *,
         notice: Callable[[str], None],
@@ -189,12 +178,12 @@ class ClusterRun:
         self._client = client
         self._dataset = dataset
         self._design: PlannedMembers | None = None
-        self._name: str = settings["name"]
+        self._name = study.name
         self._tasks = RemainingTasks((), ())
         self._submitted: dict[Future, tuple[MemberTask, frozenset[str]]] = {}
         self._done: SimpleQueue[Future | None] = SimpleQueue()  # None: a worker was admitted
         self._workers: ClusterWorkers = ClusterWorkers(
-            client, settings, notice=notice, admitted=lambda: self._done.put(None)
+            client, study, notice=notice, admitted=lambda: self._done.put(None)
         )
         self._given_up: list[range] = []
         self._count = 0  # of tasks, which are named by it
@@ -361,28 +350,6 @@ def _error_of(task: MemberTask, error: BaseException) -> CosimError:
         return error
     members = task.members
     return RunError(f"members {members.start}-{members.stop - 1}: {type(error).__name__}: {error}")
-
-
-def _scenario(subject: StudySubject, files: Mapping[str, str]) -> str:
-    """Return the scenario under the name that it has among the files, which may have no links."""
-    real = os.path.realpath(subject.scenario)
-    return real if real in files and subject.scenario not in files else subject.scenario
-
-
-def _named(subject: StudySubject, files: Mapping[str, str]) -> dict[str, str]:
-    """Return the files that the text of a scenario names by absolute paths."""
-    if _scenario(subject, files) not in files or is_log(subject.scenario):
-        return {}
-    return named_files(load_scenario(subject.scenario).tree, files)
-
-
-def _plain(value: Any) -> Any:
-    """Return mappings as dictionaries."""
-    if isinstance(value, Mapping):
-        return {key: _plain(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(entry) for entry in value]
-    return value
 
 
 def _ignore(*_: object) -> None:

@@ -9,10 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from time import monotonic
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Final, final
 
 from cosim.errors import CosimError, RunError, UsageError, listing
 from cosim.studies.cluster.admission import Admission, Admitted
+from cosim.studies.cluster.cluster_study import ClusterStudy
 from cosim.studies.cluster.worker_functions import close_study
 
 if TYPE_CHECKING:
@@ -29,8 +30,7 @@ class ClusterWorkers:
     Parameters
     ----------
     client : Client
-    settings : mapping
-        As of :class:`StudyPlugin`.
+    study : ClusterStudy
     notice : callable
         Takes a sentence for each worker that is not used or has gone, and where there is none.
     admitted : callable
@@ -47,14 +47,14 @@ class ClusterWorkers:
     def __init__(
         self,
         client: Client,
-        settings: Mapping[str, Any],
+        study: ClusterStudy,
         *,
         notice: Callable[[str], None],
         admitted: Callable[[], None],
     ) -> None:
         self._client = client
-        self._name: str = settings["name"]
-        self._admission = Admission(client, settings)
+        self._name = study.name
+        self._admission = Admission(client, study)
         self._notice = notice
         self._admitted = admitted
         self._admissions: dict[str, Future[Admitted]] = {}

@@ -13,6 +13,7 @@ from distributed import Worker, WorkerPlugin
 
 from cosim.digests import sha256_of
 from cosim.errors import CosimError, RunError
+from cosim.studies.cluster.cluster_study import ClusterStudy, DatasetProbe
 from cosim.studies.cluster.file_copies import (
     has_all,
     moved,
@@ -33,15 +34,11 @@ class StudyPlugin(WorkerPlugin):  # type: ignore[misc]
 
     Parameters
     ----------
-    settings : mapping
-        Plain values: ``name``, ``subject``, ``files``, ``named`` (as of
-        :func:`named_files`, of the scenario), ``first`` (values of the member that is
-        tried), ``timeout``, ``place``, ``sha256``, ``probe`` (name and content of a file
-        in the dataset) and ``opener``.
+    study : ClusterStudy
     """
 
-    def __init__(self, settings: Mapping[str, Any]) -> None:
-        self._settings = settings
+    def __init__(self, study: ClusterStudy) -> None:
+        self._study = study
         self._lock = Lock()
         self._idle: list[MemberExecutor] = []
         self._all: list[MemberExecutor] = []
@@ -57,14 +54,13 @@ class StudyPlugin(WorkerPlugin):  # type: ignore[misc]
         await asyncio.to_thread(self._prepare)
 
     def _prepare(self) -> None:
-        files = self._settings["files"]
-        if not has_all(files):
-            root = str(place_copies(self._folder, self._settings["name"], files))
-            if self._settings["named"]:
-                scenario = Path(moved(self._settings["subject"]["scenario"], root))
-                name_copies(scenario, self._settings["named"], root)
+        study = self._study
+        if not has_all(study.files):
+            root = str(place_copies(self._folder, study.name, study.files))
+            if study.named:
+                name_copies(Path(moved(study.subject.scenario, root)), study.named, root)
             self._root = root
-        self.writes = _reaches(self._settings["place"], self._settings["probe"])
+        self.writes = _reaches(study.place, study.probe)
 
     async def teardown(self, worker: Worker) -> None:
         """End the children; those that run members end after these, or with the worker."""
@@ -73,14 +69,14 @@ class StudyPlugin(WorkerPlugin):  # type: ignore[misc]
         for executor in self._all:
             executor.shutdown()
         if self._root is not None:
-            await asyncio.to_thread(remove_copies, self._folder, self._settings["name"])
+            await asyncio.to_thread(remove_copies, self._folder, self._study.name)
 
-    async def try_first(self) -> str:
-        """Build the first member; return what is wrong here, or nothing."""
+    async def try_member(self) -> str:
+        """Build the member that is tried; return what is wrong here, or nothing."""
         executor = self._take()
         try:
-            member = StudyMember(*self._settings["first"])
-            (outcome,) = await asyncio.wrap_future(executor.submit([self._local(member)]))
+            member = self._local(self._study.trial)
+            (outcome,) = await asyncio.wrap_future(executor.submit([member]))
         except CosimError as error:
             return self._planned(str(error))
         finally:
@@ -121,8 +117,8 @@ class StudyPlugin(WorkerPlugin):  # type: ignore[misc]
         pairs = [(member, by_number[member.number]) for member in members]
         with self._lock:
             if self._dataset is None:
-                place = self._settings["place"]
-                self._dataset = StudyDataset.open(place, sha256=self._settings["sha256"])
+                study = self._study
+                self._dataset = StudyDataset.open(study.place, sha256=study.sha256)
         self._dataset.write_part(first, pairs)
 
     def _take(self) -> MemberExecutor:
@@ -131,12 +127,8 @@ class StudyPlugin(WorkerPlugin):  # type: ignore[misc]
                 raise RunError("the study has ended")
             if self._idle:
                 return self._idle.pop()
-            settings = self._settings
-            executor = MemberExecutor(
-                settings["opener"],
-                self._subject(),
-                timeout=settings["timeout"],
-            )
+            study = self._study
+            executor = MemberExecutor(study.opener, self._subject(), timeout=study.timeout)
             self._all.append(executor)
             return executor
 
@@ -146,8 +138,11 @@ class StudyPlugin(WorkerPlugin):  # type: ignore[misc]
 
     def _subject(self) -> StudySubject:
         """Return the subject with the paths of this machine."""
-        subject = StudySubject(**self._moved(self._settings["subject"]))
-        if self._root is None or not self._settings["named"]:
+        planned = self._study.subject
+        if self._root is None:
+            return planned
+        subject = StudySubject(**self._moved(planned.to_dict()))
+        if not self._study.named:
             return subject
         own = {subject.scenario: sha256_of(subject.scenario)}  # the copy names other copies
         return replace(subject, digests={**subject.digests, **own})
@@ -157,9 +152,8 @@ class StudyPlugin(WorkerPlugin):  # type: ignore[misc]
         return member if self._root is None else StudyMember(**self._moved(asdict(member)))
 
     def _moved(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        if self._root is None:
-            return dict(values)
-        files = self._settings["files"]
+        assert self._root is not None, "paths are moved where there are copies"
+        files = self._study.files
         return {name: with_copies(value, files, self._root) for name, value in values.items()}
 
     def _planned(self, text: str) -> str:
@@ -167,14 +161,13 @@ class StudyPlugin(WorkerPlugin):  # type: ignore[misc]
         return text if self._root is None else text.replace(self._root, "")
 
 
-def _reaches(place: str, probe: tuple[str, bytes]) -> bool:
+def _reaches(place: str, probe: DatasetProbe) -> bool:
     """Return whether this machine reads in a dataset what the planner wrote, and can write."""
-    name, content = probe
     try:
         storage = open_storage(place)
-        if storage.read(name) != content:
+        if storage.read(probe.name) != probe.content:
             return False
-        storage.write(name, content)
+        storage.write(probe.name, probe.content)
     except CosimError:
         return False
     return True

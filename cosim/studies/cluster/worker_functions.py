@@ -14,6 +14,7 @@ from typing import Any, Final
 
 from distributed import Worker, get_worker
 
+from cosim.studies.cluster.cluster_study import ClusterStudy
 from cosim.studies.cluster.environment import describe_environment
 from cosim.studies.cluster.file_copies import missing_content, store_content
 from cosim.studies.cluster.storing import reaches_dataset
@@ -55,17 +56,24 @@ async def store_file(key: str, *, dask_worker: Worker) -> None:
     await asyncio.to_thread(store_content, folder, dask_worker.data[key])
 
 
-async def open_study(settings: Mapping[str, Any], *, dask_worker: Worker) -> dict[str, Any]:
-    """Open a study on a worker, and build its first member.
+async def open_study(content: Mapping[str, Any], *, dask_worker: Worker) -> dict[str, Any]:
+    """Open a study on a worker, and build the member that is tried.
+
+    Parameters
+    ----------
+    content : mapping
+        Of :meth:`ClusterStudy.to_dict`.
+    dask_worker : Worker
 
     Returns
     -------
     dict
         ``problem``: why that cannot be, or empty; ``writes``: whether it writes the dataset.
     """
-    plugin = StudyPlugin(settings)
-    await dask_worker.plugin_add(plugin=plugin, name=settings["name"], catch_errors=False)
-    return {"problem": await plugin.try_first(), "writes": plugin.writes}
+    study = ClusterStudy.from_dict(content)
+    plugin = StudyPlugin(study)
+    await dask_worker.plugin_add(plugin=plugin, name=study.name, catch_errors=False)
+    return {"problem": await plugin.try_member(), "writes": plugin.writes}
 
 
 async def close_study(name: str, *, dask_worker: Worker) -> None:
