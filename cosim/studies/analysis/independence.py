@@ -28,7 +28,7 @@ from typing import Any, Final
 import numpy as np
 
 from cosim.studies.analysis.columns import MemberColumns, NumberColumn, count_text
-from cosim.studies.design.columns import NoiseSeedColumn
+from cosim.studies.design.columns import MemberNumbering, NoiseSeedColumn
 from cosim.studies.design.study_design import SampleKind, StudyDesign
 
 _BASIS: Final = {
@@ -41,29 +41,20 @@ _BASIS: Final = {
 
 
 @dataclass(frozen=True)
-class StudyLayout:
-    """How the members of a study are numbered: ((sample or case) * seeds + seed) * grid + point.
+class StudyLayout(MemberNumbering):
+    """How the members of a study are numbered, and what of them was drawn.
 
     Parameters
     ----------
     kind : SampleKind
-    seeds : int
-        Seeds of each sample, case or point of the grid.
-    grid : int
-        Points of the grid.
     parameters : tuple of str
         What is drawn, in the order of the dimensions.
-    samples : int
-        Or cases; 1 where there is a grid alone.
     noise_seeds : tuple of str
         Columns that are seeds of noise sources: no parameters that a metric could depend on.
     """
 
     kind: SampleKind
-    seeds: int = 1
-    grid: int = 1
     parameters: tuple[str, ...] = ()
-    samples: int = 1
     noise_seeds: tuple[str, ...] = ()
 
     @classmethod
@@ -80,14 +71,6 @@ class StudyLayout:
             samples=design.layout.samples,
             noise_seeds=tuple(seeds),
         )
-
-    def samples_of(self, numbers: NumberColumn) -> NumberColumn:
-        """Return the samples, or cases, of members."""
-        return numbers // (self.seeds * self.grid)
-
-    def seeds_of(self, numbers: NumberColumn) -> NumberColumn:
-        """Return which seed of their sample members have."""
-        return numbers // self.grid % self.seeds
 
     @property
     def matrices(self) -> int:

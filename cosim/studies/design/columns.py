@@ -12,8 +12,8 @@ MemberIndices: TypeAlias = np.ndarray[tuple[int], np.dtype[np.int64]]
 ColumnValues: TypeAlias = np.ndarray[Any, Any] | list[Any]
 
 
-@dataclass(frozen=True, slots=True)
-class MemberLayout:
+@dataclass(frozen=True, kw_only=True)
+class MemberNumbering:
     """How members are numbered: ((sample or case) * seeds + seed) * grid + index in the grid.
 
     Parameters
@@ -21,35 +21,52 @@ class MemberLayout:
     samples : int
         Samples or cases; 1: there are none.
     seeds : int
+        Of each sample, case or point of the grid.
     grid : int
-    noises : int
-        Of samples, how many have noise of their own: all, or the n in each block of Saltelli's
-        design, whose blocks have the same; 0: all have the same.
+        Points of the grid.
     """
 
-    samples: int
-    seeds: int
-    grid: int
-    noises: int
+    samples: int = 1
+    seeds: int = 1
+    grid: int = 1
 
     @property
     def members(self) -> int:
         """How many there are."""
         return self.samples * self.seeds * self.grid
 
-    def sample_of(self, numbers: MemberIndices) -> MemberIndices:
+    def samples_of(self, numbers: MemberIndices) -> MemberIndices:
         """Return the samples or cases of some members."""
         return numbers // (self.grid * self.seeds)
 
-    def seed_of(self, numbers: MemberIndices) -> MemberIndices:
+    def seeds_of(self, numbers: MemberIndices) -> MemberIndices:
+        """Return which seed of their sample, case or point some members have."""
+        return numbers // self.grid % self.seeds
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class MemberLayout(MemberNumbering):
+    """How members are numbered, and which of them have the same noise.
+
+    Parameters
+    ----------
+    noises : int
+        Of samples, how many have noise of their own: all, or the n in each block of Saltelli's
+        design, whose blocks have the same; 0: all have the same.
+    """
+
+    noises: int = 0
+
+    def noises_of(self, numbers: MemberIndices) -> MemberIndices:
         """Return which of its seeds a noise source has in some members.
 
         Samples have seeds of their own, cases the same ones, so that they can be compared.
         """
-        seeds = numbers // self.grid % self.seeds
+        seeds = self.seeds_of(numbers)
         if not self.noises:
             return seeds
-        return self.sample_of(numbers) % self.noises * self.seeds + seeds
+        return self.samples_of(numbers) % self.noises * self.seeds + seeds
 
 
 class DesignColumn(Protocol):
@@ -98,7 +115,7 @@ class SampleColumn:
 
     def take(self, layout: MemberLayout, numbers: MemberIndices) -> ColumnValues:
         """Return the values of some members."""
-        samples = layout.sample_of(numbers)
+        samples = layout.samples_of(numbers)
         return taken(self.values, samples if self.indices is None else self.indices[samples])
 
 
@@ -119,7 +136,7 @@ class NoiseSeedColumn:
 
     def take(self, layout: MemberLayout, numbers: MemberIndices) -> ColumnValues:
         """Return the seeds of some members."""
-        indices = layout.seed_of(numbers)
+        indices = layout.noises_of(numbers)
         if not len(indices):
             return np.empty(0, np.int64)
         begin = int(indices.min())

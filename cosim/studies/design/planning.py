@@ -183,7 +183,9 @@ def _layout(study: StudyFile, grid: list[GridVariation], cases: int) -> MemberLa
         blocks = len(study.sampled) + 2 if settings.sampling == "saltelli" else 1
         samples = blocks * noises
     counts = [len(item.values) for item in grid]
-    layout = MemberLayout(samples, settings.seeds or 1, math.prod(counts), noises)
+    layout = MemberLayout(
+        samples=samples, seeds=settings.seeds or 1, grid=math.prod(counts), noises=noises
+    )
     if layout.members > MOST_MEMBERS:
         factors = [count for count in (samples, layout.seeds, *counts) if count > 1]
         product = " x ".join(map(str, factors))

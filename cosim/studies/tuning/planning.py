@@ -214,7 +214,7 @@ def _checked_points(study: StudyFile, search: TuningSearch, recording: str | Non
     for key, values in zip(search.space.keys, lists, strict=True):
         repeated = [values[number % len(values)] for number in range(count)]
         columns[key.key] = SampleColumn(repeated)
-    layout = MemberLayout(samples=count, seeds=1, grid=1, noises=0)
+    layout = MemberLayout(samples=count)
     return StudyDesign(study, "cases", layout, columns)
 
 
