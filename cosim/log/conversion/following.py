@@ -21,11 +21,11 @@ from cosim.log.contents.result import PART_REASON, PARTIAL, PARTIAL_STATUS
 from cosim.log.conversion.choice import LogChoice
 from cosim.log.mcap_file.own_file import OwnFile
 from cosim.log.mcap_file.rotation import part_path, part_paths
-from cosim.log.mcap_file.unfinished import is_written
+from cosim.log.mcap_file.unfinished import is_begun, is_written
 from cosim.log.reading.reader import Log, open_log
 
 POLL_INTERVAL: Final = 0.2  # s of wall time between two looks
-_ATTEMPTS: Final = 5  # to read a log that a run writes to, without a row more
+_ATTEMPTS: Final = 5  # to read a log that a run writes to, without a row more, or to find the next
 
 
 @final
@@ -106,19 +106,23 @@ class FollowedLog:
     def _goes_on(self, log: Log) -> bool:
         """Turn to the next file of a log that was rotated; return whether there is one.
 
-        It gets its name just after the end of the one before, unless the run is killed there.
+        It is begun before the end of the one before, and gets its name after it, unless the run is
+        killed there.
         """
         if not _has_next(log) or self._is_past(log):
             return False
         paths = part_paths(self._path)
         following = part_path(paths[0], len(paths) + 1)
-        for _ in range(_ATTEMPTS):
-            if following.exists():
-                self._own = OwnFile(following)
-                self._path = following
-                return True
+        looks = 0
+        while not following.exists():
+            if looks == _ATTEMPTS:
+                return False
+            if not is_begun(following):
+                looks += 1  # it has its name by now, or nothing tells that it is written
             self._wait()
-        return False
+        self._own = OwnFile(following)
+        self._path = following
+        return True
 
     def _new_rows(self, log: Log) -> Iterator[JoinedRows]:
         window = RecordedWindow(log, self._next_ns, self._last_ns)

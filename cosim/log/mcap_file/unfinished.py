@@ -68,19 +68,18 @@ class UnfinishedLog:
         """
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            kept_name = self.path.name[:_KEPT_NAME]
-            _remove_abandoned(self.path.parent, kept_name)
-            self._stream = self._create_locked(kept_name)
+            _remove_abandoned(self.path)
+            self._stream = self._create_locked()
             while self._stream is None:  # another run took it for an abandoned one, and removed it
-                self._stream = self._create_locked(kept_name)
+                self._stream = self._create_locked()
         except OSError as error:
             reason = error.strerror or error
             raise LogError(f"{self.path} cannot be created: {reason}") from error
         return self._stream
 
-    def _create_locked(self, kept_name: str) -> io.RawIOBase | None:
+    def _create_locked(self) -> io.RawIOBase | None:
         """Create the file and lock it; None: it is gone already."""
-        hidden_name = f".{kept_name}.{secrets.token_hex(4)}{_HIDDEN_SUFFIX}"
+        hidden_name = _hidden_name(self.path.name[:_KEPT_NAME], secrets.token_hex(4))
         self._hidden_path = self.path.with_name(hidden_name)
         # After the path is known: an error or interrupt in here must not leave the file.
         stream = create(self._hidden_path)
@@ -189,12 +188,27 @@ def is_written(path: Path) -> bool:
     return sys.platform == "win32" or is_locked(path)
 
 
-def _remove_abandoned(folder: Path, kept_name: str) -> None:
+def is_begun(path: Path) -> bool:
+    """Return whether a run writes to a file that is to go to a path."""
+    return any(is_locked(hidden) for hidden in _hidden_paths(path))
+
+
+def _hidden_paths(path: Path) -> list[Path]:
+    """Return the hidden files that are to go to a path, or were."""
+    kept_name = glob.escape(path.name[:_KEPT_NAME])
+    return list(path.parent.glob(_hidden_name(kept_name, "*")))
+
+
+def _hidden_name(kept_name: str, token: str) -> str:
+    return f".{kept_name}.{token}{_HIDDEN_SUFFIX}"
+
+
+def _remove_abandoned(path: Path) -> None:
     """Remove the hidden files of runs that were killed before their first row."""
-    for path in folder.glob(f".{glob.escape(kept_name)}.*{_HIDDEN_SUFFIX}"):
-        with suppress(OSError), path.open("rb") as stream:
+    for hidden in _hidden_paths(path):
+        with suppress(OSError), hidden.open("rb") as stream:
             if lock(stream.fileno()):
-                path.unlink()
+                hidden.unlink()
 
 
 def lock(descriptor: int) -> bool:

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import threading
 from contextlib import ExitStack
 from itertools import count
 
@@ -14,6 +15,7 @@ from cosim.log.conversion.choice import choose
 from cosim.log.conversion.following import FollowedLog
 from cosim.log.conversion.text import csv_text
 from cosim.log.mcap_file.rotation import Rotation
+from cosim.log.mcap_file.unfinished import UnfinishedLog
 from tests.log.recordings import STEP_NS, blocks, layout, plan, record, same_bits, table
 
 STEPS = 600
@@ -164,6 +166,41 @@ def test_a_log_that_is_rotated_is_followed_from_file_to_file(tmp_path):
     assert same_bits(values, rows[:, :5])
     later = FollowedLog(tmp_path / "a.part2.mcap", ["plant.u"], wait=pytest.fail)
     assert np.array_equal(joined(later.joined())[0], np.arange(30, 101) * STEP_NS)
+
+
+def test_a_next_file_is_waited_for_as_long_as_it_is_begun(tmp_path, monkeypatch):
+    """However long a slow disk takes to close the file before, and to name the next one."""
+    path = tmp_path / "a.mcap"
+    looks = []
+    is_slow = threading.Event()
+    is_seen = threading.Event()
+    publish = UnfinishedLog.publish
+
+    def publish_late(self):
+        if self.path != path:
+            is_slow.set()
+            assert is_seen.wait(60.0)
+        publish(self)
+
+    def look():
+        assert is_slow.wait(60.0)
+        looks.append(1)
+        if len(looks) == 50:
+            is_seen.set()
+            stack.close()
+
+    monkeypatch.setattr(UnfinishedLog, "publish", publish_late)
+    with ExitStack() as stack:
+        recorder = stack.enter_context(
+            McapRecorder(path, rotation=Rotation(None, 60 * STEP_NS, "60ms"), flush=1e-3)
+        )
+        recorder.begin(plan())
+        for block in blocks(table(layout(), 100), 10):
+            recorder.write(*block)
+        assert is_slow.wait(60.0)
+        time_ns, _ = joined(FollowedLog(path, None, wait=look).joined())
+    assert np.array_equal(time_ns, np.arange(101) * STEP_NS)
+    assert len(looks) == 50
 
 
 def test_a_next_file_that_never_comes_is_not_waited_for(tmp_path):
