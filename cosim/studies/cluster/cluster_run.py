@@ -42,6 +42,7 @@ if TYPE_CHECKING:
 
 TASKS_PER_THREAD: Final = 2  # the one that runs, and the next
 LOOK: Final = 1.0  # [s] between looks at the workers
+GIVING_UP: Final = 1.0  # [s] that dask may take to give up a task whose workers have gone
 FETCHING: Final = 60.0  # [s] for a result; its worker may have died with it
 RETRIES: Final = 1  # where a task raises: a full disk of one worker may be
 
@@ -181,6 +182,7 @@ class ClusterRun:
         self._name = study.name
         self._tasks = RemainingTasks((), ())
         self._submitted: dict[Future, tuple[MemberTask, frozenset[str]]] = {}
+        self._stranded: dict[Future, float] = {}  # since when no worker is left for them
         self._done: SimpleQueue[Future | None] = SimpleQueue()  # None: a worker was admitted
         self._workers: ClusterWorkers = ClusterWorkers(
             client, study, notice=notice, admitted=lambda: self._done.put(None)
@@ -227,13 +229,25 @@ class ClusterRun:
             self._workers.refresh()
         except _LOST as error:
             raise lost(self._client) from error
-        present = self._workers.threads.keys()
-        for future, (task, workers) in list(self._submitted.items()):
-            if not workers & present:  # nobody is left to whom dask may give it
-                del self._submitted[future]
-                self._client.cancel([future], force=True)
-                self._tasks.give_back(task)
+        self._take_back()
         self._next_look = monotonic() + LOOK
+
+    def _take_back(self) -> None:
+        """Take back tasks for which no worker is left, and which dask has not given up."""
+        present = self._workers.threads.keys()
+        now = monotonic()
+        stranded: dict[Future, float] = {}
+        for future, (task, workers) in list(self._submitted.items()):
+            if workers & present or future.status == "error":
+                continue
+            since = self._stranded.get(future, now)
+            if now - since < GIVING_UP:
+                stranded[future] = since
+                continue
+            del self._submitted[future]
+            self._client.cancel([future], force=True)
+            self._tasks.give_back(task)
+        self._stranded = stranded
 
     def _submit(self) -> None:
         """Submit tasks to the workers that are admitted."""

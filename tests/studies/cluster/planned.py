@@ -8,6 +8,7 @@ from pathlib import Path
 from cosim.studies.contracts import COMPLETE, FAILED, MemberOutcome, StudyMember, StudySubject
 from cosim.studies.dataset.columns import metric_column, parameter_column
 from cosim.studies.dataset.identity import StudyIdentity
+from tests.studies.cluster.processes import LIMIT
 
 OPENER = "tests.studies.cluster.planned:open_counted"
 SUBJECT = StudySubject("counted", metrics={"root": "last(plant.y)"})
@@ -47,6 +48,8 @@ class CountedRunner:
             Path(member.set["marks"], f"{member.number}-{os.getpid()}").touch()
         spend(member.set.get("cost", 0.0))
         time.sleep(member.set.get("sleeps", 0.0))
+        if member.number >= member.set.get("waiting from", math.inf):
+            wait_for(Path(member.set["waits for"]))
         if member.set.get("ends the worker of dask") == member.number:
             os.kill(os.getppid(), 9)
         if member.set.get("crashes") and member.number % 31 == 30:
@@ -65,6 +68,13 @@ def spend(seconds):
     until = time.perf_counter() + seconds
     while time.perf_counter() < until:
         pass
+
+
+def wait_for(path):
+    """Wait until a file is there."""
+    until = time.monotonic() + LIMIT
+    while not path.exists() and time.monotonic() < until:
+        time.sleep(0.01)
 
 
 def open_counted(subject):

@@ -9,6 +9,7 @@ import time
 import pytest
 
 from cosim.errors import RunError, UsageError
+from cosim.studies.cluster import cluster_run
 from cosim.studies.cluster.cluster_run import run_on_cluster
 from cosim.studies.cluster.connection import connect
 from cosim.studies.dataset.study_dataset import StudyDataset
@@ -70,7 +71,6 @@ def test_content_is_that_of_the_local_run(two_workers, tmp_path):
     found = run(two_workers.address, design, tmp_path / "a", progress=lambda *c: counts.append(c))
     assert_same(found, local(design, tmp_path / "b"))
     assert parts(tmp_path / "a") == parts(tmp_path / "b")
-    assert len(set(found.column("worker").to_pylist())) >= 2
     assert counts[-1] == (210, 210, 25)  # 19 elevenths and 6 that crash
     assert not [path for path in (tmp_path / "a").iterdir() if path.name.startswith("_cosim")]
 
@@ -104,13 +104,22 @@ def test_a_study_goes_on_with_what_is_missing(two_workers, tmp_path):
 
 def test_a_worker_killed_in_the_middle_costs_nothing(tmp_path):
     """Every member is there once, with the content of the local run; who has gone is named."""
-    design = CountedMembers(300, cost=0.01, marks=str(tmp_path))
+    named = tmp_path / "named"
+    waiting = {"waiting from": 100, "waits for": str(named)}
+    design = CountedMembers(300, cost=0.01, marks=str(tmp_path), **waiting)
     notices = []
+
+    def note(text):
+        notices.append(text)
+        named.touch()
+
     with cluster(tmp_path / _made(tmp_path, "cluster")) as processes:
         victim = processes.workers[0]
-        killer = threading.Thread(target=_kill_after, args=(victim, tmp_path, 60), daemon=True)
+        killer = threading.Thread(
+            target=_kill_after, args=(victim, tmp_path, 60), kwargs={"workers": 2}, daemon=True
+        )
         killer.start()
-        found = run(processes.address, design, tmp_path / "a", notice=notices.append)
+        found = run(processes.address, design, tmp_path / "a", notice=note)
         killer.join(LIMIT)
         assert victim.wait(LIMIT) == -signal.SIGKILL
     assert [re.sub("tcp://[^ ]*", "X", text) for text in notices] == [
@@ -130,6 +139,7 @@ def test_a_worker_that_comes_later_is_used(tmp_path):
         found = run(processes.address, design, tmp_path / "a")
         begun.join(LIMIT)
     assert found.num_rows == 400
+    assert len(set(found.column("worker").to_pylist())) == 2
 
 
 def test_a_worker_without_cosim_is_named_and_not_used(two_workers, tmp_path):
@@ -235,6 +245,35 @@ def test_members_that_dask_gives_up_are_named(tmp_path):
         assert len(missing) < 150
 
 
+def test_a_task_that_dask_gives_up_is_not_given_to_another_worker(tmp_path, monkeypatch):
+    """Though the worker that it ended was the only one, and has been missed before dask says so."""
+    monkeypatch.setattr(cluster_run, "LOOK", 0.0)
+    design = CountedMembers(40, cost=0.01, **{"ends the worker of dask": 0})
+    folder = tmp_path / _made(tmp_path, "cluster")
+    allowed = {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0"}
+    with (
+        cluster(folder, workers=1, **allowed) as processes,
+        StudyDataset.open_or_create(tmp_path / "a", identity(40)) as dataset,
+    ):
+        (first,) = processes.workers
+        other = threading.Thread(target=_replace, args=(processes, first), daemon=True)
+        other.start()
+        with pytest.raises(RunError, match=r"dask gave up members 0-0"):
+            run_on_cluster(
+                processes.address,
+                SUBJECT,
+                design,
+                dataset,
+                str(tmp_path / "a"),
+                files={},
+                opener=OPENER,
+            )
+        other.join(LIMIT)
+        assert [process.poll() for process in processes.workers] == [-signal.SIGKILL, None]
+        assert dataset.missing()[0].start == 0
+        assert len(dataset) >= 38  # what waited on that worker was given up with it
+
+
 @pytest.mark.usefixtures("bucket")
 def test_workers_write_into_a_bucket(tmp_path, monkeypatch):
     """Most members do not go through this process where storage is shared."""
@@ -273,10 +312,16 @@ def _made(folder, name):
     return name
 
 
-def _kill_after(process, folder, count):
-    """Kill a process once some members have begun."""
-    _wait_for_marks(folder, count)
+def _kill_after(process, folder, count, workers=1):
+    """Kill a process once some members have begun, in all workers."""
+    _wait_for_marks(folder, count, workers)
     process.kill()
+
+
+def _replace(processes, worker):
+    """Start another worker once one has ended."""
+    worker.wait(LIMIT)
+    processes.start_worker()
 
 
 def _start_after(processes, folder, count):
@@ -284,7 +329,11 @@ def _start_after(processes, folder, count):
     processes.start_worker()
 
 
-def _wait_for_marks(folder, count):
+def _wait_for_marks(folder, count, workers=1):
+    """Wait until some members have begun, in some processes."""
     until = time.monotonic() + LIMIT
-    while len(list(folder.glob("*-*"))) < count and time.monotonic() < until:
+    while time.monotonic() < until:
+        marks = [path.name for path in folder.glob("*-*")]
+        if len(marks) >= count and len({mark.partition("-")[2] for mark in marks}) >= workers:
+            return
         time.sleep(0.01)
