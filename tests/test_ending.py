@@ -501,6 +501,7 @@ def test_a_trial_ends_with_the_command_that_began_it(start, tmp_path):
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(0.01)
             pytest.fail(f"ended early: {process.communicate()}")
+    assert trials
     ends = [os.pidfd_open(pid) for pid in trials]
     process.kill()
     for end in ends:

@@ -104,7 +104,13 @@ def plot_study(
 def _checked_search(
     search: RecordedSearch | None, metrics: Sequence[str], keys: Sequence[str]
 ) -> RecordedSearch:
-    """Return the search that is drawn; it has one metric, and shows no key."""
+    """Return the search that is drawn; it has one metric, and shows no key.
+
+    Raises
+    ------
+    UsageError
+        If there is none, or another metric or a key is named.
+    """
     if search is None:
         raise UsageError(
             "a picture of kind 'search': found a study that was planned, needed one whose members "

@@ -3,6 +3,7 @@
 import gc
 import tempfile
 import tracemalloc
+from contextlib import contextmanager
 from functools import cache
 
 import pytest
@@ -288,6 +289,16 @@ def test_the_graph_is_built_once(name, monkeypatch):
     assert KEPT[name].isdisjoint(whole)
 
 
+@contextmanager
+def traced_memory():
+    """Trace allocations, and no longer than for this."""
+    tracemalloc.start()
+    try:
+        yield
+    finally:
+        tracemalloc.stop()
+
+
 def test_nothing_stays_of_members(temporary_folders):
     """Neither memory, nor folders, nor binaries, nor files; of members that fail, either."""
     make, edits = SUBJECTS["mixed"]
@@ -306,11 +317,10 @@ def test_nothing_stays_of_members(temporary_folders):
         return after - before
 
     with open_runner(make()) as runner:
-        tracemalloc.start()  # before the first member: what replaces untraced memory is no growth
-        run_all(runner, 55)
-        objects = len(gc.get_objects())
-        assert min(growth(runner) for _ in range(3)) < 50 * 100
-        tracemalloc.stop()
+        with traced_memory():  # from the first member on: what replaces other memory is no growth
+            run_all(runner, 55)
+            objects = len(gc.get_objects())
+            assert min(growth(runner) for _ in range(3)) < 50 * 100
         assert len(gc.get_objects()) <= objects + 20
         assert len(list(temporary_folders.iterdir())) == 1
     assert list(temporary_folders.iterdir()) == []
