@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
 
@@ -17,7 +17,6 @@ from cosim.studies.design.columns import (
     GridColumn,
     MemberLayout,
     SampleColumn,
-    packed,
     plain_values,
 )
 from cosim.studies.document.study_file import StudyFile
@@ -100,27 +99,6 @@ class StudyDesign:
     def _numbers(self, begin: int, end: int | None) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
         last = len(self) if end is None else min(end, len(self))
         return np.arange(max(0, begin), last, dtype=np.int64)
-
-
-def design_of(study: StudyFile, members: Sequence[StudyMember]) -> StudyDesign:
-    """Return the design whose members have the values of given ones, as cases."""
-    rows = [_values(member) for member in members]
-    names = dict.fromkeys(name for row in rows for name in row)
-    columns: dict[str, DesignColumn] = {}
-    for name in names:
-        columns[name] = SampleColumn(packed([row.get(name) for row in rows]))
-    return StudyDesign(study, "cases", MemberLayout(samples=len(rows)), columns)
-
-
-def _values(member: StudyMember) -> dict[str, Any]:
-    """Return what a member has, by the names of the columns."""
-    values: dict[str, Any] = {}
-    if member.recording is not None:
-        values[RECORDING] = member.recording
-    values |= member.set
-    for name, path in member.swap.items():
-        values[f"{SWAP}{name}"] = path
-    return values
 
 
 def _member(number: int, values: dict[str, Any]) -> StudyMember:

@@ -12,26 +12,22 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.errors import DatasetError, UsageError, option
-from cosim.studies.contracts import COMPLETE, MemberResult, StudyMember
-from cosim.studies.dataset.identity import OF_KEY, StudyIdentity, differences
+from cosim.errors import DatasetError, UsageError, command, option
+from cosim.studies.contracts import MemberResult, StudyMember
+from cosim.studies.dataset.identity import OF_METRICS, differences
 from cosim.studies.dataset.study import Study
 from cosim.studies.dataset.study_dataset import StudyDataset
-from cosim.studies.design.study_design import design_of
-from cosim.studies.document.scenario_of_study import load_scenario
-from cosim.studies.document.study_file import StudyFile
 from cosim.studies.running.comparing import same_reason, same_value
 from cosim.studies.running.local import MembersDone
-from cosim.studies.running.plan import plan_members, plan_study
+from cosim.studies.running.plan import plan_study
 from cosim.studies.running.recorded_study import RecordedStudy, own_environment
-from cosim.studies.running.sources import scenario_digest
 from cosim.studies.running.time_limits import limit_again
 from cosim.studies.workers.pool import WorkerPool
 
@@ -118,7 +114,7 @@ def verify_study(
     Raises
     ------
     UsageError
-        If there is no such member, or none at all.
+        If there is no such member, none at all, or the dataset is of a tuning.
     DatasetError
         If what members are made of has changed, or the dataset is damaged.
     """
@@ -194,50 +190,18 @@ def _check_unchanged(dataset: StudyDataset, recorded: RecordedStudy) -> None:
     DatasetError
         If something has changed; names all of it.
     """
-    before = dataset.identity
-    if recorded.search is None:
-        planned = plan_study(recorded.study).identity({})
-    else:
-        planned = _chosen_again(dataset, recorded.study)
-        before = _without_search(before, planned)
-    found = differences(before, planned)
+    if OF_METRICS not in dataset.identity.digests:
+        raise UsageError(
+            f"{dataset.label} is the dataset of a tuning, whose members are chosen while it runs; "
+            f"{command('study show DIR --member NUMBER')} prints what runs one of them"
+        )
+    planned = plan_study(recorded.study).identity({})
+    found = differences(dataset.identity, planned)
     if found:
         raise DatasetError(
             f"{dataset.label}: {found} (by their SHA-256), so that its members cannot "
             "be run again; needed what they were run with"
         )
-
-
-def _chosen_again(dataset: StudyDataset, study: StudyFile) -> StudyIdentity:
-    """Plan members that a search chose as cases: those that were completed.
-
-    Raises
-    ------
-    UsageError
-        If there is none.
-    """
-    rows = dataset.read(["member", "status"]).to_pylist()
-    completed = [row["member"] for row in rows if row["status"] == COMPLETE]
-    if not completed:
-        raise UsageError(
-            f"{dataset.label}: no member was completed, so that nothing says what they are made of"
-        )
-    design = design_of(study, Study(dataset).members(completed))
-    files = scenario_digest(study.subject)
-    scenario = load_scenario(study.scenario)
-    return plan_members(study, scenario, design, files=files).identity({})
-
-
-def _without_search(recorded: StudyIdentity, planned: StudyIdentity) -> StudyIdentity:
-    """Return what is recorded of members that a search chose, without what the search rests on.
-
-    A file that only failed members read is left out, too.
-    """
-    digests = {}
-    for name, digest in recorded.digests.items():
-        if name in planned.digests or name.startswith(OF_KEY):
-            digests[name] = digest
-    return replace(recorded, digests=digests, columns=planned.columns)
 
 
 def _results(

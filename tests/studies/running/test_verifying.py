@@ -145,3 +145,24 @@ def test_replays_and_their_results_are_verified(tmp_path):
     assert found.members == (0, 2)
     assert len(found.values) > 3
     assert found.differences == ()
+
+
+def test_a_tuning_is_refused(tmp_path):
+    """What it depends on is recorded otherwise; one of its members is run by its command."""
+    place = str(tmp_path / "out")
+    vary = "observer.filter_rate=log:10:1e3"
+    words = [
+        "--vary",
+        vary,
+        "--set",
+        "scenario.stop=0.1",
+        "--members",
+        "4",
+        "--out",
+        place,
+        "--quiet",
+    ]
+    with pytest.raises(SystemExit):
+        main(["tune", "academic", "--minimize", "rms(observer.delta - delta.y)", *words])
+    with pytest.raises(UsageError, match="is the dataset of a tuning"):
+        verify_study(place)
