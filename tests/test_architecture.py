@@ -151,6 +151,7 @@ ROOMS = {
         "cluster",
         "running",
         "tuning",
+        "verification",
         "tables",
         "plots",
     ],

@@ -386,8 +386,8 @@ def verify(
     if a metric, the status or the steps of a member differ.
     """
     from cosim.studies.running.studying import worker_count
-    from cosim.studies.running.verifying import verify_study
     from cosim.studies.tables.verification import print_verification
+    from cosim.studies.verification.verifying import verify_study
 
     with prints_to_stderr(), show_members(quiet or as_json) as progress:
         found = verify_study(

@@ -11,8 +11,9 @@
     design      which members there are, and whether they can be built
     cluster     members on the workers of dask.distributed
     analysis    statistics and sensitivity of what members came to
-    running     a whole study: plan, run, keep logs, verify
-    plots       pictures of it
+    running     a whole study: plan, run, keep logs
     tuning      searches whose trials are members
+    verification  members that run again alone, with the same bits
+    plots       pictures of a study
     tables      what the command line prints
 """

@@ -208,11 +208,13 @@ def signal_cost(prepare, size, count):
     actions = [prepare(size) for _ in range(count)]
     gc.collect()
     gc.freeze()  # what is there already takes no time of collections from here on
-    began = process_time()
-    kept = [action() for action in actions]
-    cost = (process_time() - began) / (size * count)
-    del kept
-    gc.unfreeze()
+    try:
+        began = process_time()
+        kept = [action() for action in actions]
+        cost = (process_time() - began) / (size * count)
+        del kept
+    finally:
+        gc.unfreeze()
     return cost
 
 

@@ -189,8 +189,15 @@ def is_written(path: Path) -> bool:
 
 
 def is_begun(path: Path) -> bool:
-    """Return whether a run writes to a file that is to go to a path."""
-    return any(is_locked(hidden) for hidden in _hidden_paths(path))
+    """Return whether a run writes to a file that is to go to a path.
+
+    Names that begin with the same 48 characters are not told apart.
+    """
+    for hidden in _hidden_paths(path):
+        with suppress(OSError):
+            if is_locked(hidden):
+                return True
+    return False
 
 
 def _hidden_paths(path: Path) -> list[Path]:

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any, Final
+from typing import Any, Final, final
 
 import numpy as np
 
@@ -40,6 +40,7 @@ _BASIS: Final = {
 }
 
 
+@final
 @dataclass(frozen=True)
 class StudyLayout(MemberNumbering):
     """How the members of a study are numbered, and what of them was drawn.

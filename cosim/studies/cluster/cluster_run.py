@@ -204,7 +204,8 @@ class ClusterRun:
                 self._take(future)
             progress(len(self._dataset), len(design), self._failed)
         if self._given_up:
-            names = [f"{part.start}-{part.stop - 1}" for part in self._given_up]
+            parts = sorted(self._given_up, key=lambda part: part.start)
+            names = [f"{part.start}-{part.stop - 1}" for part in parts]
             raise RunError(
                 f"dask gave up members {listing(names)}: every worker that ran them ended; the "
                 "same study goes on from what is in its dataset"
@@ -217,6 +218,7 @@ class ClusterRun:
                 if self._submitted:
                     self._client.cancel(list(self._submitted), force=True)
                 self._submitted.clear()
+                self._stranded.clear()
                 self._workers.close()
             except _LOST:
                 return

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Final
+from typing import Any, Final
 
 from cosim.digests import source_digest
 from cosim.errors import UsageError
@@ -35,12 +35,20 @@ class RecordedSearch:
     expression : str
     maximize : bool
     method : str
+    members, starts, seed : int
+        As of the search.
+    keys : sequence of mapping
+        What it varies, as plain values.
     """
 
     metric: str
     expression: str
     maximize: bool
     method: str
+    members: int
+    starts: int
+    seed: int
+    keys: Sequence[Mapping[str, Any]]
 
     @property
     def goal(self) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from cosim.errors import listing
 from cosim.report.tables.console import print_json, print_line
 from cosim.studies.analysis.columns import count_text
-from cosim.studies.running.verifying import StudyVerification
+from cosim.studies.verification.study_verification import StudyVerification
 
 
 def print_verification(found: StudyVerification, *, as_json: bool = False) -> None:
@@ -46,6 +46,8 @@ def _not_shown(found: StudyVerification) -> Sequence[str]:
     else:
         texts.append("whether another machine comes to the same")
     texts.append("signals that no metric is about")
+    if found.is_searched:
+        texts.append("that the search would choose these members again")
     for name, (before, now) in found.environment.items():
         texts.append(f"{name} was {before}, is {now}")
     return texts

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from cosim.digests import digest_of
 from cosim.errors import UsageError, listing, option, quoted
@@ -27,8 +27,8 @@ from cosim.studies.metrics.metrics import parse_metrics
 from cosim.studies.running.plan import StudyPlan, plan_members
 from cosim.studies.running.recorded_study import RecordedSearch, RecordedStudy
 from cosim.studies.running.sources import scenario_digest
-from cosim.studies.tuning.searching import TuningSearch, check_search
-from cosim.studies.tuning.space import BoundedKey, ChoiceKey, SearchSpace
+from cosim.studies.tuning.searching import TuningMethod, TuningSearch, check_search
+from cosim.studies.tuning.space import BoundedKey, ChoiceKey, SearchSpace, key_of
 from cosim.studies.tuning.task import OBJECTIVE, TuningTask, is_rms
 
 
@@ -91,7 +91,14 @@ class TuningPlan:
         """Return what the dataset says of the tuning; its members are cases."""
         search = self.search
         chosen_by = RecordedSearch(
-            OBJECTIVE, self.task.expression, maximize=search.maximize, method=search.method
+            OBJECTIVE,
+            self.task.expression,
+            maximize=search.maximize,
+            method=search.method,
+            members=search.members,
+            starts=search.starts,
+            seed=search.seed,
+            keys=[asdict(key) for key in search.space.keys],
         )
         layout = StudyLayout("cases", samples=search.members)
         warnings = self.study.sources.warnings
@@ -131,6 +138,32 @@ def plan_tuning(task: TuningTask) -> TuningPlan:
     _check_bounds(search.space, study, scenario)
     planned = plan_members(study, scenario, design, files=files, refused=refused)
     return TuningPlan(task, planned, search, recording)
+
+
+def plan_recorded(study: StudyFile, search: RecordedSearch) -> TuningPlan:
+    """Plan a tuning as its dataset records it; errors as of :func:`plan_tuning`."""
+    settings = study.settings
+    again = TuningSearch(
+        SearchSpace(tuple(map(key_of, search.keys))),
+        search.metric,
+        maximize=search.maximize,
+        method=cast("TuningMethod", search.method),
+        members=search.members,
+        starts=search.starts,
+        seed=search.seed,
+    )
+    task = TuningTask(
+        study.scenario,
+        search.expression,
+        again,
+        set=settings.set,
+        swap=settings.swap,
+        map=settings.map,
+        replay=settings.replay,
+        allow_code=bool(settings.allow_code),
+        timeout=settings.timeout,
+    )
+    return plan_tuning(task)
 
 
 def _of_objective(text: str, name: str) -> str:

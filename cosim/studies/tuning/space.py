@@ -125,6 +125,13 @@ class SearchSpace:
         return np.full(len(self.bounded), 0.5)
 
 
+def key_of(content: Mapping[str, Any]) -> BoundedKey | ChoiceKey:
+    """Return a key that is recorded as plain values: its fields."""
+    if "choices" in content:
+        return ChoiceKey(content["key"], tuple(content["choices"]))
+    return BoundedKey(**content)
+
+
 def check_space(space: SearchSpace) -> None:
     """Check what a search needs of its keys.
 

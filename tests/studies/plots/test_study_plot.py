@@ -148,7 +148,16 @@ def tuning(maximize=False):
     columns = {"gain": np.arange(7.0), "objective": objective, "samples": np.full(7, 9.0)}
     columns["status"] = status
     study = MadeStudy(columns, ("gain",), ("objective", "samples"), planned=9)
-    search = RecordedSearch("objective", "rms(a.y)", maximize=maximize, method="cobyqa")
+    search = RecordedSearch(
+        "objective",
+        "rms(a.y)",
+        maximize=maximize,
+        method="cobyqa",
+        members=9,
+        starts=4,
+        seed=1,
+        keys=(),
+    )
     return results_of_study(study, StudyLayout("cases", samples=9)), search
 
 

@@ -12,16 +12,15 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.errors import DatasetError, UsageError, command, option
+from cosim.errors import DatasetError, UsageError, option
 from cosim.studies.contracts import MemberResult, StudyMember
-from cosim.studies.dataset.identity import OF_METRICS, differences
+from cosim.studies.dataset.identity import StudyIdentity, differences
 from cosim.studies.dataset.study import Study
 from cosim.studies.dataset.study_dataset import StudyDataset
 from cosim.studies.running.comparing import same_reason, same_value
@@ -29,63 +28,13 @@ from cosim.studies.running.local import MembersDone
 from cosim.studies.running.plan import plan_study
 from cosim.studies.running.recorded_study import RecordedStudy, own_environment
 from cosim.studies.running.time_limits import limit_again
+from cosim.studies.tuning.planning import plan_recorded
+from cosim.studies.verification.study_verification import StudyVerification, VerifiedDifference
 from cosim.studies.workers.pool import WorkerPool
 
 LONE_RUNNER: Final = "cosim.studies.members.lone_runner:open_lone_runner"
 SAMPLE: Final = 10  # members, spread over all
 _COMPARED: Final = ("status", "reason", "steps", "other_results")  # beside metrics
-
-
-@dataclass(frozen=True, slots=True)
-class VerifiedDifference:
-    """What is otherwise now than it is recorded.
-
-    Parameters
-    ----------
-    member : int
-    name : str
-        Of a metric, a result, ``status``, ``reason`` or ``steps``.
-    recorded, now : float, int, str or None
-    """
-
-    member: int
-    name: str
-    recorded: Any
-    now: Any
-
-
-@dataclass(frozen=True)
-class StudyVerification:
-    """What came of running members again.
-
-    Parameters
-    ----------
-    name : str
-        Of the study.
-    members : tuple of int
-        That ran again.
-    done : int
-        Members that have an outcome.
-    values : tuple of str
-        The names of what was compared.
-    differences : tuple of VerifiedDifference
-    elsewhere : tuple of str
-        The machines on which these members ran, other than this one.
-    environment : mapping of str to (str, str)
-        What is recorded of versions and processor, and what there is now, where these differ.
-    """
-
-    name: str
-    members: tuple[int, ...]
-    done: int
-    values: tuple[str, ...]
-    differences: tuple[VerifiedDifference, ...]
-    elsewhere: tuple[str, ...]
-    environment: Mapping[str, tuple[str, str]]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
-        return asdict(self)
 
 
 def verify_study(
@@ -114,7 +63,7 @@ def verify_study(
     Raises
     ------
     UsageError
-        If there is no such member, none at all, or the dataset is of a tuning.
+        If there is no such member, or none at all.
     DatasetError
         If what members are made of has changed, or the dataset is damaged.
     """
@@ -145,6 +94,7 @@ def verify_study(
         tuple(sorted(found, key=lambda item: item.member)),
         _other_machines(rows.values()),
         _other_environment(recorded.environment),
+        is_searched=recorded.search is not None,
     )
 
 
@@ -190,18 +140,19 @@ def _check_unchanged(dataset: StudyDataset, recorded: RecordedStudy) -> None:
     DatasetError
         If something has changed; names all of it.
     """
-    if OF_METRICS not in dataset.identity.digests:
-        raise UsageError(
-            f"{dataset.label} is the dataset of a tuning, whose members are chosen while it runs; "
-            f"{command('study show DIR --member NUMBER')} prints what runs one of them"
-        )
-    planned = plan_study(recorded.study).identity({})
-    found = differences(dataset.identity, planned)
+    found = differences(dataset.identity, _planned_again(recorded))
     if found:
         raise DatasetError(
             f"{dataset.label}: {found} (by their SHA-256), so that its members cannot "
             "be run again; needed what they were run with"
         )
+
+
+def _planned_again(recorded: RecordedStudy) -> StudyIdentity:
+    """Return whose dataset it would be now."""
+    if recorded.search is None:
+        return plan_study(recorded.study).identity({})
+    return plan_recorded(recorded.study, recorded.search).identity()
 
 
 def _results(

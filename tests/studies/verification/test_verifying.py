@@ -11,11 +11,11 @@ from pyarrow import parquet
 import cosim
 from cosim.cli import main
 from cosim.errors import DatasetError, UsageError
-from cosim.studies.running import verifying
 from cosim.studies.running.comparing import difference
 from cosim.studies.running.recorded_study import own_environment
-from cosim.studies.running.verifying import verify_study
 from cosim.studies.tables.verification import print_verification
+from cosim.studies.verification import verifying
+from cosim.studies.verification.verifying import verify_study
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.test_process import STATELESS
 
@@ -145,24 +145,3 @@ def test_replays_and_their_results_are_verified(tmp_path):
     assert found.members == (0, 2)
     assert len(found.values) > 3
     assert found.differences == ()
-
-
-def test_a_tuning_is_refused(tmp_path):
-    """What it depends on is recorded otherwise; one of its members is run by its command."""
-    place = str(tmp_path / "out")
-    vary = "observer.filter_rate=log:10:1e3"
-    words = [
-        "--vary",
-        vary,
-        "--set",
-        "scenario.stop=0.1",
-        "--members",
-        "4",
-        "--out",
-        place,
-        "--quiet",
-    ]
-    with pytest.raises(SystemExit):
-        main(["tune", "academic", "--minimize", "rms(observer.delta - delta.y)", *words])
-    with pytest.raises(UsageError, match="is the dataset of a tuning"):
-        verify_study(place)

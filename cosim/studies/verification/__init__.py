@@ -1,0 +1,1 @@
+"""Run members of a study again, each alone, and compare bit for bit."""
