@@ -11,7 +11,7 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -79,6 +79,44 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
             return module if module in OF_ONE_WORKER else nodeid
 
     return ByCost(config, log)
+
+
+SECONDS_OF_A_FAST_TEST = 1.0
+STARTED = pytest.StashKey[float]()
+
+
+def processor_time() -> float:
+    """Return the time that this process and its ended children computed [s]."""
+    return sum(os.times()[:4])
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Note when a test begins; its fixtures count."""
+    item.stash[STARTED] = processor_time()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, Any]:
+    """Note what a test took that is not marked as one of the slow ones."""
+    report = yield
+    marks = {mark.name for mark in item.iter_markers()}
+    if report.when == "call" and not marks & {"slow", "external", "campaign"}:
+        taken = processor_time() - item.stash[STARTED]
+        report.user_properties.append(("processor_time", taken))
+    return report
+
+
+def pytest_terminal_summary(terminalreporter: Any) -> None:
+    """Name the tests that should be marked as slow, or be shorter."""
+    lines = []
+    for report in terminalreporter.getreports("passed"):
+        taken = dict(report.user_properties).get("processor_time", 0.0)
+        if report.when == "call" and taken > SECONDS_OF_A_FAST_TEST:
+            lines.append(f"{taken:5.1f} s  {report.nodeid}")
+    if lines:
+        terminalreporter.section(f"not marked slow, over {SECONDS_OF_A_FAST_TEST:g} s of CPU time")
+        terminalreporter.write_line("\n".join(sorted(lines, reverse=True)))
 
 
 def folder_of_the_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
