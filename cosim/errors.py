@@ -185,12 +185,12 @@ def nearest(name: str, known_names: Iterable[str]) -> str:
     """
     names = list(known_names)
     if not names:
-        return "there are none"
+        return "none is available"
     composed = unicodedata.normalize("NFC", name)
     if name != composed and composed in names:
-        return f"needed {composed!r}, composed as Unicode NFC"
+        return f"expected {composed!r}, composed as Unicode NFC"
     close = get_close_matches(name, names, n=1, cutoff=0.5)
-    opening = f"did you mean {close[0]!r}? There is" if close else "there is"
+    opening = f"did you mean {close[0]!r}? Available" if close else "available"
     return f"{opening}: {listing(names, MOST_NAMES)}"
 
 
